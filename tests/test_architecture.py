@@ -17,6 +17,7 @@ FLOORS = [
     {"desim.config"},
     {"desim.kernel.core"},
     {"desim.kernel.measured", "desim.kernel.walls", "desim.pursuit.core"},
+    {"desim.pursuit.paths"},
     {"desim.kernel.graph_files", "desim.pursuit.game", "desim.pursuit.mobility", "desim.pursuit.motion"},
     {"desim.kernel.models"},
     {"desim.kernel.tc", "desim.kernel.topology", "desim.pursuit.evaders"},

@@ -21,12 +21,14 @@ from desim.config.choice import OneOf
 from desim.config.model import MAX_COORDINATE, Box, FirstError, Limit, Probability, Speed, Time, Value
 from desim.config.python_numbers import as_python
 from desim.kernel.core.seeds import stream
+from desim.pursuit.core.state import complex_points
 from desim.pursuit.core.traits import StrategyTraits
 from desim.pursuit.evaders.evader import EvaderController
 from desim.pursuit.evaders.evasion import STRATEGIES, PureEvasion, Strategy
 from desim.pursuit.evaders.recorded import Point, RecordedMotion, RecordedPositions, RelayNode
 from desim.pursuit.motion.dynamics import DYNAMICS, Dynamics, Simple, headings_with
 from desim.pursuit.motion.guidance import ConstantBearing, Guidance, GuidanceTraits, PurePursuit
+from desim.pursuit.paths.space import PLANE, Plane
 
 
 class Speeds(Value):
@@ -218,12 +220,12 @@ class Team(Value):
         """The greatest speed of any pursuer, m/s, relays included."""
         return max(*self.all_speeds(), *(motion.top_speed for motion in self.relays.values()), 0.0)
 
-    def start(self, seed: int) -> NDArray[np.float64]:
-        """Return the (N, 2) initial positions, m."""
+    def start(self, seed: int, space: Plane = PLANE) -> NDArray[np.float64]:
+        """Return the (N, 2) initial positions, m, in a space: random ones are outside of walls."""
         if self.positions is not None:
             places = np.array(self.positions)
         else:
-            places = stream(seed, "pursuers").uniform(*self.box, size=(self.count, 2))
+            places = random_places(stream(seed, "pursuers"), self.box, self.count, space)
         for pursuer, motion in self.relays.items():
             places[pursuer] = motion.start.real, motion.start.imag
         return places
@@ -303,13 +305,13 @@ class Evader(Value):
         """Its record, if its motion is recorded."""
         return self.strategy if isinstance(self.strategy, RecordedMotion) else None
 
-    def start(self, seed: int, index: int = 0) -> NDArray[np.float64]:
-        """Return the (2,) initial position, m; `index` counts all evaders of the scenario from 0."""
+    def start(self, seed: int, index: int = 0, space: Plane = PLANE) -> NDArray[np.float64]:
+        """Return the (2,) initial position, m, in a space; `index` counts all evaders of the scenario from 0."""
         if self.record is not None:
             return np.array([self.record.start.real, self.record.start.imag])
         if self.position is not None:
             return np.array(self.position)
-        return stream(seed, "evader", index).uniform(*self.box, size=2)
+        return random_places(stream(seed, "evader", index), self.box, 1, space)[0]
 
     @property
     def has_inertia(self) -> bool:
@@ -331,13 +333,17 @@ class Evader(Value):
         """Whether its strategy overhears the pursuers' radio."""
         return StrategyTraits.of(self.strategy).listens
 
-    def controller(self, rng: np.random.Generator, speeds: NDArray[np.float64], radius: float) -> EvaderController:
+    def controller(
+        self, rng: np.random.Generator, speeds: NDArray[np.float64], radius: float, space: Plane = PLANE
+    ) -> EvaderController:
         """Return the controller of one evader with these parameters in a run.
 
         Args:
             rng: the random stream of the evader.
             speeds: (N,) speeds of the pursuers, m/s.
             radius: capture radius, m.
+            space: the space in which the players move.
+            space: the space in which the players move.
         """
         return EvaderController(
             self.strategy,
@@ -349,4 +355,24 @@ class Evader(Value):
             reaction_delay=self.reaction_delay,
             motion_interval=self.motion_interval,
             motion_error=self.motion_error,
+            space=space,
         )
+
+
+MAX_DRAWS = 1_000
+"""Number of times that a random place inside a wall is drawn anew."""
+
+
+def random_places(rng: np.random.Generator, box: tuple[float, float], count: int, space: Plane) -> NDArray[np.float64]:
+    """Return (count, 2) uniform random places in a box, m; those inside a wall or on one are drawn anew.
+
+    Raises:
+        ValueError: if walls fill the box.
+    """
+    places = rng.uniform(*box, size=(count, 2))
+    for _ in range(MAX_DRAWS):
+        taken = ~space.are_free(complex_points(places))
+        if not taken.any():
+            return places
+        places[taken] = rng.uniform(*box, size=(np.count_nonzero(taken), 2))
+    raise ValueError(f"the walls leave no place in the box from {box[0]:g} to {box[1]:g} m")

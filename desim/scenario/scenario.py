@@ -38,6 +38,7 @@ from desim.pursuit.byzantine.lies import PURSUER_FAULTS, is_lie
 from desim.pursuit.core.traits import ProtocolTraits, ScheduleTraits
 from desim.pursuit.motion.dynamics import Dynamics, Simple
 from desim.pursuit.motion.flow import Environment
+from desim.pursuit.paths.space import Plane, space_among
 from desim.pursuit.sensing.sensing import Sensing
 from desim.pursuit.team.agent import Behaviour
 from desim.pursuit.team.announcements import Announcements
@@ -248,6 +249,11 @@ class Scenario(Value):
         """The parameters of each of the M evaders; evader j has index j - 1."""
         kinds = self.evader if isinstance(self.evader, tuple) else (self.evader,)
         return tuple(kind for kind in kinds for _ in range(kind.count))
+
+    @property
+    def space(self) -> Plane:
+        """The space in which the players move: the plane among the walls that block motion."""
+        return space_among(self.wall)
 
     @property
     def pursuer_dynamics(self) -> Dynamics:

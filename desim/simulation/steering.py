@@ -26,6 +26,10 @@ class Steering:
         carried: (N + M,) whether the flow carries each player: the pursuers, then the evaders.
         evader_first: whether pursuers aim at the evader's position at the end of the motion step; if not, at its
             position at the start.
+
+    Attributes:
+        turns: when (ns) each pursuer comes to a corner of a wall within this motion step, at which it is to be
+            redirected.
     """
 
     def __init__(
@@ -42,7 +46,9 @@ class Steering:
         self._evader_first, self._sensor, self._relays = evader_first, sensor, state.relays
         self._dynamics, self._radius, self._has_inertia = state.dynamics, state.radius, not state.dynamics.is_simple
         self._environment, self._carried, self._has_flow = state.environment, carried, not state.environment.is_still
-        self._is_plain = not (self._has_inertia or self._has_flow)
+        self._walled = state.space.walled
+        self._is_plain = not (self._has_inertia or self._has_flow or self._walled is not None)
+        self.turns: dict[int, int] = {}
         self._stillness: Points = np.zeros(state.size + state.evader_count, dtype=complex)
 
     def set_actions(self, actions: Actions) -> None:
@@ -63,9 +69,12 @@ class Steering:
         """
         duration, players, law = seconds(until - now), self._players, self._law
         velocities = self._stillness.copy()
+        self.turns.clear()
         for target in self._targets:
             state = target.state(now)
             evader_velocity, place = target.choose_velocity(state, handover=handover), state.evader
+            if self._walled is not None:
+                evader_velocity = target.slid(evader_velocity, duration)
             drift = self._drift(target.player, evader_velocity, now, duration)
             if self._evader_first:
                 aim, seen = players.advance(target.player, evader_velocity, duration, drift)
@@ -79,7 +88,9 @@ class Steering:
             where, speed = players.positions().item, self._speed
             for pursuer, target in self._chases:
                 here, (_, place, aim, evader_velocity, _) = where(pursuer), target.path.last
-                if self._is_plain:  # the same result as below, faster
+                if self._walled is not None:
+                    velocities[pursuer] = self._course(pursuer, aim, now, until)
+                elif self._is_plain:  # the same result as below, faster
                     velocities[pursuer] = guided_velocity(
                         law, place - here, aim - here, evader_velocity, speed[pursuer]
                     )
@@ -87,7 +98,7 @@ class Steering:
                     geometry = place - here, aim - here, evader_velocity, speed[pursuer]
                     velocities[pursuer] = self._command(pursuer, *geometry, now, duration)
         for pursuer in self._sensor.blind(self._actions) if self._sensor is not None else ():
-            velocities[pursuer] = self._blind_velocity(pursuer, now, duration)
+            velocities[pursuer] = self._blind_velocity(pursuer, now, until)
         for relay, motion in self._relays.items():
             velocities[relay] = motion.velocity(now, players.position(relay))
         drifts = None
@@ -104,10 +115,13 @@ class Steering:
             until: end of the step, ns.
         """
         velocities, evader, duration = self._players.commands.copy(), self._actions.item(pursuer), seconds(until - now)
+        self.turns.pop(pursuer, None)
         if not evader:
             velocities[pursuer] = 0j
         elif self._sensor is not None and not self._sensor.views[pursuer].sees(evader):
-            velocities[pursuer] = self._blind_velocity(pursuer, now, duration)
+            velocities[pursuer] = self._blind_velocity(pursuer, now, until)
+        elif self._walled is not None:
+            velocities[pursuer] = self._course(pursuer, self._targets[evader - 1].path.last.aim, now, until)
         else:
             here, segment = self._players.position(pursuer), self._targets[evader - 1].path.last
             geometry = segment.at(now) - here, segment.aim - here, segment.velocity, self._speed[pursuer]
@@ -117,6 +131,14 @@ class Steering:
             drifts = drifts.copy()
             drifts[pursuer] = self._drift(pursuer, velocities.item(pursuer), now, duration)
         self._players.command(velocities, drifts)
+
+    def _course(self, pursuer: int, aim: complex, now: int, until: int) -> complex:
+        """Return the velocity, m/s, with which a pursuer follows the shortest path to where it aims (m)."""
+        assert self._walled is not None
+        velocity, turn = self._walled.course(self._players.position(pursuer), aim, self._speed[pursuer], now, until)
+        if turn < until:
+            self.turns[pursuer] = turn
+        return velocity
 
     def _command(
         self,
@@ -163,16 +185,20 @@ class Steering:
         places, aims, evader_velocities = (np.array([segment[k] for segment in segments])[chased] for k in (1, 2, 3))
         return guided_velocities(self._law, places - pursuers, aims - pursuers, evader_velocities, paces)
 
-    def _blind_velocity(self, pursuer: int, now: int, duration: float) -> complex:
+    def _blind_velocity(self, pursuer: int, now: int, until: int) -> complex:
         """Return the velocity, m/s, of a pursuer whose evader is out of sensing range; 0 without an estimate.
 
-        The speed is limited so that in `duration` s from now (ns) the pursuer does not overshoot the estimated position
-        of the evader.
+        The speed is limited so that up to a time `until` (ns) the pursuer does not overshoot the estimated position of
+        the evader.
         """
         assert self._sensor is not None
         estimate = self._sensor.views[pursuer].estimate(self._actions.item(pursuer))
         if estimate is None:
             return 0j
+        duration = seconds(until - now)
+        if self._walled is not None:
+            ahead = estimate.velocity * duration if self._evader_first else 0j
+            return self._course(pursuer, estimate.position + ahead, now, until)
         gap = estimate.position - self._players.position(pursuer)
         aim = gap + (estimate.velocity * duration if self._evader_first else 0j)
         speed = min(self._speed[pursuer], abs(aim - self._drift(pursuer, 0j, now, duration) * duration) / duration)

@@ -77,6 +77,7 @@ class World:
         carried = [pursuer not in state.relays for pursuer in range(state.size)]
         carried += [on_all and evader.record is None for evader in evaders]
         self._steering = Steering(state, scenario.team.guidance, sensor, np.array(carried), evader_first=first)
+        self._turn_ahead: simpy.Event | None = None
         self._forecast = CaptureForecast(env, state, scenario.capture.test, self._capture)
         able = [action and views[j].may_chase(j, action) for j, action in enumerate(state.profile)]
         self._set_actions(state.actions * np.array(able, dtype=bool))
@@ -144,6 +145,7 @@ class World:
         now = self._env.now
         if now < state.step_end:  # within a step; at its end all players get new velocities
             self._steering.redirect(pursuer, now, state.step_end)
+            self._plan_turn()
             self._forecast.update()
 
     def _set_actions(self, actions: Actions) -> None:
@@ -159,10 +161,28 @@ class World:
         state.step_end = self._step_end(now)
         handover = self.eavesdropper is not None and self.eavesdropper.hands_over(now)
         self._steering.step(now, state.step_end, handover=handover)
+        self._plan_turn()
         self._forecast.update()
         if self._sensor is not None:
             self._sensor.look(now)
         self._at(state.step_end, Phase.MOTION, self._move)
+
+    def _plan_turn(self) -> None:
+        """Schedule the next time at which a pursuer comes to a corner of a wall; it replaces the one before."""
+        self._turn_ahead = None
+        if self._steering.turns:
+            self._turn_ahead = Instant(self._env, min(self._steering.turns.values()), Phase.MOTION)
+            self._turn_ahead.callbacks.append(self._turn)
+
+    def _turn(self, event: simpy.Event) -> None:
+        """Redirect the pursuers that are at a corner of a wall, unless a later plan has replaced this one."""
+        if event is not self._turn_ahead:
+            return
+        now, turns = self._env.now, self._steering.turns
+        for pursuer in [pursuer for pursuer, when in turns.items() if when == now]:
+            self._steering.redirect(pursuer, now, self.state.step_end)
+        self._plan_turn()
+        self._forecast.update()
 
     def _step_end(self, now: int) -> int:
         """Return the end, ns, of the motion step that begins now.
@@ -201,20 +221,21 @@ def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
 
     A pursuer may be assigned an evader here that it may not chase; `World` makes such a pursuer inactive.
     """
-    team, radius = scenario.team, scenario.capture.radius
+    team, radius, space = scenario.team, scenario.capture.radius, scenario.space
     players = _kinematics(env, scenario, seed)
     speeds = np.array(team.all_speeds())
     bodies = [
         EvaderBody(
             number,
             evader.speed,
-            evader.controller(stream(seed, "evader strategy", number - 1), speeds, radius),
+            evader.controller(stream(seed, "evader strategy", number - 1), speeds, radius, space),
             EvaderTrack(
                 team.guidance,
                 scenario.pursuer_dynamics,
                 scenario.environment,
                 radius,
                 remembers=_needs_whole_paths(scenario),
+                space=space,
             ),
             players=players,
             speeds=speeds,
@@ -222,6 +243,8 @@ def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
             top_speed=team.top_speed + scenario.environment.relative_speed,
             dynamics=scenario.pursuer_dynamics,
             environment=scenario.environment,
+            space=space,
+            is_recorded=evader.record is not None,
         )
         for number, evader in enumerate(scenario.evaders, start=1)
     ]
@@ -236,6 +259,7 @@ def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
         speeds,
         scenario.pursuer_dynamics,
         scenario.environment,
+        space,
         chased,
         radius=radius,
         horizon=horizon,
@@ -247,8 +271,9 @@ def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
 def _kinematics(env: Clock, scenario: Scenario, seed: int) -> Kinematics:
     """Create the kinematics of all players, at their initial positions."""
     team, evaders = scenario.team, scenario.evaders
-    starts = [evader.start(seed, index) for index, evader in enumerate(evaders)]
-    places, static = complex_points(np.vstack([team.start(seed), *starts])), scenario.motion.static
+    space = scenario.space
+    starts = [evader.start(seed, index, space) for index, evader in enumerate(evaders)]
+    places, static = complex_points(np.vstack([team.start(seed, space), *starts])), scenario.motion.static
     if static or not (team.has_inertia or any(evader.has_inertia for evader in evaders)):
         return Kinematics(env, places, static=static)
     dynamics = [Simple() if pursuer in team.relays else team.dynamics for pursuer in range(team.count)]

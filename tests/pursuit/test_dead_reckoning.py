@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
-from desim.pursuit.core.geometry import toward
-from desim.pursuit.motion.dead_reckoning import MAX_RETRACINGS, EvaderTrack, MotionState, TrackSegment, moved_towards
+from desim.pursuit.core.geometry import moved_towards, toward
+from desim.pursuit.motion.dead_reckoning import MAX_RETRACINGS, EvaderTrack, MotionState, TrackSegment
 from desim.pursuit.motion.dynamics import Simple
 from desim.pursuit.motion.flow import Environment
 from desim.pursuit.motion.guidance import ConstantBearing, PurePursuit

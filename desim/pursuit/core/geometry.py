@@ -57,3 +57,9 @@ def nearest_within(offsets: Points, radius: float) -> int | None:
     distances = lengths(offsets)
     row = int(distances.argmin())
     return row if distances[row] <= radius else None
+
+
+def moved_towards(position: complex, evader: complex, length: float) -> complex:
+    """Return the position, m, after moving a length (m) straight towards the evader, at most up to the evader."""
+    gap = evader - position
+    return evader - max(abs(gap) - length, 0.0) * gap / max(abs(gap), SMALLEST)

@@ -21,6 +21,7 @@ from desim.pursuit.motion.dynamics import Courses, Dynamics, capture_times_with
 from desim.pursuit.motion.flow import Environment
 from desim.pursuit.motion.flow_capture import capture_times_in_flow
 from desim.pursuit.motion.kinematics import CaptureTest, Kinematics
+from desim.pursuit.paths.space import PLANE, Plane
 
 
 class EvaderController:
@@ -39,6 +40,7 @@ class EvaderController:
         reaction_delay: delay, s, with which the evader perceives the positions and actions of pursuers.
         motion_interval: time, s, between two looks from which the evader infers who chases; 0: it knows.
         motion_error: standard deviation, m, of each coordinate of the positions at these looks.
+        space: the space in which the players move.
     """
 
     def __init__(
@@ -53,14 +55,16 @@ class EvaderController:
         reaction_delay: float = 0.0,
         motion_interval: float = 0.0,
         motion_error: float = 0.0,
+        space: Plane = PLANE,
     ):
         self._strategy, self._rng = strategy, rng
         self._speed, self._speeds, self._radius, self._sensing_range = speed, speeds, radius, sensing_range
         self._memory = DelayedState(nanoseconds(reaction_delay)) if nanoseconds(reaction_delay) else None
         period = nanoseconds(motion_interval)
         self._inference = InferredActivity(period, motion_error, speeds, rng.spawn(1)[0]) if period else None
+        self._space = space
         flees_all = type(strategy) is PureEvasion and strategy.flees_from == "all"
-        self._is_pure_evasion = flees_all and sensing_range == inf and self._memory is None
+        self._is_pure_evasion = flees_all and sensing_range == inf and self._memory is None and space.is_open
         self._heading = 0j
         self._since: int | None = None
 
@@ -90,6 +94,8 @@ class EvaderController:
         )
         if self._sensing_range < inf:
             observation = observation.only(observation.distances <= self._sensing_range)
+        if not self._space.is_open:
+            observation = observation.within(self._space)
         heading = self._strategy(observation, self._rng)
         if type(heading) is not complex and (
             isinstance(heading, bool) or not isinstance(heading, (int, float, complex, np.number))
@@ -183,6 +189,8 @@ class EvaderBody:
         top_speed: the greatest speed of any pursuer, m/s.
         dynamics: the dynamics of the pursuers.
         environment: the medium.
+        space: the space in which the players move.
+        is_recorded: whether a record determines its motion.
 
     Attributes:
         slow: (N,) whether each pursuer is no faster than the evader.
@@ -204,10 +212,13 @@ class EvaderBody:
         top_speed: float,
         dynamics: Dynamics,
         environment: Environment,
+        space: Plane = PLANE,
+        is_recorded: bool = False,
     ):
         self.number, self.speed, self.path = number, speed, path
         self._size, self._radius, self._speeds, self._dynamics = len(speeds), radius, speeds, dynamics
         self._environment, self.is_radial = environment, dynamics.is_simple and environment.keeps_distances
+        self._space, self._walled, self._is_recorded = space, space.walled, is_recorded
         self.player = self._size + number - 1
         self._controller, self._players = controller, players
         self._radial_time = RadialTime(speeds, speed, radius)
@@ -244,7 +255,10 @@ class EvaderBody:
             return (inf,) * self._size
         state = self.state(now)
         if self._times is None:
-            self._times = self.capture_times_at(state.evader, state.pursuers, state.distances)
+            distances = state.distances
+            if self._walled is not None:
+                distances = self._walled.distances(state.pursuers, state.evader)
+            self._times = self.capture_times_at(state.evader, state.pursuers, distances)
         return self._times
 
     def capture_times_of(self, pursuers: Collection[int], now: int) -> list[float]:
@@ -252,7 +266,11 @@ class EvaderBody:
         if len(pursuers) > MAX_SCALAR_SIZE or self.captured is not None or not self.is_radial:
             times = self.capture_times(now)
             return [times[pursuer] for pursuer in pursuers]
-        return list(map(self._radial_time.of, pursuers, self._players.distances(self.player, pursuers)))
+        if self._walled is not None:
+            distances = self._walled.distances(self._players.positions_of(list(pursuers)), self.position).tolist()
+        else:
+            distances = self._players.distances(self.player, pursuers)
+        return list(map(self._radial_time.of, pursuers, distances))
 
     def capture_times_at(self, place: complex, pursuers: Points, distances: Floats) -> tuple[float, ...]:
         """Return the capture time, s, of each pursuer for this evader, which must be at large, at an assumed position.
@@ -260,7 +278,8 @@ class EvaderBody:
         Args:
             place: the assumed position, m.
             pursuers: (N,) positions of the pursuers, m.
-            distances: (N,) distances to allow for, m: at least the actual ones, if the position is uncertain.
+            distances: (N,) distances to allow for, m, among walls lengths of paths: at least the actual ones, if the
+                position is uncertain.
         """
         if self.is_radial:
             return tuple(self._radial_time(distances).tolist())
@@ -307,6 +326,12 @@ class EvaderBody:
             return 0j
         return self.speed * self._controller.heading(state, handover)
 
+    def slid(self, velocity: complex, duration: float) -> complex:
+        """Return the velocity, m/s, of the evader in a motion step (s) for which it chooses one: along walls ahead."""
+        if self._walled is None or self._is_recorded:
+            return velocity
+        return self._walled.slide(self.position, velocity * duration) / duration
+
     def contact(self, now: int, until: int, broken: NDArray[np.bool_], test: CaptureTest) -> tuple[float, int] | None:
         """Return the first capture that `test` finds up to `until` if no motion changes, or None.
 
@@ -328,4 +353,26 @@ class EvaderBody:
         self._safe_until = now - 1 + int(0.999 * gap / self._closing_bound * SECOND)
         if until <= self._safe_until:
             return None
-        return self._players.contact(self.player, state.offsets, broken, self._radius, seconds(until - now), test)
+        duration = seconds(until - now)
+        if self._walled is not None:
+            return self._contact_among_walls(state, broken, duration, test)
+        return self._players.contact(self.player, state.offsets, broken, self._radius, duration, test)
+
+    def _contact_among_walls(
+        self, state: State, broken: NDArray[np.bool_], duration: float, test: CaptureTest
+    ) -> tuple[float, int] | None:
+        """Return the first capture on a path that no wall crosses, as `contact` does."""
+        assert self._walled is not None
+        place, velocity, players = state.evader, self._players.velocity, self._players
+        flight, radius, times = velocity(self.player), self._radius, list[tuple[float, int]]()
+        near = state.distances <= radius + self._closing_bound * duration
+        for pursuer in (near & ~broken).nonzero()[0].tolist():
+            here, way = players.position(pursuer), velocity(pursuer)
+            if test == "segment":
+                time = self._walled.contact(place, flight, here, way, radius, duration)
+                times += [(time, pursuer)] if time is not None else []
+            else:
+                distance = self._walled.distance(here + way * duration, place + flight * duration)
+                times += [(distance, pursuer)] if distance <= radius else []
+        first = min(times, default=None)
+        return first if first is None or test == "segment" else (duration, first[1])

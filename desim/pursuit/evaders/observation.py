@@ -3,8 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.config.arrays import Floats
-from desim.pursuit.core.state import State
+from desim.config.arrays import Floats, Points
+from desim.pursuit.core.state import State, lengths
+from desim.pursuit.paths.space import PLANE, Plane
 
 
 class EvaderObservation(State):
@@ -20,6 +21,9 @@ class EvaderObservation(State):
         elapsed: time since the evader chose this heading, s; 0 at the start.
         handover: whether an announcement of a change of action is in flight; always False unless a strategy in the run
             overhears the radio (its attribute `listens`).
+        space: the space in which the players move. Among walls, `distances` are the lengths of the shortest paths from
+            the pursuers, and `offsets` are as long and have the directions in which these paths arrive. Pursuers
+            without a path are not observed.
     """
 
     def __init__(
@@ -41,12 +45,32 @@ class EvaderObservation(State):
         self.heading = heading
         self.elapsed = elapsed
         self.handover = handover
+        self.space: Plane = PLANE
+
+    def within(self, space: Plane) -> "EvaderObservation":
+        """Return this observation with the paths from the pursuers in a space."""
+        offsets = space.arrivals(self.evader, self.pursuers)
+        reaches = np.isfinite(offsets)
+        seen = self.only(reaches)
+        if seen is self:
+            seen = EvaderObservation(
+                self, self.speeds, self.speed, self.radius, self.heading, self.elapsed, self.handover
+            )
+        seen._set_paths(space, offsets[reaches])
+        return seen
+
+    def _set_paths(self, space: Plane, offsets: Points) -> None:
+        """Let offsets (N,) be those of paths in a space."""
+        self.space, self.offsets, self.distances = space, offsets, lengths(offsets)
+        self.nearest = int(self.distances.argmin()) if len(offsets) else -1
+        for array in (self.offsets, self.distances):
+            array.setflags(write=False)
 
     def only(self, who: NDArray[np.bool_]) -> "EvaderObservation":
         """Return this observation restricted to the pursuers in an (N,) mask."""
         if who.all():
             return self
-        return EvaderObservation(
+        seen = EvaderObservation(
             State(self.stamp, self.pursuers[who], self.evader, self.active[who]),
             self.speeds[who],
             self.speed,
@@ -55,3 +79,6 @@ class EvaderObservation(State):
             self.elapsed,
             self.handover,
         )
+        if not self.space.is_open:
+            seen._set_paths(self.space, self.offsets[who])
+        return seen

@@ -17,10 +17,10 @@ from operator import itemgetter
 from typing import NamedTuple
 
 from desim.kernel.core.units import seconds
-from desim.pursuit.core.geometry import SMALLEST
 from desim.pursuit.motion.dynamics import Course, Dynamics, steered_with
 from desim.pursuit.motion.flow import Environment
 from desim.pursuit.motion.guidance import Guidance, guided_velocity
+from desim.pursuit.paths.space import PLANE, Plane
 
 MAX_RETRACINGS = 10_000
 """Maximum number of retraced paths in the cache."""
@@ -65,6 +65,7 @@ class EvaderTrack:
         environment: the medium.
         radius: capture radius, m.
         remembers: whether paths can be retraced.
+        space: the space in which the players move.
 
     Attributes:
         last: the present step.
@@ -73,10 +74,17 @@ class EvaderTrack:
     last: TrackSegment
 
     def __init__(
-        self, law: Guidance, dynamics: Dynamics, environment: Environment, radius: float, *, remembers: bool = True
+        self,
+        law: Guidance,
+        dynamics: Dynamics,
+        environment: Environment,
+        radius: float,
+        *,
+        remembers: bool = True,
+        space: Plane = PLANE,
     ):
         self._law, self._dynamics, self._remembers, self._environment = law, dynamics, remembers, environment
-        self._radius = radius
+        self._radius, self._walled = radius, space.walled
         self._segments: list[TrackSegment] = []
         self._retracings: dict[tuple[MotionState, float, int], tuple[int, MotionState]] = {}
 
@@ -113,6 +121,8 @@ class EvaderTrack:
     def _chase(self, motion: MotionState, segment: TrackSegment, speed: float, begin: int, end: int) -> MotionState:
         """Return the motion at the end of an interval (ns) within a motion step."""
         place, course = motion
+        if self._walled is not None:
+            return MotionState(self._walled.advance(place, segment.aim, speed, begin, end, segment.end))
         step, duration = seconds(segment.end - begin), seconds(end - begin)
         wind = self._environment.drift(place, 0j, begin, step)
         # Guidance is relative to the medium: it aims upstream by the way that the flow carries the pursuer in this
@@ -126,9 +136,3 @@ class EvaderTrack:
             return MotionState(place + (command + drift) * duration)
         piece = self._dynamics(place, course, command)._replace(drift=drift)
         return MotionState(piece.at(duration), piece.course_at(duration))
-
-
-def moved_towards(position: complex, evader: complex, length: float) -> complex:
-    """Return the position, m, after moving a length (m) straight towards the evader, at most up to the evader."""
-    gap = evader - position
-    return evader - max(abs(gap) - length, 0.0) * gap / max(abs(gap), SMALLEST)

@@ -4,7 +4,6 @@ A shortest path is a chain of straight pieces that bends at corners of walls onl
 distances between corners are computed once; a query looks for the corners in sight of both ends.
 """
 
-from collections.abc import Callable
 from math import inf
 from typing import NamedTuple
 
@@ -27,6 +26,17 @@ class Sight(NamedTuple):
     """(c,) their distances, m."""
     beyond: Floats
     """(C,) the distance of each corner along the shortest path through one of them, m."""
+
+
+class Route(NamedTuple):
+    """A shortest path."""
+
+    length: float
+    """Its length, m; inf if there is no path."""
+    first: int | None = None
+    """The corner at which it bends first; None if it is straight, or there is none."""
+    last: int | None = None
+    """The corner at which it bends last."""
 
 
 class ShortestPaths:
@@ -57,50 +67,45 @@ class ShortestPaths:
         """(C, C) the distance of each two corners, m, and the corner before the second on the path from the first."""
         self._sights: dict[complex, Sight] = {}
 
+    def route(self, source: complex, target: complex) -> Route:
+        """Return the shortest path between two places, without the corners between the first and the last."""
+        if self.obstacles.clear(source, np.array([target]))[0]:
+            return Route(abs(target - source))
+        return self._bent(source, target)
+
     def distance(self, source: complex, target: complex) -> float:
         """Return the length of the shortest path between two places, m; inf if there is no path."""
-        return float(self.distances(target, np.array([source]))[0])
+        return self.route(source, target).length
 
     def distances(self, target: complex, sources: Points) -> Floats:
         """Return the lengths of the shortest paths from (k,) sources to a target, (k,) m; inf without a path."""
         apart = lengths(target - sources)
         for k in (~self.obstacles.clear(target, sources)).nonzero()[0].tolist():
-            apart[k] = self._through(complex(sources[k]), target)[0]
+            apart[k] = self._bent(complex(sources[k]), target).length
         return apart
 
     def path(self, source: complex, target: complex) -> list[complex]:
         """Return the places, m, between which the shortest path is straight, from source to target; [] without one."""
-        if self.obstacles.clear(source, np.array([target]))[0]:
-            return [source, target]
-        distance, first, last = self._through(source, target)
-        if distance == inf:
+        route = self.route(source, target)
+        if route.length == inf:
             return []
-        bends = [last]
-        while bends[-1] != first:
-            bends.append(int(self._before[first, bends[-1]]))
+        bends = [] if route.last is None else [route.last]
+        while bends and bends[-1] != route.first:
+            bends.append(int(self._before[route.first, bends[-1]]))
         return [source, *(complex(self.obstacles.bends[k]) for k in reversed(bends)), target]
 
-    def first_bend(self, source: complex, target: complex) -> int | None:
-        """Return the corner at which the shortest path bends first; None if it is straight, or there is none."""
-        if self.obstacles.clear(source, np.array([target]))[0]:
-            return None
-        distance, first, _ = self._through(source, target)
-        return first if distance < inf else None
-
-    def last_bend(self, source: complex, target: complex) -> int | None:
-        """Return the corner at which the shortest path bends last; None if it is straight, or there is none."""
-        return self.first_bend(target, source)
-
-    def _through(self, source: complex, target: complex) -> tuple[float, int, int]:
-        """Return the length of the shortest path over corners, m, and the first and the last of these."""
+    def _bent(self, source: complex, target: complex) -> Route:
+        """Return the shortest path over corners."""
         here, there = self.sight(source), self.sight(target)
         if not len(here.bends) or not len(there.bends):
-            return inf, -1, -1
+            return Route(inf)
         total = here.distances + there.beyond[here.bends]
         best = int(total.argmin())
         first = int(here.bends[best])
+        if total[best] == inf:
+            return Route(inf)
         last = int(there.bends[(self._apart[first, there.bends] + there.distances).argmin()])
-        return float(total[best]), first, last
+        return Route(float(total[best]), first, last)
 
     def sight(self, place: complex) -> Sight:
         """Return the corners in sight of a place; the last places are kept."""

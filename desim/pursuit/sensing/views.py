@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from desim.config.arrays import Floats, Points
 from desim.kernel.core.units import seconds
-from desim.pursuit.core.state import lengths
-from desim.pursuit.motion.dead_reckoning import MotionState, moved_towards
+from desim.pursuit.motion.dead_reckoning import MotionState
+from desim.pursuit.paths.space import PLANE, Plane
 from desim.pursuit.sensing.noise import expected_distance
 from desim.pursuit.sensing.world_state import WorldState
 
@@ -36,13 +36,13 @@ class EvaderEstimate(NamedTuple):
     deviation: float = 0.0
     """Standard deviation of each coordinate of `position`, m; 0 if it is not known."""
 
-    def distance(self, position: complex) -> float:
+    def distance(self, position: complex, space: Plane = PLANE) -> float:
         """Return the distance, m, from a position to the evader: the mean over its errors, or the greatest."""
-        return expected_distance(abs(self.position - position), self.deviation) + self.uncertainty
+        return expected_distance(space.distance(position, self.position), self.deviation) + self.uncertainty
 
-    def distances(self, positions: Points) -> Floats:
+    def distances(self, positions: Points, space: Plane = PLANE) -> Floats:
         """Return the (N,) distances, m, from positions to the evader; see `distance`."""
-        distances = lengths(self.position - positions)
+        distances = space.distances(positions, self.position)
         if self.deviation:
             distances = np.array([expected_distance(distance, self.deviation) for distance in distances.tolist()])
         return distances + self.uncertainty
@@ -69,7 +69,7 @@ class View:
 
     def __init__(self, state: WorldState, prune: Prune):
         self.state, self._prune = state, prune
-        keeps = state.environment.keeps_distances
+        keeps = state.environment.keeps_distances and state.space.is_open
         self._knows_slow = prune == "inf" and keeps  # whether the speeds alone decide who may chase
         self._options_last = self.unlimited and prune != "infeasible" and keeps  # until the next capture
         self._options: dict[int, tuple[int, ...]] = {}
@@ -105,7 +105,7 @@ class View:
         if estimate is None:
             return (inf,) * state.size
         places = state.positions()
-        return body.capture_times_at(estimate.position, places, estimate.distances(places))
+        return body.capture_times_at(estimate.position, places, estimate.distances(places, state.space))
 
     def capture_times_of(self, pursuers: Collection[int], evader: int) -> list[float]:
         """Return the capture times of some pursuers, s; like `capture_times`, and faster for a few.
@@ -131,17 +131,17 @@ class View:
 
     def capture_times_from(self, pursuers: Sequence[int], motions: Sequence[MotionState], evader: int) -> list[float]:
         """Return the capture times of k pursuers, s, given a hypothetical motion of each; see `capture_time_from`."""
-        body = self.state.body(evader)
+        body, space = self.state.body(evader), self.state.space
         if body.captured is not None:
             return [inf] * len(pursuers)
         if self.unlimited:
             place = body.position
-            distances = [abs(place - motion.position) for motion in motions]
+            distances = [space.distance(motion.position, place) for motion in motions]
         else:
             estimate = self.estimate(evader)
             if estimate is None:
                 return [inf] * len(pursuers)
-            place, distances = estimate.position, [estimate.distance(motion.position) for motion in motions]
+            place, distances = estimate.position, [estimate.distance(motion.position, space) for motion in motions]
         return body.capture_times_from(pursuers, motions, place, distances)
 
     def may_chase(self, pursuer: int, evader: int) -> bool:
@@ -203,7 +203,7 @@ class View:
             there = body.position if captured is not None else self.evader(evader)
             begin = self.idle(MotionState(start.position), age, now - end).position
             length = speed * seconds(end - now + age)
-            reached = start if isnan(there) else MotionState(moved_towards(begin, there, length))
+            reached = start if isnan(there) else MotionState(state.space.along(begin, there, length))
         return self.idle(reached, now - end, ended)
 
     def stands(self, motion: MotionState) -> bool:

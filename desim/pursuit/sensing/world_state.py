@@ -19,6 +19,7 @@ from desim.pursuit.motion.dead_reckoning import MotionState
 from desim.pursuit.motion.dynamics import Course, Dynamics
 from desim.pursuit.motion.flow import Environment
 from desim.pursuit.motion.kinematics import Kinematics
+from desim.pursuit.paths.space import Plane
 
 Actions = NDArray[np.int64]
 """(N,) the evader that each pursuer chases, 1 .. M, or 0."""
@@ -34,6 +35,7 @@ class WorldState:
         speeds: (N,) speeds of the pursuers while they chase, m/s.
         dynamics: the dynamics of the pursuers.
         environment: the medium.
+        space: the space in which the players move.
         actions: initial actions.
         radius: capture radius, m.
         horizon: latest end of the run, ns.
@@ -62,6 +64,7 @@ class WorldState:
         speeds: Floats,
         dynamics: Dynamics,
         environment: Environment,
+        space: Plane,
         actions: Actions,
         *,
         radius: float,
@@ -71,7 +74,7 @@ class WorldState:
     ):
         self._env = env
         self.players, self.bodies, self.speeds, self.dynamics = players, bodies, speeds, dynamics
-        self.environment = environment
+        self.environment, self.space = environment, space
         self.radius, self.horizon, self.static, self.relays = radius, horizon, static, relays
         self.size, self.evader_count = len(speeds), len(bodies)
         self.top_speed = float(speeds.max(initial=0.0)) + environment.relative_speed

@@ -1,0 +1,217 @@
+"""The space in which the players move: the plane, or the plane among walls.
+
+Distances, directions and captures are asked of the space, so that nothing else needs to know of walls. Among walls, the
+distance of two players is the length of the shortest path between them.
+"""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from itertools import pairwise
+from math import ceil, inf
+from typing import ClassVar
+
+import numpy as np
+
+from desim.config.arrays import Bools, Floats, Points
+from desim.kernel.core.units import SECOND, seconds
+from desim.kernel.walls.wall import Wall
+from desim.pursuit.core.geometry import SMALLEST, first_contact, moved_towards
+from desim.pursuit.core.state import lengths
+from desim.pursuit.paths.obstacles import Obstacles
+from desim.pursuit.paths.shortest_paths import ShortestPaths
+
+MAX_STEPS = 1_000
+"""Maximum number of steps towards a contact around a corner."""
+ROUNDING = 1e-12
+"""Gap that counts as a contact, in m and as a share of the distance."""
+
+
+class Plane:
+    """The plane without walls."""
+
+    is_open: ClassVar[bool] = True
+    """Whether there are no walls."""
+
+    @property
+    def walled(self) -> "Walled | None":
+        """The space itself if there are walls, else None."""
+        return None
+
+    def distance(self, source: complex, target: complex) -> float:
+        """Return the distance of two places, m; inf if there is no path between them."""
+        return abs(target - source)
+
+    def distances(self, sources: Points, target: complex) -> Floats:
+        """Return the distances of (k,) places from a target, (k,) m."""
+        return lengths(target - sources)
+
+    def along(self, source: complex, target: complex, length: float) -> complex:
+        """Return the place, m, after a way of some length (m) from a source towards a target, at most up to it."""
+        return moved_towards(source, target, length)
+
+    def are_free(self, places: Points) -> Bools:
+        """Return which of (k,) places a player may have, (k,)."""
+        return np.ones(len(places), dtype=bool)
+
+    def arrivals(self, target: complex, sources: Points) -> Points:
+        """Return (k,) vectors, m, as long as the paths from sources to a target, in the directions of arrival."""
+        return target - sources
+
+    def first_blocked(self, waypoints: Sequence[complex]) -> int | None:
+        """Return the first waypoint that cannot be reached on a straight line from the one before it, or None."""
+        return None
+
+
+class Walled(Plane):
+    """The plane among walls that block motion.
+
+    Args:
+        walls: the walls.
+    """
+
+    is_open: ClassVar[bool] = False
+
+    def __init__(self, walls: Sequence[Wall]):
+        self.obstacles = Obstacles([wall.shapes for wall in walls])
+        self.paths = ShortestPaths(self.obstacles)
+
+    @property
+    def walled(self) -> "Walled":
+        """The space itself."""
+        return self
+
+    def distance(self, source: complex, target: complex) -> float:
+        """Return the length of the shortest path between two places, m; inf without a path, nan if one is unknown."""
+        return self.paths.distance(source, self.obstacles.free_place(target))
+
+    def distances(self, sources: Points, target: complex) -> Floats:
+        """Return the lengths of the shortest paths from (k,) places to a target, (k,) m."""
+        return self.paths.distances(self.obstacles.free_place(target), sources)
+
+    def along(self, source: complex, target: complex, length: float) -> complex:
+        """Return the place, m, after a way of some length (m) along the shortest path, at most up to the target."""
+        path = self.paths.path(source, self.obstacles.free_place(target))
+        for begin, end in pairwise(path):
+            if abs(end - begin) >= length:
+                return moved_towards(begin, end, length)
+            length -= abs(end - begin)
+        return path[-1] if path else source
+
+    def are_free(self, places: Points) -> Bools:
+        """Return which of (k,) places a player may have, (k,): neither on a wall nor inside one."""
+        return self.obstacles.are_free(places)
+
+    def arrivals(self, target: complex, sources: Points) -> Points:
+        """Return (k,) vectors, m, as long as the shortest paths, in the directions of arrival; inf without a path."""
+        offsets: Points = target - sources
+        for k in (~self.obstacles.clear(target, sources)).nonzero()[0].tolist():
+            route = self.paths.route(complex(sources[k]), target)
+            along = offsets[k] if route.last is None else target - self.obstacles.turns[route.last]
+            offsets[k] = inf if route.length == inf else along * (route.length / max(abs(along), SMALLEST))
+        return offsets
+
+    def first_blocked(self, waypoints: Sequence[complex]) -> int | None:
+        """Return the first waypoint that cannot be reached on a straight line from the one before it, or None."""
+        for k, (begin, end) in enumerate(pairwise(waypoints), start=1):
+            if not self.obstacles.clear(begin, np.array([end]))[0]:
+                return k
+        return None
+
+    def leg(self, here: complex, aim: complex, speed: float) -> tuple[complex, bool]:
+        """Return the first straight piece of the shortest path, m, and whether it leads to its end.
+
+        A player turns beside a corner, at the clearance from it. The piece is 0 if there is no path.
+
+        Args:
+            here: the position of a player, m.
+            aim: the end of the path, m.
+            speed: the speed of the player, m/s.
+        """
+        aim = self.obstacles.free_place(aim)
+        route = self.paths.route(here, aim)
+        if route.first is None:
+            return (aim - here if route.length < inf else 0j), True
+        # A corner that it reaches within the resolution of time is behind it.
+        reach = max(2.0 * self.obstacles.clearance, 2.0 * speed / SECOND)
+        piece = complex(self.obstacles.turns[route.first]) - here
+        if abs(piece) > reach:
+            return piece, False
+        place = next((end for end in self.paths.path(here, aim)[2:] if abs(end - here) > reach), aim)
+        return place - here, place == aim
+
+    def course(self, here: complex, aim: complex, speed: float, now: int, until: int) -> tuple[complex, int]:
+        """Return the velocity, m/s, with which a player follows the shortest path, and until when (ns) it keeps it.
+
+        It arrives at the aim at the end of the step at the earliest, so that it does not pass by it.
+
+        Args:
+            here: its position, m.
+            aim: the end of the path, m.
+            speed: its speed, m/s.
+            now: the present, ns.
+            until: the end of the motion step, ns.
+        """
+        piece, is_last = self.leg(here, aim, speed)
+        length = abs(piece)
+        if not length or not speed:
+            return 0j, until
+        if is_last:
+            return piece / length * min(speed, length / seconds(until - now)), until
+        return piece / length * speed, min(now + ceil(length / speed * SECOND), until)
+
+    def advance(self, here: complex, aim: complex, speed: float, now: int, end: int, until: int) -> complex:
+        """Return the position, m, at a time `end` (ns) of a player that follows the shortest path; see `course`."""
+        while now < end:
+            velocity, turn = self.course(here, aim, speed, now, until)
+            turn = min(turn, end)
+            here += velocity * seconds(turn - now)
+            now = turn
+        return here
+
+    def slide(self, place: complex, way: complex) -> complex:
+        """Return the way, m, of a player that would go along a way (m): along walls where these are in its way."""
+        return self.obstacles.slide(place, way)
+
+    def contact(
+        self, target: complex, flight: complex, place: complex, velocity: complex, radius: float, duration: float
+    ) -> float | None:
+        """Return the time, s, at which the shortest path between two players has fallen to a radius, or None.
+
+        The straight distance is never longer than the path. From the time on at which it has fallen to the radius, the
+        path shortens at most at the sum of both speeds, so steps at this rate come close to the contact from before.
+
+        Args:
+            target: the position of the one, m.
+            flight: its velocity, m/s.
+            place: the position of the other, m.
+            velocity: its velocity, m/s.
+            radius: distance of a contact, m.
+            duration: length of the interval, s.
+        """
+        first = first_contact(np.array([target - place]), np.array([flight - velocity]), radius, duration)
+        closing = abs(flight) + abs(velocity)
+        t = duration if first is None else first[0]
+        for _ in range(MAX_STEPS if first is not None else 0):
+            distance = self.paths.distance(place + velocity * t, target + flight * t)
+            gap = distance - radius
+            if gap <= ROUNDING * (1.0 + distance):
+                return t
+            t += gap / closing if closing else inf
+            if not t <= duration:
+                return None
+        return None
+
+
+PLANE = Plane()
+"""The plane without walls."""
+
+
+def space_among(walls: Sequence[Wall]) -> Plane:
+    """Return the space among those of some walls that block motion; the distances of corners are computed once."""
+    blocking = tuple(wall for wall in walls if "motion" in wall.blocks)
+    return _walled(blocking) if blocking else PLANE
+
+
+@lru_cache(maxsize=32)
+def _walled(walls: tuple[Wall, ...]) -> Walled:
+    return Walled(walls)
