@@ -343,7 +343,6 @@ class Evader(Value):
             speeds: (N,) speeds of the pursuers, m/s.
             radius: capture radius, m.
             space: the space in which the players move.
-            space: the space in which the players move.
         """
         return EvaderController(
             self.strategy,

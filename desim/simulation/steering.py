@@ -198,7 +198,7 @@ class Steering:
         duration = seconds(until - now)
         if self._walled is not None:
             ahead = estimate.velocity * duration if self._evader_first else 0j
-            return self._course(pursuer, estimate.position + ahead, now, until)
+            return self._course(pursuer, self._walled.free_place(estimate.position + ahead), now, until)
         gap = estimate.position - self._players.position(pursuer)
         aim = gap + (estimate.velocity * duration if self._evader_first else 0j)
         speed = min(self._speed[pursuer], abs(aim - self._drift(pursuer, 0j, now, duration) * duration) / duration)

@@ -30,7 +30,7 @@ class Obstacles:
     """
 
     def __init__(self, walls: Sequence[Sequence[Shape]]):
-        self._walls, self._plan = walls, Arrangement(walls)
+        self._plan, self._solids = Arrangement(walls), [wall for wall in walls if any(shape.closed for shape in wall)]
         self._touch, self.clearance = self._plan.touch, self._plan.clearance
         self._places = self._plan.places
         self._begin, self._end = np.array(sorted(self._plan.pieces), dtype=np.intp).reshape(-1, 2).T
@@ -63,7 +63,7 @@ class Obstacles:
         """Return which of (k,) places, m, a player may have: not inside a wall, and not closer than the clearance."""
         points = coordinates(places)
         free: Bools = gaps(points, self._segments) >= self.clearance
-        for wall in self._walls:
+        for wall in self._solids:
             free &= ~is_within(points, wall)
         return free
 

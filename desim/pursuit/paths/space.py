@@ -53,6 +53,10 @@ class Plane:
         """Return which of (k,) places a player may have, (k,)."""
         return np.ones(len(places), dtype=bool)
 
+    def free_place(self, place: complex) -> complex:
+        """Return a place itself if a player may have it, else a close one that it may have, m."""
+        return place
+
     def arrivals(self, target: complex, sources: Points) -> Points:
         """Return (k,) vectors, m, as long as the paths from sources to a target, in the directions of arrival."""
         return target - sources
@@ -82,15 +86,15 @@ class Walled(Plane):
 
     def distance(self, source: complex, target: complex) -> float:
         """Return the length of the shortest path between two places, m; inf without a path, nan if one is unknown."""
-        return self.paths.distance(source, self.obstacles.free_place(target))
+        return self.paths.distance(source, target)
 
     def distances(self, sources: Points, target: complex) -> Floats:
         """Return the lengths of the shortest paths from (k,) places to a target, (k,) m."""
-        return self.paths.distances(self.obstacles.free_place(target), sources)
+        return self.paths.distances(target, sources)
 
     def along(self, source: complex, target: complex, length: float) -> complex:
         """Return the place, m, after a way of some length (m) along the shortest path, at most up to the target."""
-        path = self.paths.path(source, self.obstacles.free_place(target))
+        path = self.paths.path(source, self.free_place(target))
         for begin, end in pairwise(path):
             if abs(end - begin) >= length:
                 return moved_towards(begin, end, length)
@@ -100,6 +104,10 @@ class Walled(Plane):
     def are_free(self, places: Points) -> Bools:
         """Return which of (k,) places a player may have, (k,): neither on a wall nor inside one."""
         return self.obstacles.are_free(places)
+
+    def free_place(self, place: complex) -> complex:
+        """Return a place itself if a player may have it, else a close one that it may have, m."""
+        return self.obstacles.free_place(place)
 
     def arrivals(self, target: complex, sources: Points) -> Points:
         """Return (k,) vectors, m, as long as the shortest paths, in the directions of arrival; inf without a path."""
@@ -127,7 +135,6 @@ class Walled(Plane):
             aim: the end of the path, m.
             speed: the speed of the player, m/s.
         """
-        aim = self.obstacles.free_place(aim)
         route = self.paths.route(here, aim)
         if route.first is None:
             return (aim - here if route.length < inf else 0j), True

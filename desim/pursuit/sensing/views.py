@@ -38,11 +38,14 @@ class EvaderEstimate(NamedTuple):
 
     def distance(self, position: complex, space: Plane = PLANE) -> float:
         """Return the distance, m, from a position to the evader: the mean over its errors, or the greatest."""
-        return expected_distance(space.distance(position, self.position), self.deviation) + self.uncertainty
+        return (
+            expected_distance(space.distance(position, space.free_place(self.position)), self.deviation)
+            + self.uncertainty
+        )
 
     def distances(self, positions: Points, space: Plane = PLANE) -> Floats:
         """Return the (N,) distances, m, from positions to the evader; see `distance`."""
-        distances = space.distances(positions, self.position)
+        distances = space.distances(positions, space.free_place(self.position))
         if self.deviation:
             distances = np.array([expected_distance(distance, self.deviation) for distance in distances.tolist()])
         return distances + self.uncertainty
