@@ -102,6 +102,7 @@ class Geometric(Value):
 class Voronoi(Geometric):
     """The nearest pursuer, the one whose Voronoi cell contains the evader, chases the evader."""
 
+    assumes_plane: ClassVar[bool] = True
     kind: Literal["voronoi"] = "voronoi"
 
     @property
@@ -129,6 +130,11 @@ class Argmin(Geometric):
 
     If in doubt, use 20 slots.
     """
+
+    @property
+    def assumes_plane(self) -> bool:
+        """Whether straight lines are taken for shortest paths: the intercept time is that on a straight line."""
+        return self.by == "intercept_time"
 
     @property
     def assumes(self) -> tuple[str, ...]:

@@ -123,6 +123,8 @@ def _capture_times(result: Result, evader: int, path: "_Path") -> Callable[[Floa
     dynamics, environment = scenario.pursuer_dynamics, scenario.environment
     evader_speed, radius = scenario.evaders[evader - 1].speed, scenario.capture.radius
 
+    radial_time = RadialTime(speeds, evader_speed, radius)
+
     def with_inertia(t: Floats) -> Floats:
         states = zip(path.gaps(t), path.courses(t), strict=True)
         return np.array([dynamics.capture_times(*state, speeds, evader_speed, radius) for state in states])
@@ -137,11 +139,21 @@ def _capture_times(result: Result, evader: int, path: "_Path") -> Callable[[Floa
         ]
         return np.array(phi_of_pursuers)
 
+    def among_walls(t: Floats) -> Floats:
+        free, space = scenario.space.free_place, scenario.space
+        phi_of_pursuers = []
+        for gaps, at in zip(path.gaps(t), path.pursuers(t), strict=True):
+            # Between two samples, a straight line may cut a corner of a wall.
+            places = np.where(space.are_free(at), at, [free(place) for place in at.tolist()])
+            phi_of_pursuers.append(radial_time(space.distances(places, free(complex(at[0] + gaps[0])))))
+        return np.array(phi_of_pursuers)
+
     if not dynamics.is_simple:
         return with_inertia
     if not environment.keeps_distances:
         return in_flow
-    radial_time = RadialTime(speeds, evader_speed, radius)
+    if not scenario.space.is_open:
+        return among_walls
     return lambda t: radial_time(lengths(path.gaps(t)))
 
 

@@ -50,7 +50,7 @@ def fates(log: Path, file: Path, seed: int | None, out: Path | None, overrides: 
             scenario.network,
             faults=scenario.network_faults,
             seed=seed,
-            positions=scenario.team.start(seed),
+            positions=scenario.team.start(seed, scenario.space),
             horizon=scenario.horizon,
         )
     except ValueError as error:

@@ -212,7 +212,8 @@ def _matches_start(result: Result) -> bool:
     if len(starts) != 1 or starts[0].speeds != tuple(team.all_speeds()):
         return False
     there = *starts[0].pursuers, *starts[0].evaders
-    wanted = *team.start(result.seed), *(evader.start(result.seed, k) for k, evader in enumerate(evaders))
+    space = result.scenario.space
+    wanted = *team.start(result.seed, space), *(evader.start(result.seed, k, space) for k, evader in enumerate(evaders))
     return len(there) == len(wanted) and np.allclose(there, wanted, rtol=0.0, atol=1e-6)
 
 

@@ -249,7 +249,7 @@ def _out_of_hops(scenario: "Scenario") -> str | None:
 
 def initial_graph(scenario: "Scenario") -> "nx.DiGraph[int]":
     """Return the directed graph of the links at the start of the run with the seed of the scenario."""
-    network, start = scenario.network, scenario.team.start(scenario.seed)
+    network, start = scenario.network, scenario.team.start(scenario.seed, scenario.space)
     topology = Topology(
         network.make_graph(scenario.team.count),
         network.range,

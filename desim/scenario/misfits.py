@@ -19,6 +19,7 @@ from desim.kernel.models.own_links import link_misfits
 from desim.kernel.topology.topology import Topology
 from desim.pursuit.core.traits import ScheduleTraits, UtilityTraits
 from desim.scenario.properties import AnyScenario, property_misfits
+from desim.scenario.wall_misfits import wall_misfits
 
 Misfit = tuple[tuple[str | int, ...], str]
 """The key of a value, in parts, and why it does not fit."""
@@ -36,6 +37,7 @@ def misfits(scenario: AnyScenario) -> Iterator[Misfit]:
         yield from _channel_misfits(scenario)
     yield from _name_misfits(scenario)
     yield from _motion_misfits(scenario)
+    yield from wall_misfits(scenario)
     if (needed := scenario.capture.captures_to_end) is not None and needed > (number := len(scenario.evaders)):
         yield (
             ("capture", "captures_to_end"),

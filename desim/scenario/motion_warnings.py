@@ -11,6 +11,7 @@ from desim.pursuit.sensing.sensing import Sensing
 from desim.pursuit.sensing.tracking import Estimator
 from desim.scenario.link_warnings import only_first
 from desim.scenario.scenario import Scenario
+from desim.scenario.wall_misfits import reach_warnings
 
 SLOW = 10.0
 """The time until the second row of a record, in horizons, from which on its times probably have another unit."""
@@ -33,6 +34,7 @@ def motion_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     yield from _inertia_warnings(scenario)
     yield from _record_warnings(scenario)
     yield from _flow_warnings(scenario)
+    yield from reach_warnings(scenario)
     yield from _estimates_warnings(scenario)
     yield from _sensing_warnings(scenario)
     stride = scenario.motion.step * max(fastest, *evader_speeds)

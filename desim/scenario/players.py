@@ -311,7 +311,8 @@ class Evader(Value):
             return np.array([self.record.start.real, self.record.start.imag])
         if self.position is not None:
             return np.array(self.position)
-        return random_places(stream(seed, "evader", index), self.box, 1, space)[0]
+        place: NDArray[np.float64] = random_places(stream(seed, "evader", index), self.box, 1, space)[0]
+        return place
 
     @property
     def has_inertia(self) -> bool:

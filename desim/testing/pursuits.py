@@ -21,15 +21,16 @@ from desim.config.traits import inherits, overrides, positions
 from desim.kernel.core.events import Event, Watcher
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
-from desim.pursuit.core.state import lengths
+from desim.pursuit.core.state import complex_points, lengths
 from desim.pursuit.game.game import welfare
-from desim.pursuit.motion.capture import capture_time
+from desim.pursuit.motion.capture import RadialTime
 from desim.pursuit.motion.dynamics import Limited, coasts
 from desim.pursuit.motion.flow import is_uniform
 from desim.pursuit.motion.guidance import ConstantBearing, apollonius_disc
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result, run
 from desim.testing.messages import Conservation, DeliveredOnce
+from desim.testing.paths import PathWatcher
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,9 +44,9 @@ ROUNDING = 1e-9
 def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Result:
     """Run a scenario as `run` does, with the watchers whose invariants hold in every run, and return the result.
 
-    These watchers are `Conservation`, `DeliveredOnce`, `ActiveTimeWatcher`, `MotionWatcher`, `InertiaWatcher` and, if
-    its assumptions hold, `ApolloniusWatcher`. `watchers` are added to them. Use this function in tests of a protocol or
-    a model.
+    These watchers are `Conservation`, `DeliveredOnce`, `ActiveTimeWatcher`, `MotionWatcher`, `InertiaWatcher`,
+    `PathWatcher` and, if its assumptions hold, `ApolloniusWatcher`. `watchers` are added to them. Use this function in
+    tests of a protocol or a model.
 
     Raises:
         AssertionError: if an invariant is broken.
@@ -57,6 +58,7 @@ def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> 
         stopwatches,
         MotionWatcher(scenario),
         InertiaWatcher(scenario),
+        PathWatcher(scenario),
     ]
     standard += [ApolloniusWatcher(scenario)] if ApolloniusWatcher.applies(scenario) else []
     result = run(scenario, seed, *standard, *watchers)
@@ -296,6 +298,7 @@ class ApolloniusWatcher:
             inherits(scenario.team.guidance, ConstantBearing)
             and not has_inertia
             and scenario.environment.is_still
+            and scenario.space.is_open
             and scenario.motion.order == "evader_first"
             and scenario.sensing.is_perfect
         )
@@ -356,7 +359,7 @@ class PotentialWatcher:
     def __init__(self, scenario: Scenario):
         self._evader_speeds = [evader.speed for evader in scenario.evaders]
         self._radius, self._static = scenario.capture.radius, scenario.motion.static
-        self._horizon = nanoseconds(scenario.horizon)
+        self._horizon, self._space = nanoseconds(scenario.horizon), scenario.space
         self._active = ActiveTimeWatcher()
         self._pending: list[tuple[Decided, list[int], list[int]]] = []
         """(decision, profile before, profile after) of each decision since positions were last known."""
@@ -371,11 +374,12 @@ class PotentialWatcher:
         else:
             self._active(event)
         if isinstance(event, Started):
-            self._speeds = event.speeds
+            self._speeds = np.array(event.speeds)
         if isinstance(event, Started | Sampled):
+            pursuers = complex_points(event.pursuers)
             self._phi = np.column_stack(
                 [
-                    capture_time(place, event.pursuers, self._speeds, speed, self._radius)
+                    RadialTime(self._speeds, speed, self._radius)(self._space.distances(pursuers, complex(*place)))
                     for place, speed in zip(event.evaders, self._evader_speeds, strict=True)
                 ]
             )

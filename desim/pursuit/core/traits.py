@@ -55,6 +55,8 @@ class ProtocolTraits(Assuming):
     size of `announce.payload`."""
     at_once: Flag = False
     """Whether pursuers decide at the same instants, for a protocol without a schedule."""
+    assumes_plane: Annotated[Flag, Follows("__call__", "actions")] = False
+    """Whether the protocol takes straight lines for shortest paths; it is refused if walls block motion."""
     check_game: Annotated[Callable[[int, int], None] | None, Follows("__call__", "actions")] = None
     """`check_game(pursuers, evaders)` raises KeyedError if the protocol does not fit a game with these numbers of
     players; None: it fits any."""
@@ -126,6 +128,8 @@ class StrategyTraits(Traits):
     listens: Flag = False
     """Whether the strategy overhears the pursuers' radio. If no strategy in the run does, `state.handover` is
     always False."""
+    assumes_plane: Annotated[Flag, Follows("__call__")] = False
+    """Whether the strategy takes straight lines for shortest paths; it is refused if walls block motion."""
     turns_at_once: Annotated[Flag, Follows("__call__")] = True
     """Whether the evader may take an entirely new heading from one instant to the next, unless its dynamics forbid
     it."""

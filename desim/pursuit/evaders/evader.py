@@ -94,7 +94,7 @@ class EvaderController:
         )
         if self._sensing_range < inf:
             observation = observation.only(observation.distances <= self._sensing_range)
-        if not self._space.is_open:
+        if self._space is not PLANE:
             observation = observation.within(self._space)
         heading = self._strategy(observation, self._rng)
         if type(heading) is not complex and (

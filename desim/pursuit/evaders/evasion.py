@@ -6,7 +6,7 @@ was chosen. No parameter refers to the motion step, so a strategy needs no chang
 
 from cmath import rect
 from functools import lru_cache
-from math import pi, sqrt
+from math import inf, pi, sqrt
 from typing import Annotated, ClassVar, Literal, Protocol
 
 import numpy as np
@@ -14,9 +14,10 @@ from pydantic import AfterValidator, Field
 
 from desim.config.arrays import Floats, Points
 from desim.config.choice import OneOf
-from desim.config.model import Coordinate, Limit, Period, Unsigned, Value
+from desim.config.model import Coordinate, Length, Limit, Period, Unsigned, Value
 from desim.kernel.core.portable_math import power
-from desim.pursuit.core.state import State, coordinates
+from desim.pursuit.core.geometry import SMALLEST
+from desim.pursuit.core.state import State, coordinates, lengths
 from desim.pursuit.core.traits import StrategyTraits
 from desim.pursuit.evaders.observation import EvaderObservation
 from desim.pursuit.evaders.recorded import RecordedMotion
@@ -87,6 +88,7 @@ class WeightedFlee(Fleeing):
 class MaxMin(Fleeing):
     """Flee on the straight line that maximises the least intercept time over all pursuers."""
 
+    assumes_plane: ClassVar[bool] = True
     kind: Literal["max_min"] = "max_min"
     candidates: Annotated[int, Field(ge=1, le=3600, strict=True)] = 72
     """Number of candidate headings, evenly spaced and including that of pure evasion.
@@ -107,6 +109,83 @@ class MaxMin(Fleeing):
         turns = _turns(self.candidates)
         headings = straight.real * turns + straight.imag * (1j * turns)  # numpy's complex product varies by processor
         return complex(headings[first_captures(fled_from, headings).argmax()])
+
+
+class MaxGeodesic(Fleeing):
+    """Flee in the direction that maximises the least length of the paths from all pursuers, a look ahead.
+
+    It is for walls: where a straight flight ends in a corner, another direction keeps pursuers farther away. Without
+    walls, paths are straight.
+    """
+
+    kind: Literal["max_geodesic"] = "max_geodesic"
+    candidates: Annotated[int, Field(ge=1, le=3600, strict=True)] = 16
+    """Number of candidate headings, evenly spaced and including that of pure evasion.
+
+    If in doubt, use 16; the time of a run grows with it.
+    """
+    look_ahead: Period = 1.0
+    """Time for which it would keep a heading, s.
+
+    With a short one it flees as pure evasion does, into dead ends; in a long one, pursuers come closer than it expects.
+
+    If in doubt, use the time in which it passes a wall.
+    """
+
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
+        """Return the candidate heading after which the nearest pursuer has the longest path.
+
+        It would slide along walls in its way. Of equally good candidates, the first counter-clockwise from the heading
+        of pure evasion is chosen.
+        """
+        fled_from = self.fled_from(state)
+        straight = away(fled_from)
+        if not straight:
+            return 0j
+        headings: list[complex] = [straight * turn for turn in _turns(self.candidates).tolist()]
+        length, space = state.speed * self.look_ahead, state.space
+        ends = np.array([state.evader + space.slide(state.evader, heading * length) for heading in headings])
+        # No other pursuer can be the nearest after the way.
+        near = fled_from.distances <= fled_from.distances[fled_from.nearest] + 2.0 * length
+        distances = [space.distances(ends, place) for place in fled_from.pursuers[near].tolist()]
+        return headings[int(np.min(distances, axis=0).argmax())]
+
+
+class Hide(Fleeing):
+    """Go by the shortest path to the nearest place that no pursuer sees, behind a wall that blocks sight.
+
+    Only places count to which no pursuer could come first. A hidden evader stands still; one without such a place flees
+    straight from the nearest pursuer.
+    """
+
+    kind: Literal["hide"] = "hide"
+    distance: Length = 0.5
+    """Distance of hiding places from the corners of walls, m: there are eight around each corner.
+
+    If in doubt, use a few capture radii.
+    """
+
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
+        """Return the heading to the nearest hiding place, 0 in it, or that of pure evasion."""
+        fled_from, space = self.fled_from(state), state.space
+        if not len(fled_from.pursuers):
+            return 0j
+        pursuers, evader = fled_from.pursuers, state.evader
+        if space.hidden(np.array([evader]), pursuers)[0]:
+            return 0j
+        places = space.hiding_places(self.distance)
+        nearest = lengths(places - evader).argsort(kind="stable")[:MAX_HIDING_PLACES]
+        places = places[nearest][space.hidden(places[nearest], pursuers)]
+        times = space.distances(places, evader) / max(state.speed, SMALLEST)
+        for pursuer, speed in zip(pursuers.tolist(), fled_from.speeds.tolist(), strict=True):
+            times[lengths(places - pursuer) <= speed * times] = inf
+        if not len(times) or times.min() == inf:
+            return away(fled_from)
+        return unit(space.leg(evader, complex(places[times.argmin()]), state.speed)[0])
+
+
+MAX_HIDING_PLACES = 64
+"""Number of the nearest hiding places that an evader looks at."""
 
 
 class Zigzag(Fleeing):
@@ -131,6 +210,7 @@ class VoronoiVertex(Fleeing):
     hysteresis delays the turn to it. An evader outside the arena goes to the nearest point of the arena.
     """
 
+    assumes_plane: ClassVar[bool] = True
     kind: Literal["voronoi_vertex"] = "voronoi_vertex"
     arena: Annotated[tuple[Coordinate, Coordinate], AfterValidator(_with_area)]
     """Lower and upper bound of both coordinates of the arena, m."""
@@ -205,7 +285,9 @@ class Still(Value):
         return 0j
 
 
-SIMPLE = (PureEvasion, WeightedFlee, MaxMin, Zigzag, VoronoiVertex, Diffusion, ConstantHeading, Still)
+SIMPLE = (
+    *(PureEvasion, WeightedFlee, MaxMin, MaxGeodesic, Hide, Zigzag, VoronoiVertex, Diffusion, ConstantHeading, Still),
+)
 CALLED_WITH = ("state", "rng")
 
 
@@ -217,6 +299,12 @@ class Listener(Value):
     """
 
     listens: ClassVar[bool] = True
+
+    @property
+    def assumes_plane(self) -> bool:
+        """Whether one of the strategies takes straight lines for shortest paths."""
+        return any(StrategyTraits.of(strategy).assumes_plane for strategy in (self.during_handover, self.normally))
+
     kind: Literal["listener"] = "listener"
     during_handover: Annotated[Strategy, OneOf(*SIMPLE, takes=CALLED_WITH, traits=StrategyTraits)] = PureEvasion()
     """The strategy during a handover."""

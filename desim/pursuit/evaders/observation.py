@@ -79,6 +79,6 @@ class EvaderObservation(State):
             self.elapsed,
             self.handover,
         )
-        if not self.space.is_open:
+        if self.space is not PLANE:
             seen._set_paths(self.space, self.offsets[who])
         return seen

@@ -60,10 +60,10 @@ class ShortestPaths:
             columns += [j for j, _ in pairs]
             distances += [d for _, d in pairs]
         graph = csr_array((distances, (rows, columns)), shape=(count, count))
-        self._apart: Floats
-        self._apart, self._before = (
-            dijkstra(graph, directed=False, return_predecessors=True) if count else (np.zeros((0, 0)),) * 2
-        )
+        self._apart: Floats = np.zeros((0, 0))
+        self._before: Integers = np.zeros((0, 0), dtype=np.int64)
+        if count:
+            self._apart, self._before = dijkstra(graph, directed=False, return_predecessors=True)
         """(C, C) the distance of each two corners, m, and the corner before the second on the path from the first."""
         self._sights: dict[complex, Sight] = {}
 

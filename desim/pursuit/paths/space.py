@@ -4,19 +4,21 @@ Distances, directions and captures are asked of the space, so that nothing else 
 distance of two players is the length of the shortest path between them.
 """
 
+from cmath import rect
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
-from math import ceil, inf
+from math import ceil, inf, pi
 from typing import ClassVar
 
 import numpy as np
 
 from desim.config.arrays import Bools, Floats, Points
 from desim.kernel.core.units import SECOND, seconds
-from desim.kernel.walls.wall import Wall
+from desim.kernel.walls.crossings import crossings
+from desim.kernel.walls.wall import Wall, blocking
 from desim.pursuit.core.geometry import SMALLEST, first_contact, moved_towards
-from desim.pursuit.core.state import lengths
+from desim.pursuit.core.state import complex_points, coordinates, lengths
 from desim.pursuit.paths.obstacles import Obstacles
 from desim.pursuit.paths.shortest_paths import ShortestPaths
 
@@ -27,10 +29,18 @@ ROUNDING = 1e-12
 
 
 class Plane:
-    """The plane without walls."""
+    """The plane, in which no wall blocks motion.
+
+    Args:
+        sight: walls that block sight.
+    """
 
     is_open: ClassVar[bool] = True
-    """Whether there are no walls."""
+    """Whether no wall blocks motion."""
+
+    def __init__(self, sight: Sequence[Wall] = ()):
+        self._sight = blocking(sight, "sight")
+        self._hiding_places: dict[float, Points] = {}
 
     @property
     def walled(self) -> "Walled | None":
@@ -65,17 +75,49 @@ class Plane:
         """Return the first waypoint that cannot be reached on a straight line from the one before it, or None."""
         return None
 
+    def leg(self, here: complex, aim: complex, speed: float) -> tuple[complex, bool]:
+        """Return the first straight piece of the shortest path, m, and whether it leads to its end.
+
+        Args:
+            here: the position of a player, m.
+            aim: the end of the path, m.
+            speed: the speed of the player, m/s.
+        """
+        return aim - here, True
+
+    def slide(self, place: complex, way: complex) -> complex:
+        """Return the way, m, of a player that would go along a way (m): along walls where these are in its way."""
+        return way
+
+    def hidden(self, places: Points, watchers: Points) -> Bools:
+        """Return which of (k,) places none of (n,) watchers sees, because walls block their sight, (k,)."""
+        unseen = np.ones(len(places), dtype=bool)
+        for watcher in coordinates(watchers):
+            unseen &= crossings(watcher[np.newaxis], coordinates(places), self._sight).any(axis=1)
+        return unseen
+
+    def hiding_places(self, distance: float) -> Points:
+        """Return the places that a player may have at a distance (m) from the corners of walls that block sight."""
+        if distance not in self._hiding_places:
+            corners = np.unique(complex_points(np.vstack([self._sight.starts, self._sight.ends])))
+            around = distance * np.array([rect(1.0, k * pi / 4.0) for k in range(8)])
+            places = (corners[:, np.newaxis] + around).ravel()
+            self._hiding_places[distance] = places[self.are_free(places)]
+        return self._hiding_places[distance]
+
 
 class Walled(Plane):
     """The plane among walls that block motion.
 
     Args:
         walls: the walls.
+        sight: walls that block sight.
     """
 
     is_open: ClassVar[bool] = False
 
-    def __init__(self, walls: Sequence[Wall]):
+    def __init__(self, walls: Sequence[Wall], sight: Sequence[Wall] = ()):
+        super().__init__(sight)
         self.obstacles = Obstacles([wall.shapes for wall in walls])
         self.paths = ShortestPaths(self.obstacles)
 
@@ -214,11 +256,11 @@ PLANE = Plane()
 
 
 def space_among(walls: Sequence[Wall]) -> Plane:
-    """Return the space among those of some walls that block motion; the distances of corners are computed once."""
-    blocking = tuple(wall for wall in walls if "motion" in wall.blocks)
-    return _walled(blocking) if blocking else PLANE
+    """Return the space among some walls; the distances of corners are computed once."""
+    motion, sight = (tuple(wall for wall in walls if what in wall.blocks) for what in ("motion", "sight"))
+    return _space(motion, sight) if motion or sight else PLANE
 
 
 @lru_cache(maxsize=32)
-def _walled(walls: tuple[Wall, ...]) -> Walled:
-    return Walled(walls)
+def _space(motion: tuple[Wall, ...], sight: tuple[Wall, ...]) -> Plane:
+    return Walled(motion, sight) if motion else Plane(sight)
