@@ -45,6 +45,8 @@ if TYPE_CHECKING:
     from desim.kernel.models.access import CsmaCa as CsmaCa
     from desim.kernel.models.access import SlottedAloha as SlottedAloha
     from desim.kernel.models.access import Tdma as Tdma
+    from desim.kernel.models.coherence import Coherence as Coherence
+    from desim.kernel.models.common_losses import CommonCause as CommonCause
     from desim.kernel.models.faults import ClockSkew as ClockSkew
     from desim.kernel.models.faults import Crash as Crash
     from desim.kernel.models.faults import Fault as Fault

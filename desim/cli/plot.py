@@ -154,8 +154,7 @@ def _draw(
     if kind is not None and kind not in kinds:
         one, other = ("run", "sweep") if kinds is OF_RUNS else ("sweep", "run")
         fail(f"--kind {kind} draws a {other}, and {source} is a {one}: choose {' or '.join(kinds)}")
-    context = click.get_current_context()
-    of_means = any(context.get_parameter_source(name) is ParameterSource.COMMANDLINE for name in OF_MEANS)
+    of_means = bool(options_given(OF_MEANS))
     usual = next(iter(kinds)) if isinstance(result, Result) or of_means else result.usual_kind
     chosen = kind or usual
     _check_options(chosen)

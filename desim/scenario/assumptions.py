@@ -20,6 +20,7 @@ from desim.kernel.models.implicit_complete import is_complete
 from desim.kernel.models.medium import Medium, contends
 from desim.kernel.models.reception import Disk
 from desim.kernel.models.traits import FaultTraits, InterferenceTraits
+from desim.kernel.topology.correlated_channel import channel_of
 from desim.kernel.topology.topology import Topology
 from desim.pursuit.core.traits import Assuming, DisseminationTraits
 
@@ -82,7 +83,8 @@ def messages_get_through(scenario: "Scenario") -> str | None:
     if DisseminationTraits.of(scenario.announce.dissemination).retransmits:
         crashes = no_crashes(scenario) is not None
         return "a pursuer that crashes may forget what it has acknowledged" if crashes else None
-    by_chance = network.range < inf and network.fading == "message" and network.reception != Disk()
+    changes = network.fading == "message" or (network.fading == "correlated" and network.coherence.doppler is not None)
+    by_chance = network.range < inf and changes and network.reception != Disk()
     medium = network.medium
     drops = medium.half_duplex or medium.queue_limit < inf or _loses_frames(medium)
     sampler = LinkSampler(network, network.make_graph(scenario.team.count), scenario.seed, None)
@@ -258,5 +260,6 @@ def initial_graph(scenario: "Scenario") -> "nx.DiGraph[int]":
         per_link=network.fading == "per_link",
         seed=scenario.seed,
         walls=scenario.wall,
+        channel=channel_of(network, scenario.seed, scenario.team.count),
     )
     return topology.graph()

@@ -11,6 +11,7 @@ from desim import Scenario, load, run
 from desim.config.model import Value
 from desim.kernel.core.events import Broadcast, MessageCounts, Queued, Sent
 from desim.kernel.models.access import Csma, SlottedAloha
+from desim.kernel.models.coherence import Coherence
 from desim.kernel.models.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomFaults
 from desim.kernel.models.graphs import Edge, Edges, Grid, Link, Ring, Star
 from desim.kernel.models.interference import CaptureEffect, LoRaInterference
@@ -88,8 +89,9 @@ WORST = Scenario(
             directed=True,
         ),
         range=5.0,
-        reception=QuasiUnitDisk(certain=0.5, p=0.25),
-        fading="message",
+        reception=Rice(k=2.0),
+        fading="correlated",
+        coherence=Coherence(doppler=5.0),
         range_check="both",
         latency=Lognormal(mean=0.1, cv=0.5),
         order="fifo",
@@ -165,13 +167,13 @@ CHANGES = {
         "network.medium.access.kind": "ideal",
         **below("network.medium.access", "slot", "p"),
         "network.medium.reception.kind": "collision",
-        **below("network.medium.reception", "threshold", "exponent", "lock", "fading", "m", "k"),
+        **below("network.medium.reception", "threshold", "exponent", "lock", "fading", "m", "k", "shadowing"),
     },
     "loss": {
         "network.preset": None,
         "network.loss.kind": "bernoulli",
         "network.loss.p": 0.0,
-        **below("network.loss", "share", "burst", "loss_good", "loss_bad", "advance"),
+        **below("network.loss", "share", "burst", "loss_good", "loss_bad", "advance", "common"),
         **{
             f"network.{where}.{key}": each
             for where in ("graph.edges.0", "graph.edges.1", "link.0")
@@ -188,7 +190,12 @@ CHANGES = {
         "network.preset": None,
         "network.range": "Infinity",
         "network.reception.kind": "disk",
-        **below("network.reception", "certain", "p"),
+        **below("network.reception", "k", "exponent"),
+    },
+    "channel memory": {
+        "network.preset": None,
+        "network.fading": "message",
+        "network.coherence.doppler": None,
     },
     "faults": {key: GONE for key in flat(WORST.plain()) if key.startswith("fault.") and key != "fault.0.end"}
     | {f"fault.0.{key}": each for key, each in LIE.plain().items() if key not in {"start", "end"}}
@@ -271,6 +278,7 @@ THERE = {
     "cooling": "latency, faults",
     "faults": "latency, faults",
     "evasive": "latency",
+    "fading": "latency, loss, transport, range limit, channel memory",
     "flooding": "latency, range limit, stale knowledge",
     "recorded": "latency, range limit, stale knowledge",
     "inertia": "latency, stale knowledge, inertia",
@@ -291,6 +299,7 @@ THERE = {
     "reliable": "latency, loss, transport, faults, stale knowledge, limited sight",
     "search": "latency, limited sight",
     "server": "latency",
+    "shadowing": "latency, contention, loss, channel memory",
     "soak": "latency, loss, faults, serial decisions",
     "table1_20": "serial decisions",
     "table1_40": "serial decisions",

@@ -12,9 +12,12 @@ from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import Cause
 from desim.kernel.core.positions import PositionSource, distances
 from desim.kernel.core.seeds import pair_uniform
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.coherence import ChannelState
 from desim.kernel.models.interference import Frame, LoRaSignal, Overlap
 from desim.kernel.models.medium import LoRa, Radio
 from desim.kernel.models.traits import InterferenceTraits
+from desim.kernel.topology.correlated_channel import Ends, uncorrelated
 from desim.kernel.topology.radio_walls import stretched
 from desim.kernel.topology.topology import Topology
 
@@ -53,7 +56,7 @@ class Air:
         self._busy = self._busy_since = 0
         medium.check(topology.size)
         if medium.reception.needs_positions and positions is None:
-            raise KeyedError(Problem("reception by power needs positions", "medium.reception"))
+            raise _no_positions()
 
     def add(self, frame: Frame) -> None:
         """Put a frame on the air now, or one that begins in a known time."""
@@ -107,6 +110,8 @@ class Air:
             lambda other: self._distances(other, nodes),
             lambda other: pair_uniform(self._seed, "interference", other.src, nodes, other.draw, symmetric=False),
             self._signal,
+            lambda other: self._channel(other, nodes),
+            self._topology.channel is not None,
         )
         received = np.asarray(self._interference(overlap))
         if received.dtype != bool or received.shape != nodes.shape:
@@ -135,13 +140,27 @@ class Air:
         assert isinstance(self._medium, LoRa)
         return self._medium.signal(frame.src)
 
+    def _channel(self, frame: Frame, nodes: Integers) -> ChannelState:
+        """Return the present states of the channels from the sender of a frame to nodes."""
+        channel, src = self._topology.channel, frame.src
+        if channel is None:
+            return uncorrelated(self._seed, src, nodes, frame.draw, per_link=self._topology.per_link)
+        if self._positions is None:
+            raise _no_positions()
+        at = self._positions.of(np.append(src, nodes))
+        return channel.between(Ends(src, nodes, at[0], at[1:], self._env.now / SECOND))
+
     def _distances(self, frame: Frame, nodes: Integers) -> Floats:
         """Return the (k,) distances of nodes from the sender of a frame, m, stretched by walls."""
         if self._positions is None:
-            raise KeyedError(Problem("reception by power needs positions", "medium.reception"))
+            raise _no_positions()
         places = self._positions.of(np.append(frame.src, nodes))
         apart = distances(places, 0)[1:]
         if (walls := self._topology.walls) is None:
             return apart
         decibels = walls.between(frame.src, nodes, places[:1], places[1:])
         return np.asarray(np.minimum(stretched(apart, decibels, self._exponent), FAR))
+
+
+def _no_positions() -> KeyedError:
+    return KeyedError(Problem("reception by power needs positions", "medium.reception"))

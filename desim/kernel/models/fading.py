@@ -6,6 +6,7 @@ and K = 0 are Rayleigh fading; for large m and K there is none.
 """
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Annotated
 
@@ -77,3 +78,40 @@ def rice_quantiles(k: float, u: Floats) -> Floats:
 
     quantiles: Floats = chndtrix(u, 2.0, 2.0 * k) / (2.0 * (k + 1.0))
     return quantiles
+
+
+MAX_NORMALS = 16
+"""Maximum number of Gaussian processes of one pair of nodes."""
+
+
+def nakagami_powers(m: float, normals: Callable[[int], Floats]) -> Floats:
+    """Return (k,) powers of Nakagami fading, in units of their mean, from Gaussian processes.
+
+    If 2 m is an integer of at most `MAX_NORMALS`, the power is the mean of so many squares (Nakagami 1960), and its
+    crossings of levels are those of Yacoub, Bautista & Guedes 1999, "On Higher Order Statistics of the Nakagami-m
+    Distribution". For another m the mean of the nearest number of squares is transformed by the distribution functions
+    (Beaulieu & Cheng 2005, "Efficient Nakagami-m Fading Channel Simulation"): the distribution is exact, and fades are
+    as frequent as they are at the same quantile with the nearest m.
+
+    Args:
+        m: the shape.
+        normals: see `desim.kernel.models.coherence.ChannelState`.
+    """
+    from scipy.special import gammaincc
+
+    count = min(max(round(2.0 * m), 1), MAX_NORMALS)
+    squares: Floats = np.add.reduce(normals(count) ** 2, axis=0)
+    if count == 2.0 * m:
+        return squares / count
+    return nakagami_quantiles(m, gammaincc(count / 2.0, squares / 2.0))
+
+
+def rice_powers(k: float, normals: Callable[[int], Floats]) -> Floats:
+    """Return (k,) powers of Rice fading, in units of their mean, from two Gaussian processes.
+
+    The strong path has no Doppler frequency, so its phase does not change (Rice 1948, "Statistical Properties of a Sine
+    Wave Plus Random Noise").
+    """
+    x, y = normals(2)
+    powers: Floats = ((x + math.sqrt(2.0 * k)) ** 2 + y**2) / (2.0 * k + 2.0)
+    return powers

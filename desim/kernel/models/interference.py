@@ -16,7 +16,15 @@ from desim.config.arrays import Bools, Floats, Integers
 from desim.config.choice import OneOf
 from desim.config.model import RESOLUTION, Flag, Positive, Value
 from desim.kernel.core.portable_math import exp, log
-from desim.kernel.models.fading import RiceFactor, Shape, nakagami_quantiles, rice_quantiles
+from desim.kernel.models.coherence import ChannelState, Variation
+from desim.kernel.models.fading import (
+    RiceFactor,
+    Shape,
+    nakagami_powers,
+    nakagami_quantiles,
+    rice_powers,
+    rice_quantiles,
+)
 from desim.kernel.models.traits import InterferenceTraits
 
 Exponent = Annotated[float, Field(gt=0, le=20, strict=True)]
@@ -85,6 +93,11 @@ class Frame:
         self.locked: Bools | None = None
 
 
+def unknown_channel(_: Frame) -> ChannelState:
+    """Raise ValueError: an overlap that was made without it has no `channel`."""
+    raise ValueError("shadowing needs the states of the channels (`Overlap.channel`)")
+
+
 class Overlap(NamedTuple):
     """A frame, the frames that overlap it, and k of its receivers.
 
@@ -103,6 +116,11 @@ class Overlap(NamedTuple):
     """Uniform draws in (0, 1), the same in each call with the same frame and receiver."""
     signal: Callable[[Frame], LoRaSignal]
     """Returns the parameters of a LoRa frame; only for a medium of this kind."""
+    channel: Callable[[Frame], ChannelState] = unknown_channel
+    """The states of the channels from the sender of the frame to the receivers. If `fading` of the network is not
+    "correlated", only the shadowing is there."""
+    is_correlated: bool = False
+    """Whether fading is that of `channel`; if not, it is that of `uniforms`."""
 
 
 class Interference(Protocol):
@@ -125,7 +143,9 @@ class Interference(Protocol):
 class Faded(Value):
     """The fields of models of interference in which the power of a frame at a receiver may fade.
 
-    The power is multiplied by a random variable of mean 1, drawn for each frame and receiver.
+    The power is multiplied by a random variable of mean 1, drawn for each frame and receiver, and by lognormal
+    shadowing. With `network.fading = "correlated"` both are processes in time and place, see
+    `desim.kernel.models.coherence.Coherence`.
     """
 
     fading: Literal["none", "rayleigh", "nakagami", "rice"] = "none"
@@ -134,6 +154,18 @@ class Faded(Value):
     """Shape m of Nakagami fading, at least 0.5: 1 is Rayleigh fading."""
     k: RiceFactor = 3.0
     """Ratio K of the power of the strong path of Rice fading and of all others, not in dB: 0 is Rayleigh fading."""
+    shadowing: Annotated[float, Field(ge=0, le=100, strict=True)] = 0.0
+    """Standard deviation of the shadowing of the power, dB, drawn as `network.fading` says: once per pair of nodes, for
+    each frame, or correlated; 0: none.
+
+    If in doubt, 0; about 4 in the open, 8 to 12 among buildings.
+    """
+
+    @property
+    def varies(self) -> tuple[Variation, ...]:
+        """Why the power of a frame at a distance is random."""
+        shadowing: tuple[Variation, ...] = ("shadowing",) if self.shadowing else ()
+        return shadowing if self.fading == "none" else ("fading", *shadowing)
 
     @property
     def unused_fields(self) -> dict[str, str]:
@@ -152,7 +184,20 @@ class Faded(Value):
     def _level(self, overlap: "Overlap", frame: Frame, exponent: float) -> Floats:
         """Return (k,) the power of a frame at the receivers, dB, relative to that at 1 m without fading."""
         level = _relative_power(overlap.distances(frame), exponent)
-        return level if self.fading == "none" else level + log(self.gains(overlap.uniforms(frame))) * (10.0 / LN_10)
+        if self.shadowing:
+            level = level - self.shadowing * overlap.channel(frame).shadowing()
+        return level if self.fading == "none" else level + log(self._faded(overlap, frame)) * (10.0 / LN_10)
+
+    def _faded(self, overlap: "Overlap", frame: Frame) -> Floats:
+        """Return the (k,) factors by which the power of a frame fades at the receivers."""
+        if not overlap.is_correlated:
+            return self.gains(overlap.uniforms(frame))
+        normals = overlap.channel(frame).normals
+        return rice_powers(self.k, normals) if self.fading == "rice" else nakagami_powers(self._shape, normals)
+
+    @property
+    def _shape(self) -> float:
+        return self.m if self.fading == "nakagami" else 1.0
 
 
 class Collision(Value):
@@ -243,7 +288,9 @@ class Sinr(Faded):
 
     def _power(self, overlap: Overlap, frame: Frame) -> Floats:
         power: Floats = self.power * exp(-self.exponent * log(_at_least_nearest(overlap.distances(frame))))
-        return power if self.fading == "none" else power * self.gains(overlap.uniforms(frame))
+        if self.shadowing:
+            power = power * exp(overlap.channel(frame).shadowing() * (-self.shadowing * LN_10 / 10.0))
+        return power if self.fading == "none" else power * self._faded(overlap, frame)
 
 
 class LoRaInterference(Faded):

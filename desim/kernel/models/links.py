@@ -7,10 +7,13 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import ValidationInfo, field_validator, model_validator
 
+from desim.config.errors import KeyedError, Problem
 from desim.config.fresh import fresh_copy
 from desim.config.model import Extent, Time, Value
+from desim.config.traits import name_of
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.measured.base import LinkTrace
+from desim.kernel.models.coherence import Coherence
 from desim.kernel.models.graphs import (
     GRAPHS,
     Complete,
@@ -26,11 +29,14 @@ from desim.kernel.models.graphs import (
 from desim.kernel.models.latency import JITTERS, Constant, Latency
 from desim.kernel.models.latency_by_link import LATENCIES
 from desim.kernel.models.loss import LOSSES, Bernoulli, Loss
-from desim.kernel.models.medium import MEDIA, Medium, Unlimited
+from desim.kernel.models.medium import MEDIA, Medium, Unlimited, contends
 from desim.kernel.models.presets import PRESETS
 from desim.kernel.models.reception import RECEPTION_MODELS, Disk, ReceptionModel
+from desim.kernel.models.traits import InterferenceTraits, ReceptionTraits
 from desim.kernel.models.transport import TRANSPORTS, BestEffort, Transport
 
+HAVE_POWER = 'with fading = "correlated" it should be disk, log_distance, nakagami or rice, or have a method `received`'
+"""Which models of reception follow a channel."""
 EdgeLike = TypeVar("EdgeLike", bound=Edge)
 
 
@@ -98,8 +104,14 @@ class Links(Value):
     """Communication range, m; inf = any distance."""
     reception: Annotated[ReceptionModel, RECEPTION_MODELS] = Disk()
     """Probability of reception as a function of distance and range."""
-    fading: Literal["per_link", "message"] = "per_link"
-    """Whether random reception is drawn once per pair of nodes, or for every message."""
+    fading: Literal["per_link", "message", "correlated"] = "per_link"
+    """Whether random reception is drawn once per pair of nodes, for every message, or is correlated in time and place
+    (`coherence`).
+
+    If in doubt, correlated: message flatters repetitions, and per_link keeps a bad link bad for ever.
+    """
+    coherence: Coherence = Coherence()
+    """How fading and shadowing change with time and place."""
     range_check: Literal["send", "delivery", "both"] = "send"
     """When reception is evaluated: at transmission, on arrival, or both."""
     latency: Annotated[Latency, LATENCIES] = Constant()
@@ -176,6 +188,27 @@ class Links(Value):
             graph.__dict__["edges"] = tuple(edges)
             copy.__dict__["graph"] = graph
         return copy
+
+    @model_validator(mode="after")
+    def _check_coherence(self) -> Self:
+        """Raise KeyedError if the fading is correlated, and something is missing."""
+        if self.fading != "correlated":
+            return self
+        traits = ReceptionTraits.of(self.reception)
+        if traits.received is None:
+            raise KeyedError(Problem(f"{name_of(self.reception)} has no power that changes: {HAVE_POWER}", "reception"))
+        varies = {
+            *traits.varies,
+            *(InterferenceTraits.of(self.medium.reception).varies if contends(self.medium) else ()),
+        }
+        if lacks := [lack for variation in sorted(varies) if (lack := self.coherence.lacks(variation))]:
+            raise KeyedError(Problem(" and ".join(lacks), "coherence"))
+        return self
+
+    @property
+    def unused_fields(self) -> dict[str, str]:
+        """The coherence of a channel that is not correlated."""
+        return {} if self.fading == "correlated" else {"coherence": f"fading {self.fading!r}"}
 
     @model_validator(mode="after")
     def _number_by_graph(self) -> Self:

@@ -18,6 +18,7 @@ from desim.config.model import Length, Positive, Probability, Value
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.core.portable_math import exp, power
 from desim.kernel.measured.models import LossTrace, SignalTrace
+from desim.kernel.models.common_losses import Common, CommonBursts, CommonCause, max_common
 from desim.kernel.models.correlation import RANGE, CorrelatedNumbers, LinkMemory
 from desim.kernel.models.traits import LinkTraits
 
@@ -78,6 +79,21 @@ class GilbertElliott(Value):
     """Probability of loss in the good state, in [0, 1]."""
     loss_bad: Probability = 1.0
     """Probability of loss in the bad state, in [0, 1]."""
+    common: Common = 0.0
+    """Correlation of the states of two links with a node in common, such as those to two receivers of a broadcast;
+    only if the state advances with time.
+
+    A link is then bad while its sender, its receiver or itself is, so `common` is a little less than 1/2 at most. If in
+    doubt, 0.3 where robots drive into dead spots; 0: links are independent.
+    """
+
+    @model_validator(mode="after")
+    def _check_common(self) -> Self:
+        if self.common and self.advance == "message":
+            raise ValueError('common needs advance = "time": links have no messages in common')
+        if self.common > (most := max_common(self.share)):
+            raise ValueError(f"common should be at most {most:.4f} for a share of {self.share:g} (got {self.common:g})")
+        return self
 
     @model_validator(mode="after")
     def _check_burst(self) -> Self:
@@ -88,6 +104,8 @@ class GilbertElliott(Value):
 
     def start_run(self, size: int) -> Loss:
         """Create the model of one run with `size` nodes; the model keeps the state of each link."""
+        if self.common and self.share:
+            return CommonBursts(self.share, self.burst, self.common, (self.loss_good, self.loss_bad), size)
         return _Bursts(self)
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
@@ -307,6 +325,7 @@ LOSSES = OneOf(
     ByDistance,
     Correlated,
     FourState,
+    CommonCause,
     LossTrace,
     SignalTrace,
     number=("bernoulli", "p"),

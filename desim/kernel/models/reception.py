@@ -5,15 +5,24 @@ and R the range, m.
 """
 
 from math import inf, log, sqrt
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, ClassVar, Literal, Protocol
 
 import numpy as np
 from pydantic import Field
 
-from desim.config.arrays import Floats
+from desim.config.arrays import Bools, Floats
 from desim.config.choice import OneOf
 from desim.config.model import Positive, Probability, Value
-from desim.kernel.models.fading import RiceFactor, Shape, nakagami_quantiles, nakagami_survival, rice_survival
+from desim.kernel.models.coherence import ChannelState, Variation
+from desim.kernel.models.fading import (
+    RiceFactor,
+    Shape,
+    nakagami_powers,
+    nakagami_quantiles,
+    nakagami_survival,
+    rice_powers,
+    rice_survival,
+)
 from desim.kernel.models.traits import ReceptionTraits
 
 Exponent = Annotated[float, Field(gt=0, le=20, strict=True)]
@@ -39,6 +48,10 @@ class Disk(Value):
     def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
         """Return 1 where d <= R, else 0."""
         return (distances <= range).astype(float)
+
+    def received(self, distances: Floats, range: float, channel: ChannelState) -> Bools:  # noqa: A002
+        """Return where d <= R."""
+        return distances <= range
 
     def bound(self, range: float) -> float:  # noqa: A002
         """Return R."""
@@ -89,6 +102,7 @@ class LogDistance(Value):
     P(d) = NormalCDF(10 n log10(R / d) / sigma) (Rappaport 2002, "Wireless Communications", 4.9).
     """
 
+    varies: ClassVar[tuple[Variation, ...]] = ("shadowing",)
     kind: Literal["log_distance"] = "log_distance"
     exponent: Exponent = 3.0
     """Path loss exponent n: 2 in free space, 3 to 4 over ground.
@@ -103,11 +117,22 @@ class LogDistance(Value):
 
     def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
         """Return P(d)."""
-        from scipy.special import ndtr, xlogy
+        from scipy.special import ndtr
+
+        return np.asarray(ndtr(self._margin(distances, range) / self.shadowing))
+
+    def received(self, distances: Floats, range: float, channel: ChannelState) -> Bools:  # noqa: A002
+        """Return where the shadowing takes no more than the margin 10 n log10(R / d), dB."""
+        hidden = self.shadowing * channel.shadowing()
+        received: Bools = hidden <= self._margin(distances, range)
+        return received
+
+    def _margin(self, distances: Floats, range: float) -> Floats:  # noqa: A002
+        from scipy.special import xlogy
 
         with np.errstate(divide="ignore", over="ignore"):
-            margin = xlogy(10.0 * self.exponent / log(10.0), range / distances)
-        return np.asarray(ndtr(margin / self.shadowing))
+            margin: Floats = xlogy(10.0 * self.exponent / log(10.0), range / distances)
+        return margin
 
     def one(self, distance: float, range: float) -> float:  # noqa: A002
         """Return P(d) at one distance d, m, in a fifth of the time.
@@ -141,6 +166,7 @@ class Nakagami(Value):
     P(d) = exp(-(d / R)^n), so 37 % of the messages are received at the range.
     """
 
+    varies: ClassVar[tuple[Variation, ...]] = ("fading",)
     kind: Literal["nakagami"] = "nakagami"
     m: Shape = 1.0
     """Shape m, at least 0.5: 1 is Rayleigh fading, and the larger m, the less the power varies.
@@ -153,6 +179,10 @@ class Nakagami(Value):
     def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
         """Return P(d)."""
         return nakagami_survival(self.m, _threshold(distances, range, self.exponent))
+
+    def received(self, distances: Floats, range: float, channel: ChannelState) -> Bools:  # noqa: A002
+        """Return where the power is at least (d / R)^n times its mean."""
+        return nakagami_powers(self.m, channel.normals) >= _threshold(distances, range, self.exponent)
 
     def bound(self, range: float) -> float:  # noqa: A002
         """Return a distance, m, beyond which no message is received: there P(d) < 5e-17."""
@@ -167,6 +197,7 @@ class Rice(Value):
     strong path and many weak ones. With K = 0 it is Rayleigh fading, see `nakagami`.
     """
 
+    varies: ClassVar[tuple[Variation, ...]] = ("fading",)
     kind: Literal["rice"] = "rice"
     k: RiceFactor = 3.0
     """Ratio K of the power of the strong path and of all others, not in dB: 0 is Rayleigh fading.
@@ -179,6 +210,10 @@ class Rice(Value):
     def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
         """Return P(d)."""
         return rice_survival(self.k, _threshold(distances, range, self.exponent))
+
+    def received(self, distances: Floats, range: float, channel: ChannelState) -> Bools:  # noqa: A002
+        """Return where the power is at least (d / R)^n times its mean."""
+        return rice_powers(self.k, channel.normals) >= _threshold(distances, range, self.exponent)
 
     def bound(self, range: float) -> float:  # noqa: A002
         """Return a distance, m, beyond which no message is received.

@@ -13,6 +13,7 @@ from desim.config.arrays import Floats
 from desim.config.model import Flag
 from desim.config.traits import Follows, Traits, attributes, is_ours, name_of, positions
 from desim.kernel.core.link_context import LinkContext
+from desim.kernel.models.coherence import ChannelState, Variation
 
 
 class LinkTraits(Traits):
@@ -131,6 +132,8 @@ class InterferenceTraits(Traits):
     """Whether a frame may be lost although no other overlaps it."""
     cause: Annotated[str, Field(min_length=1)] = "collision"
     """The cause of the loss of a frame that others overlap, in traces and counts; see `events.CAUSES`."""
+    varies: Annotated[tuple[Variation, ...], Follows("__call__")] = ()
+    """Why the power of a frame at a distance is random: "fading", "shadowing" or both."""
     lock: Flag = False
     """Whether a receiver locks on to the first frame that it hears, see `interference.CaptureEffect`."""
     exponent: Annotated[float, Field(gt=0, le=20)] = 3.0
@@ -143,6 +146,11 @@ class ReceptionTraits(Traits):
     twins: ClassVar[Mapping[str, tuple[str, ...]]] = MappingProxyType({"one": ("__call__",)})
     bound: Annotated[Callable[[float], float] | None, Follows("__call__")] = None
     """`bound(range)` returns the distance, m, beyond which no message is received; None: there is no such distance."""
+    received: Annotated[Callable[[Floats, float, ChannelState], Any] | None, Follows("__call__")] = None
+    """`received(distances, range, channel)` returns (k,) booleans: which messages are received at (k,) distances, m, in
+    the present states of the channels; `fading = "correlated"` needs it."""
+    varies: Annotated[tuple[Variation, ...], Follows("__call__")] = ()
+    """Why reception at a distance is random: "fading", "shadowing" or both."""
     one: Annotated[Callable[[float, float], float] | None, Follows("__call__")] = None
     """`one(distance, range)` returns the probability at one distance, m, faster than `__call__`; None: `__call__`."""
     exponent: Annotated[float, Field(gt=0, le=20)] = 3.0

@@ -14,6 +14,7 @@ from desim.config.python_numbers import real
 from desim.config.traits import is_ours
 from desim.kernel.core.positions import Nodes
 from desim.kernel.core.seeds import ROOM, pair_draw, pair_uniform
+from desim.kernel.models.coherence import ChannelState
 from desim.kernel.models.reception import Disk, ReceptionModel, bound
 from desim.kernel.models.traits import ReceptionTraits
 
@@ -60,6 +61,13 @@ class RangeCheck:
             probability = _probabilities(probability, len(apart), self._reception)
         received: Bools = self._draws(src, dst, message) <= probability
         return received
+
+    def through(self, channel: ChannelState, apart: Floats) -> Bools:
+        """Return (k,) which messages are received in the present states of their channels, at (k,) distances, m."""
+        received = ReceptionTraits.of(self._reception).received
+        if received is None:
+            raise wrong_answer("a model of reception should have a method received", self._reception, self._reception)
+        return _booleans(received(apart, self._range, channel), len(apart), self._reception)
 
     def one(self, src: int, dst: int, apart: float, message: int) -> bool:
         """Return whether one node receives a message.
@@ -115,6 +123,23 @@ class WalledRangeCheck(RangeCheck):
             ]
             received[audible] = super().__call__(of_pairs[0], dst[audible], apart[audible], of_pairs[1])
         return received
+
+    def through(self, channel: ChannelState, apart: Floats) -> Bools:
+        """Return (k,) which messages are received in the present states of their channels, at (k,) distances, m."""
+        audible: Bools = apart < inf
+        return audible & super().through(channel, np.where(audible, apart, 1.0))
+
+
+def _booleans(answer: object, count: int, model: ReceptionModel) -> Bools:
+    """Return whether each of `count` messages is received, as a model returned it.
+
+    Raises:
+        ValueError: if these are no booleans, or not one for each link.
+    """
+    received = np.asarray(answer)
+    if received.dtype != bool or received.shape != (count,):
+        raise wrong_answer(f"received should return a boolean for each of {count} links", answer, model)
+    return received
 
 
 def _probabilities(answer: object, count: int, model: ReceptionModel) -> Floats:

@@ -8,12 +8,14 @@ from math import inf
 import networkx as nx
 import numpy as np
 
-from desim.config.arrays import Bools, Integers
+from desim.config.arrays import Bools, Floats, Integers
 from desim.kernel.core.positions import Nodes, PositionFunction, PositionSource, as_position_source, distances
 from desim.kernel.core.seeds import ROOM
+from desim.kernel.core.units import SECOND
 from desim.kernel.models.graphs import node_names
 from desim.kernel.models.implicit_complete import complete_digraph, is_complete, is_implicit
 from desim.kernel.models.reception import ReceptionModel
+from desim.kernel.topology.correlated_channel import CorrelatedChannel, Ends
 from desim.kernel.topology.radio_walls import RadioWalls, stretched
 from desim.kernel.topology.range_check import RangeCheck, WalledRangeCheck
 from desim.kernel.topology.spatial_hash import CellList
@@ -41,8 +43,9 @@ class Topology:
         per_link: whether random reception is drawn once per pair of nodes (fading per link); if not, it is drawn for
             every message (fading per message).
         seed: the seed of the random draws.
-        now: returns the time, s. With it and a bounded speed of the nodes, a query of the cell list need not compare
-            all positions.
+        channel: the states of the channels, if random reception is correlated in time and place; None: it is not.
+        now: returns the time, s; None: it is always 0. With it and a bounded speed of the nodes, a query of the cell
+            list need not compare all positions.
         walls: walls; those that block radio shorten the range of the lines that cross them.
 
     Attributes:
@@ -63,6 +66,7 @@ class Topology:
         *,
         per_link: bool = True,
         seed: int = 0,
+        channel: CorrelatedChannel | None = None,
         now: Callable[[], float] | None = None,
         walls: Sequence[Wall] = (),
     ):
@@ -75,7 +79,8 @@ class Topology:
         self._lists: list[list[int]] | _AllOthers = (
             _AllOthers(size) if self._complete else [sorted(graph.adj[node]) for node in sorted(graph)]
         )
-        self._range = range
+        self._range, self._now = range, now
+        self.channel, self.per_link = channel, per_link
         self.walls: RadioWalls | None = None
         self._received = RangeCheck(reception, range, per_link, seed, size)
         has_walls = any("radio" in wall.blocks for wall in walls)
@@ -140,7 +145,14 @@ class Topology:
         source = self._positions
         if source is None or not len(dst):
             return [True] * len(dst)
-        if len(dst) == 1 and times is None and isinstance(src, int) and isinstance(message, int) and self.walls is None:
+        if (
+            self.channel is None
+            and self.walls is None
+            and len(dst) == 1
+            and times is None
+            and isinstance(src, int)
+            and isinstance(message, int)
+        ):
             node = int(dst[0])
             return [self._received.one(src, node, source.distance(src, node), message)]
         places = source.of if times is None else partial(source.at, times=times)
@@ -154,8 +166,18 @@ class Topology:
             apart = np.hypot(x, y)
         if self.walls is not None:
             apart = stretched(apart, self.walls.between(src, receivers, starts, ends), self.exponent)
-        received: list[bool] = self._received(src, receivers, apart, message).tolist()
+        if self.channel is None:
+            received: list[bool] = self._received(src, receivers, apart, message).tolist()
+        else:
+            pairs = Ends(src, receivers, starts[0] if isinstance(src, int) else starts, ends, self._seconds(times))
+            received = self._received.through(self.channel.between(pairs), apart).tolist()
         return received
+
+    def _seconds(self, times: int | Integers | None = None) -> float | Floats:
+        """Return the times, s, of some times in ns; those of the present if None."""
+        if times is None:
+            return self._now() if self._now is not None else 0.0
+        return np.asarray(times) / SECOND
 
     @property
     def is_static(self) -> bool:
@@ -175,7 +197,8 @@ class Topology:
     def neighbours(self, node: int) -> Nodes:
         """Return the nodes that receive from `node` now, ascending.
 
-        With fading per message, these are the nodes with a probability of reception of at least 1/2.
+        With fading per message, these are the nodes with a probability of reception of at least 1/2. With correlated
+        fading, they are those that would receive a message now.
 
         Raises:
             IndexError: if the node does not exist.
@@ -244,7 +267,11 @@ class Topology:
         if self.walls is not None:
             decibels = self.walls.between(node, candidates, places[index : index + 1], places)
             apart = stretched(apart, decibels, self.exponent)
-        received = self._received(node, candidates, apart, message)
+        if self.channel is None:
+            received = self._received(node, candidates, apart, message)
+        else:
+            state = self.channel.between(Ends(node, candidates, places[index], places, self._seconds()))
+            received = self._received.through(state, apart)
         received[index] = False
         return candidates[received]
 

@@ -13,6 +13,7 @@ from typing import Any, TypeGuard
 from pydantic import BaseModel, ValidationError
 
 from desim.kernel.models.access import Ideal
+from desim.kernel.models.coherence import Coherence
 from desim.kernel.models.graphs import Edges
 from desim.kernel.models.interference import Collision
 from desim.kernel.models.latency import Constant
@@ -97,6 +98,13 @@ def without_transport(scenario: Scenario) -> Scenario:
 def without_range(scenario: Scenario) -> Scenario:
     """Return the scenario in which linked nodes receive each other's messages at any distance."""
     return _with_network(scenario, range=inf, reception=Disk())
+
+
+def without_channel_memory(scenario: Scenario) -> Scenario:
+    """Return the scenario in which the fading and the shadowing of each message are independent of those of others."""
+    if scenario.network.fading != "correlated":
+        return scenario
+    return _with_network(scenario, fading="message", coherence=Coherence())
 
 
 def without_faults(scenario: Scenario) -> Scenario:
@@ -186,6 +194,7 @@ IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
         "duplicates": without_duplicates,
         "transport": without_transport,
         "range limit": without_range,
+        "channel memory": without_channel_memory,
         "faults": without_faults,
         "lies": without_lies,
         "serial decisions": without_serial_decisions,

@@ -43,8 +43,8 @@ def reception_data(result: Result) -> ReplayData:
     """Return the maximum distances, m, of reception between linked pursuers.
 
     `radius` is common to all pairs of pursuers. If fading is drawn once per link, `radii` has a distance for each pair
-    i < j instead. If fading is drawn for each message (`chance` is true), `radius` is the distance at which the
-    reception probability is 0.5. If the range is unlimited, both are None. Both are also None, and `known` is false, if
+    i < j instead. If fading changes during the run (`chance` is true), `radius` is the distance at which the reception
+    probability is 0.5. If the range is unlimited, both are None. Both are also None, and `known` is false, if
     the reception probability increases with distance anywhere.
     """
     links, size = result.scenario.network, len(started(result).active)
@@ -57,7 +57,7 @@ def reception_data(result: Result) -> ReplayData:
         return reception | {"known": False}
     places = all_places(result)
     farthest = 2.0 * float(np.hypot(*np.ptp(places.reshape(-1, 2), axis=0))) + 1.0
-    if links.fading == "message":
+    if links.fading != "per_link":
         return reception | {"chance": True, "radius": _radii(links, 2, result.seed, farthest)[0, 1]}
     return reception | {"radii": raw(_radii(links, size, result.seed, farthest)[np.triu_indices(size, 1)], "<f8")}
 

@@ -1,0 +1,113 @@
+"""Losses that are correlated between links: at the receivers of one message, and on links with a node in common."""
+
+import math
+from collections import defaultdict
+from functools import partial
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from desim.config.arrays import Bools, Floats
+from desim.config.model import Probability, Value
+from desim.kernel.core.link_context import LinkContext
+from desim.kernel.core.portable_math import exp
+from desim.kernel.models.correlation import LinkMemory
+
+Common = Annotated[float, Field(ge=0, lt=1, strict=True)]
+"""A correlation of losses, in [0, 1)."""
+
+
+class CommonCause(Value):
+    """Every message is lost with the same probability; its losses at several receivers are correlated.
+
+    A receiver shares the fate that a message has at its sender with the probability sqrt(common), and else has a fate
+    of its own. So the losses at any two receivers have the correlation `common` (the mixture for exchangeable binary
+    variables of Lunn & Davies 1998, "A Note on Generating Correlated Binary Variables"). Different messages are
+    independent; for links that are bad for a time together use `gilbert_elliott`.
+    """
+
+    kind: Literal["common_cause"] = "common_cause"
+    p: Probability = 0.1
+    """Probability that a message is lost at a receiver, in [0, 1]."""
+    common: Common = 0.5
+    """Correlation of the losses of one message at two receivers, in [0, 1); 0: they are independent.
+
+    If in doubt, 0.5: where receivers stand close to each other, or interference is at the sender, they lose together.
+    """
+
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
+        """Draw the (k,) losses of a message."""
+        draws = rng.random(len(context.dst) + 1)
+        follows = math.sqrt(self.common)
+        # One draw decides both: below `follows` the receiver shares the fate, above it the rest decides.
+        own: Bools = draws[1:] < follows + (1.0 - follows) * self.p
+        shares: Bools = draws[1:] < follows
+        return own if draws[0] < self.p else own & ~shares
+
+
+class CommonBursts:
+    """Bursts in one run of links of which two with a node in common are correlated; states advance with time.
+
+    A link is bad while its sender, its receiver or the link itself is bad: three states that alternate independently in
+    continuous time, all with the same mean bad period. Those of nodes are common to their links.
+
+    Args:
+        share: share of the time for which a link is bad, in (0, 1).
+        burst: mean duration of a bad period of a link, s.
+        common: correlation of the states of two links with a node in common, at most `max_common(share)`.
+        losses: probabilities of loss of a link that is good, and of one that is bad.
+        size: number of nodes.
+    """
+
+    def __init__(self, share: float, burst: float, common: float, losses: tuple[float, float], size: int):
+        self._losses = losses
+        odds = share / (1.0 - share)
+        # Two links with a node in common are both good with (1 - share)^2 / (1 - s), s being the share of the node.
+        of_node = common * odds
+        self._node_share = of_node / (1.0 + of_node)
+        self._own_share = 1.0 - (1.0 - share) * (1.0 + of_node) ** 2
+        of_link = self._own_share / (1.0 - self._own_share)
+        # A link that is good turns bad at the rate of all three, which is that of its share and mean bad period.
+        recovery = odds / burst / (2.0 * of_node + of_link)
+        self._node_rate, self._own_rate = recovery * (1.0 + of_node), recovery * (1.0 + of_link)
+        self._nodes = np.full(size, self._node_share), np.full(size, -math.inf)
+        """The states of the nodes, and their times, s; (n,) each. A node that has not been asked has its share."""
+        self._rows: defaultdict[int, LinkMemory] = defaultdict(partial(LinkMemory, self._own_share))
+
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
+        """Advance the states of the nodes and links of a message and return its (k,) losses."""
+        row, dst, now = self._rows[context.src], context.dst, context.now
+        of_nodes = self._advance(np.append(dst, context.src), now, rng)
+        row.select(dst)
+        last = np.broadcast_to(np.asarray(row.since), len(dst))
+        own = rng.random(len(dst)) < _chances(row.value, self._own_share, self._own_rate, last, now)
+        row.value[:], row.since = own, now
+        bad: Bools = own | of_nodes[:-1] | of_nodes[-1]
+        if self._losses == (0.0, 1.0):
+            return bad
+        lost: Bools = rng.random(len(bad)) < np.where(bad, self._losses[1], self._losses[0])
+        return lost
+
+    def _advance(self, nodes: "np.typing.NDArray[np.intp]", now: float, rng: np.random.Generator) -> Bools:
+        """Return (k,) whether nodes are bad now."""
+        states, times = self._nodes
+        bad: Bools = rng.random(len(nodes)) < _chances(
+            states[nodes], self._node_share, self._node_rate, times[nodes], now
+        )
+        states[nodes], times[nodes] = bad, now
+        return bad
+
+
+def max_common(share: float) -> float:
+    """Return the largest correlation of two links with a node in common that are bad for a share of the time.
+
+    Then links have no bad periods of their own. It is a little less than 1/2, because a link has two nodes.
+    """
+    return (math.sqrt(1.0 - share) - (1.0 - share)) / share if share else 0.5
+
+
+def _chances(last: Floats, share: float, rate: float, times: Floats, now: float) -> Floats:
+    """Return the (k,) probabilities of being bad now of what was in (k,) states at (k,) times, s."""
+    chances: Floats = share + (last - share) * exp(rate * (times - now))
+    return chances

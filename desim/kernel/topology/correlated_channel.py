@@ -1,0 +1,239 @@
+"""The states of the channels between nodes, as functions of their positions and of time: sums of plane waves.
+
+A process is the sum of n cosines of the positions of both nodes and of the time, whose phases are random (Clarke 1968;
+Zheng & Xiao 2003, "Simulation Models With Correct Statistical Properties for Rayleigh Fading Channels"; for shadowing,
+Cai & Giannakis 2003, "A Two-Dimensional Channel Simulation Model for Shadowing Processes"). The directions at the two
+nodes, and the Doppler shifts, are those of a lattice with n points, turned by random angles for each pair. So the mean
+autocorrelation over all pairs or seeds is exact, whatever n is, and that of fading along the path of one node is almost
+exact for each pair, up to a path of n / 2 pi wavelengths.
+
+Nothing but random numbers is kept, so the states do not depend on the order in which they are asked for.
+"""
+
+import math
+from functools import cached_property, partial
+from typing import NamedTuple
+
+import numpy as np
+
+from desim.config.arrays import Floats, Integers
+from desim.config.errors import KeyedError, Problem
+from desim.kernel.core.portable_math import cos_of_turns
+from desim.kernel.core.positions import Nodes
+from desim.kernel.core.seeds import ROOM, pair_draw, pair_uniform
+from desim.kernel.models.coherence import LIGHT, ChannelState, Coherence
+from desim.kernel.models.links import Links
+
+STEPS = (0.0, 0.6180339887498949, 0.7548776662466927, 0.5698402909980532)
+"""Steps of the lattice per point: powers of the reciprocal golden ratios of 2 and 3 dimensions (Roberts 2018)."""
+
+OF_NODE = "shadowing of a node"
+"""The name of the process of the surroundings of one node."""
+
+
+class Ends(NamedTuple):
+    """The ends of k links at one instant, or each at a time."""
+
+    src: int | Integers
+    """The sender, one for all or (k,)."""
+    dst: Nodes
+    """(k,) the receivers."""
+    src_at: Floats
+    """Positions of the senders, one (2,) for all or (k, 2), m."""
+    dst_at: Floats
+    """(k, 2) positions of the receivers, m."""
+    time: float | Floats
+    """One for all or (k,), s."""
+
+
+class _Phases(NamedTuple):
+    """The random numbers of a process of k pairs."""
+
+    waves: Floats
+    """(n, k) the phases of the waves, in turns."""
+    turns: Floats
+    """(2, 3, k) cosines and sines of the random angles of the directions at both ends, and of the Doppler shifts."""
+
+    def of(self, columns: Nodes) -> "_Phases":
+        return _Phases(self.waves[:, columns], self.turns[:, :, columns])
+
+
+class CorrelatedChannel:
+    """The channels of all pairs of nodes of a run.
+
+    Args:
+        coherence: how they change with time and place.
+        seed: the seed of the run.
+        size: the number of nodes.
+    """
+
+    def __init__(self, coherence: Coherence, seed: int, size: int):
+        self._coherence, self._seed, self._size = coherence, seed, size
+        self._kept: dict[tuple[str, int], _Phases] = {}
+        """By process and sender, the random numbers of its pairs with all nodes, if there is room for those of all."""
+        self._keeps = size**2 * coherence.waves <= ROOM
+
+    def between(self, ends: Ends) -> ChannelState:
+        """Return the states of the channels of k links."""
+        return ChannelState(partial(self._normals, ends), partial(self._shadowing, ends))
+
+    # Fading.
+
+    def _normals(self, ends: Ends, count: int) -> Floats:
+        """Return (count, k) Gaussian numbers of k links: real and imaginary parts of sums of waves."""
+        pairs = [self._sums(ends, f"fading {number}") for number in range((count + 1) // 2)]
+        return np.concatenate(pairs)[:count]
+
+    @cached_property
+    def _directions(self) -> Floats:
+        """(6, n) cosines and sines of the directions at both ends, and of those of the Doppler shifts."""
+        angles = [2.0 * math.pi * index / self._coherence.waves for index in range(self._coherence.waves)]
+        circle = np.array([[math.cos(angle) for angle in angles], [math.sin(angle) for angle in angles]])
+        return np.concatenate([circle[:, self._point(axis)] for axis in range(3)])
+
+    def _sums(self, ends: Ends, name: str) -> Floats:
+        """Return (2, k) sums of cosines and of sines of the waves of k links, with variance 1."""
+        coherence, phases = self._coherence, self._phases(name, ends)
+        per_metre = (coherence.frequency or 0.0) / LIGHT
+        rows = _turned(ends, phases.turns, per_metre) if per_metre else []
+        directions = self._directions[: len(rows)]
+        if coherence.doppler is not None:
+            cosines, sines = phases.turns[:, 2] * (coherence.doppler * np.asarray(ends.time))
+            rows, directions = [*rows, cosines, -sines], np.concatenate((directions, self._directions[4:]))
+        if not rows:
+            raise _missing(coherence.lacks("fading"))
+        turns = _phase(directions, rows, phases.waves)
+        return np.stack([_sum(turns), _sum(turns - 0.25)])
+
+    # Shadowing.
+
+    def _shadowing(self, ends: Ends) -> Floats:
+        """Return (k,) numbers of k links, with variance 1."""
+        if lack := self._coherence.lacks("shadowing"):
+            raise _missing(lack)
+        phases, shared = self._phases("shadowing", ends), self._coherence.shared
+        own = _sum(_phase(self._spectrum, _turned(ends, phases.turns, 1.0), phases.waves))
+        if not shared:
+            return own
+        of_ends = self._of_nodes(ends.dst, ends.dst_at) + self._of_nodes(np.atleast_1d(ends.src), ends.src_at)
+        total: Floats = math.sqrt(1.0 - shared) * own + math.sqrt(shared / 2.0) * of_ends
+        return total
+
+    def _of_nodes(self, nodes: Nodes, at: Floats) -> Floats:
+        """Return (k,) the shadowing by what surrounds nodes at their positions, with variance 1."""
+        ends = Ends(nodes, nodes, at, np.atleast_2d(at), 0.0)
+        phases = self._drawn(OF_NODE, nodes, nodes) if self._of_node is None else self._of_node.of(nodes)
+        return _sum(_phase(self._spectrum[:2], _turned(ends, phases.turns, 1.0)[:2], phases.waves))
+
+    @cached_property
+    def _spectrum(self) -> Floats:
+        """(4, n) wave vectors at both ends, in turns per metre.
+
+        The spectrum of exp(-r / d) in the plane has the share 1 - 1 / sqrt(1 + (k d)^2) of wave numbers below k.
+        """
+        count, rows = self._coherence.waves, []
+        for end in (0, 1):
+            first = pair_draw(self._seed, "shadowing spectrum", end, end)
+            lengths = [self._wave_number((index + first) / count) for index in self._point(2 * end).tolist()]
+            angles = [2.0 * math.pi * index / count for index in self._point(2 * end + 1).tolist()]
+            rows += [
+                [length * turn(angle) for length, angle in zip(lengths, angles, strict=True)]
+                for turn in (math.cos, math.sin)
+            ]
+        return np.array(rows)
+
+    def _wave_number(self, share: float) -> float:
+        """Return the wave number, turns per metre, that a share of the spectrum exceeds."""
+        assert self._coherence.decorrelation is not None
+        return math.sqrt(1.0 / share**2 - 1.0) / (2.0 * math.pi * self._coherence.decorrelation)
+
+    # Random numbers.
+
+    def _point(self, axis: int) -> Nodes:
+        """Return (n,) the indices along an axis of the points of the lattice."""
+        count = self._coherence.waves
+        near = sorted(range(1, count), key=lambda step: abs(step - STEPS[axis] * count))
+        step = next(step for step in near if math.gcd(step, count) == 1) if axis else 1
+        return np.arange(count) * step % count
+
+    def _phases(self, name: str, ends: Ends) -> _Phases:
+        """Return the random numbers of a process of k pairs."""
+        src = ends.src
+        if not (self._keeps and isinstance(src, int)):
+            return self._drawn(name, src, ends.dst)
+        kept = self._kept.get((name, src))
+        if kept is None:
+            kept = self._kept[name, src] = self._drawn(name, src, np.arange(self._size))
+        return kept.of(ends.dst)
+
+    @cached_property
+    def _of_node(self) -> _Phases | None:
+        """The random numbers of what surrounds each node; None: there are too many to keep them."""
+        everyone = np.arange(self._size)
+        return self._drawn(OF_NODE, everyone, everyone) if self._size * self._coherence.waves <= ROOM else None
+
+    def _drawn(self, name: str, src: int | Integers, dst: Nodes) -> _Phases:
+        count = self._coherence.waves + 3
+        first = np.tile(np.broadcast_to(src, len(dst)), count)
+        numbers = np.repeat(np.arange(count), len(dst))
+        draws = pair_uniform(self._seed, name, first, np.tile(dst, count), numbers).reshape(count, len(dst))
+        angles = draws[:3]
+        return _Phases(draws[3:], np.stack([cos_of_turns(angles), cos_of_turns(angles - 0.25)]))
+
+
+def _turned(ends: Ends, turns: Floats, per_metre: float) -> list[Floats]:
+    """Return the coordinates of both ends of k links, turned by their random angles, in wavelengths.
+
+    The first end is the node with the smaller number, so both directions have the same state.
+    """
+    is_first = np.asarray(ends.src) <= ends.dst
+    (u, v), (x, y) = np.broadcast_to(ends.src_at, ends.dst_at.shape).T * per_metre, ends.dst_at.T * per_metre
+    places = [
+        (np.where(is_first, u, x), np.where(is_first, v, y)),
+        (np.where(is_first, x, u), np.where(is_first, y, v)),
+    ]
+    rows: list[Floats] = []
+    for (across, along), cosines, sines in zip(places, *turns[:, :2], strict=True):
+        rows += [cosines * across + sines * along, cosines * along - sines * across]
+    return rows
+
+
+def _phase(directions: Floats, rows: list[Floats], waves: Floats) -> Floats:
+    """Return (n, k) the phases of n waves on k links, in turns; sums of products, because BLAS rounds by processor."""
+    turns = waves.copy()
+    for direction, row in zip(directions, rows, strict=True):
+        turns += direction[:, np.newaxis] * row
+    return turns
+
+
+def _sum(turns: Floats) -> Floats:
+    """Return (k,) the sums of the cosines of (n, k) phases, with variance 1."""
+    total: Floats = np.add.reduce(cos_of_turns(turns), axis=0)
+    return total * math.sqrt(2.0 / len(turns))
+
+
+def _missing(lack: str) -> KeyedError:
+    return KeyedError(Problem(lack, "coherence"))
+
+
+def uncorrelated(seed: int, src: int, dst: Nodes, number: int, *, per_link: bool) -> ChannelState:
+    """Return states of channels with a shadowing of their own for each pair, or for each number of a message."""
+
+    def shadowing() -> Floats:
+        from scipy.special import ndtri
+
+        index = 0 if per_link else number + 1
+        deviations: Floats = ndtri(pair_uniform(seed, "shadowing", src, dst, index))
+        return deviations
+
+    return ChannelState(unknown_fading, shadowing)
+
+
+def unknown_fading(_: int) -> Floats:
+    """Raise ValueError: only correlated fading has Gaussian processes."""
+    raise ValueError('the fading has no processes unless network.fading = "correlated"')
+
+
+def channel_of(links: Links, seed: int, size: int) -> CorrelatedChannel | None:
+    """Return the channels of the links of a network; None if random reception is not correlated."""
+    return CorrelatedChannel(links.coherence, seed, size) if links.fading == "correlated" else None
