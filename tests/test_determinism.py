@@ -141,14 +141,14 @@ def test_the_order_of_registration_does_not_matter(schedule, latency, monkeypatc
         record={"messages": True},
     )
     forwards = lines(run(scenario, 5))
-    begin, begin_world = run_module._Team.begin, run_module.World.begin
+    begin, begin_world = run_module.TeamProcesses.begin, run_module.World.begin
 
     def world_first(crew):
         begin_world(crew._world)
         monkeypatch.setattr(run_module, "range", lambda n: reversed(builtins.range(n)), raising=False)
         begin(crew)
 
-    monkeypatch.setattr(run_module._Team, "begin", world_first)
+    monkeypatch.setattr(run_module.TeamProcesses, "begin", world_first)
     monkeypatch.setattr(run_module.World, "begin", lambda world: None)
     assert lines(run(scenario, 5)) == forwards
     assert forwards.count("Broadcast") + forwards.count("Sent") > 10

@@ -15,6 +15,7 @@ EXTRAS: Mapping[str, str] = MappingProxyType(
         "jinja2": "plot",
         "matplotlib": "plot",
         "mcap": "mcap",
+        "msgspec": "live",
         "pandas": "frame",
         "pettingzoo": "rl",
         "pyarrow": "parquet",

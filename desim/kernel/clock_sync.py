@@ -104,6 +104,9 @@ class Synchroniser:
         seed: the seed of the random phases of the requests.
         trace: receives the corrections; None if they are not needed.
         send: sends the messages; None: the network.
+
+    Attributes:
+        answered: by number of a request: t3, ns, by the clock of the reference, as it travels with the answer.
     """
 
     def __init__(
@@ -123,8 +126,7 @@ class Synchroniser:
         self._numbers = count()
         self._asked: list[dict[int, int]] = [{} for _ in clocks]
         """By node: t1, ns, by its uncorrected clock, of each request that may still be answered, by number."""
-        self._answered: dict[int, int] = {}
-        """By number of a request: t3, ns, by the clock of the reference, as it travels with the answer."""
+        self.answered: dict[int, int] = {}
         network.overhear(self._stamp)
         self._timers: list[Timer] = []
         for node, clock in enumerate(clocks):
@@ -151,9 +153,9 @@ class Synchroniser:
             if len(asked) > REMEMBERED:
                 del asked[next(iter(asked))]
         elif isinstance(body, TimeAnswer):
-            self._answered[body.number] = self._clocks[content.src].stamp
-            if len(self._answered) > REMEMBERED * len(self._clocks):
-                del self._answered[next(iter(self._answered))]
+            self.answered[body.number] = self._clocks[content.src].stamp
+            if len(self.answered) > REMEMBERED * len(self._clocks):
+                del self.answered[next(iter(self.answered))]
 
     def _listen(self, node: int) -> None:
         """Take the next messages of a node as they arrive."""
@@ -165,8 +167,8 @@ class Synchroniser:
         for src, _, body in self._network.inbox(node, PORT).drain():
             if isinstance(body, TimeRequest):
                 self._send(node, src, TimeAnswer(body.number, self._clocks[node].stamp))
-            elif body.number in self._asked[node] and body.number in self._answered:
-                self._use(node, self._asked[node].pop(body.number), body.received, self._answered.pop(body.number))
+            elif body.number in self._asked[node] and body.number in self.answered:
+                self._use(node, self._asked[node].pop(body.number), body.received, self.answered.pop(body.number))
         self._listen(node)
 
     def _use(self, node: int, sent: int, received: int, answered: int) -> None:
@@ -190,7 +192,8 @@ def synchronise(
     seed: int,
     trace: Trace | None = None,
     send: Callable[..., None] | None = None,
-) -> None:
-    """Start the synchronisation of the clocks of a network; see `Synchroniser`."""
+) -> Synchroniser | None:
+    """Start the synchronisation of the clocks of a network, if its model has one; see `Synchroniser`."""
     if isinstance(model, TwoWay):
-        Synchroniser(env, network, clocks, model, seed, trace, send)
+        return Synchroniser(env, network, clocks, model, seed, trace, send)
+    return None

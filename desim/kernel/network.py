@@ -171,6 +171,7 @@ class Network(ReceivingNodes):
         clocks: the clocks of the nodes, which tell the slots of a TDMA; if empty, all show the true time.
         inboxes: creates the inboxes, given the clock and the number of nodes.
         walls: walls, of which those that block radio weaken it.
+        link_layer: creates the link layer, which carries transmissions; its arguments are those of `LinkLayer`.
 
     Raises:
         ValueError: if the graph and the links do not fit together, or a finite range has no positions; see `Topology`
@@ -195,6 +196,7 @@ class Network(ReceivingNodes):
         clocks: Sequence[NodeClock] = (),
         inboxes: Callable[[Clock, int], Inboxes] = Inboxes,
         walls: Sequence[Wall] = (),
+        link_layer: Callable[[NetworkState, Links, LinkSampler, Trace | None, int], LinkLayer] = LinkLayer,
     ):
         links, seed = links or Links(), seed_of(seed)
         self.topology = topology = Topology(
@@ -220,7 +222,7 @@ class Network(ReceivingNodes):
             clocks or [NodeClock(env)] * topology.size,
         )
         message_trace = trace if trace is not None and trace.wants_messages else None
-        self._link_layer = LinkLayer(state, links, sampler, message_trace, seed)
+        self._link_layer = link_layer(state, links, sampler, message_trace, seed)
         super().__init__(state, self._link_layer.delivery.arrivals)
         self._fault_state, self._transmit = fault_state, self._link_layer.transmit
         self._transport, self._is_plain = links.transport, links.transport.is_plain

@@ -6,19 +6,16 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from desim.config.arguments import HintedAttributes, naming_arguments, scenario_argument
-from desim.config.arrays import Floats, Integers
 from desim.config.fresh import fresh_copy
 from desim.config.html import html_properties, picture_of
 from desim.config.trust import escaped
 from desim.kernel.clock_sync import synchronise
-from desim.kernel.core.clock import Clock, NodeClock, Phase
+from desim.kernel.core.clock import Clock, NodeClock
 from desim.kernel.core.events import Event, Trace, Watcher
-from desim.kernel.core.positions import Nodes, PositionSource
 from desim.kernel.core.seeds import seed_of
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.fault_injection import inject
-from desim.kernel.models.faults import Crash, draw_faults
-from desim.kernel.models.medium import contends
+from desim.kernel.models.faults import draw_faults
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.kernel.wandering_clock import node_clocks
@@ -26,26 +23,22 @@ from desim.pursuit.byzantine.evidence import Witness
 from desim.pursuit.byzantine.lies import draw_lies
 from desim.pursuit.byzantine.lying import LyingTeam
 from desim.pursuit.core.events import Captured, Ended
-from desim.pursuit.core.state import coordinates
 from desim.pursuit.sensing.noisy_sensing import NoisySensor, Sensor
 from desim.pursuit.sensing.sensing import TeamSensor
 from desim.pursuit.sensing.views import GlobalState, View
 from desim.pursuit.sensing.world_state import WorldState
-from desim.pursuit.team.agent import Agent, repeat
+from desim.pursuit.team.agent import Agent
 from desim.pursuit.team.announcements import announced_action
 from desim.pursuit.team.trust import judge_of
 from desim.scenario.scenario import Scenario
-from desim.simulation.restartable import RestartableProcess
+from desim.simulation.pursuer_positions import PursuerPositions
 from desim.simulation.run_end import RunEnd
+from desim.simulation.team_processes import TeamProcesses
 from desim.simulation.watchdog import TimedOut, interrupted_at, stuck
 from desim.simulation.world import World, initial_state
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-
-    import simpy
-
-    from desim.pursuit.team.trust import Judge
 
 
 ON_RESULTS = frozenset({"export", "plot", "replay", "save", "show", "summary", "write"})
@@ -173,7 +166,7 @@ def _simulate(
     """Connect the parts of a simulation and let it run to its end; see `run`."""
     state = initial_state(env, scenario, seed)
     faults = draw_faults(scenario.network_faults, state.size, scenario.horizon, seed)
-    positions = _PursuerPositions(state, scenario.team.top_speed + scenario.environment.top_speed)
+    positions = PursuerPositions(state, scenario.team.top_speed + scenario.environment.top_speed)
     skews = scenario.network_faults if scenario.protocol_traits.embodied else ()
     clocks = node_clocks(env, skews, state.size, seed, nanoseconds(scenario.horizon))
     network = Network(
@@ -211,7 +204,7 @@ def _simulate(
     if scenario.announce.start == "known":
         for agent, clock in zip(agents, clocks, strict=True):
             network.set_initial_belief(agent.id, agent.announcement(), clock.stamp)
-    team = _Team(env, scenario, world, agents, judges, sensor, liars)
+    team = TeamProcesses(env, scenario, world, dict(enumerate(agents)), judges, sensor, liars)
     inject(faults, env, network, trace, crashed=team.crashed, recovered=team.recovered, targets=chasers)
 
     def counts() -> "list[Event]":
@@ -253,36 +246,6 @@ def _chasers(truth: View) -> list[int]:
     return [pursuer for _, pursuer in sorted(times)]
 
 
-class _PursuerPositions(PositionSource):
-    """The positions of the pursuers for the network; see `desim.kernel.core.positions.PositionSource`."""
-
-    looks_back = True
-
-    def __init__(self, state: WorldState, top_speed: float):
-        self._state = state
-        self.max_speed = 0.0 if state.static else top_speed
-
-    def __call__(self) -> Floats:
-        return coordinates(self._state.positions())
-
-    def of(self, nodes: Nodes) -> Floats:
-        return coordinates(self._state.players.positions_of(nodes))
-
-    def distance(self, node: int, other: int) -> float:
-        """Return the present distance between two pursuers, m.
-
-        Kept equal to that between their positions by
-        `tests/simulation/test_world.py::test_the_distance_of_two_pursuers_is_that_between_their_positions`.
-        """
-        return self._state.players.distances(node, [other])[0]
-
-    def at(self, nodes: Nodes, times: int | Integers) -> Floats:
-        return coordinates(self._state.players.positions_at(nodes, times))
-
-    def before_change(self, act: "Callable[[], object]") -> None:
-        self._state.players.before_change(act)
-
-
 def _sensor(
     scenario: Scenario,
     state: WorldState,
@@ -297,86 +260,3 @@ def _sensor(
     if scenario.sensing.is_noisy:
         return NoisySensor(scenario.sensing, state, scenario.prune, network, clocks, env, seed)
     return TeamSensor(scenario.sensing, state, scenario.prune, network, clocks)
-
-
-class _Team:
-    """The agents of a run and their processes."""
-
-    def __init__(
-        self,
-        env: Clock,
-        scenario: Scenario,
-        world: World,
-        agents: "Sequence[Agent]",
-        judges: "Sequence[Judge | None]",
-        sensor: Sensor | None,
-        liars: LyingTeam | None,
-    ):
-        self._env, self._scenario, self._world = env, scenario, world
-        self._agents, self._judges, self._sensor, self._liars = agents, judges, sensor, liars
-        self._embodied = scenario.protocol_traits.embodied
-        self.processes: dict[int, tuple[RestartableProcess, RestartableProcess]] = {}
-        self._open_crashes: dict[int, list[Crash]] = defaultdict(list)
-        self._recoveries: dict[int, simpy.Event] = {}
-        self._memory_lost: set[int] = set()
-
-    def begin(self) -> None:
-        """Start all processes."""
-        env, announce, protocol = self._env, self._scenario.announce, self._scenario.protocol
-        has_heartbeats = self._scenario.announces and announce.has_heartbeats
-        for pursuer, agent in enumerate(self._agents):
-            if self._scenario.announces and announce.start == "announced":
-                # In the relay phase: without latency it arrives, over all hops, before the first decision.
-                agent.after(self._start_delay(agent), agent.broadcast, Phase.RELAY)
-            relay = RestartableProcess(env, agent, announce.dissemination, Phase.RELAY)
-            self.processes[pursuer] = relay, RestartableProcess(env, agent, protocol, Phase.DECISION)
-            if has_heartbeats:
-                env.process(repeat(agent, agent.broadcast, announce.heartbeat, "heartbeat", announce.jitter))
-            if self._sensor is not None:
-                view, period = self._sensor.views[pursuer], self._sensor.sensing.period
-                report = view.report if self._liars is None else self._liars.unless_silent(pursuer, view.report)
-                env.process(repeat(agent, report, period, "sightings"))
-            if self._liars is not None:
-                env.process(self._liars.receive(agent))
-            judge, interval = self._judges[pursuer], announce.trust.period
-            if judge is not None and interval is not None:
-                accuse = judge.report if self._liars is None else self._liars.accusing(pursuer, judge.report)
-                env.process(repeat(agent, accuse, interval, "accusations"))
-
-    def _start_delay(self, agent: Agent) -> float:
-        """Return the time, s, after which a pursuer announces its first action.
-
-        It is 0, or random where nodes contend for a channel and announcements have some jitter.
-        """
-        medium, announce = self._scenario.network.medium, self._scenario.announce
-        if not announce.jitter or not contends(medium):
-            return 0.0
-        return agent.stream("first announcement").uniform(0.0, announce.jitter * announce.heartbeat)
-
-    def crashed(self, crash: Crash) -> None:
-        """Take a pursuer down and suspend the processes on its robot, unless only its radio crashes."""
-        if crash.scope == "robot":
-            self._open_crashes[crash.node].append(crash)
-            if len(self._open_crashes[crash.node]) == 1:
-                self._world.crash(crash.node)
-                self._recoveries[crash.node] = self._env.event()
-                relay, protocol = self.processes[crash.node]
-                for process in (relay, protocol) if self._embodied else (relay,):
-                    if process.is_alive:
-                        process.interrupt(self._recoveries[crash.node])
-
-    def recovered(self, crash: Crash) -> None:
-        """End a crash: resume the pursuer unless its robot has another crash, and delete the memory that is lost."""
-        node, remembers = crash.node, True
-        if crash.scope == "robot":
-            self._open_crashes[node].remove(crash)
-            if not crash.memory:
-                self._memory_lost.add(node)
-            if not self._open_crashes[node]:
-                remembers = node not in self._memory_lost
-                self._memory_lost.discard(node)
-                self._world.recover(node)
-                self._recoveries[node].succeed(remembers)
-        self._agents[node].recovered(restarted=not remembers)
-        if self._sensor is not None and not (remembers and crash.memory):
-            self._sensor.views[node].forget(heard_only=remembers)

@@ -71,7 +71,6 @@ class World:
         self._step = nanoseconds(scenario.motion.step)
         self._records = [evader.record for evader in scenario.evaders if evader.record] + [*state.relays.values()]
         self._needed = scenario.capture.captures_to_end or state.evader_count
-        self._choices = range(state.evader_count + 1)
         first = scenario.motion.order == "evader_first"
         on_all, evaders = scenario.environment.on == "all", scenario.evaders
         carried = [pursuer not in state.relays for pursuer in range(state.size)]
@@ -107,10 +106,7 @@ class World:
         state = self.state
         if not 0 <= pursuer < state.size:
             raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {state.size - 1}")
-        if action not in self._choices:
-            raise ValueError(f"an action should be 0 or an evader, 1 .. {state.evader_count}, got {action}")
-        able = action and not state.broken[pursuer] and self._views[pursuer].may_chase(pursuer, action)
-        action = int(action) if able else 0
+        action = possible_action(self._views[pursuer], pursuer, action)
         self._trace.append(Decided(self._env.now, pursuer, action))
         if action != state.profile[pursuer]:
             self._change_action(pursuer, action)
@@ -214,6 +210,18 @@ class World:
         """Return the positions of the evaders and of the pursuers as (x, y), m."""
         places = tuple((x, y) for x, y in coordinates(self.state.players.positions()).tolist())
         return places[self.state.size :], places[: self.state.size]
+
+
+def possible_action(view: View, pursuer: int, action: int) -> int:
+    """Return the action of a pursuer that is to chase an evader: 0 if it is down, or may not chase this evader.
+
+    Raises:
+        ValueError: if there is no such evader.
+    """
+    state = view.state
+    if action not in range(state.evader_count + 1):
+        raise ValueError(f"an action should be 0 or an evader, 1 .. {state.evader_count}, got {action}")
+    return int(action) if action and not state.broken[pursuer] and view.may_chase(pursuer, action) else 0
 
 
 def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:

@@ -23,7 +23,7 @@ from desim.pursuit.motion.kinematics import Kinematics
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Recording
-from desim.simulation.run import _PursuerPositions
+from desim.simulation.pursuer_positions import PursuerPositions
 from desim.testing.pursuits import watched
 from scenarios.studies.study import SCENARIOS
 
@@ -368,7 +368,7 @@ def test_the_distance_of_two_pursuers_is_that_between_their_positions():
     """The network asks for it at each arrival of a message to one node, also after the positions have been read."""
     env, rng = Clock(), np.random.default_rng(4)
     players = Kinematics(env, rng.normal(size=5) + 1j * rng.normal(size=5))
-    source = _PursuerPositions(SimpleNamespace(players=players, static=False), 1.0)
+    source = PursuerPositions(SimpleNamespace(players=players, static=False), 1.0)
     for until in (SECOND // 3, SECOND, 2 * SECOND):
         env.run(until=until)
         for _ in range(2):

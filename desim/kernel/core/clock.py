@@ -7,6 +7,7 @@ No other module of `desim` uses private parts of SimPy.
 """
 
 import gc
+from contextlib import contextmanager
 from enum import IntEnum
 from heapq import heappush
 from operator import attrgetter
@@ -19,7 +20,7 @@ from simpy.events import Condition, EventPriority
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from simpy.core import SimTime
 
@@ -81,6 +82,18 @@ class Phase(IntEnum):
     """Nodes that contend for a channel sense it, and start to transmit."""
 
 
+@contextmanager
+def _as_raised() -> "Iterator[None]":
+    """Raise the exception of a process as it was raised, and not the copy that SimPy makes of it."""
+    try:
+        yield
+    except BaseException as error:
+        first = error.__cause__
+        if type(first) is type(error) and first.args == error.args:
+            raise first from first.__cause__
+        raise
+
+
 class Clock(simpy.Environment):
     """A SimPy environment whose time is an integer number of nanoseconds and starts at 0."""
 
@@ -95,18 +108,21 @@ class Clock(simpy.Environment):
         Raises:
             BaseException: the exception that a process raised, with its notes; SimPy itself raises a copy without them.
         """
-        with RARE_COLLECTION:
-            return self._run(until)
-
-    def _run(self, until: "SimTime | simpy.Event | None") -> Any:
-        """Run as `simpy.Environment.run` does, and raise the exception of a process as it was raised."""
-        try:
+        with RARE_COLLECTION, _as_raised():
             return super().run(until)
-        except BaseException as error:
-            first = error.__cause__
-            if type(first) is type(error) and first.args == error.args:
-                raise first from first.__cause__
-            raise
+
+    def advance(self, time: int) -> None:
+        """Process all events up to and including a time, ns, which is then the present; see also `run`.
+
+        Use it for a clock that follows another one. Unlike `run`, it leaves no event behind.
+
+        Raises:
+            BaseException: as `run`.
+        """
+        with _as_raised():
+            while self._queue and self._queue[0][0] <= time:
+                self.step()
+        self._now = max(self._now, time)
 
     def scheduled(self) -> dict[int, int]:
         """Return the time (ns) of each scheduled event, by the `id` of the event."""

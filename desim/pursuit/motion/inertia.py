@@ -11,7 +11,7 @@ from desim.config.arrays import Integers, Points
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import SECOND
-from desim.pursuit.motion.dynamics import Course, Dynamics, Piece
+from desim.pursuit.motion.dynamics import Course, Courses, Dynamics, Piece
 from desim.pursuit.motion.kinematics import CaptureTest, Kinematics
 
 MAX_STEPS = 1_000
@@ -92,6 +92,23 @@ class InertialKinematics(Kinematics):
             return (duration, nearest) if distance <= radius else None
         times = [(first_contact_of_pieces(piece, self._pieces[player], radius, begin, end), player) for player in able]
         return min(((time, player) for time, player in times if time is not None), default=None)
+
+    def observe(self, since: int, places: Points, courses: Courses, commands: Points, drifts: Points | None) -> None:
+        """Replace all motions by those of the same players elsewhere, as they were observed a moment ago."""
+        super().observe(since, places, courses, commands, drifts)
+        flow = [0j] * len(places) if drifts is None else drifts.tolist()
+        motions = zip(
+            self._dynamics,
+            places.tolist(),
+            map(Course, *(part.tolist() for part in courses)),
+            commands.tolist(),
+            flow,
+            strict=True,
+        )
+        self._pieces = [
+            dynamics(place, course, command)._replace(drift=drift)
+            for dynamics, place, course, command, drift in motions
+        ]
 
     def command(self, velocities: Points, drifts: Points | None = None) -> None:
         """Begin a new piece of each path, at the present position and instant."""

@@ -148,6 +148,24 @@ class Kinematics:
         row = nearest_within(offsets + approach * duration, radius)
         return None if row is None else (duration, row)
 
+    def observe(self, since: int, places: Points, courses: Courses, commands: Points, drifts: Points | None) -> None:
+        """Replace all motions by those of the same players elsewhere, as they were observed a moment ago.
+
+        Args:
+            since: the time of the observation, ns.
+            places: (K,) the positions then, m.
+            courses: (K,) the courses then, of players with inertia.
+            commands: (K,) commanded velocities relative to the flow, m/s.
+            drifts: (K,) velocities of the flow at the players, m/s; None: there is no flow.
+        """
+        for act in self._before_change:
+            act()
+        places.setflags(write=False)
+        self._origins, self._since, self._cached_at = places, since, -1
+        self._positions = places  # of a static world
+        self.commands, self.drifts = commands, drifts
+        self._velocities = commands if drifts is None else commands + drifts
+
     def command(self, velocities: Points, drifts: Points | None = None) -> None:
         """Begin a new piece of each path, at the present position and instant.
 

@@ -1,0 +1,134 @@
+"""Frames: the state of the world as the referee sends it to the pursuers, in JSON."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from desim.config.arrays import Points
+from desim.pursuit.motion.dead_reckoning import TrackSegment
+from desim.pursuit.motion.dynamics import Courses
+from desim.pursuit.sensing.world_state import WorldState
+
+
+class Frame(NamedTuple):
+    """The state of the world at one time; positions and velocities as lists [x, y], for all pursuers, then evaders."""
+
+    t: int
+    """ns"""
+    places: list[list[float]]
+    commands: list[list[float]]
+    """Commanded velocities relative to the flow, m/s."""
+    drifts: list[list[float]] | None
+    """Velocities of the flow, m/s; None: there is none."""
+    courses: list[list[list[float]]] | None
+    """Velocities and headings of players with inertia; None: they have none."""
+    profile: list[int]
+    """Actions of the pursuers."""
+    obeyed: list[int]
+    """Number of orders of each pursuer that have taken effect."""
+    broken: list[int]
+    """Pursuers that are down."""
+    captured: dict[str, int]
+    """When each captured evader was captured, ns, by its number."""
+    segments: list[list[Any]]
+    """The present motion step of each evader, as `TrackSegment`; empty before the first."""
+
+
+def frame_of(state: WorldState, obeyed: list[int]) -> Frame:
+    """Return the frame of the present state of a world."""
+    players, everybody = state.players, range(state.size + state.evader_count)
+    courses = None if state.dynamics.is_simple else players.courses(everybody)
+    segments = [getattr(body.path, "last", None) for body in state.bodies]
+    return Frame(
+        state.now,
+        pairs_of(players.positions()),
+        pairs_of(players.commands),
+        None if players.drifts is None else pairs_of(players.drifts),
+        None if courses is None else [pairs_of(courses.velocities), pairs_of(courses.headings)],
+        state.profile,
+        obeyed,
+        state.broken.nonzero()[0].tolist(),
+        {str(body.number): body.captured for body in state.bodies if body.captured is not None},
+        [[] if segment is None else _segment_list(segment) for segment in segments],
+    )
+
+
+class Mirror:
+    """The state of the world in the process of a pursuer, which follows the frames of the referee.
+
+    Between two frames all players go on as they were commanded. The action of the pursuer itself is its own: the
+    referee learns of it later.
+
+    Args:
+        state: the state of the world, which is kept up to date.
+        pursuer: the number of the pursuer.
+    """
+
+    def __init__(self, state: WorldState, pursuer: int):
+        self.state, self._pursuer = state, pursuer
+        self.orders = 0
+        """Number of orders that the pursuer has given."""
+        self._last = -1
+
+    def show(self, frame: Frame) -> bool:
+        """Let the world be as in a frame; return whether the frame is newer than the last one."""
+        if frame.t < self._last:
+            return False
+        state, self._last = self.state, frame.t
+        courses = Courses(*(points_of(part) for part in frame.courses or ([], [])))
+        drifts = None if frame.drifts is None else points_of(frame.drifts)
+        for number, when in frame.captured.items():
+            body = state.body(int(number))
+            if body.captured is None:
+                state.capture(body)
+                body.captured = when
+        state.players.observe(frame.t, points_of(frame.places), courses, points_of(frame.commands), drifts)
+        state.broken[:] = False
+        state.broken[frame.broken] = True
+        for body, segment in zip(state.bodies, frame.segments, strict=True):
+            if segment and segment[0] > getattr(getattr(body.path, "last", None), "begun", -1):
+                body.path.see(*_segment_of(segment))
+        self._act(frame)
+        return True
+
+    def set_action(self, action: int) -> None:
+        """Let the pursuer itself act otherwise from now on."""
+        actions = self.state.actions.copy()
+        actions[self._pursuer] = action
+        self._replace(actions.tolist())
+
+    def _act(self, frame: Frame) -> None:
+        """Take over the actions of a frame, but not that of the pursuer while its last order is under way."""
+        profile = list(frame.profile)
+        if frame.obeyed[self._pursuer] != self.orders and self._pursuer not in frame.broken:
+            profile[self._pursuer] = self.state.profile[self._pursuer]
+        self._replace(profile)
+
+    def _replace(self, profile: list[int]) -> None:
+        for pursuer, (before, after) in enumerate(zip(self.state.profile, profile, strict=True)):
+            if before != after:
+                self.state.acting_since[pursuer] = self.state.now
+        if profile != self.state.profile:
+            self.state.set_actions(np.array(profile, dtype=np.int64))
+
+
+def pairs_of(points: Points) -> list[list[float]]:
+    """Return complex numbers as lists [x, y]."""
+    return np.column_stack([points.real, points.imag]).tolist()  # type: ignore[no-any-return]
+
+
+def points_of(pairs: Any) -> Points:
+    """Return lists [x, y] as complex numbers."""
+    numbers = np.array(pairs, dtype=float).reshape(-1, 2)
+    return numbers[:, 0] + 1j * numbers[:, 1]
+
+
+def _segment_list(segment: TrackSegment) -> list[Any]:
+    points = np.array([segment.evader, segment.aim, segment.velocity])
+    return [segment.begun, *pairs_of(points), segment.end]
+
+
+def _segment_of(segment: list[Any]) -> TrackSegment:
+    begun, *pairs, end = segment
+    evader, aim, velocity = points_of(pairs).tolist()
+    return TrackSegment(begun, evader, aim, velocity, end)

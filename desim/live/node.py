@@ -1,0 +1,414 @@
+"""A live node: the protocol of one pursuer in an asyncio program, with a UDP socket for its network.
+
+```python
+node = Node(load("relay.toml"), pursuer=0)
+async with node.open(("127.0.0.1", 9000), peers):
+    while not node.is_over:
+        node.sense(position, evaders=[evader])
+        drive(node.velocity())
+        await asyncio.sleep(0.05)
+```
+"""
+
+import asyncio
+import socket
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import ExitStack, asynccontextmanager, suppress
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from desim.config.fresh import fresh_copy
+from desim.kernel.clock_sync import synchronise
+from desim.kernel.core.clock import Clock, NodeClock
+from desim.kernel.core.events import Trace, TransportCounts
+from desim.kernel.core.seeds import seed_of
+from desim.kernel.core.units import nanoseconds, seconds
+from desim.kernel.fault_injection import inject
+from desim.kernel.link_layer.propagation import LinkSampler
+from desim.kernel.models.faults import draw_faults, is_skewed
+from desim.kernel.network import Network
+from desim.kernel.state.fault_state import FaultState
+from desim.kernel.wandering_clock import node_clocks
+from desim.live.frames import Frame, Mirror, pairs_of, points_of
+from desim.live.link import SocketLinkLayer
+from desim.live.own_bodies import OwnBodies
+from desim.live.refusals import check_live
+from desim.live.wall_clock import Lateness, WallClock
+from desim.live.wire import Wire, WireError
+from desim.pursuit.byzantine.evidence import Witness
+from desim.pursuit.motion.guidance import guided_velocity
+from desim.pursuit.sensing.views import GlobalState, View
+from desim.pursuit.team.agent import Agent
+from desim.pursuit.team.announcements import announced_action
+from desim.pursuit.team.trust import judge_of
+from desim.scenario.scenario import Scenario
+from desim.simulation.pursuer_positions import PursuerPositions
+from desim.simulation.team_processes import TeamProcesses
+from desim.simulation.world import initial_state, possible_action
+
+Address = tuple[str, int]
+"""A host and a UDP port."""
+RECEIVE_BUFFER = 1 << 21
+"""Bytes of the receive buffer of a socket, as far as the system allows it."""
+
+
+class Node:
+    """The protocol of one pursuer, live: positions go in, actions and velocities come out.
+
+    The protocol, its schedule, its dissemination and its transport run unchanged, in the time of the wall clock.
+    Messages travel as datagrams between the sockets of the nodes, and the links of the scenario are drawn where they
+    arrive (`desim.live.link`).
+
+    Args:
+        scenario: the experiment. All nodes have the same.
+        pursuer: the number of this pursuer.
+        seed: seed of the random streams; None: the seed of the scenario. All nodes have the same.
+        draws: whether losses and latencies are drawn from the models of the scenario; False: the links between the
+            sockets are the real ones.
+        on_action: called with each new action of the pursuer, and its time, ns.
+
+    Raises:
+        ValueError: if the scenario cannot run live, or has no such pursuer.
+
+    Attributes:
+        pursuer: see above.
+        is_over: whether the node has stopped, or the horizon is reached.
+        trace: the events of this node, but not its messages.
+        link: its link layer, with what has been sent, received and dropped.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        pursuer: int,
+        seed: int | None = None,
+        *,
+        draws: bool = True,
+        on_action: Callable[[int, int], object] = lambda action, t: None,
+    ):
+        check_live(scenario)
+        if not 0 <= pursuer < scenario.team.count:
+            raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {scenario.team.count - 1}")
+        self._opened = ExitStack()
+        scenario = self._opened.enter_context(fresh_copy(scenario))
+        self.pursuer, self.is_over, self._on_action = pursuer, False, on_action
+        self._env = env = Clock()
+        self._seed = seed = scenario.seed if seed is None else seed_of(seed)
+        self._scenario, self._state = scenario, (state := initial_state(env, scenario, seed))
+        self._mirror = Mirror(state, pursuer)
+        self.trace = Trace()
+        self._received: deque[tuple[bytes, int | None]] = deque()
+        self._transport: asyncio.DatagramTransport | None = None
+        self._peers: list[Address] = []
+        self._number_of: dict[Address, int] = {}
+        self._wire = Wire(state.size, state.evader_count, OwnBodies(scenario.protocol, WireError))
+        self._network, clocks = self._make_network(draws=draws)
+        self._agent = self._make_agent(clocks)
+        self.clock: WallClock | None = None
+        self._horizon = nanoseconds(scenario.horizon)
+
+    # Wiring, as in `desim.simulation.run`.
+
+    def _make_network(self, *, draws: bool) -> tuple[Network, list[NodeClock]]:
+        """Create the network of this node, and the clocks of all nodes."""
+        scenario, state, env, seed = self._scenario, self._state, self._env, self._seed
+        faults = draw_faults(scenario.network_faults, state.size, scenario.horizon, seed)
+        positions = PursuerPositions(state, scenario.team.top_speed + scenario.environment.top_speed)
+        clocks = node_clocks(env, scenario.network_faults, state.size, seed, self._horizon_of(scenario))
+        graph = scenario.network.make_graph(state.size)
+        sampler = LinkSampler(scenario.network, graph, seed, positions, f"live {self.pursuer} ")
+
+        def link_layer(net: Any, links: Any, _: LinkSampler, trace: Trace | None, seed: int) -> SocketLinkLayer:
+            options: Any = {"node": self.pursuer, "wire": self._wire, "post": self._post, "draws": draws}
+            self.link = SocketLinkLayer(net, links, sampler, trace, seed, **options)
+            return self.link
+
+        network = Network(
+            env,
+            graph,
+            scenario.network,
+            seed=seed,
+            positions=positions,
+            trace=self.trace,
+            fault_state=FaultState(positions) if faults else None,
+            predicate=announced_action,
+            clocks=clocks,
+            link_layer=link_layer,
+        )
+        self.link.trusts_stamps = not is_skewed(scenario.network_faults)
+        self._faults = faults
+        return network, clocks
+
+    @staticmethod
+    def _horizon_of(scenario: Scenario) -> int:
+        return nanoseconds(scenario.horizon)
+
+    def _make_agent(self, clocks: list[NodeClock]) -> Agent:
+        """Create the agent of the pursuer and its processes."""
+        scenario, state, env, network, me = self._scenario, self._state, self._env, self._network, self.pursuer
+        sync = synchronise(env, network, clocks, scenario.clocks.sync, self._seed, self.trace)
+        if sync is not None:
+            sync.answered = self._wire.answered
+        self._view = view = View(state, scenario.prune)
+        global_state = GlobalState(state, scenario.prune, self._set_action)
+        step, clock = nanoseconds(scenario.motion.step), clocks[me]
+        witness = Witness(me, view, clock, network, network, step, self.trace)
+        judge = judge_of(scenario.announce.trust, witness)
+        agent = Agent(me, env, view, global_state, network, self._seed, scenario.announce, clock, network, judge)
+        if scenario.announce.start == "known":
+            for other, clock in enumerate(clocks):
+                body = Agent(other, env, view, global_state, network, self._seed, scenario.announce, clock)
+                network.set_initial_belief(other, body.announcement(), clock.stamp)
+        judges = [judge if pursuer == me else None for pursuer in range(state.size)]
+        team = TeamProcesses(env, scenario, _Body(self), {me: agent}, judges, None, None)
+        targets = partial(tuple, ())
+        inject(self._faults, env, network, crashed=team.crashed, recovered=team.recovered, targets=targets)
+        team.begin()
+        return agent
+
+    def _set_action(self, pursuer: int, action: int) -> None:
+        """Let the pursuer act otherwise, as its protocol has decided."""
+        action = possible_action(self._view, pursuer, action)
+        self._mirror.orders += 1
+        if action != self._state.profile[pursuer]:
+            self._mirror.set_action(action)
+        self._on_action(action, self._env.now)
+
+    # Sockets.
+
+    @asynccontextmanager
+    async def open(
+        self, address: Address, peers: Sequence[Address] = (), now: Callable[[], int] | None = None
+    ) -> AsyncIterator["Node"]:
+        """Listen at an address, and run the protocol until the block ends.
+
+        Args:
+            address: its own host and port; port 0: a free one.
+            peers: (N,) the addresses of all pursuers, in order; this one's own is not used.
+            now: returns the time since the start of the run, ns, which all nodes should have in common; None: this node
+                starts now. See "clocks" in the documentation.
+
+        Raises:
+            OSError: if the address cannot be used.
+            BaseException: what the protocol raises.
+        """
+        with self._opened:
+            await self.bind(address)
+            if peers:
+                self.connect(peers)
+            running = asyncio.create_task(self.run(now))
+            try:
+                yield self
+            finally:
+                self.stop()
+                await running
+
+    async def bind(self, address: Address, bound: socket.socket | None = None) -> Address:
+        """Listen at an address, or on a socket that is bound already; return the address."""
+        loop = asyncio.get_running_loop()
+        bound = bound or udp_socket(address)
+        self._transport, _ = await loop.create_datagram_endpoint(lambda: _Receiver(self), sock=bound)
+        host, port, *_ = self._transport.get_extra_info("sockname")
+        return str(host), int(port)
+
+    def connect(self, peers: Sequence[Address]) -> None:
+        """Name the addresses of all pursuers, in order.
+
+        Raises:
+            ValueError: if there are more or fewer of them than pursuers.
+        """
+        if len(peers) != self._state.size:
+            raise ValueError(f"peers should be the addresses of {self._state.size} pursuers (got {len(peers)})")
+        self._peers = [(str(host), int(port)) for host, port in peers]
+        self._number_of = {peer: number for number, peer in enumerate(self._peers)}
+
+    async def run(self, now: Callable[[], int] | None = None, *, caught_up: Callable[[], object] = lambda: None) -> None:
+        """Run the protocol until `stop` is called, or the horizon is reached.
+
+        Args:
+            now: as for `open`.
+            caught_up: called each time that the clock has caught up with the wall clock.
+
+        Raises:
+            BaseException: what the protocol raises.
+        """
+        self.clock = WallClock(self._env, now)
+        try:
+            await self.clock.follow(self._is_done, self._take, caught_up)
+        finally:
+            self.is_over = True
+            if self._transport is not None:
+                self._transport.close()
+
+    def stop(self) -> None:
+        """End the run of this node."""
+        self.is_over = True
+        if self.clock is not None:
+            self.clock.wake()
+
+    def _is_done(self) -> bool:
+        return self.is_over or self._env.now >= self._horizon
+
+    def _post(self, datagram: bytes, node: int) -> None:
+        """Send a datagram to a node; where it cannot be sent, it is lost."""
+        if self._transport is not None and self._peers:
+            with suppress(OSError):
+                self._transport.sendto(datagram, self._peers[node])
+
+    def arrived(self, datagram: bytes, address: Address) -> None:
+        """Take a datagram from the socket."""
+        self._received.append((datagram, self._number_of.get(address)))
+        if self.clock is not None:
+            self.clock.wake()
+
+    def _take(self) -> bool:
+        """Pass what has arrived to the link layer; return whether there was anything."""
+        any_received = bool(self._received)
+        while self._received:
+            self.link.receive(*self._received.popleft())
+        return any_received
+
+    # What the robot tells, and what it is told.
+
+    @property
+    def action(self) -> int:
+        """The evader that the pursuer chases, 1 .. M, or 0."""
+        return self._agent.action
+
+    @property
+    def now(self) -> float:
+        """The time since the start of the run, s."""
+        return seconds(self._env.now)
+
+    def show(self, frame: Frame) -> None:
+        """Let the world be as in a frame of the referee."""
+        self._mirror.show(frame)
+        if self.clock is not None:
+            self.clock.wake()
+
+    def sense(self, position: Any, evaders: Any, teammates: Any = None, velocities: Any = None) -> None:
+        """Tell the node where the pursuer and the evaders are now.
+
+        Between two calls, all go on at their velocities.
+
+        Args:
+            position: [x, y] of the pursuer, m.
+            evaders: (M, 2) positions of the evaders, m.
+            teammates: (N, 2) positions of all pursuers, m, its own included; None: it does not sense them, so
+                `announce.payload` should be "time", "state" or "course".
+            velocities: (M, 2) velocities of the evaders, m/s; None: they stand still until the next call.
+
+        Raises:
+            ValueError: if an argument has another shape, or is not finite.
+        """
+        state, me = self._state, self.pursuer
+        own, there = _points("position", [position], 1), _points("evaders", evaders, state.evader_count)
+        places = state.players.positions().copy()
+        if teammates is not None:
+            places[: state.size] = _points("teammates", teammates, state.size)
+        places[me], places[state.size :] = own.item(0), there
+        commands = np.zeros_like(places)
+        if velocities is not None:
+            commands[state.size :] = _points("velocities", velocities, state.evader_count)
+        now = self._env.now
+        horizon = min(now + nanoseconds(self._scenario.motion.step), self._horizon)
+        segments = [
+            [now, *pairs_of(np.array([place, place, velocity])), horizon]
+            for place, velocity in zip(there.tolist(), commands[state.size :].tolist(), strict=True)
+        ]
+        everybody = range(state.size + state.evader_count)
+        courses = None
+        if not state.dynamics.is_simple:
+            velocity, heading = state.players.courses(everybody)
+            courses = [pairs_of(velocity), pairs_of(heading)]
+        obeyed = [self._mirror.orders] * state.size
+        drifts = None if state.players.drifts is None else pairs_of(state.players.drifts)
+        broken = state.broken.nonzero()[0].tolist()
+        captured = {str(body.number): body.captured for body in state.bodies if body.captured is not None}
+        self.show(
+            Frame(now, pairs_of(places), pairs_of(commands), drifts, courses, state.profile, obeyed, broken, captured, segments)
+        )
+
+    def captured(self, evader: int) -> None:
+        """Tell the node that an evader has been captured.
+
+        Raises:
+            ValueError: if there is no such evader.
+        """
+        body = self._state.body(evader)
+        if body.captured is None:
+            self._state.capture(body)
+
+    def velocity(self) -> list[float]:
+        """Return the velocity that the pursuer should command now, [vx, vy], m/s, by the guidance of the scenario."""
+        state, action = self._state, self.action
+        if not action:
+            return [0.0, 0.0]
+        body = state.body(action)
+        gap = body.position - state.position(self.pursuer)
+        velocity = guided_velocity(
+            self._scenario.team.guidance, gap, gap, state.velocity(action), state.speed(self.pursuer)
+        )
+        return [velocity.real, velocity.imag]
+
+    def lateness(self) -> Lateness:
+        """Return how late the timers of the node have been so far."""
+        return Lateness.of([] if self.clock is None else self.clock.lateness)
+
+    def transport_counts(self) -> TransportCounts | None:
+        """Return the counts of transports up to now; None if no message has needed a transport."""
+        return self._network.transport_counts()
+
+
+class _Body:
+    """The robot of a node, as scheduled crashes take it down; the referee does so with the true one."""
+
+    def __init__(self, node: Node):
+        self._node = node
+
+    def crash(self, pursuer: int) -> None:
+        if pursuer == self._node.pursuer:
+            self._node._state.broken[pursuer] = True
+            self._node._mirror.set_action(0)
+
+    def recover(self, pursuer: int) -> None:
+        self._node._state.broken[pursuer] = False
+
+
+class _Receiver(asyncio.DatagramProtocol):
+    """Hands datagrams to a node."""
+
+    def __init__(self, node: Node):
+        self._node = node
+
+    def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
+        self._node.arrived(data, (addr[0], addr[1]))
+
+    def error_received(self, exc: Exception) -> None:
+        """Ignore that nobody listens at the address of a node that has crashed."""
+
+
+def udp_socket(address: Address) -> socket.socket:
+    """Return a UDP socket that is bound to an address."""
+    family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
+    bound = socket.socket(family, socket.SOCK_DGRAM)
+    bound.setblocking(False)
+    with suppress(OSError):
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+    try:
+        bound.bind(address)
+    except OSError:
+        bound.close()
+        raise
+    return bound
+
+
+def _points(name: str, pairs: Any, count: int) -> Any:
+    """Return (k, 2) positions as complex numbers."""
+    array = np.asarray(pairs, dtype=float)
+    if array.shape != (count, 2) or not np.isfinite(array).all():
+        raise ValueError(f"{name} should be finite numbers of shape {(count, 2) if count > 1 else (2,)} (got {pairs!r})")
+    return points_of(array)
