@@ -22,8 +22,9 @@ import numpy as np
 
 from desim.config.fresh import fresh_copy
 from desim.kernel.clock_sync import synchronise
-from desim.kernel.core.clock import Clock, NodeClock
+from desim.kernel.core.clock import Clock, Instant, NodeClock, Phase
 from desim.kernel.core.events import Trace, TransportCounts
+from desim.kernel.core.message_body import as_sent
 from desim.kernel.core.seeds import seed_of
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.fault_injection import inject
@@ -75,7 +76,6 @@ class Node:
 
     Attributes:
         pursuer: see above.
-        is_over: whether the node has stopped, or the horizon is reached.
         trace: the events of this node, but not its messages.
         link: its link layer, with what has been sent, received and dropped.
     """
@@ -94,7 +94,8 @@ class Node:
             raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {scenario.team.count - 1}")
         self._opened = ExitStack()
         scenario = self._opened.enter_context(fresh_copy(scenario))
-        self.pursuer, self.is_over, self._on_action = pursuer, False, on_action
+        self.pursuer, self._on_action = pursuer, on_action
+        self._horizon = nanoseconds(scenario.horizon)
         self._env = env = Clock()
         self._seed = seed = scenario.seed if seed is None else seed_of(seed)
         self._scenario, self._state = scenario, (state := initial_state(env, scenario, seed))
@@ -108,7 +109,8 @@ class Node:
         self._network, clocks = self._make_network(draws=draws)
         self._agent = self._make_agent(clocks)
         self.clock: WallClock | None = None
-        self._horizon = nanoseconds(scenario.horizon)
+        self._over = env.event()
+        Instant(env, self._horizon, Phase.SAMPLE + 1).callbacks.append(lambda _: self.stop())
 
     # Wiring, as in `desim.simulation.run`.
 
@@ -117,7 +119,7 @@ class Node:
         scenario, state, env, seed = self._scenario, self._state, self._env, self._seed
         faults = draw_faults(scenario.network_faults, state.size, scenario.horizon, seed)
         positions = PursuerPositions(state, scenario.team.top_speed + scenario.environment.top_speed)
-        clocks = node_clocks(env, scenario.network_faults, state.size, seed, self._horizon_of(scenario))
+        clocks = node_clocks(env, scenario.network_faults, state.size, seed, self._horizon)
         graph = scenario.network.make_graph(state.size)
         sampler = LinkSampler(scenario.network, graph, seed, positions, f"live {self.pursuer} ")
 
@@ -142,10 +144,6 @@ class Node:
         self._faults = faults
         return network, clocks
 
-    @staticmethod
-    def _horizon_of(scenario: Scenario) -> int:
-        return nanoseconds(scenario.horizon)
-
     def _make_agent(self, clocks: list[NodeClock]) -> Agent:
         """Create the agent of the pursuer and its processes."""
         scenario, state, env, network, me = self._scenario, self._state, self._env, self._network, self.pursuer
@@ -167,6 +165,9 @@ class Node:
         targets = partial(tuple, ())
         inject(self._faults, env, network, crashed=team.crashed, recovered=team.recovered, targets=targets)
         team.begin()
+        # Computed, and imported, at the first use, which would be a late one.
+        _, _ = agent.latency, agent.mean_degree
+        as_sent(agent.announcement())
         return agent
 
     def _set_action(self, pursuer: int, action: int) -> None:
@@ -235,22 +236,25 @@ class Node:
         Raises:
             BaseException: what the protocol raises.
         """
-        self.clock = WallClock(self._env, now)
+        self.clock = WallClock(self._env, self._over, now)
         try:
-            await self.clock.follow(self._is_done, self._take, caught_up)
+            await self.clock.follow(self._take, caught_up)
         finally:
-            self.is_over = True
+            self.stop()
             if self._transport is not None:
                 self._transport.close()
 
     def stop(self) -> None:
         """End the run of this node."""
-        self.is_over = True
+        if not self._over.triggered:
+            self._over.succeed()
         if self.clock is not None:
             self.clock.wake()
 
-    def _is_done(self) -> bool:
-        return self.is_over or self._env.now >= self._horizon
+    @property
+    def is_over(self) -> bool:
+        """Whether the node has stopped, or the horizon is reached."""
+        return self._over.triggered
 
     def _post(self, datagram: bytes, node: int) -> None:
         """Send a datagram to a node; where it cannot be sent, it is lost."""

@@ -31,8 +31,10 @@ def main() -> None:
     for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(name, signal.SIG_IGN)  # the caller decides when all end
     scenario, starts = pickle.loads(task)()
+    from desim.live.node import Node
     from desim.live.pursuer import play
 
+    Node(scenario, starts[0].pursuer, starts[0].seed)  # imports what all need, once
     numbers = {}
     for start in starts:
         if (child := os.fork()) == 0:

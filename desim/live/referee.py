@@ -200,8 +200,8 @@ class Referee:
         self._inject(scenario, world, trace)
         world.begin()
         env.process(self._frames(max(FRAME, nanoseconds(scenario.motion.step))))
-        self._clock = clock = WallClock(env, lambda: monotonic_ns() - begin)
-        await clock.follow(lambda: end.event is not None, self._take)
+        self._clock = clock = WallClock(env, end.over, lambda: monotonic_ns() - begin)
+        await clock.follow(self._take)
         world.sample()
         assert end.event is not None
         self._send("over", end.event.t)

@@ -3,10 +3,13 @@
 import asyncio
 from collections.abc import Callable, Sequence
 from time import monotonic_ns
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.units import SECOND
+
+if TYPE_CHECKING:
+    import simpy
 
 MAX_KEPT = 1_000_000
 """Number of latenesses that are kept."""
@@ -37,38 +40,36 @@ class WallClock:
 
     Args:
         env: the clock, at time 0.
+        over: the event after which the clock stops.
         now: returns the time of the wall clock, ns; None: the time since now, by the monotonic clock.
 
     Attributes:
         lateness: how late each timer was, ns.
     """
 
-    def __init__(self, env: Clock, now: Callable[[], int] | None = None):
+    def __init__(self, env: Clock, over: "simpy.Event", now: Callable[[], int] | None = None):
         begin = monotonic_ns()
-        self._env, self.now = env, now or (lambda: monotonic_ns() - begin)
+        self._env, self._over, self.now = env, over, now or (lambda: monotonic_ns() - begin)
         self.lateness: list[int] = []
         self._woken = asyncio.Event()
 
     def advance(self) -> None:
         """Let all events happen that are due, and let the clock show the present time."""
-        env = self._env
-        while (due := env.peek()) <= (now := self.now()):
+        env, over = self._env, self._over
+        while not over.processed and (due := env.peek()) <= (now := self.now()):
             if len(self.lateness) < MAX_KEPT and due > env.now:
                 self.lateness.append(int(now - due))
-            env.advance(int(due))
-        env.advance(now)
+            env.advance(int(due), over)
+        env.advance(self.now(), over)
 
     def wake(self) -> None:
         """End the wait of `follow`, because something was planned or the clock is to stop."""
         self._woken.set()
 
-    async def follow(
-        self, is_over: Callable[[], bool], take: Callable[[], bool], caught_up: Callable[[], object] = lambda: None
-    ) -> None:
-        """Follow the wall clock until a condition holds.
+    async def follow(self, take: Callable[[], bool], caught_up: Callable[[], object] = lambda: None) -> None:
+        """Follow the wall clock until the clock stops.
 
         Args:
-            is_over: the condition.
             take: called when the clock has caught up; takes what has arrived from outside, and returns whether there
                 was anything.
             caught_up: called after that, before the clock waits.
@@ -79,10 +80,10 @@ class WallClock:
         while True:
             self._woken.clear()
             self.advance()
-            while take():
+            while not self._over.processed and take():
                 self.advance()
             caught_up()
-            if is_over():
+            if self._over.processed:
                 return
             due = self._env.peek()
             wait = None if due == float("inf") else (due - self.now()) / SECOND

@@ -111,18 +111,25 @@ class Clock(simpy.Environment):
         with RARE_COLLECTION, _as_raised():
             return super().run(until)
 
-    def advance(self, time: int) -> None:
+    def advance(self, time: int, until: simpy.Event | None = None) -> None:
         """Process all events up to and including a time, ns, which is then the present; see also `run`.
 
         Use it for a clock that follows another one. Unlike `run`, it leaves no event behind.
+
+        Args:
+            time: the time.
+            until: an event after which the clock stops; None: there is none.
 
         Raises:
             BaseException: as `run`.
         """
         with _as_raised():
             while self._queue and self._queue[0][0] <= time:
+                if until is not None and until.processed:
+                    return
                 self.step()
-        self._now = max(self._now, time)
+        if until is None or not until.processed:
+            self._now = max(self._now, time)
 
     def scheduled(self) -> dict[int, int]:
         """Return the time (ns) of each scheduled event, by the `id` of the event."""
