@@ -165,7 +165,7 @@ def sweep(
     path = folder / (f"sweep.{shard[0]}-of-{shard[1]}.sqlite" if shard else STORE)
     start = time.perf_counter()
     if dry_run:
-        with storing(folder), Store(path if path.exists() else None) as store:
+        with storing(folder), Store(path if path.exists() else None, read_only=path.exists()) as store:
             plan.check(store, mix_versions=mix_versions)
             text = _plan_text(plan, plan.shard(*(shard or (1, 1))), plan.done(store, shown), until)
         echo(text)

@@ -7,7 +7,7 @@ types of its values. A value that was edited into another of its type is not not
 import sqlite3
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import cache, wraps
 from pathlib import Path
 from typing import Any, ParamSpec, Self, TypeVar
@@ -15,7 +15,17 @@ from typing import Any, ParamSpec, Self, TypeVar
 from pydantic import TypeAdapter, ValidationError
 
 from desim.config.interrupts import deferred
-from desim.study.store.connection import connected, use_rollback_journal, use_write_ahead_log
+from desim.study.store.connection import (
+    LOCK_TIMEOUT,
+    connected,
+    is_unsettled,
+    lock_of,
+    settle,
+    use_rollback_journal,
+    use_write_ahead_log,
+)
+from desim.study.store.file_systems import network_file_system
+from desim.study.store.lock_file import Holder, LockedError, LockFile
 
 FORMAT = "4"
 """The version of the tables below, and of the hashes of configurations."""
@@ -85,6 +95,8 @@ class StoreFile:
 
     def __init__(self, path: Path | None = None, *, read_only: bool = False):
         self.path: Any = path or "the store in memory"
+        self._lock: LockFile | None = None
+        self._open_things = ExitStack()
         if read_only and not (path and path.is_file()):
             raise StoreError(f"{path}: there is no such store")
         self._open(path, read_only)
@@ -93,14 +105,42 @@ class StoreFile:
     def _open(self, path: Path | None, read_only: bool) -> None:
         if path is not None and not read_only:
             path.parent.mkdir(parents=True, exist_ok=True)
-        self.database = connected(path, read_only)
+        network = network_file_system(path) if path is not None else ""
         try:
-            self._prepare(path, read_only)
+            if path is not None and network:
+                self._share(path, network, read_only)
+            self.database = connected(path, read_only, network)
+            self._open_things.callback(lambda: self.database.close())
+            self._prepare(path, read_only, network)
         except BaseException:
             self.close()
             raise
 
-    def _prepare(self, path: Path | None, read_only: bool) -> None:
+    def _share(self, path: Path, network: str, read_only: bool) -> None:
+        """Get the lock of a file on a network file system, and end what a writer that died has begun.
+
+        Raises:
+            StoreError: if another process writes to the file.
+        """
+        if read_only:
+            settle(path, network)
+            return
+
+        def tell(holder: Holder) -> None:
+            warnings.warn(f"{path}: waits until {holder}, has ended", stacklevel=2)
+
+        try:
+            self._lock = lock_of(path).acquire(LOCK_TIMEOUT, tell)
+        except LockedError as error:
+            raise StoreError(
+                f"{path}: {error}, and on {network} one process at a time writes to a store: wait until it has ended,"
+                " or choose another folder (-o, in Python store=)"
+            ) from None
+        self._open_things.callback(self._lock.release)
+        if path.exists() and is_unsettled(path):
+            use_rollback_journal(path, network)
+
+    def _prepare(self, path: Path | None, read_only: bool, network: str) -> None:
         """Check the content of the store, or create the tables in an empty file."""
         if _has_tables(path, self.database):
             self.database.execute(f"PRAGMA cache_size = -{CACHE}")
@@ -108,24 +148,33 @@ class StoreFile:
         elif read_only:
             raise StoreError(f"{path}: is empty")
         else:
-            self._create(path)
+            self._create(path, network)
             self.database.execute(f"PRAGMA cache_size = -{CACHE}")
-        self.database.execute("PRAGMA query_only = ON" if read_only else "PRAGMA synchronous = NORMAL")
+        durable = "FULL" if network else "NORMAL"  # the time of a commit is that of the file server anyway
+        self.database.execute("PRAGMA query_only = ON" if read_only else f"PRAGMA synchronous = {durable}")
 
-    def _create(self, path: Path | None) -> None:
+    def _create(self, path: Path | None, network: str) -> None:
         """Create the tables, with a write-ahead log if the file system supports it, else with a rollback journal."""
-        reason = use_write_ahead_log(self.database)
-        if reason:
-            self.database.close()
-            use_rollback_journal(path)
-            self.database = connected(path)
+        reason = "" if network else use_write_ahead_log(self.database)
+        if reason or network:
+            self._use_rollback_journal(path, network)
         self.database.executescript(f"BEGIN IMMEDIATE; {TABLES} {view_of(())}; COMMIT")
-        if reason:
+        if network:
+            warnings.warn(
+                f"{path}: is on {network}, so the store has a rollback journal, and one process at a time writes to it",
+                stacklevel=2,
+            )
+        elif reason:
             warnings.warn(
                 f"{path}: this file system allows no write-ahead log ({reason}), so the store has a rollback journal:"
                 " let only one sweep at a time use it",
                 stacklevel=2,
             )
+
+    def _use_rollback_journal(self, path: Path | None, network: str) -> None:
+        self.database.close()
+        use_rollback_journal(path, network)
+        self.database = connected(path, network=network)
 
     def _check_content(self) -> None:
         """Raise StoreError if the file is corrupt, or a run has no configuration."""
@@ -157,7 +206,16 @@ class StoreFile:
 
     @contextmanager
     def writing(self) -> Iterator[sqlite3.Connection]:
-        """Yield the database inside a transaction that excludes other writers."""
+        """Yield the database inside a transaction that excludes other writers.
+
+        Raises:
+            StoreError: if the store is on a network file system and another host took this process for dead.
+        """
+        if self._lock is not None and not self._lock.is_held():
+            raise StoreError(
+                f"{self.path}: this process gave no sign of life for so long that another one took over the store;"
+                " the same command resumes"
+            )
         with self.database:
             self.database.execute("BEGIN IMMEDIATE")
             yield self.database
@@ -183,7 +241,7 @@ class StoreFile:
 
     def close(self) -> None:
         """Close the file; when its last connection closes, SQLite moves a write-ahead log into it."""
-        self.database.close()
+        self._open_things.close()
 
     def __enter__(self) -> Self:
         return self

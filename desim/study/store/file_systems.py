@@ -1,0 +1,80 @@
+"""Which file system a folder is on: network file systems cannot share memory, or lose locks.
+
+SQLite's write-ahead log needs memory that all processes of a file share. On a network file system, two hosts have two
+such memories. The log then works at first, and the file is damaged later (SQLite, "Write-Ahead Logging", section 1).
+"""
+
+import re
+import tempfile
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+MOUNTS = Path("/proc/mounts")
+"""The table of mounts of Linux; where there is none, no file system is recognised."""
+NETWORK = {
+    "NFS": ("nfs", "nfs4"),
+    "SMB": ("cifs", "smb2", "smb3", "smbfs", "ncpfs"),
+    "Lustre": ("lustre",),
+    "GPFS": ("gpfs",),
+    "BeeGFS": ("beegfs", "fhgfs"),
+    "Ceph": ("ceph",),
+    "AFS": ("afs", "auristorfs"),
+    "9P": ("9p",),
+    "virtiofs": ("virtiofs",),
+    "a cluster file system": ("gfs2", "ocfs2", "panfs", "orangefs", "pvfs2", "wekafs", "glusterfs", "coda"),
+    "FUSE": ("fuse", "fuseblk"),
+}
+"""The types of network file systems in `MOUNTS`, by the name that users know; any `fuse.NAME` is FUSE, too.
+
+The files of a FUSE file system may be on another host; the table does not say."""
+NAMES = {kind: name for name, kinds in NETWORK.items() for kind in kinds}
+ESCAPE = re.compile(r"\\([0-7]{3})")
+
+
+def network_file_system(path: Path) -> str:
+    """Return the name of the network file system that a file or folder is on; "" if it is on none.
+
+    The path need not exist. Symbolic links are followed. The mount with the longest path that contains it decides; of
+    several mounts on one path, the last hides the others.
+    """
+    place, here, kind = path.resolve(), -1, ""
+    for point, mounted in _mounts():
+        if place.is_relative_to(point) and len(point.parts) >= here:
+            here, kind = len(point.parts), mounted
+    return NAMES.get(kind.partition(".")[0], "")
+
+
+def _mounts() -> Iterator[tuple[Path, str]]:
+    """Yield the path and the type of each mount; blanks and some other characters of a path are octal escapes."""
+    try:
+        table = MOUNTS.read_text(encoding="utf-8", errors="surrogateescape")
+    except OSError:  # no Linux, or hidden
+        return
+    for line in table.splitlines():
+        if len(fields := line.split(" ")) >= 3:
+            yield Path(ESCAPE.sub(lambda match: chr(int(match[1], 8)), fields[1])), fields[2]
+
+
+def has_locks(folder: Path) -> bool:
+    """Return whether files of a folder can be locked by `fcntl`; Lustre without the option `flock` has no locks.
+
+    A folder in which no file can be made counts as one with locks: SQLite will say what is wrong.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return True
+    try:
+        with tempfile.TemporaryFile(dir=folder) as probe:
+            return _locks(partial(fcntl.lockf, probe, fcntl.LOCK_EX | fcntl.LOCK_NB))
+    except OSError:
+        return True
+
+
+def _locks(lock: Callable[[], object]) -> bool:
+    try:
+        lock()
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,214 @@
+"""A lock among processes of several hosts that share a folder: a file that names its holder, which rewrites it often.
+
+A lock file works where locks of the operating system do not, because creating a link is atomic on every network file
+system. It is stale if its holder has not rewritten it for `STALE` seconds, by the clock of the file server. That the
+process of this number is gone counts only if the holder ran on this host, in this namespace of processes.
+"""
+
+import json
+import os
+import socket
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Self
+
+HEARTBEAT = 5.0
+"""The interval, s of wall time, at which a holder rewrites its lock file."""
+STALE = 120.0
+"""The age, s, from which a lock file is stale. NFS may show times that are a minute old, so it is well above that."""
+PAUSE = 0.1
+"""The interval, s of wall time, between two attempts to get a lock."""
+
+
+class LockedError(OSError):
+    """Raised when another process holds a lock; the message names the process and its host."""
+
+
+@dataclass(frozen=True, slots=True)
+class Holder:
+    """The process that holds a lock, as its lock file says."""
+
+    host: str
+    place: str
+    """Identifies the host since its start, and the namespace of processes; see `place`."""
+    pid: int
+    token: str
+    """Identifies the lock: a process that gets it again has another token."""
+    age: float = 0.0
+    """The time since the holder last rewrote the file, s by the clock of the file server."""
+
+    def is_gone(self) -> bool:
+        """Return whether the lock is stale, or its process is known to have ended."""
+        return self.age > STALE or (self.place == place() and not _runs(self.pid))
+
+    def __str__(self) -> str:
+        who = f"process {self.pid} on {self.host}" if self.pid else "an unknown process"
+        return f"{who}, whose last sign of life is {max(self.age, 0.0):.0f} s old"
+
+
+class LockFile:
+    """A lock that at most one process holds among all that use the same path.
+
+    Args:
+        path: the path of the lock file; its folder must exist.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        self._token = uuid.uuid4().hex
+        self._beats, self._file = 0, -1
+        self._ended = threading.Event()
+
+    def acquire(self, patience: float, on_wait: Callable[[Holder], None] = lambda _: None) -> Self:
+        """Get the lock, for which this process waits; `on_wait` is called once, if it must.
+
+        A holder that shows no sign of life is waited for until its lock is stale, so that work resumes on another host.
+
+        Raises:
+            LockedError: if the holder is alive after `patience` s of wall time, or is this process.
+        """
+        start = time.monotonic()
+        waits = False
+        while (holder := self.try_acquire()) is not None:
+            if (holder.place, holder.pid) == (place(), os.getpid()):
+                raise LockedError("this process uses it already")
+            if not waits:
+                waits = True
+                on_wait(holder)
+            if time.monotonic() - start > patience and holder.age < 3 * HEARTBEAT:
+                raise LockedError(f"{holder}, uses it")
+            time.sleep(PAUSE)
+        return self
+
+    def try_acquire(self) -> Holder | None:
+        """Get the lock and return None, or return the process that holds it."""
+        draft = self.path.with_name(f".{self.path.name}.{self._token}")
+        file = os.open(draft, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+        try:
+            while True:
+                _rewrite(file, self._content())
+                if (held := _published(draft, file, self.path)) >= 0:
+                    self._hold(held)
+                    return None
+                if (holder := _holder(self.path, os.fstat(file).st_mtime)) is None:
+                    continue  # it was released meanwhile
+                if not holder.is_gone():
+                    return holder
+                self._remove(holder)
+        finally:
+            draft.unlink(missing_ok=True)
+            os.close(file)
+
+    def _content(self) -> bytes:
+        """Return the text of the lock file, whose length does not change, so that rewriting it never leaves half."""
+        fields = {"host": socket.gethostname(), "place": place(), "pid": os.getpid(), "token": self._token}
+        return f"{json.dumps(fields | {'beat': f'{self._beats:010}'})}\n".encode()
+
+    def _hold(self, file: int) -> None:
+        self._file = file
+        _rewrite(file, self._content())
+        self._ended.clear()
+        threading.Thread(target=self._beat, daemon=True).start()
+
+    def _beat(self) -> None:
+        while not self._ended.wait(HEARTBEAT):
+            self._beats += 1
+            with suppress(OSError):  # if the lock is lost, `is_held` says so
+                _rewrite(self._file, self._content())
+
+    def _remove(self, holder: Holder) -> None:
+        """Remove a stale lock, unless another process has just replaced it by its own, which is put back."""
+        aside = self.path.with_name(f".{self.path.name}.{self._token}.stale")
+        with suppress(FileNotFoundError):
+            self.path.rename(aside)
+            if (taken := _holder(aside, 0.0)) is not None and taken.token != holder.token:
+                with suppress(OSError):
+                    os.link(aside, self.path)
+            aside.unlink()
+
+    def is_held(self) -> bool:
+        """Return whether this object holds the lock; False if it was too long without a sign of life and lost it."""
+        return self._file >= 0 and (holder := _holder(self.path, 0.0)) is not None and holder.token == self._token
+
+    def release(self) -> None:
+        """Release the lock if it is held."""
+        if self._file < 0:
+            return
+        self._ended.set()
+        if self.is_held():
+            self.path.unlink(missing_ok=True)
+        os.close(self._file)
+        self._file = -1
+
+
+def _rewrite(file: int, content: bytes) -> None:
+    """Write the content of a lock file, whose time is then that of the file server."""
+    os.lseek(file, 0, os.SEEK_SET)
+    os.write(file, content)
+    os.fsync(file)
+
+
+def _published(draft: Path, file: int, path: Path) -> int:
+    """Give a draft the path of the lock, and return a descriptor of the lock file; -1 if there is a lock already.
+
+    The answer of an NFS server to a link can be lost, and the repeated request then fails: the count of links decides.
+    A file system without links has only the exclusive creation of a file, which SMB and FUSE do right.
+    """
+    try:
+        os.link(draft, path)
+    except FileExistsError:
+        return os.dup(file) if os.fstat(file).st_nlink == 2 else -1
+    except OSError:
+        try:
+            return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+        except FileExistsError:
+            return -1
+    return os.dup(file)
+
+
+def _holder(path: Path, now: float) -> Holder | None:
+    """Return the holder that a lock file names; None if there is no file.
+
+    Opening the file makes NFS ask the server for its time. A file without a holder was just made, or its maker died.
+    """
+    try:
+        with path.open("rb") as stream:
+            age, text = now - os.fstat(stream.fileno()).st_mtime, stream.read()
+    except FileNotFoundError:
+        return None
+    try:
+        named = json.loads(text)
+        return Holder(str(named["host"]), str(named["place"]), int(named["pid"]), str(named["token"]), age)
+    except (ValueError, KeyError, TypeError):
+        return Holder("", "", 0, "", age)
+
+
+@cache
+def place() -> str:
+    """Return a text that two processes share only if their process numbers mean the same: host, start, namespace."""
+    parts = [socket.gethostname()]
+    with suppress(OSError):
+        parts.append(Path("/proc/sys/kernel/random/boot_id").read_text().strip())
+        parts.append(str(Path("/proc/self/ns/pid").readlink()))
+    return " ".join(parts)
+
+
+def _runs(pid: int) -> bool:
+    """Return whether a process of this host runs; a zombie does not."""
+    with suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in {"Z", "X"}
+    if os.name != "posix":  # there, a signal ends a process
+        return True
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # of another user
+        return True
+    return True
