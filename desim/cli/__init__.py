@@ -21,6 +21,7 @@ from desim.cli.pages import replay, report
 from desim.cli.play import play
 from desim.cli.plot import plot
 from desim.cli.program import Program
+from desim.cli.race import race
 from desim.cli.start import examples, new
 from desim.cli.usage import no_command
 from desim.config.trust import no_cwd_import
@@ -35,6 +36,7 @@ GROUPS: dict[str, dict[click.Command, str]] = {
         run: "Run a scenario with one or several seeds.",
         sweep: "Run each configuration of a grid with many seeds; resumes.",
         fates: "Send the messages of a log over the network of a scenario.",
+        race: "Find the best configuration of a grid, in few runs.",
         explain: "Measure what each imperfection of the network costs.",
         break_: "Search for the smallest scenario that breaks a protocol.",
         merge: "Merge the runs of several stores of one sweep.",

@@ -40,10 +40,7 @@ class KeyRange:
         The ends themselves are exact.
         """
         low, high = (self.low, self.high + 1.0) if self.is_whole else (self.low, self.high)
-        if self.is_log:
-            number = exp(log(low) + share * (log(high) - log(low)))
-        else:
-            number = low + share * (high - low)
+        number = exp(log(low) + share * (log(high) - log(low))) if self.is_log else low + share * (high - low)
         if self.is_whole:  # each number is as probable as another
             return min(int(number), int(self.high))
         if share in (0.0, 1.0):

@@ -17,6 +17,8 @@ from desim.results import provenance
 from desim.study.store.store import Store
 
 HEAD = ("folder", "kind", "scenario", "date", "runs", "state")
+UNPLANNED = ("explain", "race", "sensitivity")
+"""The kinds of results of which `run.json` does not say how many runs their store should have."""
 TAIL = 4096
 """The number of bytes at the end of a trace in which its last event is looked for."""
 
@@ -153,7 +155,7 @@ def _entry(folder: Path, stores: list[Path], has_trace: bool, modified: float) -
     except (OSError, ValueError) as error:
         return Entry(folder, kind, scenario, modified, None, _first_line(error))
     parts = ["parts of a sweep: merge them"] if stores[0].name != STORE else []
-    if kind == "explain" or planned is None or not runs:
+    if kind in UNPLANNED or planned is None or not runs:
         parts += [] if runs else ["empty"]
     elif runs < planned:
         parts.append(f"unfinished: {runs:,} of {planned:,}")

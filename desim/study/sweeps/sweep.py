@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import dataclass
@@ -339,28 +339,41 @@ def _run(
         RunError: if a run fails and `fail_fast` is set.
     """
     failed: dict[tuple[str, int], Row] = {}
+    with (
+        progress(len(jobs), plan.base.name, "run") as bar,
+        closing(perform_jobs(jobs, plan, store, workers, timeout)) as batches,
+    ):
+        for batch in batches:
+            advance(bar, len(batch))
+            for configuration, row in batch:
+                if not row.ok:
+                    failed[configuration.key, row.replication] = row
+                if fail_fast:
+                    check_ok(configuration, row)
+    return failed
+
+
+def perform_jobs(
+    jobs: Sequence[Job], plan: SweepPlan, store: Store, workers: Workers, timeout: float | None
+) -> Generator[list[tuple[Configuration, Row]], None, None]:
+    """Perform some runs, add each batch to the store as it ends, and yield it."""
     seeds = [plan.seed(configuration, k) for configuration, k in jobs]
     tasks = [(configuration.scenario, seed) for (configuration, _), seed in zip(jobs, seeds, strict=True)]
     measure = partial(measured, plan.metrics)
-    with (
-        progress(len(jobs), plan.base.name, "run") as bar,
-        closing(drive_batches(tasks, workers, measure=measure, simulate=simulation(timeout))) as batches,
-    ):
+    with closing(drive_batches(tasks, workers, measure=measure, simulate=simulation(timeout))) as batches:
         for batch in batches:
             rows = [
-                (at, Row(jobs[at][1], seeds[at], outcome.status, outcome.value, outcome.traceback))
+                (jobs[at][0], Row(jobs[at][1], seeds[at], outcome.status, outcome.value, outcome.traceback))
                 for at, outcome in batch
             ]
-            store.add_all(plan.root, [(jobs[at][0].key, row) for at, row in rows])
-            advance(bar, len(rows))
-            for at, row in rows:
-                if not row.ok:
-                    failed[jobs[at][0].key, row.replication] = row
-                if fail_fast and not row.ok:
-                    raise RunError(
-                        f"the run of {jobs[at][0]} with seed {row.seed} failed ({row.status})\n{row.traceback}"
-                    )
-    return failed
+            store.add_all(plan.root, [(configuration.key, row) for configuration, row in rows])
+            yield rows
+
+
+def check_ok(configuration: Configuration, row: Row) -> None:
+    """Raise RunError if a run failed."""
+    if not row.ok:
+        raise RunError(f"the run of {configuration} with seed {row.seed} failed ({row.status})\n{row.traceback}")
 
 
 def check_target(metric: str, half_width: float, added: UsersMetrics = ()) -> None:

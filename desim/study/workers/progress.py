@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
 
-def progress(total: int, label: str, unit: str) -> "tqdm[Any]":
+def progress(total: int | None, label: str, unit: str) -> "tqdm[Any]":
     """Return a progress bar, to be used in a `with` statement.
 
     Args:
-        total: the number of steps; call `update` after each.
+        total: the number of steps, None if it is not known; call `update` after each.
         label: the text before the bar.
         unit: the name of a step.
     """

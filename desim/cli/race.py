@@ -1,0 +1,139 @@
+"""`desim race`: which configuration of a grid is best, with a guarantee."""
+
+import json
+import sys
+from pathlib import Path
+
+import click
+
+from desim.cli.options import (
+    ALLOW_IMPORT,
+    CLUSTER,
+    DESIGN,
+    FILE,
+    GRID,
+    JOBS,
+    JSON,
+    MIX_VERSIONS,
+    SEED,
+    SET,
+    TIMEOUT,
+    echo,
+    fail,
+    folder_for,
+    source_of,
+    storing,
+    working,
+)
+from desim.config.file_names import STORE
+from desim.config.trust import write_whole
+
+
+@click.command()
+@FILE
+@GRID
+@DESIGN
+@click.option(
+    "-y",
+    "--metric",
+    metavar="NAME",
+    default="active_time",
+    show_default=True,
+    help="The metric: a built-in or installed one (`desim metrics`), or MODULE:FUNCTION.",
+)
+@click.option(
+    "--zone",
+    type=float,
+    required=True,
+    help="The smallest difference of means that matters, in the unit of the metric (the indifference zone).",
+)
+@click.option(
+    "--confidence",
+    type=float,
+    default=0.95,
+    show_default=True,
+    help="Probability of finding the best if it is better than every other by --zone.",
+)
+@click.option("--maximise/--minimise", default=None, help="Whether more is better; default: as the metric says.")
+@click.option("--first", type=click.IntRange(min=2), default=20, show_default=True, help="First runs of each.")
+@click.option(
+    "-n", "--runs", type=click.IntRange(2, 1_000_000), default=10_000, show_default=True, help="Most runs of each."
+)
+@SEED
+@JOBS
+@CLUSTER
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder of the store; default: out/NAME.")
+@TIMEOUT
+@MIX_VERSIONS
+@JSON
+@ALLOW_IMPORT
+@SET
+def race(
+    file: Path,
+    grid: tuple[str, ...],
+    design: str | None,
+    metric: str,
+    zone: float,
+    confidence: float,
+    maximise: bool | None,
+    first: int,
+    runs: int,
+    seed: int | None,
+    jobs: int,
+    cluster: str | None,
+    out: Path | None,
+    timeout: float | None,
+    mix_versions: bool,
+    as_json: bool,
+    overrides: tuple[str, ...],
+) -> None:
+    """Find the configuration of a grid with the best mean of a metric, with as few runs as that takes.
+
+    Configurations that have lost take no further runs (Kim & Nelson 2001). Runs of a sweep in the same folder are not
+    repeated, so the same command resumes.
+    """
+    from desim.results import provenance
+    from desim.results.run_folder import can_plot
+    from desim.study.selection.race import carry_out_race, check_race
+    from desim.study.store.store import Store
+    from desim.study.sweeps.sweep import SweepPlan
+
+    source, scenario = source_of(file, overrides, (metric,), grid, design)
+    name = metric.rpartition(":")[2]
+    try:
+        plan = SweepPlan.of(source, reps=runs, seed=seed)
+        is_greatest = check_race(plan, name, zone, confidence, maximise)
+    except ValueError as error:
+        fail(str(error))
+    folder = folder_for(scenario, out)
+    with storing(folder), Store(folder / STORE) as store:
+        before = len(store)
+        plan.register(store, mix_versions=mix_versions)
+        store.note_command(str(Path.cwd()), sys.argv)
+        try:
+            with working(jobs, cluster, store, plan.runs) as workers:
+                result = carry_out_race(
+                    plan,
+                    store,
+                    workers,
+                    name,
+                    zone=zone,
+                    confidence=confidence,
+                    maximise=is_greatest,
+                    first=first,
+                    timeout=timeout,
+                )
+        except ValueError as error:
+            fail(str(error))
+        made = provenance.document("race", scenario, seed=plan.root, runs=result.runs, folder=file.parent)
+        provenance.write(folder, made)
+        text = json.dumps(result.document(), indent=2)
+        write_whole(folder / "race.json", f"{text}\n".encode())
+        write_whole(folder / "race.txt", f"{result.table()}\n".encode())
+        echo(text if as_json else result.table())
+        echo(f"{store.added} runs were performed, {before} were already stored; store: {folder / STORE}", err=True)
+        if can_plot():
+            from desim.analysis.drawing.plots import save
+
+            for picture in save(result.plot(), folder / "race"):
+                echo(f"wrote {picture}", err=True)

@@ -1,0 +1,244 @@
+"""A race: runs of several configurations, one after the other, until the best is known with a given confidence.
+
+Run k of all configurations has the same seed, so that what chance does to all of them alike does not count. The runs
+that decide are the same with any number of workers: several workers perform the next runs ahead, and those that are not
+needed in the end only remain in the store.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from contextlib import closing
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from desim.analysis.metrics import Metrics, check_numeric, more_is, unit_of, words
+from desim.config.arguments import naming_arguments
+from desim.scenario.overrides import Source
+from desim.scenario.scenario import Scenario
+from desim.scenario.sweep_table import Design
+from desim.simulation.watchdog import checked_limit
+from desim.study.plan.configurations import SweepGrid
+from desim.study.selection.kim_nelson import check_confidence, check_zone, kim_nelson
+from desim.study.selection.race_result import RaceResult
+from desim.study.store.run_table import Row
+from desim.study.store.store import Store
+from desim.study.sweeps.sweep import MAX_RUNS, SweepPlan, check_ok, perform_jobs
+from desim.study.workers.progress import advance, progress
+from desim.study.workers.workers import Workers, workers_for
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+FIRST = 20
+"""The default number of first runs of each configuration."""
+AHEAD = 2
+"""The number of runs that are performed together for each worker, if there are several."""
+
+
+@naming_arguments
+def race(
+    scenario: Scenario | Source,
+    grid: SweepGrid | None = None,
+    metric: str = "active_time",
+    *,
+    zone: float,
+    confidence: float = 0.95,
+    maximise: bool | None = None,
+    first: int = FIRST,
+    most: int = MAX_RUNS,
+    executor: Executor | int | str = 1,
+    seed: int | None = None,
+    design: Design | str | None = None,
+    store: str | Path | None = None,
+    metrics: Metrics | None = None,
+    timeout: float | None = None,
+    mix_versions: bool = False,
+) -> RaceResult:
+    """Find the configuration of a grid with the best mean of a metric, with as few runs as that takes.
+
+    Use it instead of a sweep if only the best configuration is of interest. Configurations that have lost take no
+    further runs; the procedure is that of Kim & Nelson 2001 (`desim.study.selection.kim_nelson`).
+
+        print(race(load("relay.toml"), {"protocol": ["sap", "cbba", "local_min"]}, zone=0.2))
+
+    Args:
+        scenario: the scenario that is varied.
+        grid: as in `sweep`; None = the grid of `scenario.sweep`.
+        metric: the name of the metric; every run needs a value.
+        zone: the indifference zone: the smallest difference of means that matters, in the unit of the metric. The
+            number of runs grows with 1 / zone^2, or with 1 / zone where means differ by much more. If in doubt, take a
+            tenth of the mean.
+        confidence: the probability with which the best is found if it is better than every other by `zone`; between 1/k
+            for k configurations and 1.
+        maximise: whether the greatest mean is the best; None = as the metric says (`desim metrics`).
+        first: the number of first runs of each configuration, at least 2, from which variances are estimated. If in
+            doubt, 20.
+        most: the largest number of runs of a configuration; the result then says that it is not decided.
+        executor: as in `sweep`; the result does not depend on it.
+        seed: the root seed; None = that of the scenario.
+        design: as in `sweep`.
+        store: the file in which runs are kept, that of a sweep for instance; finished runs in it are not repeated.
+        metrics: metrics in addition to the built-in ones, by name.
+        timeout: the wall time, s, after which a run counts as failed.
+        mix_versions: as in `sweep`.
+
+    Raises:
+        ScenarioError: if the scenario or the grid is invalid.
+        ValueError: if there is only one configuration, a number is out of its range, the metric does not exist, is not
+            numeric, has no or an infinite value in a run, or does not say whether more of it is better.
+        StoreError: if the store cannot be used; see `sweep`.
+        RunError: if a run fails.
+    """
+    if timeout is not None:
+        checked_limit(timeout)
+    plan = SweepPlan.of(scenario, grid, most, seed, metrics, design)
+    is_greatest = check_race(plan, metric, zone, confidence, maximise)
+    with Store(None if store is None else Path(store)) as kept, workers_for(executor) as workers:
+        plan.register(kept, mix_versions=mix_versions)
+        return carry_out_race(
+            plan,
+            kept,
+            workers,
+            metric,
+            zone=zone,
+            confidence=confidence,
+            maximise=is_greatest,
+            first=first,
+            timeout=timeout,
+        )
+
+
+def check_race(plan: SweepPlan, metric: str, zone: float, confidence: float, maximise: bool | None) -> bool:
+    """Return whether the greatest mean is the best.
+
+    Raises:
+        ValueError: if the arguments make no race; see `race`.
+    """
+    if len(plan.configurations) < 2:
+        raise ValueError(
+            f"a race needs at least two configurations, and the grid has one, {plan.configurations[0]}: give a key"
+            " several values"
+        )
+    added = dict(plan.metrics)
+    check_numeric(metric, added)
+    check_zone(zone, unit_of(metric, {name: one.unit for name, one in plan.metrics}))
+    check_confidence(confidence, len(plan.configurations))
+    if maximise is not None:
+        return maximise
+    better = more_is(metric, added)
+    if better is None:
+        raise ValueError(
+            f"{words(metric)}: whether more of it is better is not known: say `maximise` (--maximise or --minimise)"
+        )
+    return better == "better"
+
+
+def carry_out_race(
+    plan: SweepPlan,
+    store: Store,
+    workers: Workers,
+    metric: str,
+    *,
+    zone: float,
+    confidence: float,
+    maximise: bool,
+    first: int = FIRST,
+    timeout: float | None = None,
+) -> RaceResult:
+    """Run a race of the configurations of a plan, at most `plan.reps` runs of each; see `race`.
+
+    Raises:
+        ValueError: if a number is out of its range, or the metric has no or an infinite value in a run.
+        RunError: if a run fails.
+    """
+    count = len(plan.configurations)
+    with progress(None, plan.base.name, "run") as bar:
+        samples = _Samples(plan, store, workers, metric, first, timeout, bar)
+        selection = kim_nelson(
+            samples, count, zone=zone, confidence=confidence, first=first, maximise=maximise, most=plan.reps
+        )
+    return RaceResult(
+        plan.base.name,
+        metric,
+        unit_of(metric, {name: one.unit for name, one in plan.metrics}),
+        maximise,
+        zone,
+        confidence,
+        first,
+        tuple(configuration.columns for configuration in plan.configurations),
+        selection,
+        plan.common,
+    )
+
+
+class _Samples:
+    """The values of a metric by configuration and replication; runs that the store lacks are performed."""
+
+    def __init__(
+        self,
+        plan: SweepPlan,
+        store: Store,
+        workers: Workers,
+        metric: str,
+        first: int,
+        timeout: float | None,
+        bar: "tqdm[Any]",
+    ):
+        self._plan, self._store, self._workers = plan, store, workers
+        self._metric, self._first, self._timeout, self._bar = metric, first, timeout, bar
+        self._places = {configuration.key: k for k, configuration in enumerate(plan.configurations)}
+        needed = {metric, *dict(plan.metrics)}
+        self._rows: dict[tuple[int, int], Row] = {
+            (k, row.replication): row
+            for k, configuration in enumerate(plan.configurations)
+            for row in store.runs(configuration.key, plan.root)
+            if row.summary is not None and needed <= row.summary.keys()
+        }
+
+    def __call__(self, systems: Sequence[int], replication: int) -> list[float]:
+        if any((system, replication) not in self._rows for system in systems):
+            self._perform(systems, replication)
+        return [self._value(system, self._rows[system, replication]) for system in systems]
+
+    def _perform(self, systems: Sequence[int], replication: int) -> None:
+        """Perform the runs of a replication; the first ones together, and later ones as the number of workers asks."""
+        several = self._workers.count > 1
+        ahead = max(1, AHEAD * self._workers.count // len(systems)) if several else 1
+        end = self._first if replication < self._first else replication + ahead
+        jobs = [
+            (self._plan.configurations[system], k)
+            for k in range(replication, min(end, self._plan.reps))
+            for system in systems
+            if (system, k) not in self._rows
+        ]
+        self._bar.set_postfix_str(f"{len(systems)} of {len(self._places)} left", refresh=False)
+        with closing(perform_jobs(jobs, self._plan, self._store, self._workers, self._timeout)) as batches:
+            for batch in batches:
+                advance(self._bar, len(batch))
+                for configuration, row in batch:
+                    check_ok(configuration, row)
+                    self._rows[self._places[configuration.key], row.replication] = row
+
+    def _value(self, system: int, row: Row) -> float:
+        """Return the value of the metric in a run.
+
+        Raises:
+            ValueError: if there is none, or it is infinite.
+        """
+        return metric_value(self._metric, f"{self._plan.configurations[system]}", row.seed, row.value(self._metric))
+
+
+def metric_value(metric: str, configuration: str, seed: int, value: float | None) -> float:
+    """Return the value of a metric in a run, as a finite number.
+
+    Raises:
+        ValueError: if there is none, or it is infinite.
+    """
+    where = f"{words(metric)}: the run of {configuration} with seed {seed}"
+    if value is None:
+        instead = "; end_time counts the horizon where there is no capture" if "capture_time" in metric else ""
+        raise ValueError(f"{where} has no value, and a mean over all seeds needs one in every run{instead}")
+    if not isfinite(value):
+        raise ValueError(f"{where} is {float(value)}, and a mean needs finite values")
+    return float(value)

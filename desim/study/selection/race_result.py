@@ -1,0 +1,200 @@
+"""The result of a race: which configuration is best, which were dropped when, and what that saved."""
+
+import html
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from desim.analysis.metrics import with_unit, words
+from desim.analysis.statistics import Estimate, mean, paired
+from desim.analysis.table_formats import Table, TableFormat, formatted
+from desim.analysis.tables import as_json, counted, digits_of, with_half_width
+from desim.config.extras import naming_extras
+from desim.config.html import html_table
+from desim.config.json_numbers import json_number
+from desim.study.plan.configurations import in_words
+from desim.study.results.runs import text
+from desim.study.selection.kim_nelson import Selection, independent_variances, two_stage_runs
+
+if TYPE_CHECKING:
+    from desim.analysis.drawing.plots import Axes, Figure, Style
+    from desim.config.arrays import Floats
+
+
+@dataclass(frozen=True, repr=False)
+class RaceResult:
+    """A race between configurations; see `desim.race`."""
+
+    name: str
+    metric: str
+    unit: str
+    """The unit of the metric."""
+    maximise: bool
+    """Whether the greatest mean is the best."""
+    zone: float
+    """The indifference zone, in the unit of the metric."""
+    confidence: float
+    first: int
+    """The number of first runs of each configuration."""
+    settings: tuple[Mapping[str, Any], ...]
+    """The settings of each configuration, in the order of the grid."""
+    selection: Selection
+    """What the procedure decided; a system is the position of a configuration in `settings`."""
+    common: bool
+    """Whether run k of every configuration had the same seed."""
+
+    @property
+    def best(self) -> Mapping[str, Any]:
+        """The settings of the configuration with the best mean."""
+        return self.settings[self.selection.selected]
+
+    @property
+    def is_decided(self) -> bool:
+        """Whether the guarantee holds: False if the largest number of runs was reached."""
+        return self.selection.is_decided
+
+    @property
+    def runs(self) -> int:
+        """The number of runs of all configurations that decided."""
+        return self.selection.total
+
+    @property
+    def plain_runs(self) -> int:
+        """The number of runs of a two-stage design with the same seeds and guarantee; see `two_stage_runs`."""
+        return two_stage_runs(self.selection.variances, self.first, self.confidence, self.zone)
+
+    @property
+    def independent_runs(self) -> int:
+        """The number of runs of the same two-stage design if each run had a seed of its own."""
+        variances = independent_variances(self.selection.samples, self.first)
+        return two_stage_runs(variances, self.first, self.confidence, self.zone)
+
+    @property
+    def order(self) -> list[int]:
+        """The positions of the configurations: the best, the others that were left by their means, the dropped ones."""
+        means = [float(numbers.mean()) for numbers in self.selection.samples]
+        best = self.selection.selected
+        others = [system for system in self.selection.left if system != best]
+        others.sort(key=lambda system: -means[system] if self.maximise else means[system])
+        return [best, *others, *(dropped.system for dropped in reversed(self.selection.dropped))]
+
+    def mean_of(self, system: int) -> Estimate:
+        """Return the mean of the metric over the runs of a configuration, given its position."""
+        return mean(self.selection.samples[system])
+
+    def behind(self, system: int) -> Estimate:
+        """Return the mean difference of a configuration from the best, over the runs that both have."""
+        samples: tuple[Floats, ...] = self.selection.samples
+        both = min(len(samples[system]), len(samples[self.selection.selected]))
+        return paired(samples[system][:both], samples[self.selection.selected][:both])
+
+    def sentences(self) -> list[str]:
+        """Return what the race found, with what guarantee, and what it cost."""
+        best, side = in_words(self.best), "greatest" if self.maximise else "least"
+        amount = f"{self.zone:g} {self.unit}".rstrip()
+        count = len(self.settings)
+        if len({self.mean_of(system).mean for system in self.selection.left}) == 1 < len(self.selection.left):
+            tied = " and ".join(in_words(self.settings[system]) for system in self.order[: len(self.selection.left)])
+            found = f"{words(self.metric)}: the means of {tied} are equal in {counted(self.first, 'run')}"
+        else:
+            found = f"{best} has the {side} {words(self.metric)} of {count} configurations"
+        if self.is_decided:
+            how = (
+                f"the best of {count} is found with a probability of at least {self.confidence:g} if it is better than"
+                f" every other by {amount} or more; of closer ones any may be selected (Kim & Nelson 2001, for normal"
+                " values)"
+            )
+        else:
+            left = len(self.selection.left)
+            longest = max(map(len, self.selection.samples))
+            how = (
+                f"not decided: {left} of {count} were left after {counted(longest, 'run')} of each; at most"
+                f" {self.selection.most:,} of each would decide"
+            )
+        runs = f"{counted(self.runs, 'run')}; a two-stage design with the same guarantee, which drops none, takes"
+        if not self.common:
+            return [found, how, f"{runs} {self.plain_runs:,} (Clark & Yang 1986)"]
+        seeds = f"{self.plain_runs:,} with the same seeds, and {self.independent_runs:,} if each run has its own"
+        return [found, how, f"{runs} {seeds} (Clark & Yang 1986)"]
+
+    def tables(self) -> list[Table]:
+        """Return the table as its title and rows of text; the first row is the header."""
+        keys, lost = list(self.settings[0]), {dropped.system: dropped for dropped in self.selection.dropped}
+        means, differences = [self.mean_of(k) for k in self.order], [self.behind(k) for k in self.order[1:]]
+        title = with_unit(words(self.metric), self.unit)
+        rows = [("", *keys, title, "behind the best", "runs", "dropped against")]
+        for rank, system in enumerate(self.order):
+            count = len(self.selection.samples[system])
+            behind = (
+                "" if not rank else with_half_width(differences[rank - 1], count, "+", digits=digits_of(differences))
+            )
+            against = in_words(self.settings[lost[system].against]) if system in lost else ""
+            place = str(rank + 1) if system == self.selection.selected or system in lost else "left"
+            cells = (with_half_width(means[rank], count, digits=digits_of(means)), behind, str(count), against)
+            rows.append((place, *map(text, self.settings[system].values()), *cells))
+        seeds = "the same seeds" if self.common else "independent seeds"
+        head = f"{self.name}: a race of {len(self.settings)} configurations, {seeds}; +- is half a 95 % t interval"
+        return [(head, rows)]
+
+    def table(self, *, format: TableFormat = "text") -> str:  # noqa: A002 - the word of users
+        """Return the table and the sentences: text, latex (booktabs) or markdown.
+
+        The intervals do not allow for the moment at which a configuration was dropped; the guarantee is in a sentence.
+
+        Raises:
+            ValueError: if there is no such format.
+        """
+        return formatted(self.tables(), self.sentences(), format, right_from=1 + len(self.settings[0]))
+
+    @naming_extras()
+    def plot(self, *, size: str | None = None, style: "Style" = None, ax: "Axes | None" = None) -> "Figure":
+        """Return the running means of all configurations, and how many are left; needs matplotlib (the extra `plot`).
+
+        Args:
+            size: the width and perhaps the height, such as "8.5cm"; such a figure has no title.
+            style: a style of matplotlib on top of that of desim.
+            ax: the axes to draw the running means on, for a figure of several; None = a figure of its own.
+        """
+        from desim.study.selection.race_figure import draw_race
+
+        return draw_race(self, size=size, style=style, ax=ax)
+
+    def document(self) -> dict[str, Any]:
+        """Return the race as JSON-compatible values; None where undefined."""
+        lost = {dropped.system: dropped for dropped in self.selection.dropped}
+        return {
+            "name": self.name,
+            "metric": self.metric,
+            "best": {key: json_number(value) for key, value in self.best.items()},
+            "is_decided": self.is_decided,
+            "maximise": self.maximise,
+            "zone": self.zone,
+            "confidence": self.confidence,
+            "first": self.first,
+            "runs": self.runs,
+            "most_runs_of_each": self.selection.most,
+            "two_stage_runs": self.plain_runs,
+            "two_stage_runs_with_independent_seeds": self.independent_runs,
+            "sentences": self.sentences(),
+            "configurations": [
+                {
+                    "settings": {key: json_number(value) for key, value in self.settings[system].items()},
+                    "mean": as_json(self.mean_of(system)),
+                    "behind": as_json(self.behind(system)),
+                    "dropped_after": lost[system].after if system in lost else None,
+                    "dropped_against": lost[system].against if system in lost else None,
+                }
+                for system in self.order
+            ],
+        }
+
+    def __str__(self) -> str:
+        return self.table()
+
+    def __repr__(self) -> str:
+        return f"<RaceResult of {self.name}: {in_words(self.best)} of {counted(len(self.settings), 'configuration')}>"
+
+    def _repr_html_(self) -> str:
+        """Return the table as HTML, for notebooks."""
+        sentences = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in self.sentences())
+        return "".join(html_table(heading, rows) for heading, rows in self.tables()) + sentences

@@ -1,0 +1,283 @@
+"""The race: the procedure against its formulas and its promise, and the runs that it performs."""
+
+from concurrent.futures import Executor, Future
+from math import floor, sqrt
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from desim import Scenario, race, sweep
+from desim.study.selection.kim_nelson import constants, independent_variances, kim_nelson, two_stage_runs
+from desim.study.store.store import Store
+from desim.study.sweeps.sweep import RunError, SweepPlan
+
+SYSTEMS = 5
+LEAST_FAVOURABLE = np.array([0.0, 0.0, 0.0, 0.0, 1.0])
+SPREADS = {
+    "equal": np.full(5, 2.0),
+    "best varies most": np.array([1.0, 2, 1, 2, 3]),
+    "best least": np.array([3.0, 2, 1, 2, 1]),
+}
+
+
+def drawn(rng, count, means, spreads, correlation):
+    """Return (count, k) normal samples whose pairs of systems have a correlation."""
+    common, own = rng.standard_normal((count, 1)), rng.standard_normal((count, len(means)))
+    return means + spreads * (sqrt(correlation) * common + sqrt(1.0 - correlation) * own)
+
+
+def selected(samples, **options):
+    """Return the result of the procedure for samples, an array (replications, k)."""
+    options = {"zone": 1.0, "first": 10} | options
+    return kim_nelson(lambda systems, k: samples[k, systems], samples.shape[1], **options)
+
+
+def selections(repetitions, spreads, correlation, means=LEAST_FAVOURABLE, **options):
+    """Yield the result of the procedure for each repetition; the last system is the best."""
+    for repetition in range(repetitions):
+        samples = drawn(np.random.default_rng([7, repetition]), 1500, means, spreads, correlation)
+        yield selected(samples, **options)
+
+
+def test_the_constants_are_those_of_the_formula():
+    assert constants(5, 10, 0.95) == pytest.approx((0.63497, 11.4294), rel=1e-5)
+    eta, square = constants(3, 20, 0.9)
+    assert eta == pytest.approx(((2 * 0.1 / 2) ** (-2 / 19) - 1) / 2)
+    assert square == pytest.approx(2 * eta * 19)
+
+
+def as_in_the_paper(samples, zone, confidence, first):
+    """Return the selected system and the times of elimination: section 3 of Kim & Nelson, step by step."""
+    k = samples.shape[1]
+    eta = ((2 * (1 - confidence) / (k - 1)) ** (-2 / (first - 1)) - 1) / 2
+    h2 = 2 * eta * (first - 1)
+    s2 = [[np.var(samples[:first, i] - samples[:first, j], ddof=1) for j in range(k)] for i in range(k)]
+    most = max(floor(h2 * s2[i][j] / zone**2) for i in range(k) for j in range(k) if i != j)
+    left, r, times = list(range(k)), first, {}
+    if first > most:
+        return int(samples[:first].mean(axis=0).argmax()), times
+    while True:
+        mean = samples[:r].mean(axis=0)
+
+        def margin(i, j, r=r):
+            return max(0.0, zone / (2 * r) * (h2 * s2[i][j] / zone**2 - r))
+
+        kept = [i for i in left if all(mean[i] >= mean[j] - margin(i, j) for j in left if j != i)]
+        times |= {i: r for i in left if i not in kept}
+        left = kept
+        if len(left) == 1:
+            return left[0], times
+        r += 1
+        if r == most + 1:
+            return max(left, key=lambda i: samples[:r, i].mean()), times
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.64])
+def test_the_procedure_is_that_of_the_paper_step_by_step(correlation):
+    for seed in range(20):
+        samples = drawn(np.random.default_rng(seed), 1500, LEAST_FAVOURABLE, SPREADS["equal"], correlation)
+        selection = selected(samples)
+        best, times = as_in_the_paper(samples, 1.0, 0.95, 10)
+        assert selection.selected == best
+        assert {dropped.system: dropped.after for dropped in selection.dropped} == times
+        mirrored = selected(-samples, maximise=False)
+        assert (mirrored.selected, mirrored.dropped) == (selection.selected, selection.dropped)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("correlation", [0.0, 0.64])
+@pytest.mark.parametrize("spreads", SPREADS.values(), ids=SPREADS)
+def test_the_best_is_selected_as_often_as_promised(spreads, correlation):
+    """300 repetitions: at the promised probability the share has a standard error of 0.0126."""
+    right = sum(selection.selected == 4 for selection in selections(300, spreads, correlation))
+    assert right / 300 >= 0.95 - 3 * sqrt(0.95 * 0.05 / 300)
+
+
+@pytest.mark.slow
+def test_a_procedure_that_believes_in_a_zone_of_three_times_the_difference_breaks_the_promise():
+    """The control of the test above."""
+    right = sum(selection.selected == 4 for selection in selections(300, SPREADS["equal"], 0.0, zone=3.0))
+    assert right / 300 < 0.95 - 3 * sqrt(0.95 * 0.05 / 300)
+
+
+def test_common_random_numbers_take_at_most_half_of_the_runs():
+    with_common, without = (
+        np.mean([selection.total for selection in selections(60, SPREADS["equal"], correlation)])
+        for correlation in (0.64, 0.0)
+    )
+    assert with_common <= without / 2
+
+
+def test_systems_that_are_far_behind_take_few_runs():
+    far = np.array([-20.0, -20.0, -20.0, 0.0, 1.0])
+    (selection,) = selections(1, SPREADS["equal"], 0.0, means=far)
+    assert [len(numbers) for numbers in selection.samples[:3]] == [10, 10, 10]
+    assert selection.selected == 4
+
+
+def test_a_limit_of_samples_ends_the_procedure_undecided():
+    (selection,) = selections(1, SPREADS["equal"], 0.0, most=12)
+    assert not selection.is_decided
+    assert max(map(len, selection.samples)) == 12
+    assert len(selection.left) > 1
+
+
+def test_two_stages_take_what_clark_and_yang_say():
+    variances = np.array([[0.0, 2.0, 3.0], [2.0, 0.0, 4.0], [3.0, 4.0, 0.0]])
+    t = stats.t.ppf(1 - 0.05 / 2, 9)
+    assert two_stage_runs(variances, 10, 0.95, 0.5) == 3 * int(np.ceil(4.0 * t**2 / 0.25))
+    assert two_stage_runs(variances, 10, 0.95, 50.0) == 30
+    samples = [np.array([0.0, 2.0]), np.array([0.0, 4.0])]
+    assert independent_variances(samples, 2)[0, 1] == 2.0 + 8.0
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"systems": 1}, "at least two systems"),
+        ({"zone": 0.0}, "zone should be positive"),
+        ({"zone": float("nan")}, "zone should be positive"),
+        ({"zone": float("inf")}, "zone should be positive"),
+        ({"confidence": 0.5}, "between 1/2"),
+        ({"confidence": 1.0}, "between 1/2"),
+        ({"first": 1}, "first should be at least 2"),
+        ({"most": 5}, "most should be at least first, 20"),
+    ],
+)
+def test_what_is_no_selection_is_refused(options, why):
+    with pytest.raises(ValueError, match=why):
+        kim_nelson(lambda systems, _: [0.0 for _ in systems], **({"systems": 2, "zone": 1.0} | options))
+
+
+@pytest.mark.parametrize("number", [float("inf"), float("nan")])
+def test_a_sample_that_is_not_finite_is_refused(number):
+    with pytest.raises(ValueError, match="the sample of system 1 in replication 0"):
+        kim_nelson(lambda *_: [0.0, number], 2, zone=1.0)
+
+
+SHORT = Scenario(horizon=0.01, team={"count": 2}, record={"trajectory": 0})
+COUNTS = {"team.count": [2, 3, 4]}
+
+
+def luck(result):
+    """Return a number in [0, 1) that depends on the seed alone."""
+    return float(np.random.default_rng(result.seed).random())
+
+
+def size_and_luck(result):
+    own = float(np.random.default_rng([result.seed, result.scenario.team.count]).random())
+    return -0.5 * result.scenario.team.count + luck(result) + own
+
+
+def raced(**options):
+    usual = {"zone": 0.2, "first": 5, "maximise": False, "metrics": {"score": size_and_luck}}
+    return race(SHORT, COUNTS, "score", **(usual | options))
+
+
+def test_a_race_finds_the_best_and_says_who_was_dropped_when():
+    result = raced()
+    assert result.best == {"team.count": 4}
+    assert sorted(result.order) == [0, 1, 2]
+    assert result.is_decided
+    assert result.runs == sum(map(len, result.selection.samples))
+    first, *_ = result.sentences()
+    assert first == "team.count = 4 has the least score of 3 configurations"
+    assert f"{result.runs} runs; a two-stage design" in result.table()
+    assert result.plain_runs < result.independent_runs
+    document = result.document()
+    assert document["best"] == {"team.count": 4}
+    assert [one["dropped_after"] for one in document["configurations"]] == [
+        None,
+        *(dropped.after for dropped in reversed(result.selection.dropped)),
+    ]
+    assert raced(maximise=True).best == {"team.count": 2}
+
+
+def test_a_race_reads_the_runs_of_a_sweep_and_resumes(tmp_path):
+    path = tmp_path / "sweep.sqlite"
+    sweep(SHORT, COUNTS, reps=3, store=path, metrics={"score": size_and_luck})
+    first = raced(store=path)
+    with Store(path) as store:
+        assert len(store) == first.runs
+        times = [row.seed for configuration, _ in store.configurations() for row in store.runs(configuration, 0)]
+    again = raced(store=path)
+    assert again.document() == first.document() == raced().document()
+    with Store(path) as store:
+        assert [row.seed for one, _ in store.configurations() for row in store.runs(one, 0)] == times
+
+
+class FourAtOnce(Executor):
+    """An executor for four calls at the same time, which it makes at once."""
+
+    _max_workers = 4
+
+    def submit(self, call, /, *args):
+        future = Future()
+        future.set_result(call(*args))
+        return future
+
+
+def test_the_result_does_not_depend_on_the_number_of_workers(tmp_path):
+    paths = [tmp_path / "one.sqlite", tmp_path / "four.sqlite"]
+    one, four = raced(store=paths[0]), raced(store=paths[1], executor=FourAtOnce())
+    assert one.document() == four.document()
+    with Store(paths[0]) as exact, Store(paths[1]) as ahead:
+        assert len(ahead) > len(exact) == one.runs
+
+
+def nothing(result):
+    return None if result.seed == 2 else 1.0
+
+
+def endless(result):
+    return float("inf") if result.seed == 2 else 1.0
+
+
+def failing(_):
+    raise RuntimeError("no value")
+
+
+@pytest.mark.parametrize(
+    ("call", "why"),
+    [
+        (lambda: race(SHORT, {"team.count": [2]}, zone=0.1), "at least two configurations, and the grid has one, team"),
+        (lambda: race(SHORT, COUNTS, "activ_time", zone=0.1), "no numeric metric 'activ_time', did you mean"),
+        (lambda: race(SHORT, COUNTS, "capturers", zone=0.1), "no numeric metric 'capturers'"),
+        (lambda: race(SHORT, COUNTS, zone=0.0), "zone should be positive: it is the smallest difference .* s "),
+        (lambda: race(SHORT, COUNTS, zone=0.1, confidence=0.3), "between 1/3"),
+        (lambda: raced(maximise=None), "score: whether more of it is better is not known"),
+        (lambda: race(SHORT, COUNTS, "capture_time", zone=0.1), "with seed 0 has no value, .*; end_time counts"),
+        (lambda: raced(metrics={"score": nothing}), "the run of team.count = 2 with seed 2 has no value"),
+        (lambda: raced(metrics={"score": endless}), "with seed 2 is inf, and a mean needs finite values"),
+        (lambda: race(SHORT, {"team.count": [0, 2]}, zone=0.1), "should be greater than or equal to 1"),
+        (lambda: race(SHORT, {"network.loss.p": "0:1"}, zone=0.1), "a range without steps"),
+    ],
+)
+def test_what_is_no_race_is_refused(call, why):
+    with pytest.raises(ValueError, match=why):
+        call()
+
+
+def test_a_run_that_fails_ends_the_race():
+    with pytest.raises(RunError, match=r"the run of team.count = 2 with seed 0 failed"):
+        raced(metrics={"score": failing})
+
+
+def test_a_race_over_a_design_is_one_over_its_points():
+    points = {"network.loss.p": "0:0.5"}
+    result = race(SHORT, points, "score", zone=1.0, first=3, maximise=True, design="sobol:2", metrics={"score": luck})
+    assert [dict(settings) for settings in result.settings] == [
+        configuration.settings for configuration in SweepPlan.of(SHORT, points, design="sobol:2").configurations
+    ]
+    assert "the means of" in result.sentences()[0]
+    assert "are equal" in result.sentences()[0]
+
+
+@pytest.mark.slow
+def test_the_figure_of_a_race_has_a_line_for_each_configuration():
+    figure = raced().plot()
+    upper, lower = figure.axes
+    assert len(upper.lines) == 6
+    assert next(text.get_text() for text in figure.legends[0].get_texts()) == "team.count = 4"
+    assert next(iter(lower.lines[0].get_ydata())) == 3
