@@ -140,12 +140,13 @@ def _capture_times(result: Result, evader: int, path: "_Path") -> Callable[[Floa
         return np.array(phi_of_pursuers)
 
     def among_walls(t: Floats) -> Floats:
-        free, space = scenario.space.free_place, scenario.space
-        phi_of_pursuers = []
+        space, phi_of_pursuers = scenario.space, []
         for gaps, at in zip(path.gaps(t), path.pursuers(t), strict=True):
-            # Between two samples, a straight line may cut a corner of a wall.
-            places = np.where(space.are_free(at), at, [free(place) for place in at.tolist()])
-            phi_of_pursuers.append(radial_time(space.distances(places, free(complex(at[0] + gaps[0])))))
+            places = np.append(at, at[0] + gaps[0])
+            free = space.are_free(places)
+            if not free.all():  # between two samples, a straight line may cut a corner of a wall
+                places = np.where(free, places, [space.free_place(place) for place in places.tolist()])
+            phi_of_pursuers.append(radial_time(space.distances(places[:-1], complex(places[-1]))))
         return np.array(phi_of_pursuers)
 
     if not dynamics.is_simple:

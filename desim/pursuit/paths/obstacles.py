@@ -10,12 +10,41 @@ from math import atan2
 import numpy as np
 
 from desim.config.arrays import Bools, Floats, Points
-from desim.kernel.walls.crossings import Segments, Shape, gaps
-from desim.pursuit.core.state import coordinates, lengths
-from desim.pursuit.paths.corners import BOTH, Arrangement, Side, is_within
+from desim.kernel.walls.crossings import Shape, segments_of
+from desim.pursuit.core.state import lengths
+from desim.pursuit.paths.corners import BOTH, Arrangement, Side
 
 SLIDES = 3
 """Number of walls along which a player slides in one motion step before it stops."""
+
+
+class Rings:
+    """The edges of all polygons, wall by wall.
+
+    Args:
+        walls: the lines and polygons of each wall.
+    """
+
+    def __init__(self, walls: Sequence[Sequence[Shape]]):
+        rings = [segments_of((0, shape) for shape in wall if shape.closed) for wall in walls]
+        rings = [edges for edges in rings if edges]
+        self._first = np.cumsum([0, *(len(edges.owners) for edges in rings)])[:-1]
+        """The first edge of each wall."""
+        starts, ends = (np.vstack([np.zeros((0, 2)), *(edges[k] for edges in rings)]) for k in (0, 1))
+        (self._x, self._y), (end_x, self._end_y) = starts.T, ends.T
+        rise = self._end_y - self._y
+        self._slope = (end_x - self._x) / np.where(rise == 0.0, 1.0, rise)
+
+    def cover(self, x: Floats, y: Floats) -> Bools:
+        """Return which of k places (x, y), each (k, 1) m, are inside the polygons of a wall and in none of its holes.
+
+        On an outline, either is possible.
+        """
+        if not len(self._first):
+            return np.zeros(len(x), dtype=bool)
+        crosses = ((self._y > y) != (self._end_y > y)) & (x < self._x + (y - self._y) * self._slope)
+        odd = np.add.reduceat(crosses.view(np.int8), self._first, axis=1) % 2
+        return np.asarray(odd.any(axis=1))
 
 
 class Obstacles:
@@ -30,17 +59,17 @@ class Obstacles:
     """
 
     def __init__(self, walls: Sequence[Sequence[Shape]]):
-        self._plan, self._solids = Arrangement(walls), [wall for wall in walls if any(shape.closed for shape in wall)]
+        self._plan = Arrangement(walls)
         self._touch, self.clearance = self._plan.touch, self._plan.clearance
         self._places = self._plan.places
         self._begin, self._end = np.array(sorted(self._plan.pieces), dtype=np.intp).reshape(-1, 2).T
         begin, end = self._places[self._begin], self._places[self._end]
-        self._segments = Segments(coordinates(begin), coordinates(end), np.zeros(len(begin), dtype=np.intp))
         self._x, self._y, self._size = begin.real, begin.imag, lengths(end - begin)
         self._along_x, self._along_y = (end - begin).real / self._size, (end - begin).imag / self._size
         solid = [self._plan.pieces[begin, end] for begin, end in sorted(self._plan.pieces)]
         self._solid = np.array([[side in sides for sides in solid] for side in ("right", "left")], dtype=bool)
         """(2, E) whether the inside of a wall is to the right, and to the left, of each piece."""
+        self._rings = Rings(walls)
         at = [k for k, corner in enumerate(self._plan.corners) if corner.bend is not None]
         self._bend_at = np.array(at, dtype=np.intp)
         self.bends: Points = self._places[self._bend_at]
@@ -61,10 +90,12 @@ class Obstacles:
 
     def are_free(self, places: Points) -> Bools:
         """Return which of (k,) places, m, a player may have: not inside a wall, and not closer than the clearance."""
-        points = coordinates(places)
-        free: Bools = gaps(points, self._segments) >= self.clearance
-        for wall in self._solids:
-            free &= ~is_within(points, wall)
+        x, y = places.real[:, None], places.imag[:, None]
+        along = (x - self._x) * self._along_x + (y - self._y) * self._along_y
+        share = np.minimum(np.maximum(along, 0.0), self._size)
+        gaps = np.hypot(x - self._x - share * self._along_x, y - self._y - share * self._along_y)
+        free = np.asarray((gaps >= self.clearance).all(axis=1))
+        free &= ~self._rings.cover(x, y)
         return free
 
     def clear(self, source: complex, targets: Points) -> Bools:

@@ -5,8 +5,7 @@ distance of two players is the length of the shortest path between them.
 """
 
 from cmath import rect
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from math import ceil, inf, pi
 from typing import ClassVar
@@ -253,14 +252,26 @@ class Walled(Plane):
 
 PLANE = Plane()
 """The plane without walls."""
+MAX_SPACES = 32
+"""Maximum number of spaces that are kept, for other runs among the same walls."""
+_spaces: dict[tuple[bytes, ...], Plane] = {}
 
 
 def space_among(walls: Sequence[Wall]) -> Plane:
     """Return the space among some walls; the distances of corners are computed once."""
-    motion, sight = (tuple(wall for wall in walls if what in wall.blocks) for what in ("motion", "sight"))
-    return _space(motion, sight) if motion or sight else PLANE
+    motion, sight = ([wall for wall in walls if what in wall.blocks] for what in ("motion", "sight"))
+    if not motion and not sight:
+        return PLANE
+    key = tuple(text for wall in walls for text in _content(wall))
+    space = _spaces.get(key)
+    if space is None:
+        space = _spaces[key] = Walled(motion, sight) if motion else Plane(sight)
+        if len(_spaces) > MAX_SPACES:
+            del _spaces[next(iter(_spaces))]
+    return space
 
 
-@lru_cache(maxsize=32)
-def _space(motion: tuple[Wall, ...], sight: tuple[Wall, ...]) -> Plane:
-    return Walled(motion, sight) if motion else Plane(sight)
+def _content(wall: Wall) -> Iterator[bytes]:
+    """Yield what determines a wall, for motion and sight."""
+    yield ",".join(wall.blocks).encode()
+    yield from (bytes([shape.closed]) + shape.corners.tobytes() for shape in wall.shapes)
