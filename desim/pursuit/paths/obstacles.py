@@ -141,7 +141,7 @@ class Obstacles:
             distance, rate = _dot(offset, across), _dot(way, across)
             if distance < 0.0:
                 across, distance, rate = -across, -distance, -rate
-            way -= across * (rate + max(distance - self.clearance, 0.0))
+            way -= across * (rate + max(distance - 2.0 * self.clearance, 0.0))
         return 0j if self._wall_ahead(place, way) is not None else way
 
     def free_place(self, place: complex) -> complex:
