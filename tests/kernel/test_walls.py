@@ -28,7 +28,7 @@ SQUARE = ((0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0))
 def segments(*walls):
     """Return walls (start, end) as segments."""
     starts, ends = np.array([start for start, _ in walls]), np.array([end for _, end in walls])
-    return Segments(starts.reshape(-1, 2), ends.reshape(-1, 2), np.arange(len(walls)))
+    return Segments.of(starts.reshape(-1, 2), ends.reshape(-1, 2))
 
 
 def crossed(start, end, *walls, margin=0.0):
@@ -59,7 +59,7 @@ def test_one_polygon_is_the_same_however_it_is_written(keys):
     (shape,) = Wall(**keys).shapes
     assert shape.closed
     assert shape.corners.tolist() == [list(corner) for corner in SQUARE]
-    assert [len(part) for part in shape.edges] == [4, 4]
+    assert len(segments_of([(0, shape)]).starts) == 4
 
 
 def test_a_text_may_have_several_lines_and_polygons_with_holes():
@@ -321,7 +321,7 @@ def random_fields(fields, density, length, distance, seed):
     count = rng.poisson(fields * density * np.prod(high - low))
     centres, angles = rng.uniform(low, high, size=(count, 2)), rng.uniform(0.0, pi, size=count)
     halves = length / 2 * np.column_stack([np.cos(angles), np.sin(angles)])
-    walls = Segments(centres - halves, centres + halves, np.arange(count))
+    walls = Segments.of(centres - halves, centres + halves)
     hit = crossings(np.zeros((1, 2)), np.array([[distance, 0.0]]), walls)[0]
     return np.bincount(rng.integers(fields, size=count)[hit], minlength=fields)
 

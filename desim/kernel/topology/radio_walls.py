@@ -7,16 +7,15 @@ and diffraction are not modelled. The losses along the line add up, as in the mu
 them, as those of ITU-R P.1238, would count them twice.
 """
 
-import math
 from collections.abc import Sequence
+from math import exp, inf, log
 
 import numpy as np
 
 from desim.config.arrays import Floats
-from desim.kernel.core.portable_math import exp
 from desim.kernel.core.positions import Nodes, PositionSource
 from desim.kernel.core.seeds import ROOM
-from desim.kernel.walls.crossings import crossings
+from desim.kernel.walls.crossings import crossed_by
 from desim.kernel.walls.wall import Wall, blocking
 
 LARGEST = 600.0
@@ -33,18 +32,19 @@ class RadioWalls:
     """
 
     def __init__(self, walls: Sequence[Wall], positions: PositionSource, size: int):
-        self._segments, self._positions = blocking(walls, "radio"), positions
-        self._losses = np.array([wall.decibels for wall in walls])[self._segments.owners, np.newaxis]
+        segments, self._positions = blocking(walls, "radio"), positions
+        self._corners = segments.corners
+        self._losses = np.zeros((len(segments.corners) - 1, 1))
+        """The loss from each corner to the next, dB; 0 where there is no wall between them."""
+        self._losses[segments.firsts, 0] = np.array([wall.decibels for wall in walls])[segments.owners]
         self._keeps = positions.max_speed == 0.0 and size * size <= ROOM
         self._kept: dict[int, Floats] = {}
         """If no node moves: by sender, the losses between it and all nodes, dB."""
 
     def decibels(self, starts: Floats, ends: Floats) -> Floats:
         """Return the (k,) losses, dB, on the straight lines between (k, 2) or (1, 2) positions, m; inf if opaque."""
-        crossed = crossings(starts, ends, self._segments)
-        if not crossed.any():
-            return np.zeros(len(crossed))
-        total: Floats = np.add.reduce(np.where(crossed.T, self._losses, 0.0), axis=0)  # wall by wall
+        crossed = crossed_by(starts, ends, self._corners)
+        total: Floats = np.add.reduce(np.where(crossed, self._losses, 0.0), axis=0)  # wall by wall
         return total
 
     def between(self, src: int | Nodes, dst: Nodes, starts: Floats, ends: Floats) -> Floats:
@@ -66,13 +66,11 @@ def stretched(apart: Floats, decibels: Floats, exponent: float) -> Floats:
         decibels: (k,) the losses of the walls between them, dB.
         exponent: the path loss exponent n.
     """
-    lossy = np.flatnonzero(decibels)
-    if not len(lossy):
+    if not decibels.any():
         return apart
-    factors = exp(np.minimum(decibels[lossy] * (math.log(10.0) / (10.0 * exponent)), LARGEST))
-    longer = apart.copy()
-    longer[lossy] = np.where(np.isinf(decibels[lossy]), np.inf, apart[lossy] * factors)
-    return longer
+    per_decibel = log(10.0) / (10.0 * exponent)
+    factors = [exp(min(loss * per_decibel, LARGEST)) if loss < inf else inf for loss in decibels.tolist()]
+    return apart * np.array(factors)
 
 
 def range_factor(decibels: float, exponent: float) -> float:

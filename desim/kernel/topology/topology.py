@@ -92,7 +92,7 @@ class Topology:
         if has_walls and self._positions is not None:
             self.walls = RadioWalls(walls, self._positions, size)
             self._received = WalledRangeCheck(reception, range, per_link, seed, size)
-            self.exponent = self._received.exponent
+            self.exponent, self._bound = self._received.exponent, self._received.bound
         if self._positions is not None:
             self._candidates = _candidates(self._lists, size, self._positions, self._received.bound, now)
 
@@ -265,8 +265,9 @@ class Topology:
         apart = distances(places, index)
         apart[index] = self._range  # not the distance to itself, 0: a model may divide by distances
         if self.walls is not None:
-            decibels = self.walls.between(node, candidates, places[index : index + 1], places)
-            apart = stretched(apart, decibels, self.exponent)
+            near = (apart <= self._bound).nonzero()[0]  # walls only make distances longer
+            decibels = self.walls.between(node, candidates[near], places[index : index + 1], places[near])
+            apart[near] = stretched(apart[near], decibels, self.exponent)
         if self.channel is None:
             received = self._received(node, candidates, apart, message)
         else:

@@ -26,23 +26,33 @@ class Shape(NamedTuple):
     closed: bool
     """Whether it is a polygon, which is solid."""
 
-    @property
-    def edges(self) -> tuple[Floats, Floats]:
-        """The (s, 2) starts and the (s, 2) ends of its edges, m."""
-        if self.closed:
-            return self.corners, np.roll(self.corners, -1, axis=0)
-        return self.corners[:-1], self.corners[1:]
-
 
 class Segments(NamedTuple):
     """The s edges of several shapes."""
 
-    starts: Floats
-    """(s, 2) m"""
-    ends: Floats
-    """(s, 2) m"""
+    corners: Floats
+    """(c, 2) the corners of all shapes, one shape after the other, m; each polygon ends with its first corner. The
+    columns are contiguous."""
+    firsts: Integers
+    """(s,) for each edge, the index of the corner at which it starts; it ends at the next one."""
     owners: Integers
     """(s,) for each edge, the index of its owner."""
+
+    @classmethod
+    def of(cls, starts: Floats, ends: Floats) -> "Segments":
+        """Return s separate edges, each of which is its own owner, from their (s, 2) ends."""
+        edges = np.arange(len(starts))
+        return cls(np.stack([starts, ends], axis=1).reshape(-1, 2), 2 * edges, edges)
+
+    @property
+    def starts(self) -> Floats:
+        """The (s, 2) starts of the edges, m."""
+        return self.corners[self.firsts]
+
+    @property
+    def ends(self) -> Floats:
+        """The (s, 2) ends of the edges, m."""
+        return self.corners[self.firsts + 1]
 
     def __bool__(self) -> bool:
         """Return whether there are any."""
@@ -51,13 +61,16 @@ class Segments(NamedTuple):
 
 def segments_of(shapes: Iterable[tuple[int, Shape]]) -> Segments:
     """Return the edges of some shapes, each with the index of its owner."""
-    starts, ends, owners = [np.empty((0, 2))], [np.empty((0, 2))], list[int]()
+    corners, firsts, owners, count = [np.empty((0, 2))], list[int](), list[int](), 0
     for owner, shape in shapes:
-        begins, finishes = shape.edges
-        starts.append(begins)
-        ends.append(finishes)
-        owners += [owner] * len(begins)
-    return Segments(np.vstack(starts), np.vstack(ends), np.array(owners, dtype=np.intp))
+        corners += [shape.corners, shape.corners[:1]] if shape.closed else [shape.corners]
+        edges = len(shape.corners) - (not shape.closed)
+        firsts += range(count, count + edges)
+        owners += [owner] * edges
+        count += edges + 1
+    return Segments(
+        np.asfortranarray(np.vstack(corners)), np.array(firsts, dtype=np.intp), np.array(owners, dtype=np.intp)
+    )
 
 
 def crossings(starts: Floats, ends: Floats, segments: Segments, margin: float = 0.0) -> Bools:
@@ -70,15 +83,34 @@ def crossings(starts: Floats, ends: Floats, segments: Segments, margin: float = 
         margin: 0 for rays of radio and sight; for paths that may touch walls, the distance, m, up to which they do.
     """
     if not margin:
-        starts, ends = _ordered(starts, ends)
+        return crossed_by(starts, ends, segments.corners)[segments.firsts].T
     before, after, begin, end = _sides(starts, ends, segments)
-    if not margin:
-        crossed: Bools = ((before >= 0.0) != (after >= 0.0)) & ((begin >= 0.0) != (end >= 0.0))
-        return crossed
     rays, walls = ends - starts, segments.ends - segments.starts
     along_ray = margin * np.hypot(rays[:, 0], rays[:, 1])[:, np.newaxis]
     along_wall = margin * np.hypot(walls[:, 0], walls[:, 1])
     return _apart(before, after, along_ray) & _apart(begin, end, along_wall)
+
+
+def crossed_by(starts: Floats, ends: Floats, corners: Floats) -> Bools:
+    """Return which lines from each of c corners to the next are crossed by which of m rays, (c - 1, m).
+
+    The rays are as in `crossings`, without a margin. Each side is computed once for each corner, not for each edge, so
+    that edges agree on which side of a ray their common corner is. The formulas are antisymmetric to the last bit in
+    the ends of the ray.
+    """
+    (start_x, start_y), (end_x, end_y), (x, y) = starts.T, ends.T, corners.T[..., np.newaxis]
+    from_start_x, from_start_y, from_end_x, from_end_y = x - start_x, y - start_y, x - end_x, y - end_y
+    corner = from_start_x * from_end_y
+    corner -= from_start_y * from_end_x
+    left = corner > 0.0
+    if not corner.all():  # some are exactly on a ray, and left of it as seen along the order of the coordinates
+        later = (start_x > end_x) | ((start_x == end_x) & (start_y > end_y))
+        left |= (corner == 0.0) & ~later
+    begin = from_start_x[:-1] * from_start_y[1:] >= from_start_y[:-1] * from_start_x[1:]
+    end = from_end_x[:-1] * from_end_y[1:] >= from_end_y[:-1] * from_end_x[1:]
+    crossed: Bools = left[:-1] != left[1:]
+    crossed &= begin != end
+    return crossed
 
 
 def first_crossings(starts: Floats, ends: Floats, segments: Segments, margin: float = 0.0) -> tuple[Floats, Integers]:
@@ -97,27 +129,21 @@ def first_crossings(starts: Floats, ends: Floats, segments: Segments, margin: fl
     return first, np.where(np.isfinite(first), nearest, -1)
 
 
-def _ordered(starts: Floats, ends: Floats) -> tuple[Floats, Floats]:
-    """Return the ends of each ray in the order of their coordinates, so that its direction does not matter."""
-    later = (starts[:, 0] > ends[:, 0]) | ((starts[:, 0] == ends[:, 0]) & (starts[:, 1] > ends[:, 1]))
-    if not later.any():
-        return starts, ends
-    swapped = later[:, np.newaxis]
-    return np.where(swapped, ends, starts), np.where(swapped, starts, ends)
-
-
 def _sides(starts: Floats, ends: Floats, segments: Segments) -> tuple[Floats, Floats, Floats, Floats]:
     """Return on which side, positive on the left, the ends of walls lie of rays, and those of rays of walls, (m, s).
 
     Each is the distance from the line times the length of the segment on it, m^2.
     """
-    x, y = starts[:, 0, np.newaxis], starts[:, 1, np.newaxis]
-    dx, dy = ends[:, 0, np.newaxis] - x, ends[:, 1, np.newaxis] - y
     (ax, ay), (bx, by) = segments.starts.T, segments.ends.T
-    wx, wy = bx - ax, by - ay
-    begin = wx * (y - ay) - wy * (x - ax)
-    end = wx * (ends[:, 1, np.newaxis] - ay) - wy * (ends[:, 0, np.newaxis] - ax)
-    return dx * (ay - y) - dy * (ax - x), dx * (by - y) - dy * (bx - x), begin, end
+    x, y = starts[:, 0, np.newaxis], starts[:, 1, np.newaxis]
+    u, v = ends[:, 0, np.newaxis], ends[:, 1, np.newaxis]
+    before, after = _cross(ax - x, ay - y, ax - u, ay - v), _cross(bx - x, by - y, bx - u, by - v)
+    return before, after, _cross(ax - x, ay - y, bx - x, by - y), _cross(ax - u, ay - v, bx - u, by - v)
+
+
+def _cross(x: Floats, y: Floats, u: Floats, v: Floats) -> Floats:
+    product: Floats = x * v - y * u
+    return product
 
 
 def _apart(first: Floats, second: Floats, least: Floats) -> Bools:
@@ -175,14 +201,14 @@ def first_contact(shapes: Iterable[tuple[int, Shape]]) -> Contact | None:
     Edges that follow each other in a polygon touch only if the second goes back on the first.
     """
     edges = segments_of(shapes)
-    starts, ends, owners = edges
+    starts, ends, owners = edges.starts, edges.ends, edges.owners
     follows = np.zeros(len(owners), dtype=np.intp)
     for owner in np.unique(owners):
         ring = np.flatnonzero(owners == owner)
         follows[ring] = np.roll(ring, -1)
     for begin in range(0, len(owners), ROWS):
         rows = slice(begin, begin + ROWS)
-        touched = _touching(Segments(starts[rows], ends[rows], owners[rows]), edges)
+        touched = _touching(Segments.of(starts[rows], ends[rows]), edges)
         at = np.arange(begin, begin + len(touched))[:, np.newaxis]
         touched &= (
             (follows[rows, np.newaxis] != np.arange(len(owners))) & (follows != at) & (at < np.arange(len(owners)))
