@@ -60,7 +60,7 @@ class Logs:
                 outcome = outcome._replace(arrival=before.arrival)
             self.outcomes[key] = outcome
 
-    def merged(self, world: Iterable[Event], messages: bool) -> list[Event]:
+    def merged(self, world: Iterable[Event], *, messages: bool) -> list[Event]:
         """Return all events of a run in order.
 
         Args:
@@ -116,7 +116,11 @@ class Logs:
         traffic.transmit(sent, fates.values())
         if isinstance(content, Record):
             times = tuple(arrivals.values())
-            yield sent.t, 2, Broadcast(sent.t, number, src, content.seq, tuple(fates), times, created, size, content.body)
+            yield (
+                sent.t,
+                2,
+                Broadcast(sent.t, number, src, content.seq, tuple(fates), times, created, size, content.body),
+            )
         else:
             for node, arrival in arrivals.items():
                 yield sent.t, 2, Sent(sent.t, number, src, node, arrival, created, size, content.body)

@@ -37,6 +37,7 @@ from desim.live.frames import Frame, Mirror, pairs_of, points_of
 from desim.live.link import SocketLinkLayer
 from desim.live.own_bodies import OwnBodies
 from desim.live.refusals import check_live
+from desim.live.start import Address
 from desim.live.wall_clock import Lateness, WallClock
 from desim.live.wire import Wire, WireError
 from desim.pursuit.byzantine.evidence import Witness
@@ -50,8 +51,6 @@ from desim.simulation.pursuer_positions import PursuerPositions
 from desim.simulation.team_processes import TeamProcesses
 from desim.simulation.world import initial_state, possible_action
 
-Address = tuple[str, int]
-"""A host and a UDP port."""
 RECEIVE_BUFFER = 1 << 21
 """Bytes of the receive buffer of a socket, as far as the system allows it."""
 
@@ -69,7 +68,7 @@ class Node:
         seed: seed of the random streams; None: the seed of the scenario. All nodes have the same.
         draws: whether losses and latencies are drawn from the models of the scenario; False: the links between the
             sockets are the real ones.
-        on_action: called with each new action of the pursuer, and its time, ns.
+        on_action: called with each action that the protocol chooses.
 
     Raises:
         ValueError: if the scenario cannot run live, or has no such pursuer.
@@ -87,7 +86,7 @@ class Node:
         seed: int | None = None,
         *,
         draws: bool = True,
-        on_action: Callable[[int, int], object] = lambda action, t: None,
+        on_action: Callable[[int], object] | None = None,
     ):
         check_live(scenario)
         if not 0 <= pursuer < scenario.team.count:
@@ -176,7 +175,8 @@ class Node:
         self._mirror.orders += 1
         if action != self._state.profile[pursuer]:
             self._mirror.set_action(action)
-        self._on_action(action, self._env.now)
+        if self._on_action is not None:
+            self._on_action(action)
 
     # Sockets.
 
@@ -226,7 +226,9 @@ class Node:
         self._peers = [(str(host), int(port)) for host, port in peers]
         self._number_of = {peer: number for number, peer in enumerate(self._peers)}
 
-    async def run(self, now: Callable[[], int] | None = None, *, caught_up: Callable[[], object] = lambda: None) -> None:
+    async def run(
+        self, now: Callable[[], int] | None = None, *, caught_up: Callable[[], object] = lambda: None
+    ) -> None:
         """Run the protocol until `stop` is called, or the horizon is reached.
 
         Args:
@@ -333,7 +335,18 @@ class Node:
         broken = state.broken.nonzero()[0].tolist()
         captured = {str(body.number): body.captured for body in state.bodies if body.captured is not None}
         self.show(
-            Frame(now, pairs_of(places), pairs_of(commands), drifts, courses, state.profile, obeyed, broken, captured, segments)
+            Frame(
+                now,
+                pairs_of(places),
+                pairs_of(commands),
+                drifts,
+                courses,
+                state.profile,
+                obeyed,
+                broken,
+                captured,
+                segments,
+            )
         )
 
     def captured(self, evader: int) -> None:
@@ -414,5 +427,7 @@ def _points(name: str, pairs: Any, count: int) -> Any:
     """Return (k, 2) positions as complex numbers."""
     array = np.asarray(pairs, dtype=float)
     if array.shape != (count, 2) or not np.isfinite(array).all():
-        raise ValueError(f"{name} should be finite numbers of shape {(count, 2) if count > 1 else (2,)} (got {pairs!r})")
+        raise ValueError(
+            f"{name} should be finite numbers of shape {(count, 2) if count > 1 else (2,)} (got {pairs!r})"
+        )
     return points_of(array)

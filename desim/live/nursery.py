@@ -1,74 +1,153 @@
 """The nursery: a process of one thread that forks those of the pursuers, and tells how each of them ends.
 
-The caller may have threads, which no fork survives. The nursery ends its children when its standard input ends, which
-is when the caller ends, whatever way; where Linux has it, the children end with the nursery even if they hang.
+The caller may have threads, which no fork survives, and several runs need the imports once. The nursery ends its
+children when its standard input ends, which is when the caller ends, whatever way; where Linux has it, the children end
+with the nursery even if they hang.
 """
 
+import asyncio
 import ctypes
 import os
 import pickle
 import select
 import signal
+import subprocess
 import sys
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from time import monotonic
-from typing import Any
+from typing import Any, Self
+
+from desim.live.start import Start
+from desim.scenario.scenario import Scenario
+from desim.study.workers.serialization import packed
 
 GRACE = 2.0
 """Time that the children have to end by themselves once the standard input has ended, s."""
+POLL = 0.05
+"""Time between two looks for children that have ended, s."""
 PR_SET_PDEATHSIG = 1
+Ended = Callable[[int, int], object]
+"""A function called with a pursuer whose process has ended, and its status as of `os.waitstatus_to_exitcode`."""
+
+
+class Nursery:
+    """The processes of live runs; used as an asynchronous context, at whose end all of them have ended."""
+
+    def __init__(self) -> None:
+        self._ended: list[Ended] = []
+
+    async def __aenter__(self) -> Self:
+        """Start the nursery.
+
+        Raises:
+            OSError: if the system cannot fork.
+        """
+        if not hasattr(os, "fork"):
+            raise OSError("desim live needs a system with fork, such as Linux or macOS")
+        self._process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            *("-m", "desim.live.nursery"),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            start_new_session=True,  # Ctrl-C is for the caller, who ends all
+        )
+        self._watching = asyncio.create_task(self._watch())
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        """End all processes."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        await self._process.wait()
+        await self._watching
+
+    async def start(self, scenario: Scenario, starts: Sequence[Start], ended: Ended) -> None:
+        """Start the pursuers of a run, and call a function with each whose process ends."""
+        run = len(self._ended)
+        self._ended.append(ended)
+        task = pickle.dumps((run, sys.path, packed(partial(_task, scenario, starts))))
+        assert self._process.stdin is not None
+        self._process.stdin.write(len(task).to_bytes(8, "big") + task)
+        await self._process.stdin.drain()
+
+    async def _watch(self) -> None:
+        assert self._process.stdout is not None
+        while line := await self._process.stdout.readline():
+            run, pursuer, status = map(int, line.split())
+            self._ended[run](pursuer, status)
+
+
+def _task(scenario: Scenario, starts: Sequence[Start]) -> tuple[Scenario, Sequence[Start]]:
+    """Return what a nursery is told."""
+    return scenario, starts
+
+
+# In the process of the nursery.
 
 
 def main() -> None:
-    """Fork a process for each pursuer that standard input names, and print the number and the status of each that ends.
-
-    Standard input has a pickle of the folders of modules and, as bytes, of a function that returns the scenario and
-    what each process is told.
-    """
-    length = int.from_bytes(sys.stdin.buffer.read(8), "big")
-    paths, task = pickle.loads(sys.stdin.buffer.read(length))
-    sys.path[:] = paths
+    """Fork a process for each pursuer that standard input names, and print run, number and status of each that ends."""
     for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(name, signal.SIG_IGN)  # the caller decides when all end
+    numbers: dict[int, tuple[int, int]] = {}
+    is_open = True
+    while is_open:
+        readable, _, _ = select.select([0], [], [], POLL if numbers else None)
+        if readable:
+            is_open = _serve(numbers)
+        _reap(numbers)
+    deadline = monotonic() + GRACE
+    while numbers:
+        _reap(numbers)
+        select.select([], [], [], POLL)
+        for child in numbers if monotonic() > deadline else ():
+            with suppress(ProcessLookupError):
+                os.kill(child, signal.SIGKILL)
+
+
+def _serve(numbers: dict[int, tuple[int, int]]) -> bool:
+    """Read one task, and fork its processes; return False at the end of standard input."""
+    length = int.from_bytes(_read(8), "big")
+    if not length:
+        return False
+    run, sys.path[:], task = pickle.loads(_read(length))
     scenario, starts = pickle.loads(task)()
     from desim.live.node import Node
     from desim.live.pursuer import play
 
     Node(scenario, starts[0].pursuer, starts[0].seed)  # imports what all need, once
-    numbers = {}
     for start in starts:
         if (child := os.fork()) == 0:
             _die_with_parent()
+            os.close(0)
             code = 1
             try:
                 code = play(scenario, start)
             finally:
                 sys.stderr.flush()
                 os._exit(code)
-        numbers[child] = start.pursuer
-    _watch(numbers)
+        numbers[child] = run, start.pursuer
+    return True
 
 
-def _watch(numbers: dict[int, int]) -> None:
-    """Tell how each child ends, until all have; end them once standard input has ended."""
-    deadline: float | None = None
+def _read(length: int) -> bytes:
+    """Read so many bytes, or none at the end of standard input."""
+    parts = b""
+    while len(parts) < length and (part := os.read(0, length - len(parts))):
+        parts += part
+    return parts if len(parts) == length else b""
+
+
+def _reap(numbers: dict[int, tuple[int, int]]) -> None:
+    """Tell which children have ended."""
     while numbers:
         child, status = os.waitpid(-1, os.WNOHANG)
-        if child:
-            with suppress(OSError):
-                print(numbers.pop(child), os.waitstatus_to_exitcode(status), flush=True)
-            numbers.pop(child, None)
-            continue
-        if deadline is None:
-            readable, _, _ = select.select([sys.stdin], [], [], 0.02)
-            if readable and not os.read(0, 1):
-                deadline = monotonic() + GRACE
-        else:
-            select.select([], [], [], 0.02)
-        if deadline is not None and monotonic() > deadline:
-            for pid in numbers:
-                with suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
+        if not child:
+            return
+        with suppress(OSError):
+            print(*numbers.pop(child), os.waitstatus_to_exitcode(status), flush=True)
 
 
 def _die_with_parent() -> None:

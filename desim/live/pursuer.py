@@ -1,20 +1,21 @@
 """The process of one pursuer: a node, and a connection to the referee over which frames come and orders go."""
 
 import asyncio
-import hmac
 import json
 import os
 import sys
 from contextlib import suppress
 from time import monotonic_ns
 from traceback import format_exception_only
-from typing import Any, NamedTuple
+from typing import Any
 
 from desim.kernel.core.events import Broadcast, Lost, Sent
 from desim.kernel.core.trace_file import line_of
 from desim.kernel.models.faults import FaultEnded, FaultStarted
 from desim.live.frames import Frame
-from desim.live.node import Address, Node, udp_socket
+from desim.live.namespaces import inside
+from desim.live.node import Node, udp_socket
+from desim.live.start import Start, digest
 from desim.scenario.scenario import Scenario
 
 LINE = 1 << 24
@@ -31,22 +32,6 @@ OF_NETWORK = (Broadcast, Sent, Lost, FaultStarted, FaultEnded)
 """Events of a node that the referee makes itself."""
 
 
-class Start(NamedTuple):
-    """What the process of a pursuer is told at its start."""
-
-    referee: Address
-    token: str
-    """A secret of the run, with which a process shows that it belongs to it."""
-    pursuer: int
-    seed: int
-    host: str
-    """The host at which it listens for datagrams."""
-    draws: bool
-    """Whether losses and latencies are drawn."""
-    namespace: str = ""
-    """The network namespace in which it listens; empty: its own."""
-
-
 def play(scenario: Scenario, start: Start) -> int:
     """Run one pursuer to the end of the run; return the exit code of the process."""
     try:
@@ -59,7 +44,7 @@ class _Pursuer:
     """One pursuer of a live run."""
 
     def __init__(self, scenario: Scenario, start: Start):
-        self._start, self._begin, self._offset = start, 0, 0
+        self._start, self._begin, self._offset, self._digest = start, 0, 0, digest(scenario)
         self._node = Node(scenario, start.pursuer, start.seed, draws=start.draws, on_action=self._order)
         self._heard = 0.0
         self._is_silent = False
@@ -72,9 +57,10 @@ class _Pursuer:
         except OSError as error:
             print(f"pursuer {start.pursuer}: no referee at {start.referee[0]}: {error}", file=sys.stderr)
             return ALONE
-        bound = _bound_socket(start)
+        with inside(start.namespace):
+            bound = udp_socket((start.host, 0))
         address = await self._node.bind((start.host, 0), bound)
-        self._tell("hello", start.pursuer, start.token, list(address), os.getpid())
+        self._tell("hello", start.pursuer, start.token, self._digest, list(address))
         word, *values = await self._hear()
         while word != "start":
             if word == "refused":
@@ -153,8 +139,8 @@ class _Pursuer:
             if silent > GIVE_UP:
                 os._exit(LOST_REFEREE)
 
-    def _order(self, action: int, t: int) -> None:
-        self._tell("order", t, action)
+    def _order(self, action: int) -> None:
+        self._tell("order", action)
 
     def _report(self) -> None:
         """Send what has happened since the last report."""
@@ -179,13 +165,3 @@ class _Pursuer:
         if not line:
             raise ConnectionError("the referee has gone")
         return json.loads(line)
-
-
-def _bound_socket(start: Start) -> Any:
-    return udp_socket((start.host, 0))
-
-
-def is_token(offered: Any, token: str) -> bool:
-    """Return whether a process knows the secret of the run."""
-    return isinstance(offered, str) and hmac.compare_digest(offered.encode(), token.encode())
-

@@ -1,0 +1,252 @@
+"""The lobby of a live run: where the processes of the pursuers join, speak and leave."""
+
+import asyncio
+import hmac
+import json
+import secrets
+import socket
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from signal import Signals
+from time import monotonic_ns
+from typing import Any
+
+from desim.live.node import udp_socket
+from desim.live.nursery import Nursery
+from desim.live.pursuer import LINE
+from desim.live.start import Start, digest
+from desim.scenario.scenario import Scenario
+
+LOCAL = "127.0.0.1"
+JOINING = 60.0
+"""Time in which the processes of this machine should have joined, s."""
+HOSTS = 600.0
+"""Time in which those of other hosts should have joined, s."""
+BACKLOG = 1 << 20
+"""Bytes of frames that a pursuer has not read above which it gets no new one."""
+
+
+class LiveError(RuntimeError):
+    """A live run could not begin, or a protocol has raised an exception."""
+
+
+@dataclass
+class _Connection:
+    """A pursuer that has joined."""
+
+    writer: asyncio.StreamWriter
+    address: list[Any]
+    is_done: bool = False
+    """Whether it has reported its last, or was lost."""
+
+    def tell(self, *words: Any) -> None:
+        """Send a line."""
+        self.writer.write(json.dumps(words).encode() + b"\n")
+
+
+class Lobby:
+    """The connections to the pursuers of one run.
+
+    Args:
+        scenario: the experiment.
+        hosts: (N,) the host at which each pursuer listens.
+        hear: called with a pursuer and a line that it has sent, as a word and values.
+        lose: called with a pursuer whose process was lost during the run, and how it ended.
+
+    Attributes:
+        errors: what the protocols have raised.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        hosts: Sequence[str],
+        hear: Callable[..., object],
+        lose: Callable[[int, str], object],
+    ):
+        self._scenario, self._hosts, self._hear, self._lose = scenario, hosts, hear, lose
+        self._token, self._digest = secrets.token_hex(16), digest(scenario)
+        self._joined: dict[int, _Connection] = {}
+        self._ready: set[int] = set()
+        self._statuses: dict[int, int] = {}
+        self._changed = asyncio.Event()
+        self.errors: list[str] = []
+        self.is_over = False
+
+    async def gather(
+        self,
+        nursery: Nursery,
+        seed: int,
+        namespaces: Sequence[str],
+        *,
+        draws: bool,
+        tell: Callable[[str], object],
+    ) -> None:
+        """Start the processes of this machine, and wait until all pursuers are ready.
+
+        Args:
+            nursery: starts the processes.
+            seed: the seed of the run.
+            namespaces: (N,) the network namespace of each pursuer; empty: that of the caller.
+            draws: whether losses and latencies are drawn by the receivers.
+            tell: called with the commands to start on other hosts.
+
+        Raises:
+            LiveError: if a process ends, or does not join in time.
+        """
+        self._distant = [
+            pursuer for pursuer, host in enumerate(self._hosts) if not namespaces[pursuer] and not _is_local(host)
+        ]
+        home = _address_towards(self._hosts[self._distant[0]]) if self._distant else LOCAL
+        self._server = await asyncio.start_server(self._welcome, "0.0.0.0" if self._distant else LOCAL, 0, limit=LINE)
+        referee = home, int(self._server.sockets[0].getsockname()[1])
+        starts = [
+            Start(referee, self._token, pursuer, seed, host, draws, namespaces[pursuer])
+            for pursuer, host in enumerate(self._hosts)
+        ]
+        for pursuer in self._distant:
+            tell(f"on {self._hosts[pursuer]}: desim live FILE --join {starts[pursuer].invitation()}")
+        local = [start for start in starts if start.pursuer not in self._distant]
+        if local:
+            await nursery.start(self._scenario, local, self._ended)
+        await self._until(lambda: len(self._joined) == len(starts), HOSTS if self._distant else JOINING)
+        addresses = [self._joined[pursuer].address for pursuer in range(len(starts))]
+        for pursuer, connection in self._joined.items():
+            connection.tell("start", addresses, pursuer not in self._distant)
+        await self._until(lambda: len(self._ready) == len(starts), JOINING)
+
+    def tell_all(self, *words: Any, may_skip: bool = False) -> None:
+        """Send a line to all pursuers; with `may_skip`, not to those that are far behind with reading."""
+        line = json.dumps(words).encode() + b"\n"
+        for connection in self._joined.values():
+            behind = connection.writer.transport.get_write_buffer_size() > BACKLOG
+            if not (connection.is_done or (may_skip and behind)):
+                connection.writer.write(line)
+
+    async def reports(self, limit: float) -> list[int]:
+        """Wait until all pursuers have reported their last; return those that have not within a limit, s."""
+        with suppress(LiveError):
+            await self._until(lambda: not self._missing(), limit, ends_matter=False)
+        self.is_over = True
+        return self._missing()
+
+    def close(self) -> None:
+        """Close all connections; processes that are still there end then."""
+        self.is_over = True
+        if hasattr(self, "_server"):
+            self._server.close()
+        for connection in self._joined.values():
+            connection.writer.close()
+
+    def _missing(self) -> list[int]:
+        return sorted(pursuer for pursuer, connection in self._joined.items() if not connection.is_done)
+
+    def _ended(self, pursuer: int, status: int) -> None:
+        """Note how a process has ended."""
+        self._statuses[pursuer] = status
+        self._changed.set()
+
+    async def _until(self, holds: Callable[[], bool], limit: float, *, ends_matter: bool = True) -> None:
+        """Wait until a condition about all pursuers holds.
+
+        Raises:
+            LiveError: if it does not within a limit, s, or, if that matters, a process has ended.
+        """
+        try:
+            async with asyncio.timeout(limit):
+                while not holds():
+                    if ends_matter and (self.errors or self._statuses):
+                        ends = [f"pursuer {pursuer} {ending(status)}" for pursuer, status in self._statuses.items()]
+                        raise LiveError("; ".join(self.errors or ends))
+                    self._changed.clear()
+                    await self._changed.wait()
+        except TimeoutError:
+            late = sorted(set(range(len(self._hosts))) - self._ready)
+            text = ", ".join(map(str, late))
+            raise LiveError(f"no process of pursuer {text} has joined within {limit:g} s") from None
+
+    async def _welcome(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve a process that connects."""
+        pursuer: int | None = None
+        try:
+            pursuer = self._admit(writer, *json.loads(await reader.readline()))
+            while pursuer is not None and (line := await reader.readline()):
+                self._take(pursuer, *json.loads(line))
+        except (OSError, ValueError, TypeError, asyncio.IncompleteReadError):
+            pass  # a stranger, or a process that was lost in the middle of a line
+        finally:
+            writer.close()
+            if pursuer is not None:
+                await self._leave(pursuer)
+
+    def _admit(
+        self, writer: asyncio.StreamWriter, word: str, pursuer: int, token: str, scenario: str, address: list[Any]
+    ) -> int | None:
+        """Return the number of a pursuer that joins; None if it does not belong to the run."""
+        why = ""
+        if word != "hello" or not hmac.compare_digest(str(token).encode(), self._token.encode()):
+            why = "the referee does not know this process"
+        elif pursuer not in range(len(self._hosts)) or pursuer in self._joined:
+            why = f"the run has no pursuer {pursuer}, or has it already"
+        elif scenario != self._digest:
+            why = "the scenario of the run is another one"
+        connection = _Connection(writer, address)
+        if why:
+            connection.tell("refused", why)
+            return None
+        self._joined[pursuer] = connection
+        self._changed.set()
+        return pursuer
+
+    def _take(self, pursuer: int, word: str, *values: Any) -> None:
+        """Take a line of a pursuer."""
+        connection = self._joined[pursuer]
+        if word == "ping":
+            connection.tell("pong", monotonic_ns())
+        elif word == "ready":
+            self._ready.add(pursuer)
+        elif word == "error":
+            self.errors.append(f"pursuer {pursuer}: {' '.join([values[0], *values[1]])}")
+        else:
+            connection.is_done |= word == "done"
+            self._hear(pursuer, word, *values)
+        self._changed.set()
+
+    async def _leave(self, pursuer: int) -> None:
+        """Note that the process of a pursuer has closed its connection."""
+        connection = self._joined[pursuer]
+        if not self.is_over and (self.errors or not connection.is_done):
+            connection.is_done = True
+            for _ in range(20):  # until the nursery has told how it ended
+                if pursuer in self._statuses or pursuer in self._distant:
+                    break
+                await asyncio.sleep(0.01)
+            self._lose(pursuer, ending(self._statuses.get(pursuer)))
+        self._changed.set()
+
+
+def ending(status: int | None) -> str:
+    """Return how a process ended as text, given its status; None: it is not known."""
+    if status is None:
+        return "was lost"
+    return f"was ended by {Signals(-status).name}" if status < 0 else f"ended with exit code {status}"
+
+
+def _is_local(host: str) -> bool:
+    """Return whether a host is this machine."""
+    try:
+        udp_socket((host, 0)).close()
+    except OSError:
+        return False
+    return True
+
+
+def _address_towards(host: str) -> str:
+    """Return the address of this machine in the network of a host."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect((host, 9))
+        except OSError as error:
+            raise LiveError(f"{host}: no way leads there: {error.strerror or error}") from error
+        return str(probe.getsockname()[0])

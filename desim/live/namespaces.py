@@ -1,0 +1,145 @@
+"""Network namespaces of Linux: each pursuer behind an interface of its own, and netem on it where the system has it."""
+
+import ctypes
+import os
+import shlex
+import subprocess
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+from desim.kernel.models.netem_tables import table_text
+from desim.kernel.tc.writer import script
+from desim.scenario.scenario import Scenario
+
+FOLDER = Path("/var/run/netns")
+CLONE_NEWNET = 0x40000000
+DEVICE = "eth0"
+"""The interface of a pursuer in its namespace."""
+
+
+class NamespaceError(RuntimeError):
+    """Network namespaces, or netem, cannot be used here."""
+
+
+class Places(NamedTuple):
+    """Where the pursuers of a run listen."""
+
+    namespaces: list[str]
+    """(N,)"""
+    hosts: list[str]
+    """(N,) addresses."""
+
+
+@contextmanager
+def inside(namespace: str) -> Iterator[None]:
+    """Create sockets in a network namespace; the empty one is that of the process.
+
+    A socket stays in its namespace, so that one process can have sockets in two.
+    """
+    if not namespace:
+        yield
+        return
+    libc: Any = ctypes.CDLL(None, use_errno=True)
+    home, there = os.open("/proc/self/ns/net", os.O_RDONLY), os.open(FOLDER / namespace, os.O_RDONLY)
+    try:
+        if libc.setns(there, CLONE_NEWNET):
+            raise OSError(ctypes.get_errno(), f"the namespace {namespace} cannot be entered")
+        try:
+            yield
+        finally:
+            libc.setns(home, CLONE_NEWNET)
+    finally:
+        os.close(home)
+        os.close(there)
+
+
+@contextmanager
+def namespaces(scenario: Scenario, *, netem: bool) -> Iterator[Places]:
+    """Create a namespace for each pursuer, joined by a bridge, and remove all at the end.
+
+    Args:
+        scenario: the experiment.
+        netem: whether the interfaces get the commands of `desim netem` for the links of the scenario.
+
+    Raises:
+        NamespaceError: if they cannot be created, or this system has no netem, or netem cannot express the links.
+    """
+    size, prefix = scenario.team.count, f"desim-{os.getpid()}"
+    names = [f"{prefix}-{pursuer}" for pursuer in range(size)]
+    hosts = [f"10.213.{(pursuer + 1) >> 8}.{(pursuer + 1) & 0xFF}" for pursuer in range(size)]
+    commands, tables = _netem_commands(scenario) if netem else ([], {})
+    made: list[str] = []
+    try:
+        for name in [prefix, *names]:
+            _ip("netns", "add", name)
+            made.append(name)
+        _ip("-n", prefix, "link", "add", "bridge", "type", "bridge")
+        _ip("-n", prefix, "link", "set", "bridge", "up")
+        for pursuer, (name, host) in enumerate(zip(names, hosts, strict=True)):
+            port = f"p{pursuer}"
+            _ip("-n", prefix, "link", "add", port, "type", "veth", "peer", "name", DEVICE, "netns", name)
+            _ip("-n", prefix, "link", "set", port, "master", "bridge", "up")
+            _ip("-n", name, "addr", "add", f"{host}/16", "dev", DEVICE)
+            _ip("-n", name, "link", "set", DEVICE, "up")
+            _shape(name, commands, tables)
+        yield Places(names, hosts)
+    finally:
+        for name in made:  # a veth goes with its namespace, and the bridge with the first
+            subprocess.run(["ip", "netns", "del", name], check=False, capture_output=True)
+
+
+def _netem_commands(scenario: Scenario) -> tuple[list[str], Mapping[str, tuple[int, ...]]]:
+    """Return the commands of `desim netem`, and the tables that they name.
+
+    Raises:
+        NamespaceError: if netem does not express the links, or a link has models of its own.
+    """
+    commands = script(scenario.network, scenario.team.count, DEVICE)
+    lines = [line for line in commands.lines if line and not line.startswith("#")]
+    for key, why in commands.missing:
+        raise NamespaceError(f"--netem: {key}: {why}; without --netem the receivers draw the links")
+    if len(lines) > 1:
+        raise NamespaceError(
+            "--netem: each pursuer has one interface, and network.link has models of its own for some links; without"
+            " --netem the receivers draw them"
+        )
+    return lines, commands.tables
+
+
+def _shape(name: str, commands: list[str], tables: Mapping[str, tuple[int, ...]]) -> None:
+    """Run the commands of tc in a namespace."""
+    with TemporaryDirectory() as folder:
+        for table, numbers in tables.items():
+            (Path(folder) / f"{table}.dist").write_text(table_text(numbers, table), encoding="utf-8")
+        for command in commands:
+            environment = {**os.environ, "TC_LIB_DIR": folder} if tables else None
+            done = subprocess.run(
+                ["ip", "netns", "exec", name, *shlex.split(command)],
+                check=False,
+                capture_output=True,
+                text=True,
+                env=environment,
+            )
+            if done.returncode:
+                why = done.stderr.strip() or done.stdout.strip()
+                raise NamespaceError(
+                    f"--netem: `{command}` failed here: {why}; the kernel may lack CONFIG_NET_SCH_NETEM; without"
+                    " --netem the receivers draw the links"
+                )
+
+
+def _ip(*words: str) -> None:
+    """Run a command of ip.
+
+    Raises:
+        NamespaceError: if it fails.
+    """
+    try:
+        done = subprocess.run(["ip", *words], check=False, capture_output=True, text=True)
+    except FileNotFoundError as error:
+        raise NamespaceError("network namespaces need the command ip (iproute2) of Linux") from error
+    if done.returncode:
+        raise NamespaceError(f"network namespaces cannot be used here: ip {' '.join(words)}: {done.stderr.strip()}")

@@ -1,0 +1,142 @@
+"""Live runs from Python: one, or several one after another."""
+
+import asyncio
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from threading import Thread
+from typing import Any, Literal
+
+from desim.config.arguments import naming_arguments, scenario_argument
+from desim.kernel.core.seeds import seed_of
+from desim.live.lobby import LOCAL
+from desim.live.namespaces import Places, namespaces
+from desim.live.nursery import Nursery
+from desim.live.referee import Referee
+from desim.live.refusals import check_live
+from desim.live.result import LiveResult
+from desim.scenario.scenario import Scenario
+
+LinkKind = Literal["drawn", "namespaces", "netem"]
+"""How the links are made: drawn by the receivers, on the loopback or between network namespaces, or by netem."""
+
+
+@naming_arguments
+def run(
+    scenario: Scenario,
+    seed: int | None = None,
+    *,
+    hosts: Sequence[str] | None = None,
+    links: LinkKind = "drawn",
+    tell: Callable[[str], object] = print,
+) -> LiveResult:
+    """Run a scenario live: each pursuer in a process of its own, in real time, over UDP.
+
+    Args:
+        scenario: the experiment.
+        seed: seed of every random stream; if None, the seed of the scenario.
+        hosts: (N,) the host at which each pursuer listens; None: the loopback. On another host, start a process with
+            the command that `tell` is given.
+        links: how the links are made; see `LinkKind`.
+        tell: called with sentences about the run as it goes on.
+
+    Raises:
+        ValueError: if the scenario cannot run live, or an argument is wrong.
+        LiveError: if a process does not start, or a protocol raises an exception.
+        NamespaceError: if network namespaces, or netem, cannot be used here.
+    """
+    return runs(scenario, [seed], hosts=hosts, links=links, tell=tell)[0]
+
+
+def runs(
+    scenario: Scenario,
+    seeds: Sequence[int | None],
+    *,
+    at_once: int = 1,
+    hosts: Sequence[str] | None = None,
+    links: LinkKind = "drawn",
+    tell: Callable[[str], object] = print,
+    finished: Callable[[LiveResult], object] | None = None,
+) -> list[LiveResult]:
+    """Run a scenario live with several seeds, and return the results in their order.
+
+    Args:
+        scenario: the experiment.
+        seeds: the seed of each run; None: that of the scenario.
+        at_once: number of runs at the same time. More than one makes timers late if processors are few.
+        hosts: as in `run`.
+        links: as in `run`.
+        tell: as in `run`.
+        finished: called with each result as soon as it is there.
+
+    Raises:
+        ValueError: as `run`.
+        LiveError: as `run`.
+        NamespaceError: as `run`.
+    """
+    scenario_argument(Scenario).check(scenario, "run")
+    check_live(scenario)
+    size = scenario.team.count
+    if hosts is not None and len(hosts) != size:
+        raise ValueError(f"hosts should be one for each of the {size} pursuers (got {len(hosts)})")
+    if hosts is not None and links != "drawn":
+        raise ValueError('hosts have real links between them, so links should be "drawn"')
+    numbers = [scenario.seed if seed is None else seed_of(seed) for seed in seeds]
+    with _places(scenario, links, hosts) as places:
+
+        async def play() -> list[LiveResult]:
+            limit = asyncio.Semaphore(at_once)
+
+            async def one(seed: int) -> LiveResult:
+                async with limit:
+                    options: Any = {"hosts": places.hosts, "namespaces": places.namespaces, "tell": tell}
+                    result = await Referee(scenario, seed, draws=links != "netem", **options).play(nursery)
+                    if finished is not None:
+                        finished(result)
+                    return result
+
+            async with Nursery() as nursery, asyncio.TaskGroup() as group:
+                tasks = [group.create_task(one(seed)) for seed in numbers]
+            return [task.result() for task in tasks]
+
+        return _run(play)
+
+
+@contextmanager
+def _places(scenario: Scenario, links: LinkKind, hosts: Sequence[str] | None) -> Iterator[Places]:
+    if links == "drawn":
+        yield Places([""] * scenario.team.count, list(hosts or [LOCAL] * scenario.team.count))
+        return
+    with namespaces(scenario, netem=links == "netem") as places:
+        yield places
+
+
+def _run(play: Callable[[], Any]) -> Any:
+    """Run a coroutine to its end, also where an event loop is running, as in a notebook.
+
+    The exception of a task is raised as it is.
+    """
+
+    def run_here() -> Any:
+        try:
+            return asyncio.run(play())
+        except BaseExceptionGroup as error:
+            raise error.exceptions[0] from None
+
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return run_here()
+    outcome: list[Any] = []
+
+    def run_there() -> None:
+        try:
+            outcome.append(run_here())
+        except BaseException as error:
+            outcome.append(error)
+
+    thread = Thread(target=run_there)
+    thread.start()
+    thread.join()
+    if isinstance(outcome[0], BaseException):
+        raise outcome[0]
+    return outcome[0]

@@ -1,0 +1,50 @@
+"""What the process of a pursuer is told at its start."""
+
+import hashlib
+import json
+from typing import NamedTuple, Self
+
+from desim.scenario.scenario import Scenario
+
+Address = tuple[str, int]
+"""A host and a UDP port."""
+
+
+class Start(NamedTuple):
+    """What the process of a pursuer is told at its start."""
+
+    referee: Address
+    token: str
+    """A secret of the run, with which a process shows that it belongs to it."""
+    pursuer: int
+    seed: int
+    host: str
+    """The host at which it listens for datagrams."""
+    draws: bool = True
+    """Whether losses and latencies are drawn."""
+    namespace: str = ""
+    """The network namespace in which it listens; empty: its own."""
+
+    def invitation(self) -> str:
+        """Return the start as a word for the command line of another host."""
+        host, port = self.referee
+        return f"{host}:{port}/{self.pursuer}/{self.seed}/{self.host}/{self.token}"
+
+    @classmethod
+    def invited(cls, invitation: str) -> Self:
+        """Return the start that an invitation stands for.
+
+        Raises:
+            ValueError: if it is none.
+        """
+        try:
+            referee, pursuer, seed, host, token = invitation.split("/")
+            referee_host, _, port = referee.rpartition(":")
+            return cls((referee_host, int(port)), token, int(pursuer), int(seed), host)
+        except ValueError:
+            raise ValueError(f"should be the word that `desim live --hosts` prints (got {invitation!r})") from None
+
+
+def digest(scenario: Scenario) -> str:
+    """Return a digest of a scenario, equal for equal files."""
+    return hashlib.sha256(json.dumps(scenario.plain(), sort_keys=True, default=repr).encode()).hexdigest()
