@@ -14,6 +14,7 @@ from desim.cli.compare import compare, crossover, ls
 from desim.cli.explain import explain
 from desim.cli.export import export
 from desim.cli.fates import fates
+from desim.cli.live import live
 from desim.cli.many import merge, sweep
 from desim.cli.netem import netem
 from desim.cli.one import run
@@ -34,6 +35,7 @@ GROUPS: dict[str, dict[click.Command, str]] = {
     },
     "Run": {
         run: "Run a scenario with one or several seeds.",
+        live: "Run a scenario in real time, over UDP between processes.",
         sweep: "Run each configuration of a grid with many seeds; resumes.",
         fates: "Send the messages of a log over the network of a scenario.",
         race: "Find the best configuration of a grid, in few runs.",

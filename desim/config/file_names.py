@@ -13,11 +13,11 @@ STORE_PARTS = "sweep.*-of-*.sqlite"
 PICTURE_SUFFIXES = (".svg", ".png", ".pdf")
 """Suffixes of diagrams; by default, files with the first two are written."""
 RUN_FILES = (
-    *(TRACE, "summary.json", "scenario.toml", "run.json"),
+    *(TRACE, "summary.json", "scenario.toml", "run.json", "live.json"),
     *("trajectory.svg", "trajectory.png", "replay.html"),
     *("spacetime.svg", "spacetime.png", "trace.perfetto.json", "film.gif"),
 )
-"""All files that `desim run`, `replay` and `plot` write into a run folder by default."""
+"""All files that `desim run`, `live`, `replay` and `plot` write into a run folder by default."""
 SUFFIX = re.compile(r"\.[A-Za-z]\w*")
 """A suffix that can denote a file type; the ".2" of "v1.2" does not match."""
 

@@ -1,0 +1,209 @@
+"""`desim live`: a scenario in one process per pursuer, over UDP and in real time."""
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from desim.cli.options import (
+    ALLOW_IMPORT,
+    COUNT,
+    FAILED,
+    FILE,
+    JSON,
+    METRIC,
+    RAISED,
+    SEED,
+    SET,
+    echo,
+    fail,
+    folder_for,
+    make_folder,
+    making,
+    shown_metrics,
+    source_of,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from desim.live.result import LiveResult
+    from desim.live.runs import LinkKind
+    from desim.scenario.scenario import Scenario
+
+
+@click.command()
+@FILE
+@SEED
+@click.option("-n", "--runs", type=COUNT, default=1, help="Number of runs, one after another; default: 1.")
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for the trace, the metrics and pictures.")
+@click.option(
+    "--hosts",
+    "hosts_file",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="A file with a host for each pursuer, one a line; default: the loopback. The command to start on another host"
+    " is printed.",
+)
+@click.option("--namespaces", is_flag=True, help="Put each pursuer into a network namespace of its own (Linux, root).")
+@click.option("--netem", is_flag=True, help="As --namespaces, with the links of `desim netem` in place of drawn ones.")
+@click.option(
+    "--compare", "compares", is_flag=True, help="Simulate the same runs, and print where both differ, with a figure."
+)
+@click.option("--join", "invitation", metavar="WORD", help="Be one pursuer of a run on another host (see --hosts).")
+@METRIC
+@JSON
+@ALLOW_IMPORT
+@SET
+def live(
+    file: Path,
+    seed: int | None,
+    runs: int,
+    out: Path | None,
+    hosts_file: Path | None,
+    namespaces: bool,
+    netem: bool,
+    compares: bool,
+    invitation: str | None,
+    metrics: tuple[str, ...],
+    as_json: bool,
+    overrides: tuple[str, ...],
+) -> None:
+    """Run a scenario FILE live: each pursuer in a process of its own, over UDP, in real time.
+
+    Exit code 3: a process was lost, which counts as a crash of its pursuer.
+    """
+    from desim.live.lobby import LiveError
+    from desim.live.namespaces import NamespaceError
+    from desim.live.refusals import NotLiveError
+
+    _, scenario = source_of(file, overrides, metrics)
+    if seed is not None:
+        scenario = scenario.model_copy(update={"seed": seed})
+    try:
+        if invitation is not None:
+            _join(scenario, invitation)
+        links: LinkKind = "netem" if netem else "namespaces" if namespaces else "drawn"
+        if compares:
+            _compare(scenario, runs, links, out, as_json=as_json)
+        else:
+            hosts = None if hosts_file is None else _hosts(hosts_file)
+            _run(scenario, runs, links, hosts, out, metrics, as_json=as_json)
+    except NotLiveError as error:
+        fail(f"{file}: {error}")
+    except (NamespaceError, ValueError) as error:
+        fail(str(error))
+    except LiveError as error:
+        echo(str(error), err=True)
+        sys.exit(RAISED)
+
+
+def _run(
+    scenario: "Scenario",
+    count: int,
+    links: "LinkKind",
+    hosts: "Sequence[str] | None",
+    out: Path | None,
+    metrics: tuple[str, ...],
+    *,
+    as_json: bool,
+) -> None:
+    """Run a scenario live, and print the metrics and how the runs went."""
+    from desim.analysis.metrics import plain, summary
+    from desim.analysis.tables import batch_table, run_table
+    from desim.live.runs import runs
+    from desim.study.workers.batch import seeds_from
+
+    if out is not None:
+        make_folder(out)
+    seeds = [scenario.seed] if count == 1 else seeds_from(scenario.seed, count)
+    start = time.perf_counter()
+    results = runs(scenario, seeds, hosts=hosts, links=links, tell=lambda text: echo(text, err=True))
+    wall_time = time.perf_counter() - start
+    summaries = [summary(result) for result in results]
+    for result in results if out is not None else ():
+        assert out is not None
+        _write(result, out if count == 1 else out / f"seed-{result.seed}")
+    if as_json:
+        entries = [
+            plain(numbers) | {"live": result.conduct.document()}
+            for numbers, result in zip(summaries, results, strict=True)
+        ]
+        echo(json.dumps({"scenario": scenario.plain(), "runs": entries}, indent=2))
+    else:
+        shown = shown_metrics(scenario, metrics)
+        one = run_table(scenario, summaries[0], wall_time, shown) if count == 1 else ""
+        echo(one or batch_table(scenario, summaries, wall_time))
+        echo(conduct_lines(results))
+    for result in results:
+        for note in result.conduct.notes:
+            echo(f"warning: seed {result.seed}: {note}", err=True)
+    if out is not None:
+        echo(f"wrote {out}", err=True)
+    if any(result.conduct.ends for result in results):
+        sys.exit(FAILED)
+
+
+def _write(result: "LiveResult", folder: Path) -> None:
+    """Write a run as `desim run` does, and how it went."""
+    from desim.results import run_folder
+
+    try:
+        run_folder.write(result, folder)
+        (folder / "live.json").write_text(json.dumps(result.conduct.document(), indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        fail(f"--out {error.filename or folder}: cannot be written: {error.strerror}")
+
+
+def conduct_lines(results: "Sequence[LiveResult]") -> str:
+    """Return how late timers and deliveries were, and what was dropped, as text."""
+    late = max(result.conduct.p99 for result in results)
+    worst = max(entry.worst for result in results for entry in result.conduct.lateness.values())
+    errors = [result.conduct.delivery_error for result in results]
+    drops = [sum(counts) for counts in zip(*(result.conduct.dropped for result in results), strict=True)]
+    return (
+        f"live: timers late by at most {1e3 * late:.1f} ms (99 %), {1e3 * worst:.1f} ms (all); deliveries late by"
+        f" {1e3 * max(error.median for error in errors):.2f} ms (median), {1e3 * max(error.p99 for error in errors):.1f}"
+        f" ms (99 %)\ndatagrams dropped: {drops[0]} malformed, {drops[1]} foreign, {drops[2]} replayed"
+    )
+
+
+def _compare(scenario: "Scenario", count: int, links: "LinkKind", out: Path | None, *, as_json: bool) -> None:
+    """Run a scenario live and simulated, print the comparison, and draw it."""
+    from desim.live.agreement import compare
+
+    if count < 2:
+        raise click.UsageError("--compare needs several runs, such as -n 20")
+    agreement = compare(scenario, count, links=links)
+    echo(json.dumps(agreement.document(), indent=2) if as_json else agreement.table())
+    with making("figure"):
+        from desim.analysis.drawing.plots import save
+        from desim.live.figure import agreement_figure
+
+        folder = folder_for(scenario, out)
+        make_folder(folder)
+        for path in save(agreement_figure(agreement), folder / "live"):
+            echo(f"wrote {path}", err=True)
+
+
+def _hosts(file: Path) -> list[str]:
+    """Return the hosts in a file, one a line; # begins a comment."""
+    from desim.config.number_files import text_of_file
+
+    lines = [line.partition("#")[0].strip() for line in text_of_file(file).splitlines()]
+    return [line for line in lines if line]
+
+
+def _join(scenario: "Scenario", invitation: str) -> None:
+    """Be one pursuer of a run whose referee is on another host."""
+    from desim.live.pursuer import play
+    from desim.live.start import Start
+
+    try:
+        start = Start.invited(invitation)
+    except ValueError as error:
+        raise click.UsageError(f"--join: {error}") from error
+    sys.exit(play(scenario, start))

@@ -1,0 +1,173 @@
+"""Live against simulated: whether runs of a scenario over sockets have the metrics of its simulation."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from desim.analysis.metrics import METRICS, Summary, summary
+from desim.analysis.statistics import Estimate, mean, paired
+from desim.analysis.tables import aligned, counted, number
+from desim.live.result import LiveResult
+from desim.live.runs import LinkKind, runs
+from desim.live.wall_clock import Lateness
+from desim.scenario.scenario import Scenario
+from desim.simulation.run import Result, run
+from desim.study.workers.batch import seeds_from
+
+GATE = 0.02
+"""The 99th percentile of lateness, s, above which a comparison says nothing."""
+ERRORS = 3.0
+"""Number of standard errors up to which a difference agrees."""
+SHOWN = ("active_time", "idle_time", "crowded_time", "end_time", "decisions", "messages_sent", "messages_lost")
+"""The metrics that are compared."""
+
+
+class Row(NamedTuple):
+    """A metric, live and simulated."""
+
+    metric: str
+    unit: str
+    live: Estimate
+    simulated: Estimate
+    difference: Estimate
+    """Live minus simulated, paired by seed."""
+
+    @property
+    def errors(self) -> float:
+        """The difference in standard errors; 0 if all pairs are equal."""
+        difference = self.difference
+        return difference.mean / difference.standard_error if difference.standard_error else 0.0
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the difference is at most `ERRORS` standard errors."""
+        return abs(self.errors) <= ERRORS
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Runs of a scenario live and simulated, with the same seeds.
+
+    Attributes:
+        scenario: the experiment.
+        live: the results of the live runs.
+        simulated: the results of the simulated runs, in the same order.
+    """
+
+    scenario: Scenario
+    live: Sequence[LiveResult]
+    simulated: Sequence[Result]
+
+    @property
+    def p99(self) -> float:
+        """The greatest 99th percentile of lateness of a process in a run, s."""
+        return max(result.conduct.p99 for result in self.live)
+
+    @property
+    def is_on_time(self) -> bool:
+        """Whether the timers were early enough for the comparison to say anything; see `GATE`."""
+        return self.p99 <= GATE
+
+    @property
+    def rows(self) -> list[Row]:
+        """The metrics, live and simulated."""
+        live, simulated = [list(map(summary, results)) for results in (self.live, self.simulated)]
+        return [_row(name, live, simulated) for name in SHOWN]
+
+    @property
+    def agrees(self) -> bool | None:
+        """Whether all metrics agree; None if the timers were too late to say."""
+        return all(row.agrees for row in self.rows) if self.is_on_time else None
+
+    def delivery_error(self) -> Lateness:
+        """Return by how much messages were delivered late: the medians of the medians, the worst of the others."""
+        errors = [result.conduct.delivery_error for result in self.live]
+        medians = sorted(error.median for error in errors)
+        return Lateness(
+            sum(error.count for error in errors),
+            medians[len(medians) // 2],
+            max(error.p99 for error in errors),
+            max(error.worst for error in errors),
+        )
+
+    def table(self) -> str:
+        """Return the comparison as text."""
+        head = ("", "live", "simulated", "difference", "s.e.", "in s.e.", "")
+        rows = [
+            (
+                f"{row.metric}{f', {row.unit}' if row.unit else ''}",
+                *(number(value) for value in (row.live.mean, row.simulated.mean, row.difference.mean)),
+                number(row.difference.standard_error),
+                f"{row.errors:+.1f}",
+                "agrees" if row.agrees else "differs",
+            )
+            for row in self.rows
+        ]
+        error = self.delivery_error()
+        return "\n".join(
+            [
+                f"{self.scenario.name}, {self.scenario.protocol_name}: {counted(len(self.live), 'run')} live and"
+                f" simulated, paired by seed; a metric agrees within {ERRORS:g} standard errors",
+                aligned([head, *rows]),
+                f"timers late: 99 % of them at most {1e3 * self.p99:.1f} ms; deliveries late: median"
+                f" {1e3 * error.median:.2f} ms, 99 % at most {1e3 * error.p99:.1f} ms",
+                self._verdict(),
+            ]
+        )
+
+    def _verdict(self) -> str:
+        if not self.is_on_time:
+            return f"no verdict: timers were late by more than {1e3 * GATE:g} ms; try again on an idle machine"
+        return "live and simulated agree" if self.agrees else "live and simulated differ"
+
+    def document(self) -> dict[str, Any]:
+        """Return the comparison as JSON types."""
+        rows = [
+            {
+                "metric": row.metric,
+                "live": row.live.mean,
+                "simulated": row.simulated.mean,
+                "difference": row.difference.mean,
+                "standard_error": row.difference.standard_error,
+                "agrees": row.agrees,
+            }
+            for row in self.rows
+        ]
+        error = self.delivery_error()._asdict()
+        return {"runs": len(self.live), "p99": self.p99, "agrees": self.agrees, "delivery_error": error, "rows": rows}
+
+
+def _row(name: str, live: Sequence[Summary], simulated: Sequence[Summary]) -> Row:
+    values, others = [[getattr(run, name) for run in runs] for runs in (live, simulated)]
+    return Row(name, METRICS[name].unit, mean(values), mean(others), paired(values, others))
+
+
+def compare(
+    scenario: Scenario,
+    count: int = 20,
+    seed: int | None = None,
+    *,
+    simulated: Scenario | None = None,
+    at_once: int = 1,
+    links: LinkKind = "drawn",
+    finished: Callable[[LiveResult], object] | None = None,
+) -> Agreement:
+    """Run a scenario live and simulated with the same seeds, and compare the metrics.
+
+    Args:
+        scenario: the experiment.
+        count: number of runs of each kind.
+        seed: root seed, as of `desim run -n`; None: that of the scenario.
+        simulated: another experiment to simulate, as a control that should differ; None: the same.
+        at_once: number of live runs at the same time.
+        links: how the links of the live runs are made; see `desim.live.runs.run`.
+        finished: called with each live result.
+
+    Raises:
+        ValueError: as `desim.live.runs.run`.
+        LiveError: as `desim.live.runs.run`.
+        NamespaceError: as `desim.live.runs.run`.
+    """
+    seeds = seeds_from(scenario.seed if seed is None else seed, count)
+    live = runs(scenario, seeds, at_once=at_once, links=links, finished=finished)
+    return Agreement(scenario, live, [run(simulated or scenario, seed) for seed in seeds])
