@@ -40,6 +40,8 @@ class Logs:
         """By number, receiver, and whether it is of a copy."""
         self.lines: list[str] = []
         self.transports: list[TransportCounts] = []
+        self._last_read: dict[tuple[int, int], int] = {}
+        """By sender and receiver, when the last datagram that was read was sent, ns."""
         self.crashed: dict[int, int] = {}
         """By pursuer whose process was lost, when that was noticed, ns."""
 
@@ -72,6 +74,11 @@ class Logs:
         rows: list[tuple[int, int, Event]] = [(event.t, 0, event) for event in world]
         rows += [(event.t, 1, event) for event in events_of(self.lines, EVENTS) if event.t <= end]
         traffic = _Traffic(end)
+        for pursuer, sent in self.departures:
+            for node in sent.dst:
+                if (sent.number, node, False) in self.outcomes:
+                    last = self._last_read.get((pursuer, node), 0)
+                    self._last_read[pursuer, node] = max(last, sent.t)
         numbers = count()
         for pursuer, sent in sorted(self.departures, key=lambda row: (row[1].t, row[0])):
             if sent.t <= end:
@@ -86,7 +93,7 @@ class Logs:
         self, src: int, sent: Departure, numbers: Any, traffic: "_Traffic"
     ) -> Iterable[tuple[int, int, Event]]:
         """Yield a transmission and its losses, and those of its copies, each with its time and rank."""
-        fates = {node: self._fate(src, sent, node) for node in sent.dst}
+        fates = {node: self._fate(src, sent, node, traffic.end) for node in sent.dst}
         yield from self._events(src, sent, fates, next(numbers), traffic)
         copies = {
             node: _Fate(outcome.arrival, outcome.cause)
@@ -96,13 +103,16 @@ class Logs:
         if copies:
             yield from self._events(src, sent, copies, next(numbers), traffic)
 
-    def _fate(self, src: int, sent: Departure, node: int) -> "_Fate":
+    def _fate(self, src: int, sent: Departure, node: int, end: int) -> "_Fate":
         if node in sent.causes:
             return _Fate(LOST, sent.causes[node])
         outcome = self.outcomes.get((sent.number, node, False))
         down = self.crashed.get(node)
         if outcome is None or outcome.src != src:
-            return _Fate(LOST, "crash" if down is not None else UNREAD)
+            if down is not None:
+                return _Fate(LOST, "crash")
+            # One that was still in the socket at the end has no successor; one that was lost in between has.
+            return _Fate(LOST, UNREAD) if sent.t < self._last_read.get((src, node), 0) else _Fate(end + 1, "")
         if outcome.arrival != LOST and down is not None and outcome.arrival >= down:
             return _Fate(outcome.arrival, "crash")
         return _Fate(outcome.arrival, outcome.cause)

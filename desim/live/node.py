@@ -51,6 +51,8 @@ from desim.simulation.pursuer_positions import PursuerPositions
 from desim.simulation.team_processes import TeamProcesses
 from desim.simulation.world import initial_state, possible_action
 
+DRAIN = 0.02
+"""Time for which a node reads its socket after the end, so that the fates of what was on the way are known, s."""
 RECEIVE_BUFFER = 1 << 21
 """Bytes of the receive buffer of a socket, as far as the system allows it."""
 
@@ -241,6 +243,8 @@ class Node:
         self.clock = WallClock(self._env, self._over, now)
         try:
             await self.clock.follow(self._take, caught_up)
+            await asyncio.sleep(DRAIN)
+            self._take()
         finally:
             self.stop()
             if self._transport is not None:

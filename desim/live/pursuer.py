@@ -5,7 +5,7 @@ import json
 import os
 import sys
 from contextlib import suppress
-from time import monotonic_ns
+from time import monotonic_ns, process_time
 from traceback import format_exception_only
 from typing import Any
 
@@ -76,6 +76,7 @@ class _Pursuer:
 
     async def _run(self) -> int:
         node, loop = self._node, asyncio.get_running_loop()
+        self._spent = process_time()
         self._heard = loop.time()
         running = asyncio.create_task(node.run(self._now, caught_up=self._report))
         listening = asyncio.create_task(self._listen())
@@ -95,7 +96,8 @@ class _Pursuer:
             self._report()
             counts, drops = node.transport_counts(), node.link.drops
             lateness = [] if node.clock is None else node.clock.lateness
-            self._tell("done", None if counts is None else list(counts), list(drops), lateness, node.link.errors)
+            cpu = process_time() - self._spent
+            self._tell("done", None if counts is None else list(counts), list(drops), lateness, node.link.errors, cpu)
             with suppress(OSError):
                 await asyncio.wait_for(self._writer.drain(), 2.0)
                 self._writer.close()

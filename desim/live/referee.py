@@ -171,7 +171,7 @@ class Referee:
         elif word == "events":
             self._logs.lines += values[0]
         elif word == "done":
-            counts, drops, lateness, errors = values
+            counts, drops, lateness, errors, self._conduct.cpu[pursuer] = values
             self._logs.transports += [] if counts is None else [TransportCounts(*counts)]
             self._conduct.drops[pursuer] = Drops(*drops)
             self._conduct.lateness[pursuer] = Lateness.of(lateness)

@@ -17,6 +17,7 @@ class Conduct:
     Attributes:
         lateness: by process, the pursuers and "referee", how late its timers were.
         delivery_error: how much later than its time each message was delivered.
+        cpu: by pursuer, the time that its process has computed during the run, s.
         drops: by pursuer, the datagrams that it has dropped.
         ends: by pursuer whose process was lost, how it ended.
         notes: sentences about what went wrong.
@@ -24,6 +25,7 @@ class Conduct:
 
     lateness: dict[int | str, Lateness] = field(default_factory=dict)
     delivery_error: Lateness = field(default_factory=lambda: Lateness.of([]))
+    cpu: dict[int, float] = field(default_factory=dict)
     drops: dict[int, Drops] = field(default_factory=dict)
     ends: dict[int, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
@@ -43,8 +45,12 @@ class Conduct:
         lateness = {str(name): late._asdict() for name, late in self.lateness.items()}
         drops = {str(pursuer): counts._asdict() for pursuer, counts in self.drops.items()}
         ends = {str(pursuer): end for pursuer, end in self.ends.items()}
+        cpu = {str(pursuer): spent for pursuer, spent in self.cpu.items()}
         error = self.delivery_error._asdict()
-        return {"lateness": lateness, "delivery_error": error, "drops": drops, "ends": ends, "notes": self.notes}
+        return {
+            **{"lateness": lateness, "delivery_error": error, "cpu": cpu},
+            **{"drops": drops, "ends": ends, "notes": self.notes},
+        }
 
 
 @dataclass(frozen=True, repr=False)
