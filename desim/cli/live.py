@@ -160,14 +160,16 @@ def _write(result: "LiveResult", folder: Path) -> None:
 
 def conduct_lines(results: "Sequence[LiveResult]") -> str:
     """Return how late timers and deliveries were, and what was dropped, as text."""
-    late = max(result.conduct.p99 for result in results)
-    worst = max(entry.worst for result in results for entry in result.conduct.lateness.values())
-    errors = [result.conduct.delivery_error for result in results]
+    from desim.live.wall_clock import Lateness
+
+    timers, deliveries, orders = (
+        Lateness.of([late for result in results for late in getattr(result.conduct, name)])
+        for name in ("timers", "deliveries", "orders")
+    )
     drops = [sum(counts) for counts in zip(*(result.conduct.dropped for result in results), strict=True)]
     return (
-        f"live: timers late by at most {1e3 * late:.1f} ms (99 %), {1e3 * worst:.1f} ms (all); deliveries late by"
-        f" {1e3 * max(error.median for error in errors):.2f} ms (median), {1e3 * max(error.p99 for error in errors):.1f}"
-        f" ms (99 %)\ndatagrams dropped: {drops[0]} malformed, {drops[1]} foreign, {drops[2]} replayed"
+        f"live: late by at most, in 50 %, 99 % and 100 %: timers {timers}, deliveries {deliveries}, actions {orders}\n"
+        f"datagrams dropped: {drops[0]} malformed, {drops[1]} foreign, {drops[2]} replayed"
     )
 
 
@@ -203,7 +205,7 @@ def _join(scenario: "Scenario", invitation: str) -> None:
     from desim.live.start import Start
 
     try:
-        start = Start.invited(invitation)
+        start = Start.invited(invitation, scenario)
     except ValueError as error:
         raise click.UsageError(f"--join: {error}") from error
     sys.exit(play(scenario, start))

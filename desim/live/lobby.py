@@ -66,7 +66,7 @@ class Lobby:
         lose: Callable[[int, str], object],
     ):
         self._scenario, self._hosts, self._hear, self._lose = scenario, hosts, hear, lose
-        self._token, self._digest = secrets.token_hex(16), digest(scenario)
+        self._token = secrets.token_hex(16)
         self._joined: dict[int, _Connection] = {}
         self._ready: set[int] = set()
         self._statuses: dict[int, int] = {}
@@ -189,7 +189,7 @@ class Lobby:
             why = "the referee does not know this process"
         elif pursuer not in range(len(self._hosts)) or pursuer in self._joined:
             why = f"the run has no pursuer {pursuer}, or has it already"
-        elif scenario != self._digest:
+        elif scenario and scenario != digest(self._scenario):
             why = "the scenario of the run is another one"
         connection = _Connection(writer, address)
         if why:

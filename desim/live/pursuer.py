@@ -11,11 +11,12 @@ from typing import Any
 
 from desim.kernel.core.events import Broadcast, Lost, Sent
 from desim.kernel.core.trace_file import line_of
+from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.faults import FaultEnded, FaultStarted
 from desim.live.frames import Frame
 from desim.live.namespaces import inside
 from desim.live.node import Node, udp_socket
-from desim.live.start import Start, digest
+from desim.live.start import Start
 from desim.scenario.scenario import Scenario
 
 LINE = 1 << 24
@@ -44,7 +45,7 @@ class _Pursuer:
     """One pursuer of a live run."""
 
     def __init__(self, scenario: Scenario, start: Start):
-        self._start, self._begin, self._offset, self._digest = start, 0, 0, digest(scenario)
+        self._start, self._begin, self._offset = start, 0, 0
         self._node = Node(scenario, start.pursuer, start.seed, draws=start.draws, on_action=self._order)
         self._heard = 0.0
         self._is_silent = False
@@ -60,7 +61,7 @@ class _Pursuer:
         with inside(start.namespace):
             bound = udp_socket((start.host, 0))
         address = await self._node.bind((start.host, 0), bound)
-        self._tell("hello", start.pursuer, start.token, self._digest, list(address))
+        self._tell("hello", start.pursuer, start.token, start.scenario, list(address))
         word, *values = await self._hear()
         while word != "start":
             if word == "refused":
@@ -142,7 +143,7 @@ class _Pursuer:
                 os._exit(LOST_REFEREE)
 
     def _order(self, action: int) -> None:
-        self._tell("order", action)
+        self._tell("order", nanoseconds(self._node.now), action)
 
     def _report(self) -> None:
         """Send what has happened since the last report."""

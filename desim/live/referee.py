@@ -23,7 +23,7 @@ from desim.live.nursery import Nursery
 from desim.live.own_bodies import OwnBodies
 from desim.live.refusals import check_live
 from desim.live.result import REFEREE, Conduct, LiveResult
-from desim.live.wall_clock import Lateness, WallClock
+from desim.live.wall_clock import WallClock
 from desim.live.wire import Wire, WireError
 from desim.pursuit.sensing.views import View
 from desim.scenario.scenario import Scenario
@@ -74,11 +74,10 @@ class Referee:
         self._conduct = Conduct()
         self._logs = Logs(Wire(size, len(scenario.evaders), OwnBodies(scenario.protocol, WireError)))
         self._lobby = Lobby(scenario, hosts or [LOCAL] * size, self._hear, self._lose)
-        self._orders: deque[tuple[int, int]] = deque()
+        self._orders: deque[tuple[int, int, int]] = deque()
         self._gone: deque[tuple[int, str]] = deque()
         self._obeyed = [0] * size
         self._clock: WallClock | None = None
-        self._errors: list[int] = []
 
     async def play(self, nursery: Nursery) -> LiveResult:
         """Run the scenario, and return the result.
@@ -139,7 +138,8 @@ class Referee:
         """Obey the orders of the pursuers, and take those down whose process was lost."""
         any_taken = bool(self._orders or self._gone)
         while self._orders:
-            pursuer, action = self._orders.popleft()
+            pursuer, decided, action = self._orders.popleft()
+            self._conduct.orders.append(max(self._env.now - decided, 0))
             self._obeyed[pursuer] += 1
             self._world.set_action(pursuer, action)
         while self._gone:
@@ -162,7 +162,7 @@ class Referee:
     def _hear(self, pursuer: int, word: str, *values: Any) -> None:
         """Take a line of a pursuer."""
         if word == "order":
-            self._orders.append((pursuer, values[0]))
+            self._orders.append((pursuer, *values))
             self._wake()
         elif word == "sent":
             self._logs.sent(pursuer, *values)
@@ -174,8 +174,7 @@ class Referee:
             counts, drops, lateness, errors, self._conduct.cpu[pursuer] = values
             self._logs.transports += [] if counts is None else [TransportCounts(*counts)]
             self._conduct.drops[pursuer] = Drops(*drops)
-            self._conduct.lateness[pursuer] = Lateness.of(lateness)
-            self._errors += errors
+            self._conduct.note(pursuer, lateness, errors)
 
     def _lose(self, pursuer: int, how: str) -> None:
         self._gone.append((pursuer, how))
@@ -194,8 +193,8 @@ class Referee:
         conduct = self._conduct
         conduct.notes += [f"pursuer {pursuer} has not reported within {LINGER:g} s of the end" for pursuer in missing]
         conduct.lateness = dict(sorted(conduct.lateness.items()))
-        conduct.lateness[REFEREE] = late = Lateness.of(self._clock.lateness)
-        conduct.delivery_error = Lateness.of(self._errors)
+        conduct.note(REFEREE, self._clock.lateness, [])
+        late = conduct.lateness[REFEREE]
         if late.worst > STALL:
             conduct.notes.append(f"the referee stalled for {late.worst:.1f} s")
         trace = Trace()

@@ -1,7 +1,9 @@
 """The result of a live run: as that of a simulation, and how the run went."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from desim.kernel.core.portable_math import portable_sum
 from desim.live.link import Drops
 from desim.live.wall_clock import Lateness
 from desim.simulation.run import Result
@@ -16,7 +18,9 @@ class Conduct:
 
     Attributes:
         lateness: by process, the pursuers and "referee", how late its timers were.
-        delivery_error: how much later than its time each message was delivered.
+        timers: the same of all processes together, ns.
+        deliveries: how much later than its time each message was delivered, ns.
+        orders: how long after its decision each action has taken effect, ns.
         cpu: by pursuer, the time that its process has computed during the run, s.
         drops: by pursuer, the datagrams that it has dropped.
         ends: by pursuer whose process was lost, how it ended.
@@ -24,33 +28,33 @@ class Conduct:
     """
 
     lateness: dict[int | str, Lateness] = field(default_factory=dict)
-    delivery_error: Lateness = field(default_factory=lambda: Lateness.of([]))
+    timers: list[int] = field(default_factory=list)
+    deliveries: list[int] = field(default_factory=list)
+    orders: list[int] = field(default_factory=list)
     cpu: dict[int, float] = field(default_factory=dict)
     drops: dict[int, Drops] = field(default_factory=dict)
     ends: dict[int, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
-    @property
-    def p99(self) -> float:
-        """The greatest 99th percentile of the lateness of a process, s."""
-        return max((late.p99 for late in self.lateness.values()), default=0.0)
+    def note(self, process: int | str, timers: Sequence[int], deliveries: Sequence[int]) -> None:
+        """Note how late the timers and the deliveries of a process were, ns."""
+        self.lateness[process] = Lateness.of(timers)
+        self.timers += timers
+        self.deliveries += deliveries
 
     @property
     def dropped(self) -> Drops:
         """The datagrams that all pursuers together have dropped."""
-        return Drops(*(sum(counts) for counts in zip(*self.drops.values(), strict=True)))
+        return Drops(*(portable_sum(counts) for counts in zip(*self.drops.values(), strict=True)))
 
     def document(self) -> dict[str, object]:
         """Return it as JSON types."""
+        all_late = {name: Lateness.of(getattr(self, name))._asdict() for name in ("timers", "deliveries", "orders")}
         lateness = {str(name): late._asdict() for name, late in self.lateness.items()}
         drops = {str(pursuer): counts._asdict() for pursuer, counts in self.drops.items()}
         ends = {str(pursuer): end for pursuer, end in self.ends.items()}
         cpu = {str(pursuer): spent for pursuer, spent in self.cpu.items()}
-        error = self.delivery_error._asdict()
-        return {
-            **{"lateness": lateness, "delivery_error": error, "cpu": cpu},
-            **{"drops": drops, "ends": ends, "notes": self.notes},
-        }
+        return {**all_late, "processes": lateness, "cpu": cpu, "drops": drops, "ends": ends, "notes": self.notes}
 
 
 @dataclass(frozen=True, repr=False)

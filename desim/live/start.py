@@ -24,6 +24,8 @@ class Start(NamedTuple):
     """Whether losses and latencies are drawn."""
     namespace: str = ""
     """The network namespace in which it listens; empty: its own."""
+    scenario: str = ""
+    """A digest of the scenario, if its process has read it from a file."""
 
     def invitation(self) -> str:
         """Return the start as a word for the command line of another host."""
@@ -31,8 +33,8 @@ class Start(NamedTuple):
         return f"{host}:{port}/{self.pursuer}/{self.seed}/{self.host}/{self.token}"
 
     @classmethod
-    def invited(cls, invitation: str) -> Self:
-        """Return the start that an invitation stands for.
+    def invited(cls, invitation: str, scenario: Scenario) -> Self:
+        """Return the start that an invitation stands for, with a scenario that was read from a file.
 
         Raises:
             ValueError: if it is none.
@@ -40,7 +42,7 @@ class Start(NamedTuple):
         try:
             referee, pursuer, seed, host, token = invitation.split("/")
             referee_host, _, port = referee.rpartition(":")
-            return cls((referee_host, int(port)), token, int(pursuer), int(seed), host)
+            return cls((referee_host, int(port)), token, int(pursuer), int(seed), host, scenario=digest(scenario))
         except ValueError:
             raise ValueError(f"should be the word that `desim live --hosts` prints (got {invitation!r})") from None
 

@@ -23,6 +23,9 @@ class Lateness(NamedTuple):
     p99: float
     worst: float
 
+    def __str__(self) -> str:
+        return f"{1e3 * self.median:.2f}, {1e3 * self.p99:.1f} and {1e3 * self.worst:.1f} ms"
+
     @classmethod
     def of(cls, nanoseconds: Sequence[int]) -> "Lateness":
         """Return the lateness of timers, given that of each one, ns."""
