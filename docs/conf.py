@@ -19,6 +19,7 @@ import api  # noqa: E402  these lie in this folder
 import dark  # noqa: E402
 import notebooks  # noqa: E402
 import pages  # noqa: E402
+import trial  # noqa: E402
 
 project = "desim"
 author = "the authors of desim"
@@ -53,7 +54,7 @@ html_static_path = ["_static"]
 templates_path = ["_templates"]
 html_extra_path = ["_extra"]
 html_css_files = ["desim.css"]
-html_js_files = ["desim.js"]
+html_js_files = ["desim.js", "try.js"]
 html_search_scorer = str(DOCS / "search_scorer.js")
 html_show_copyright = False
 
@@ -146,6 +147,7 @@ def setup(app: Sphinx) -> None:
     pages.write(DOCS)
     notebooks.write(DOCS)
     dark.write(DOCS, pages.SCENARIOS)
+    trial.write(DOCS)
     app.add_transform(_Dark)
     app.connect("doctree-read", _note_keys)
     app.add_post_transform(_Elsewhere)

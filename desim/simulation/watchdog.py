@@ -4,7 +4,7 @@ import ctypes
 import signal
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from linecache import getline
 from math import inf
 from pathlib import Path
@@ -31,6 +31,8 @@ _OURS = {"desim", "protocols"}
 """The packages of the simulator and its protocols."""
 _LIBRARIES = {*sys.stdlib_module_names, "networkx", "numpy", "pydantic", "scipy", "simpy"} - {"__main__"}
 """The packages whose lines say nothing about the cause of a hang."""
+HAS_THREADS = sys.platform not in {"emscripten", "wasi"}
+"""Whether this Python can start threads; that of a browser (Pyodide) cannot, and has no timers of signals either."""
 AGAIN = 0.1
 """Interval, s, at which the exception of a limit is raised again if it was lost."""
 
@@ -65,14 +67,17 @@ def within(limit: float) -> AbstractContextManager[None]:
     GeneratorExit.
 
     In the main thread, the timer and the signal SIGALRM are used; an earlier timer goes on, and calls its own handler.
-    In other threads, and on Windows, a watching thread raises the exception.
+    In other threads, and on Windows, a watching thread raises the exception. Without threads, as in a browser, there is
+    no limit: the page ends the worker in which Python runs.
 
     Raises:
         TimedOut: if the block takes longer than `limit`.
         ValueError: if `limit`, s, is not valid; see `checked_limit`.
     """
-    has_signals = current_thread() is main_thread() and hasattr(signal, "setitimer")
-    return (_Alarm if has_signals else _Watch)(checked_limit(limit))
+    limit = checked_limit(limit)
+    if current_thread() is main_thread() and hasattr(signal, "setitimer"):
+        return _Alarm(limit)
+    return _Watch(limit) if HAS_THREADS else nullcontext()
 
 
 class _Limit(AbstractContextManager[None]):

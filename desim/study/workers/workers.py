@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import contextmanager
-from multiprocessing import resource_tracker
 from typing import Any, Self, TypeVar
 
 from desim.config.extras import missing
@@ -231,6 +230,8 @@ def _pool(count: int, *, kept: bool) -> Executor:
 
     If `kept` is true, the pool is new. Otherwise it is loky's reusable pool, which all such callers share.
     """
+    from multiprocessing import resource_tracker  # neither is in a browser, where runs are made in this process
+
     from loky import ProcessPoolExecutor, get_reusable_executor
 
     if os.name == "posix":
