@@ -62,24 +62,28 @@ def covering(cases):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Leave out `whole` tests, thin products, mark the slow cases of a test: those it names, or all but the first."""
+    """Mark the slow and the whole cases of a test, leave out `whole` ones, and thin products."""
     asked_for = config.option.whole_products or any("::" in argument for argument in config.args)
-    kept = {item for item in items if asked_for or not item.get_closest_marker("whole")}
+    tests = {}
+    for item in items:
+        tests.setdefault((item.parent, getattr(item, "originalname", item.name)), []).append(item)
+    for cases in tests.values():
+        for rank in ("slow", "whole"):
+            if cases[0].get_closest_marker(f"{rank}_but_one"):
+                for item in cases[1:]:
+                    item.add_marker(rank)
+        if mark := cases[0].get_closest_marker("slow_cases"):
+            for item in cases:
+                if item.callspec.id in mark.args:
+                    item.add_marker("slow")
     for item in items:
         if item.get_closest_marker("whole"):
             item.add_marker("slow")
-    tests = {}
-    for item in (item for item in items if item in kept):
-        tests.setdefault((item.parent, getattr(item, "originalname", item.name)), []).append(item)
-    for cases in tests.values():
-        slow = cases[1:] if cases[0].get_closest_marker("slow_but_one") else []
-        if mark := cases[0].get_closest_marker("slow_cases"):
-            slow = [item for item in cases if item.callspec.id in mark.args]
-        for item in slow:
-            item.add_marker("slow")
+    kept = {item for item in items if asked_for or not item.get_closest_marker("whole")}
     # A test of several `parametrize` asks one question in all corners. Each value is met here, not each combination.
     if not asked_for:
-        kept = set().union(*(covering(cases) if len(values_of(cases[0])) > 1 else cases for cases in tests.values()))
+        short = [[item for item in cases if item in kept] for cases in tests.values()]
+        kept = set().union(*(covering(cases) if len(values_of(cases[0])) > 1 else cases for cases in short if cases))
     config.hook.pytest_deselected(items=[item for item in items if item not in kept])
     items[:] = [item for item in items if item in kept]
 

@@ -477,7 +477,7 @@ def test_the_mathematics_loads_without_a_simulator():
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_kernel_stands_alone():
     program = (
         "import sys; import desim.kernel.network, desim.kernel.models.links;"
@@ -518,7 +518,7 @@ PROGRAMS = {
 }
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.whole
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_nothing_is_loaded_that_is_not_needed(name):
     """What is slow to import is imported by whatever needs it: the start of a short run is most of its time."""

@@ -583,7 +583,7 @@ def test_the_option_sets_the_number_of_workers(file, monkeypatch, options, jobs)
     assert asked == [jobs]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_number_of_workers_changes_nothing_that_is_printed_or_written(file, tmp_path):
     path = file(RANDOM)
     written = []
@@ -1033,7 +1033,7 @@ def test_a_sweep_as_json_is_one_document_on_stdout(file, tmp_path):
     assert runs == 3
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_sweep_does_as_many_runs_as_a_precision_takes(file, tmp_path):
     one = ("--set", 'sweep.grid={ "network.range" = [1.0] }')
     made = swept(file(COINS), "-o", tmp_path / "out", "--until", "active_time:0.5", *one)
@@ -1150,7 +1150,7 @@ def test_a_smaller_sweep_into_the_same_folder_keeps_the_output_of_the_larger(fil
     assert (tmp_path / "out" / "run.json").read_bytes() == whole
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_every_command_that_adds_runs_is_kept_once_and_the_last_is_in_run_json(file, tmp_path, typed):
     path, out = file(COINS), ("-o", tmp_path / "out")
     small = typed("sweep", path, *out, "-n", 1)
@@ -1166,7 +1166,7 @@ def test_every_command_that_adds_runs_is_kept_once_and_the_last_is_in_run_json(f
     assert asked(tmp_path / "out") == [small, wide, other]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_merged_store_has_the_command_of_each_part(file, tmp_path, typed):
     path = file(COINS)
     parts = [typed("sweep", path, "-o", tmp_path / "parts", "--shard", f"{k}/3") for k in (1, 2, 3)]

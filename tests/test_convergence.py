@@ -93,6 +93,7 @@ def outcome(result):
     return tuple(profile), relay_profile(phi.tolist(), horizon), settled
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("schedule", SCHEDULES)
 def test_every_asynchronous_case_ends_in_the_relay_profile(schedule):
@@ -120,7 +121,7 @@ def without_repetition(trigger, seed, horizon):
     return outcome(run(scenario, seed))
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_without_repetition_a_lost_announcement_can_leave_beliefs_wrong_forever():
     """Announced on change only, 5 of 10 seeds stay wrong from 10 s until 40 s; with heartbeats none."""
     wrong = {}
@@ -135,6 +136,7 @@ def test_without_repetition_a_lost_announcement_can_leave_beliefs_wrong_forever(
         assert profile == relay
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(("dissemination", "settles"), [(OneHop(), False), (Flooding(hops=5), True)])
 def test_on_a_path_only_forwarded_records_lead_to_one_relay_pursuer(dissemination, settles):

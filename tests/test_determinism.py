@@ -93,7 +93,7 @@ def test_other_seeds_make_other_traces_and_summaries():
     assert len(set(found)) == len(found) == 12
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_name_that_a_terminal_cannot_encode_is_printed_all_the_same(tmp_path):
     file = tmp_path / "named.toml"
     file.write_text('name = "Jäger ≤ 3"\nhorizon = 0.1\n', encoding="utf-8")
@@ -102,7 +102,7 @@ def test_a_name_that_a_terminal_cannot_encode_is_printed_all_the_same(tmp_path):
     assert done.stdout.startswith(b"J\xe4ger \\u2264 3")
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_traces_are_equal_for_one_worker_and_two():
     tasks = [(load(RELAY, ["horizon=1.0"]), seed) for seed in range(4)]
     one, two = (run_many(tasks, jobs, measure=lines) for jobs in (1, 2))

@@ -59,7 +59,7 @@ def test_every_kind_of_dynamics_is_public():
     assert {each.__name__ for each in set(DYNAMICS.choices().values()) - {Simple}} <= set(desim.__all__)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_no_other_class_has_the_name_of_a_public_one():
     """`Capture` is the condition of a capture, so the interference model is `CaptureEffect`."""
     folder = Path(desim.__file__).parent

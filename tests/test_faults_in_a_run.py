@@ -250,6 +250,7 @@ def test_when_the_active_pursuer_breaks_down_another_takes_over_after_the_belief
         assert summary(result).capturer in {1, 2}
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("payload", PAYLOADS)
 @pytest.mark.parametrize(

@@ -452,7 +452,7 @@ def mutations(draw) -> bytes:
     return content
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @fuzz(0.08)
 @given(content=mutations())
 @example(content=b"")
@@ -610,7 +610,7 @@ COMMANDS: dict[str, list[object]] = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("how", COMMANDS)
 def test_a_command_that_is_killed_leaves_nothing_half_written(tmp_path, how):
     """At seeded moments, over nothing or over what an earlier command left that was killed, too."""

@@ -112,6 +112,7 @@ def test_a_run_with_hardly_any_inertia_is_one_without(dynamics, error, strategy)
                 assert np.array(one.pursuers) == pytest.approx(np.array(other.pursuers), abs=error)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("dynamics", LIMITED, ids=NAMES)
 @pytest.mark.parametrize("guidance", ["pure_pursuit", "constant_bearing"])
@@ -140,7 +141,7 @@ def test_results_converge_in_the_motion_step(dynamics, guidance):
 # What is announced.
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("dynamics", LIMITED, ids=NAMES)
 def test_announced_courses_are_worth_as_much_as_sight_if_they_arrive_at_once(dynamics):
     """Positions and courses of teammates are extrapolated exactly; without courses, decisions differ."""
@@ -220,6 +221,7 @@ def test_without_a_course_a_teammate_is_reckoned_as_if_its_motion_were_simple():
 # Every protocol, every strategy.
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "dynamics"),
@@ -245,6 +247,7 @@ def test_every_protocol_captures_an_evader_in_spite_of_inertia(kind, dynamics):
     assert result.trace.of(Captured)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("strategy", "dynamics", "guidance"),
@@ -297,6 +300,7 @@ def test_initial_headings_are_drawn_per_seed_and_player_or_given():
     assert Team(count=2, dynamics=TurnRate(heading=pi / 2)).headings(1) == pytest.approx([1j, 1j])
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("dynamics", "environment"),

@@ -59,7 +59,7 @@ LAWS = {
 """Rule, schedule, number of runs."""
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("name", LAWS)
 def test_the_profile_over_three_targets_follows_the_gibbs_law_of_the_welfare(name):
     """12,000 decisions in a run, one at a time, over instant links, in 5 batches: all 64 profiles within 5 errors.
@@ -94,7 +94,7 @@ def test_the_welfare_is_on_the_average_that_of_the_gibbs_law():
     assert mean - means[2 * TAU] > 6 * error_of_mean
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_at_once_the_law_over_three_targets_is_not_that_of_gibbs():
     """All decide every five milliseconds: 0.3 of total variation and tens of errors away."""
     law, error = by_batches(batches(game_of_three(SpatialAdaptivePlay, Rounds(period=0.005)), 1, ORDER))
@@ -103,7 +103,7 @@ def test_at_once_the_law_over_three_targets_is_not_that_of_gibbs():
     assert (np.abs(law - exact) > 20 * error + 1e-2).any()
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_slow_cooling_finds_the_best_assignment_more_often_than_fast_cooling():
     """120 games of four and four, 200 slots each, the same starts: Wilson intervals of 95 % do not overlap.
 

@@ -211,7 +211,7 @@ def cell():
     manager.shutdown_kernel(now=True)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("setup", ["0", "import matplotlib.pyplot", "%matplotlib inline"])
 def test_a_kernel_shows_each_figure(cell, setup):
     cell(setup)

@@ -76,6 +76,7 @@ def test_a_sweep_takes_what_numpy_and_pandas_have():
     assert found.to_frame().equals(sweep(SHORT, plain, reps=1, seed=1).to_frame())
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "value", [0.25, np.float32(0.25), np.float16(0.25), Fraction(1, 4), Decimal("0.25"), np.array(0.25)]

@@ -129,6 +129,7 @@ def arrivals(trace):
     return sent, sorted((event.transmission, event.dst, event.cause) for event in trace.of(Lost))
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 4])
 @pytest.mark.parametrize("step", [NS, NS // 300])
@@ -146,7 +147,7 @@ def test_the_pursuit_of_relay_over_a_stepped_network_is_that_of_desim(seed, step
         assert (event.t, there) == (t, pytest.approx(places, abs=1e-6))
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_another_latency_or_seed_is_another_pursuit():
     scenario = load(SCENARIOS / "relay.toml", ["record.messages=true"])
     own = OwnPursuit(scenario, 3, NS).play()

@@ -74,6 +74,7 @@ def brief(monkeypatch):
     monkeypatch.setattr(Scenario, "__init__", lambda self, **given: begin(self, **{"horizon": 1.5} | given))
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.usefixtures("brief")
 @is_page_with(lambda text: blocks(text, "python") or commands(text))
@@ -90,7 +91,7 @@ def test_the_python_and_the_commands_of_a_page_run(page, folder, monkeypatch):
             accepted(*small(words))
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("page", ["docs/howto/cluster"])
 def test_the_script_of_a_batch_system_runs_its_part(page, folder, monkeypatch):
     """Part 3 of 20 of one run of each of 12 configurations: the third."""
@@ -137,7 +138,7 @@ def test_the_picture_of_the_layers_is_that_of_the_imports():
     assert [set(line.split()) for line in reversed(picture.splitlines())] == PACKAGES
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_picture_of_the_rooms_has_all_of_them_and_no_arrow_upwards(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "docs")
     import_picture = import_module("import_picture")

@@ -129,7 +129,7 @@ def test_algorithm_2_is_the_plain_loop_step_for_step(case, trigger):
     compare(case, result, owners, draws)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @settings(max_examples=20)
 @given(pursuits())
 def test_algorithm_3_is_the_plain_loop_step_for_step(case):
@@ -192,7 +192,7 @@ def test_one_pursuer_captures_after_the_closed_form(speed, test):
         assert 0.0 <= found - exact <= 0.001 + 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_running_simulator_follows_the_gibbs_law():
     """72,000 decisions under Poisson clocks over instant links: P(relay) within 4 standard errors.
 
@@ -210,7 +210,7 @@ def test_the_running_simulator_follows_the_gibbs_law():
         assert abs(law[RELAY] - other[RELAY]) > 5 * error[RELAY]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_with_simultaneous_decisions_the_law_differs():
     """Four at every instant, each by the announcements of the instant before: not the Gibbs law, but an exact chain's.
 

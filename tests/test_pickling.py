@@ -43,6 +43,7 @@ def lines(result):
     return "".join(map(line_of, result.trace))
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("file", "copied"),
@@ -112,7 +113,7 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("method", multiprocessing.get_all_start_methods())
 def test_a_pool_of_multiprocessing_performs_runs(method):
     """In a process of its own: a test has threads, from which no process should be forked."""
@@ -144,6 +145,7 @@ def test_a_result_holds_no_simulation(monkeypatch, raises):
     assert len(traces[0]) > 1
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(("count", "size"), [(200, 0.15e6), (1000, 0.6e6)])
 def test_a_result_takes_no_more_memory_than_its_events(count, size):

@@ -95,7 +95,7 @@ def unlocked(requirements):
     return wrong
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_lock_has_all_that_desim_and_its_extras_require():
     assert unlocked(DIRECT) == []
 

@@ -107,6 +107,7 @@ def test_a_protocol_keeps_the_contract_in_every_scenario(kind, schedule, file):
     assert (np.random.get_state()[1].tolist(), random.getstate()) == before  # noqa: NPY002
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("kind", KINDS)
 def test_in_the_contract_each_protocol_starts_and_stops_pursuers(kind):
@@ -158,6 +159,7 @@ def outcome(case, kind):
     return tuple(profile), phi.tolist()
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_on_the_complete_ideal_network_every_protocol_ends_in_the_relay_profile(kind):
@@ -172,6 +174,7 @@ def test_on_the_complete_ideal_network_every_protocol_ends_in_the_relay_profile(
     assert kept == cases or (kind in AVERAGING and kept >= cases / 2)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ONE_LEADER])
 def test_in_each_part_of_a_team_that_is_cut_in_two_one_pursuer_chases(kind):
@@ -238,6 +241,7 @@ def test_every_protocol_has_three_evaders_captured_and_does_the_same_again(kind,
     assert list(map(line_of, run(case).trace)) == list(map(line_of, result.trace))
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("network", MANY)
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in OPEN])

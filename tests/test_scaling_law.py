@@ -67,6 +67,7 @@ def apart(found, published):
     return abs(found[0] - published[0]) / np.hypot(found[1], published[1])
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("latency", "duration", "first", "second"),
     [
@@ -89,6 +90,7 @@ def test_the_static_excess_is_that_of_two_prototypes(latency, duration, first, s
     assert apart(found, controls[latency]) > 3.0
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("schedule", "runs", "duration", "expected"),
     [
@@ -126,6 +128,7 @@ def settling(schedule, latency, start, duration):
     )
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.parametrize(("latency", "blind"), [(0.0, 0), (0.2, 0), (0.3, 1), (0.8, 3)])
 def test_if_first_actions_are_announced_rounds_are_those_of_a_known_start_that_began_later(latency, blind):
     """Exactly: rounds of 0.2 s before the first announcements arrive change nothing; N - 1 too many chase meanwhile.
@@ -141,6 +144,7 @@ def test_if_first_actions_are_announced_rounds_are_those_of_a_known_start_that_b
         assert abs(silent - known - blind * 0.2 * (N - 1)) > 0.1
 
 
+@pytest.mark.whole
 def test_if_first_actions_are_announced_the_excess_grows_by_one_latency_of_the_others():
     """Poisson clocks, L lambda = 4: g(x) + x (1 - 1 / N), that is 3.80 more, s.e. about 0.4. The control: no more."""
     times = [
@@ -156,6 +160,7 @@ def test_if_first_actions_are_announced_the_excess_grows_by_one_latency_of_the_o
 ACTIVE_TIMES = {0.0: (11.92, 0.13), 0.5: (17.43, 0.18), 1.0: (22.99, 0.27)}
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("latency", "first"), [(0.0, 12.0), (0.5, 18.0), (1.0, 23.4)])
 def test_the_total_active_time_of_a_pursuit_is_that_of_two_prototypes(latency, first):
     """N = 20, delta = 0.01, h = 0.005, shared seed, all active at first, the paper's boxes: within 3 joint errors.

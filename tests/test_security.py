@@ -203,7 +203,7 @@ def test_from_python_code_is_code(mark):
     assert scenario.network.latency(None, None) == 0.25
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.usefixtures("_no_pictures", "_undrawn")
 def test_with_the_option_a_file_names_code_everywhere(mark, written, tmp_path):
     file = written(f'network.latency = {CODE}\n[sweep.grid]\n"network.latency" = [{CODE}, {{ kind = "constant" }}]')
@@ -327,7 +327,7 @@ def test_a_graph_names_no_code(mark, written, tmp_path):
     accepted("check", file, "--allow-import")
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_workers_import_nothing_from_the_folder_in_which_a_command_is_given(tmp_path):
     """Python looks there first for `-c` and `-m`, by which workers and their trackers are started."""
     (tmp_path / "bin").mkdir()
@@ -604,7 +604,7 @@ def test_no_command_prints_without_escaping():
         assert not {"print", "sys.stdout.write", "sys.stderr.write", "click.secho"} & set(names), path
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_pictures_and_pages_show_the_worst_name_as_it_is(written, tmp_path):
     """No mathematics, no markup, and SVG that is XML."""
     file = written(f"name = {TOML}\n{GRID}")
@@ -625,7 +625,7 @@ def test_pictures_and_pages_show_the_worst_name_as_it_is(written, tmp_path):
     assert "</script><svg" not in page
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_name_of_a_part_is_drawn_as_it_is(tmp_path):
     found = explain(Scenario(horizon=0.1, network=Links(latency={"kind": "constant", "value": 0.1})), 2)
     document = found.document()

@@ -83,7 +83,7 @@ def test_the_front_page_has_installation_code_a_film_figures_and_ways_on():
     assert len(re.findall(r"!\[.+\]\(\.\./scenarios/\w+\.svg\)", text)) == 3
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_code_of_the_front_page_is_short_and_prints(capsys):
     (code,) = notebooks.CELL.findall(page("index.md"))
     assert len([line for line in code.splitlines() if line.strip()]) <= 12

@@ -345,7 +345,7 @@ def test_all_invariants_hold_under_any_faults(seeds, acted):
     assert not wrong(seeds, lambda seed: judged(anything(seed), acted=acted))
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("seeds", blocks(PLANS // 4), ids=str)
 def test_one_token_is_left_when_faults_have_ended(seeds, acted):
     def judge(seed):

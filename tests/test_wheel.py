@@ -93,6 +93,7 @@ def test_the_wheel_names_its_license_and_links(wheel):
     ]
 
 
+@pytest.mark.whole
 def test_an_installed_desim_runs_a_scenario_that_came_with_it(installed, tmp_path):
     program = "import desim, scenarios; from pathlib import Path; print(desim.__file__); print(scenarios.__file__)"
     told = called(str(installed / "python"), "-c", program, cwd=tmp_path)
@@ -105,6 +106,7 @@ def test_an_installed_desim_runs_a_scenario_that_came_with_it(installed, tmp_pat
     assert "20 pursuers" in done.text
 
 
+@pytest.mark.whole
 def test_the_script_of_a_user_runs(installed, tmp_path):
     shutil.copytree(USER, tmp_path, dirs_exist_ok=True)
     done = called(str(installed / "python"), "right.py", cwd=tmp_path)

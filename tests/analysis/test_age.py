@@ -458,7 +458,7 @@ def simulated(result):
     return (*tables, np.mean(wrong), np.mean(leaders))
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @settings(deadline=None, max_examples=100)
 @given(histories())
 def test_ages_and_beliefs_equal_those_of_a_plain_loop_over_the_trace(result):
@@ -492,7 +492,7 @@ def reporting(seed, p, updates=2000):
     return Result(Scenario(), seed, trace)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("p", [0.2, 0.5])
 def test_periodic_reports_over_a_lossy_link_have_the_ages_of_theory(p):
     """Period T, delay D, loss p: mean D + T(1 + p) / 2(1 - p), mean peak D + T / (1 - p).

@@ -402,7 +402,7 @@ def test_a_metric_without_a_value_is_refused_with_its_name_and_the_seed():
         network_regret(result, only_given)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_latency_is_regretted_on_average():
     """Static games of five, 20 seeds: the mean of the regret of a latency of 0.5 s is 3 standard errors above 0.
 

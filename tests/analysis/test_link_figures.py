@@ -80,7 +80,7 @@ def test_measured_links_are_golden(monkeypatch):
     golden("link_traces.txt", {name: described(figure) for name, figure in figures.items()})
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_check_draws_the_measured_links_beside_what_it_prints(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     file = SCENARIOS / "measured.toml"

@@ -111,7 +111,7 @@ def saved(tmp_path_factory):
     return figure, *paths
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_picture_drawn_or_saved_twice_is_the_same_bytes_and_that_of_another_run_is_not(saved, tmp_path):
     figure, *paths = saved
     once = [path.read_bytes() for path in paths]
@@ -157,7 +157,7 @@ save(figure, Path(sys.argv[1]))
 """
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_pdf_has_no_date_and_no_bitmap_type_and_is_the_same_bytes_in_another_process(tmp_path):
     """Its fonts are TrueType (Type 42), for publishers refuse Type 3."""
     here, there = tmp_path / "here.pdf", tmp_path / "there.pdf"

@@ -277,6 +277,7 @@ def decided_switches(result):
     return count
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(("case", "evaders"), ALL)

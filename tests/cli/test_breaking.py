@@ -26,7 +26,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_violation_is_a_scenario_that_shows_it(folder):
     command = ("break", "game.toml", "--feature", "chaser crash", "-n", 24, "--keep", "kept", "-o", "found")
     result = desim(*command)
@@ -76,7 +76,7 @@ def test_the_same_command_goes_on_where_it_stopped(folder):
     assert json.loads(first.stdout)["runs"] == 6
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_losses_are_tried_one_by_one(folder):
     result = desim("break", "short.toml", "--property", CROWDED, "--losses", 1, "--set", "seed=1", "-o", "found")
     assert "if these are lost:\n  message " in result.stdout

@@ -77,7 +77,7 @@ def test_a_full_stdout_is_reported_in_one_line(file, tmp_path, monkeypatch, caps
     assert capsys.readouterr().err.splitlines()[-1] == "stdout: cannot be written: No space left on device"
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is full")
 @pytest.mark.parametrize(
     ("args", "code"),
@@ -226,6 +226,7 @@ def small_disk():
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("args", "name"),
@@ -275,7 +276,7 @@ def test_every_command_that_runs_takes_a_time_limit(command):
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # raised where Python drops exceptions
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("args", [("replay",), ("plot",), ("export",)])
 def test_a_command_that_takes_too_long_is_ended(file, tmp_path, monkeypatch, args):
     """Heartbeats every microsecond would take hours."""

@@ -184,6 +184,7 @@ def long_trace(count):
     yield Ended(t, "horizon", None)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["csv", "parquet", "pcapng", "mcap"])
 def test_a_trace_is_not_held_in_memory(tmp_path, suffix, monkeypatch):

@@ -83,6 +83,7 @@ def test_a_new_file_runs_with_the_command_that_is_printed(what, folder):
     assert text == template
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("what", [what for what in TEMPLATES if what != "scenario"])
 def test_a_new_file_passes_the_test_that_comes_with_it(what, folder, monkeypatch, capsys):

@@ -295,6 +295,7 @@ def test_a_second_run_equals_the_first_and_the_object_of_the_caller_stays_as_it_
     assert first.scenario is scenario
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [*STRATEGIES.values(), in_a_list])
 def test_runs_are_equal_whoever_performs_them(make):
@@ -305,6 +306,7 @@ def test_runs_are_equal_whoever_performs_them(make):
     assert measured[0] == measured[1]
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("pool", "name"),
@@ -750,6 +752,7 @@ def test_a_graph_that_a_function_holds_is_copied():
     run(Scenario(team=Team(count=3), network=Links(graph=networkx.cycle_graph), horizon=0.1), 1)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("strategy", "name"),

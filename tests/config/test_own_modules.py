@@ -129,7 +129,7 @@ def test_a_plain_import_of_the_same_file_gives_the_same_module_and_identity(fold
     assert codes(summary(run(other, 1))) == (2, 2)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_workers_and_other_processes_run_the_code_of_the_folder(folders):
     for number, folder in enumerate(folders, start=1):
         scenario = loaded(folder)

@@ -49,7 +49,7 @@ def test_what_hides_a_package_is_named(program, hidden, file, tmp_path):
     assert told in said
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_command_ends_as_for_other_wrong_input_and_runs_without_the_folder(tmp_path):
     (tmp_path / "protocols").mkdir()
     (tmp_path / "protocols/__init__.py").write_text("raise SystemExit('imported')")
@@ -61,7 +61,7 @@ def test_the_command_ends_as_for_other_wrong_input_and_runs_without_the_folder(t
     assert python(tmp_path, "-P", *words).returncode == 0
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_folder_that_is_no_package_hides_nothing(tmp_path):
     for name in ("protocols", "scenarios"):
         (tmp_path / name).mkdir()

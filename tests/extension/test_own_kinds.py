@@ -179,7 +179,7 @@ def test_pages_draw_kinds_of_users(result):
     assert "cable" in str(summary(result))
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_recorded_run_is_read_and_shown_without_the_code_of_its_faults(own, result, tmp_path):
     run_folder.write(result, tmp_path / "out")
     again = run_folder.read(tmp_path / "out", allow_import=True)
@@ -288,7 +288,7 @@ def test_a_fault_may_begin_others(own):
     assert sorted(map(repr, rest)) == sorted(map(repr, plain.trace))
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_report_of_a_sweep_names_kinds_of_users(own, tmp_path):
     grid = "-g", "network.loss.p=0.0,0.5", "--set", "horizon=0.6", "-n", 2
     accepted("sweep", own / "flow.toml", "--allow-import", *grid, "-o", tmp_path / "sweep")
@@ -297,7 +297,7 @@ def test_a_report_of_a_sweep_names_kinds_of_users(own, tmp_path):
     assert all(word in report for word in ("own_kinds:LinkDown", "own_kinds:Eager", "events_per_second"))
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_an_explanation_removes_kinds_of_users(own, tmp_path):
     words = "--set", "horizon=0.6", "-n", 2, "--json", "-o", tmp_path / "e"
     told = json.loads(accepted("explain", own / "flow.toml", "--allow-import", *words).stdout)

@@ -188,6 +188,7 @@ def test_a_slot_begins_by_the_clock_of_its_node():
     assert dict(starts(trace)) == pytest.approx(expected, abs=1e-3)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(("nodes", "p", "slots"), [(10, 0.1, 6000), (5, 0.4, 1200)])
 def test_saturated_slotted_aloha_succeeds_if_one_node_of_n_transmits(nodes, p, slots):
@@ -239,6 +240,7 @@ def test_the_throughput_of_nonpersistent_csma_is_kleinrock_and_tobagi_s(load, nu
     assert abs(z_score(found, persistent(load, 0.01))) > 3
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(("load", "number"), [(1.0, 0.52864), (3.0, 0.18817)])
 def test_the_throughput_of_1_persistent_csma_is_kleinrock_and_tobagi_s(load, number):
@@ -299,7 +301,7 @@ def saturated_broadcast(nodes, seed, *, window=16):
     return (counts == 1).mean()
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize(("nodes", "number"), [(10, 0.5551), (20, 0.3154)])
 def test_saturated_broadcasts_succeed_with_the_share_of_ma_and_chen(nodes, number):
     """A node that has just transmitted can draw 0 and start again after DIFS; all others have at least one slot left.
@@ -351,6 +353,7 @@ def saturated_unicast(nodes, seed, *, window=32, duration=3.0):
     return net.message_counts().delivered * 8184e-6 / duration
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(("nodes", "number"), [(5, 0.8097), (10, 0.7532)])
 def test_saturated_unicasts_have_the_throughput_of_bianchi(nodes, number):
@@ -375,6 +378,7 @@ def test_saturated_unicasts_have_the_throughput_of_bianchi(nodes, number):
     assert abs(np.mean(throughput) - bianchi(nodes, 128)) > 3 * spread
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("mean", [0.00025, 0.002])
 def test_broadcasts_of_one_instant_survive_as_often_as_in_a_loop_over_the_stations(mean):

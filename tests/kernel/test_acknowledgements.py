@@ -76,6 +76,7 @@ def reference(result):
     return [float(attempts), *map(float, delivered.values())]
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("eifs", [88, 28])
 def test_hidden_nodes_deliver_what_plain_loops_do(eifs):

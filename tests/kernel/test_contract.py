@@ -479,7 +479,7 @@ def plans(draw, size):
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @settings(max_examples=70, deadline=None)
 @given(st.data(), histories())
 def test_planned_faults_are_observationally_equal_to_decisions_on_arrival(data, history):
@@ -502,7 +502,7 @@ def with_losses_on_arrival(data, history):
     return graph, links.model_copy(update=changes), acts, seed
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @settings(max_examples=70, deadline=None)
 @given(st.data(), histories())
 def test_arrivals_decided_together_are_observationally_equal_to_one_event_each(data, history):

@@ -270,7 +270,7 @@ def test_random_crashes_follow_the_alternating_renewal_process(seed):
     assert error(number, rate * horizon) > 25
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_share_of_downtime_in_the_long_run_is_rate_times_downtime_over_one_plus_it():
     """0.5 1/s and 1 s make 1/3; 50 nodes over 1000 s, within 5 standard errors and far from 1/2."""
     horizon = 1000.0

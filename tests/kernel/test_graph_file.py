@@ -122,6 +122,7 @@ def graphs(draw):
     return graph
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("kind", WRITERS)
 @settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -398,7 +398,7 @@ def test_lora_without_capture_is_aloha(nodes, number):
     assert z_score(found, theory(LoRa(spreading_factor=11, coding_rate=4)(20))) < -3
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_lora_frames_of_other_spreading_factors_and_frequencies_do_not_interfere():
     """Without capture (a threshold of 300 dB) a frame is lost if another overlaps it after three preamble symbols.
 
@@ -512,6 +512,7 @@ def on_a_line(access, places, seed, *, load=0.1, frames=200, within=12.0):
     return counts.delivered / counts.sent
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("access", [Aloha(), Csma(), Csma(persistence="p_persistent")], ids=["aloha", "csma", "1"])
 def test_carrier_sense_does_not_help_against_a_hidden_terminal(access):

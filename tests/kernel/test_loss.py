@@ -180,7 +180,7 @@ def test_a_link_that_advances_in_time_forgets_exponentially(steps):
         assert abs(errors(*counts.sum(axis=0), SHARE + (1 - SHARE) * faster)) > 5
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_burst_in_time_has_the_mean_duration():
     """Of links that are bad now exp(-r dt) + O(dt^2) are bad dt later: at dt = 1 ms the chance to recover is r dt.
 
@@ -338,6 +338,7 @@ def below(limit, c):
     return np.interp(limit, x, law)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(("p", "correlation", "share"), [(0.1, 0.25, 0.0175), (0.3, 0.25, 0.233), (0.3, 0.5, 0.129)])
 def test_correlated_losses_are_fewer_than_nominal_and_follow_each_other(p, correlation, share):

@@ -367,7 +367,7 @@ for name, (body, *_) in BODIES.items():
 """
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_bodies_are_recorded_alike_under_every_hash_seed_and_print_option():
     """In this process, whose hash seed is another one in each run of the tests, and in a process with a fixed one."""
     environment = {"PYTHONHASHSEED": "1", "PYTHONPATH": "."}

@@ -170,7 +170,7 @@ def observe(make, graph, links, acts, seed):
     return seen + [(SECOND, node, network.latest_records(node)) for node in graph]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @settings(max_examples=100, deadline=None)
 @given(histories())
 def test_publish_is_observationally_equal_to_one_event_per_record(history):

@@ -490,6 +490,7 @@ def losses_and_plain_losses(model, seed, moving):
     return found, list(plain_losses(model, history, places[1], uniform))
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("moving", [False, True])
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: f"{model.kind}")

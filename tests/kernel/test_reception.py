@@ -248,7 +248,7 @@ def largest_share(size, degree, seed):
     return len(max(nx.weakly_connected_components(links), key=len)) / size
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_random_disk_graph_percolates_near_a_mean_degree_of_4_51():
     """Gilbert disks percolate at n pi R^2 = 4.5122 (Quintanilla, Torquato & Ziff 2000; Balister et al. 2005).
 

@@ -150,6 +150,7 @@ def test_the_comparison_detects_another_seed():
     assert plain(played(links)[0]) != in_its_own_process(links, (), seed=6)[0]
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @CASES
 def test_arrivals_do_not_depend_on_the_step_nor_on_a_trace(links, faults):
@@ -459,7 +460,7 @@ def test_a_network_is_copied_and_pickled_before_it_is_used():
     assert episode(pickle.loads(pickle.dumps(network))) == episode(network)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_bytes_of_a_network_depend_neither_on_the_hash_seed_nor_on_the_pursuit():
     """Nor does a network alone import anything of the pursuit."""
     program = (

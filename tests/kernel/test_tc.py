@@ -159,7 +159,7 @@ def refusal_of_tc(line, folder):
     return done.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.skipif(TC is None, reason="tc is not installed")
 @settings(max_examples=30, deadline=None)
 @given(links=networks())

@@ -260,7 +260,7 @@ with TraceFile(sys.argv[1]) as file:
 """
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_program_that_is_killed_leaves_the_first_lines(tmp_path):
     """A line takes about 150 B; at most the last block and a buffer of 8 kB are missing."""
     path = tmp_path / "trace.jsonl"

@@ -120,6 +120,7 @@ def exponential(rng, count):
     return np.rint(rng.exponential(1000.0, count)).astype(int).tolist()
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("sizes", "nodes", "theory", "other"),
@@ -189,6 +190,7 @@ def test_no_node_misses_messages_on_a_shared_channel_however_long_they_travel():
     assert net.message_counts()[1:4] == (6, 6, 0)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("limit", [0, 1, 3])
 def test_the_share_that_a_full_queue_drops_is_that_of_m_m_1_k(limit):

@@ -483,7 +483,7 @@ def law(p, repeats):
     return 1 - p ** (repeats + 1), mean, square - mean**2
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_at_most_k_repeats_deliver_1_minus_p_to_the_k_plus_1():
     """p = .3, K = 3: .9919 and 1.417 attempts; 4,000 messages, so the standard errors are .0014 and .011.
 

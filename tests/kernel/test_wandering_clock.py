@@ -29,6 +29,7 @@ def errors(t, **walk):
     return np.array([clock.at(round(t * SECOND)) - t for clock in clocks(ClockSkew(**walk), size=NODES)])
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(("walk", "power"), [({"offset_walk": 1e-3}, 1), ({"drift_walk": 1e-3}, 3)])
 @pytest.mark.parametrize("t", [0.01, 1.0, 2.005])

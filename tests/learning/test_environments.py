@@ -96,6 +96,7 @@ SCENARIOS = {
 }
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("options", [{}, {"observation": "dict"}, {"agents_leave": True}, {"omniscient": True}])
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -344,7 +345,7 @@ def test_a_picture_of_the_present_and_a_replay_page():
     assert desim.env(small()).render() is None
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_many_resets_need_neither_memory_nor_threads():
     env = desim.env(small(**{"record.trajectory": 0.0}), 1)
 

@@ -96,6 +96,7 @@ def random_team(rng):
     return Team(count=count, speeds=speeds, active_at_start=start)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("auction", AUCTIONS)
@@ -359,6 +360,7 @@ def test_a_claim_decodes_to_the_bids_it_encodes(action, bids):
 # Trouble on the network.
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("dissemination", [None, Flooding(hops=4)])
 @pytest.mark.parametrize("auction", AUCTIONS)
@@ -500,6 +502,7 @@ def test_a_pursuer_whose_bid_exceeds_that_of_the_winner_takes_over(auction, sche
     assert 3.5 < end.t / 1e9 < 5.6
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("auction", AUCTIONS)
@@ -584,7 +587,7 @@ def test_a_near_equal_bidder_withdraws_unless_bids_are_older_than_their_differen
         assert payload != "action" or result.trace.of(Ended)[0].t == pytest.approx(5.1e9, abs=10)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize(("auction", "latency", "limit"), [("cbba", 0.0, 1.0), ("cbaa", 0.2, 2.0)])
 def test_twenty_pursuers_of_equal_speed_have_one_winner_except_while_messages_are_in_flight(auction, latency, limit):
     """The greatest of five seeds was 0.7 s without latency, and 1.3 s with 0.2 s.
@@ -599,6 +602,7 @@ def test_twenty_pursuers_of_equal_speed_have_one_winner_except_while_messages_ar
     assert misassigned_time(run(told, seed, lambda event: event.t > until * 1e9)) > limit
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("auction", "schedule", "moving"),

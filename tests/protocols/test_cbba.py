@@ -139,6 +139,7 @@ def test_a_verdict_is_carried_out_and_stamps_are_merged_by_the_newest():
 # What becomes of it in a run.
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("winner_timeout", [0.5, 2.0])
 @pytest.mark.parametrize("schedule", SCHEDULES)
@@ -212,6 +213,7 @@ def test_a_failed_winner_times_out_everywhere_within_a_delay_per_hop():
     assert chasing(result) == [1]
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("schedule", [Rounds(period=0.1), Poisson(rate=5.0), SharedSeed(slot=0.01)])
 def test_the_winner_timeout_tolerates_lost_messages(schedule):

@@ -118,7 +118,7 @@ def graphs(draw):
     return graph
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @settings(max_examples=60, deadline=None)
 @given(graphs(), st.integers(1, 9), st.booleans())
 def test_flooding_is_breadth_first_search(graph, hops, breakable):
@@ -231,7 +231,7 @@ def test_flooding_without_latency_reaches_all_before_the_next_decision_of_its_in
     assert [later[j] for j in range(8)] == [[]] + [[0]] * 7
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @settings(max_examples=40, deadline=None)
 @given(graphs(), st.integers(0, 8))
 def test_flooding_without_latency_reaches_all_connected_pursuers(graph, speaker):
@@ -427,6 +427,7 @@ def test_an_announcement_counts_for_ages_when_it_is_delivered():
     assert age_mean(result) == pytest.approx((0.85 + 9.0) / 2)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("attempts", [1, 4])
 def test_the_age_of_heartbeats_is_that_of_a_renewal_process(attempts):

@@ -136,7 +136,7 @@ def test_argmin_by_time_of_capture_is_the_centralised_benchmark_event_for_event(
     assert frozen or total > 4
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_at_unequal_speeds_the_nearest_pursuer_is_not_the_one_that_would_capture_first():
     """The control: the same pursuits by Voronoi and by time of capture differ."""
     speeds = {"default": 1.0, "last": 2.0}
@@ -358,6 +358,7 @@ def test_takeovers_with_hysteresis_in_worked_examples():
     assert first(ids, np.array([7.0, 7.0, 7.0]), [1], 1e-9) == 1
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("model", [Voronoi, Argmin])
 def test_hysteresis_reduces_handovers_and_exactly_one_pursuer_chases_at_any_time(model):
@@ -433,6 +434,7 @@ def test_of_two_pursuers_that_both_believe_to_be_the_owner_one_stops():
         assert stops[1:] == (0, False)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("payload", ["action", "time", "state"])
 def test_random_static_games_end_in_the_relay_profile(payload):

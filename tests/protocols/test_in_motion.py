@@ -59,7 +59,7 @@ class Forgetful(Server):
         return super()._chasers(me, {pursuer: [] for pursuer in orders}, 0.0)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_server_keeps_the_evader_although_orders_are_late_and_lost():
     """Latency 1 s, uniform by 5 %, a tenth lost, and pursuers that would be late may not chase: captured.
 
@@ -78,7 +78,7 @@ def test_the_server_keeps_the_evader_although_orders_are_late_and_lost():
     assert server.idle < 2.5
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_server_that_forgets_its_orders_loses_the_evader():
     """Orders go to and fro between several pursuers until all are too late, and for 32 s none chases."""
     forgetful = outcome(1, Forgetful(), **late(1.0))
@@ -86,7 +86,7 @@ def test_a_server_that_forgets_its_orders_loses_the_evader():
     assert forgetful.idle > 20.0
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("kind", sorted({*PROTOCOLS.choices()} - GEOMETRIC - {"server"}))
 def test_no_protocol_loses_the_evader_to_latency(kind):
     """A second of latency; positions are announced. The centralised benchmark captures all in these seeds."""
@@ -95,7 +95,7 @@ def test_no_protocol_loses_the_evader_to_latency(kind):
     assert found.idle < 3.0
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_token_that_takes_long_is_as_bad_as_one_that_is_held_as_long_and_no_worse():
     """Up to N L = 20 s pass until the token comes to a pursuer that could be in time: that is what loses the evader.
 

@@ -96,6 +96,7 @@ ANY_CLOCK = {
 ONE_AT_A_TIME = {name: ANY_CLOCK[name] for name in ("poisson", "shared_seed", "periodic", "local_mutex")}
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("clock", ANY_CLOCK)
 def test_local_min_ends_in_the_greedy_maximal_independent_set(clock):
@@ -110,6 +111,7 @@ def test_local_min_ends_in_the_greedy_maximal_independent_set(clock):
         assert max(times, default=0.0) < 6.0, f"graph {number}"
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("clock", ONE_AT_A_TIME)
 def test_best_response_with_a_penalty_on_edges_ends_in_a_maximal_independent_set(clock):
@@ -291,6 +293,7 @@ def test_of_several_evaders_it_chases_the_first_of_which_it_is_first(beliefs, ph
 # argmin_known.
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("graph", "dissemination", "profile"),

@@ -54,7 +54,7 @@ LAWS = {
 """Rule, utility, temperature (s): warm enough that several profiles have weight, and r C = 27.5 s is not for ever."""
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("name", LAWS)
 def test_the_log_linear_rules_follow_the_gibbs_law_of_the_potential(name):
     """48,000 decisions, one at a time, over instant links: total variation below 0.03, all 16 within 5 errors.
@@ -77,7 +77,7 @@ def test_the_log_linear_rules_follow_the_gibbs_law_of_the_potential(name):
         assert abs(mean - boltzmann(heights, off * tau) @ heights) > 5 * error_of_mean
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize(("rule", "seeds"), [(BinaryLogLinear, 1), (SelectiveSAP, 2)])
 def test_at_once_the_law_is_not_that_of_gibbs(rule, seeds):
     """All every four milliseconds, with delivery before the next: the law of an exact chain, not that of Gibbs.

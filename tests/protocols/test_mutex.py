@@ -126,6 +126,7 @@ def test_a_decision_takes_a_round_trip(latency):
     assert min(waits) == round(2 * latency * SECOND)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("latency", [0.0, 0.02, 1.0])
 def test_the_mean_slot_is_the_time_between_two_decisions_of_the_team(latency):
@@ -166,6 +167,7 @@ def test_no_request_is_repeated_while_messages_wait_for_the_slots_of_a_tdma():
     assert len(requests) == len(set(requests)) > 3
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("graph", [Complete(), Grid(columns=3)])
 def test_with_a_third_of_messages_lost_all_keep_deciding_and_few_decide_on_stale_beliefs(graph):
@@ -224,7 +226,7 @@ def test_after_a_partition_all_exclude_each_other_again():
     assert any(believed != true for believed, true in log[: -len(again)])  # the control: across the cut
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_no_storm_ends_in_a_deadlock():
     """30 plans of crashes, partitions, jamming and losses until 3 s: every pursuer decides from then on, with current
     information.

@@ -617,6 +617,7 @@ LEARNING = {
 CLOCKS = {"poisson": Poisson(rate=40.0), "rounds": Rounds(period=0.025), "shared_seed": SharedSeed(slot=0.005)}
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LEARNING)
 @pytest.mark.parametrize("clock", CLOCKS)
@@ -671,7 +672,7 @@ def played(rule):
     return np.mean([each for each, _ in found], axis=0), np.mean([share for _, share in found])
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_regret_matching_has_no_long_run_regret_and_random_play_has():
     """Hart & Mas-Colell: regret falls like 1/sqrt(T) or faster, so by 2 at least when T is four times as long.
 
@@ -718,6 +719,7 @@ def ever_active(result):
     return start, start | {d.pursuer for d in result.trace.of(Decided) if d.active}
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", EVERY)
 def test_a_pursuer_that_cannot_capture_never_chases_unless_pruning_is_off(kind):
@@ -780,6 +782,7 @@ def test_teammates_ignore_a_chasing_pursuer_that_cannot_capture(kind):
     assert changes_of(result)[0] == (True, True, False)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", EVERY)
 def test_with_pruning_of_late_pursuers_no_chase_is_in_vain(kind):

@@ -61,7 +61,7 @@ def test_without_a_network_every_pursuer_that_can_be_in_time_chases(deaf):
     assert final_profile(result) == (True,) * 8
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_latency_costs_active_time():
     """Paired over 8 seeds: half a second costs some 5 s, more than 5 standard errors; no latency costs nothing."""
 

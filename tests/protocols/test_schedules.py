@@ -66,7 +66,7 @@ def test_owners_are_drawn_uniformly(schedule):
     assert chi_squared(counts + np.array([counts[0] * 0.1, 0, 0, 0])) > 16.3
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_successive_owners_are_independent():
     """Pairs of owners of 20,000 slots fall evenly into 16 cells: chi-squared with 15 degrees of freedom < 37.7 (.999).
 
@@ -91,7 +91,7 @@ def test_poisson_waits_are_exponential():
     assert abs(np.corrcoef(waits[1:], waits[:-1])[0, 1]) < 5 * error
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_mean_slot_is_the_time_between_two_decisions_of_the_team():
     for schedule in (
         *(SharedSeed(slot=0.004), Poisson(rate=50.0), Rounds(period=0.02), Rounds(period=0.01, participation=0.5)),

@@ -88,7 +88,7 @@ def late(event):
     return event.t > 4 * SECOND
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("world", "latency"),
     [
@@ -112,7 +112,7 @@ def test_it_equals_an_omniscient_centre_whose_orders_are_one_latency_late(world,
     assert server == ideal != []
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_centre_that_it_is_compared_with_is_the_centralised_benchmark_if_nothing_is_late():
     """At rest and in motion: all that `RoundTrip` has of its own are the instants and the delay."""
     for seed in range(2):
@@ -332,7 +332,7 @@ def test_a_pursuer_that_would_be_late_is_assigned_no_evader():
     assert profile(run(static(Server(), latency=0.05, horizon=0.9))) == (False,) * 6
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_random_static_games_end_in_the_relay_profile():
     """Any host, latency with heavy tails, a quarter of all lost, unequal speeds: 3 games."""
     for seed in range(3):

@@ -160,7 +160,7 @@ def test_the_greedy_ring_is_sequential_best_response_at_any_latency(latency):
         assert tuple(profile) == relay_profile(phi, 25.0)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("schedule", [TokenRing(holding_time=0.004), TokenWalk(holding_time=0.004)])
 def test_the_gibbs_law_holds_at_a_latency_longer_than_a_revision(schedule):
     """phi = (1, 2, 4, 8), r = 25, tau = 0.5: P(relay) = .6041, with serial revisions in any order, within 4 s.e.
@@ -243,7 +243,7 @@ def plain_walk(me, revise):
     return circulate(me, revise, 0.01, 5, lambda me, token: int(rng.choice(not_absent(token, me.neighbours()))))
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_every_pursuer_on_a_star_holds_the_walking_token_equally_often():
     """Shares of 5 pursuers over 6 runs of 1,000 decisions: 1/5 each, within 5 s.e. (at most 0.015).
 
@@ -400,6 +400,7 @@ def test_absent_pursuers_are_probed_no_more_often_than_they_could_answer():
     assert np.diff(times) == pytest.approx(0.25 * SECOND)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("schedule", [TokenRing(), TokenWalk()])
 def test_a_partition_has_two_tokens_and_one_after_it_heals(schedule):
@@ -477,7 +478,7 @@ def faults_after(seed):
     return [fault for watcher in watchers if (fault := watcher.fault(*window, everybody=goes_round))]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("block", range(20 if EXPLORING else 1))
 def test_one_token_is_left_in_each_component_after_every_storm(block):
     """50 random plans: what goes wrong in one plan of 27 is seen with 1 - (26 / 27)^50 = 0.848; 1000 to explore."""
@@ -491,7 +492,7 @@ def test_the_watcher_detects_a_token_that_is_never_replaced(monkeypatch):
     assert any(fault.startswith("no token") for seed in range(20) for fault in faults_after(seed))
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_watcher_detects_tokens_whose_epoch_is_ignored(monkeypatch):
     """A negative control: if old tokens are taken and are not given up for new ones, there are two of one epoch."""
     accept = TokenNode._process
@@ -513,7 +514,7 @@ def test_the_watcher_detects_tokens_whose_epoch_is_ignored(monkeypatch):
         list(map(faults_after, range(40)))
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_two_tokens_are_rare_while_messages_are_lost():
     """One message in ten is lost for ever: a neighbour is given up wrongly in .19^5 = 1 of 4,000 hops, and the worse
     token dies within a round. The control, three in ten, has .51^5 = 1 of 29, and many more.

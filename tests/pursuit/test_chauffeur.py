@@ -107,6 +107,7 @@ def test_the_critical_radius_at_the_ends():
             least_capture_radius(1.0, ratio)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("ratio", RATIOS)
 def test_below_the_barrier_the_evader_escapes_for_ever(ratio):

@@ -255,7 +255,7 @@ def turned(strategy, step, walkers=500, duration=0.5):
     return variance, variance * sqrt(2 / (walkers - 1))
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_heading_diffuses_by_sigma_squared_t_whatever_the_step():
     """0.6^2 0.5 s = 0.18 rad^2, to 4 standard errors of 0.011; the control turns by as much at every step."""
 

@@ -174,6 +174,7 @@ def decisions(result):
     return [(event.t, event.pursuer, event.active) for event in result.trace.of(Decided)]
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("guidance", "order", "payload", "flow"),
@@ -283,6 +284,7 @@ def test_a_lone_pursuer_captures_a_fleeing_evader_after_its_capture_time(environ
     assert captured.t / SECOND == pytest.approx(phi(environment, 4.0 + 3.0j), rel=tolerance)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("wind", "phi", "bearing", "pure"),
@@ -305,6 +307,7 @@ def test_the_table_of_what_guidances_attain_in_wind(wind, phi, bearing, pure):
         assert summary(run(one, 1))["capture_time"] == pytest.approx(expected, abs=error)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("flow", "on", "payload"),
@@ -327,6 +330,7 @@ def test_no_invariant_of_motion_is_broken_in_a_flow(flow, on, payload):
     assert len(started.evaders) == 2
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("flow", [STEADY, TIDE, SPIN, CELLS], ids=name)
 @pytest.mark.parametrize("on", ["all", "pursuers"])
@@ -337,7 +341,7 @@ def test_announced_positions_are_carried_on(flow, on):
     assert decisions(run(told, 4)) == decisions(run(scenario, 4))
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_results_converge_in_the_motion_step():
     scenario = Scenario(team=Team(count=5), environment=Environment(flow=CELLS), horizon=40.0)
     times = [

@@ -174,7 +174,7 @@ def test_a_slower_pursuer_intercepts_a_passing_evader_and_pure_pursuit_does_not(
     assert capture(PurePursuit(), **given) is None
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_constant_bearing_is_never_later_than_pure_pursuit_and_often_much_earlier():
     """Forty headings, speeds and distances; half gain more than 0.02 s to 0.08 s over five seeds, here 0.08."""
     rng, gains = np.random.default_rng(3), []

@@ -278,7 +278,7 @@ def test_an_equivocating_pursuer_relays_different_records_in_a_body_of_any_type(
     assert set(actions) == {0, 1}
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_token_that_is_swallowed_now_and_then_is_sent_again():
     """The protocol of pursuer 2 gets no receipt for it, and repeats it; a pursuer that swallows all forwards none."""
     ring = LocalMin(schedule=TokenRing(holding_time=0.01))
@@ -294,7 +294,7 @@ def test_a_token_that_is_swallowed_now_and_then_is_sent_again():
     assert shares[0.3] > 0.9
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_swallowed_token_is_missed_only_if_its_holder_falls_silent():
     """A pursuer that confirms the token, says that it has it and forwards it never keeps all others from deciding."""
     ring = LocalMin(schedule=TokenRing(holding_time=0.01))
@@ -442,6 +442,7 @@ def test_a_lie_changes_no_other_random_draw():
 # Everywhere.
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", PROTOCOLS.choices())
 def test_every_protocol_bears_every_lie(kind):
@@ -477,7 +478,7 @@ def test_bodies_that_are_no_announcements_are_not_falsified():
 # Harm.
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("rule", [SpatialAdaptivePlay, LocalMin])
 def test_one_liar_that_claims_to_be_there_at_once_loses_the_evader(rule):
     """6 runs of 12 pursuers: all are captured without it; and at most one of 4 with it.

@@ -127,6 +127,7 @@ def test_noise_may_be_zero(noise, estimator, fusion):
     assert max(errors) < (1e-4 if is_exact else 0.1)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("estimator", [AlphaBeta(), Kalman()])
 def test_a_range_may_be_exact_in_every_run(estimator):
@@ -218,7 +219,7 @@ def test_captures_follow_the_truth():
     watched(scenario(Sensing(noise=PositionNoise(deviation=2.0), estimate="hold")), 3)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_less_noise_costs_less_time():
     """5 runs: with 0.01 m of noise the active time is that of exact sight within 5 %, with 1 m it is greater."""
     times = {}
@@ -230,6 +231,7 @@ def test_less_noise_costs_less_time():
     assert times[1.0] > 1.1 * times[None]
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("kind", "fusion"), [*zip(PROTOCOLS.choices(), cycle(["by_stamp", "covariance_intersection"]), strict=False)]

@@ -30,7 +30,7 @@ def path_of(record):
     return [*([waypoints[0]._replace(t=0.0)] if waypoints[0].t > 0.0 else []), *waypoints]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @settings(max_examples=20)
 @given(records(), records(), st.sampled_from([0.01, 0.07, 5.0]), st.sampled_from(["evader_first", "simultaneous"]))
 def test_an_evader_and_a_relay_are_where_their_records_say(record, other, step, order):

@@ -51,6 +51,7 @@ def looks(questions, period=0.1):
     return behaviour, found
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "payload"), [("sap", "action"), ("cbba", "time"), ("argmin", "state")])
 def test_a_radius_beyond_all_distances_equals_unlimited_sensing(kind, payload):
@@ -99,7 +100,7 @@ def late_by(estimate, runs):
     return np.array([believed - true for _, _, (believed, true, able) in found if able and believed != true])
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_worst_case_is_an_upper_bound_in_every_case():
     """Ten thousand cases and more in which the evader was not seen; a bound only for this estimate, the control."""
     excess = late_by("worst_case", runs=3)
@@ -150,7 +151,7 @@ def test_a_pursuer_that_lost_the_evader_stays_or_searches():
         assert isnan(answers[3.2][1].real) != knows
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_search_goes_round_where_the_evader_was_lost():
     """Turns are 2 R_s apart: what is within R_s of the way is a disk that grows."""
     sensing = Sensing(radius=3.0, estimate="hold", track_timeout=0.5)
@@ -233,6 +234,7 @@ def test_a_report_has_its_size_and_carries_the_newest_sighting():
     assert str(PORT) == "sightings"
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("who", "scope", "memory", "knows"),

@@ -141,7 +141,7 @@ def test_a_state_corrected_by_a_state_is_that_corrected_entry_by_entry(seed, spr
         assert corrected_by_state(state, before, seen, errors) == corrected(state, before, seen, errors)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_thousands_of_covariances_are_positive():
     for seed in range(40):
         updates(seed, 80)
@@ -262,6 +262,7 @@ def tracked_from_afar(seed, observers, *, is_biased=False):
     return error[0], nees(made.track, states[-1])
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("observers", [1, 6])
 def test_a_range_and_a_bearing_give_an_unbiased_track(observers):

@@ -214,7 +214,7 @@ def named_attributes(source):
     return {each.value for each in found if isinstance(each, ast.Constant)}
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_traits_are_read_through_their_classes_only():
     """A `getattr` with a default would take a misspelt name in silence."""
     traits = {name for _, family in FAMILIES.values() for name in family.model_fields}

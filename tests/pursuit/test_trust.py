@@ -225,7 +225,7 @@ UNSUSPICIOUS = ("none", "trimmed")
 """The kinds of trust that look at no evidence."""
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("payload", "kind"),
     [
@@ -275,7 +275,7 @@ def unprotected(rule, count, runs):
     return measured(team(Credulous(), *liars(count), rule=rule), runs)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("f", [0, 1, 2])
 def test_trimmed_local_min_captures_with_up_to_f_liars_and_fails_with_one_more(f):
     """6 runs each. With F + 1 liars, as the control, nearly all is lost: at most 1 of 4 is captured.
@@ -294,7 +294,7 @@ def test_trimmed_local_min_captures_with_up_to_f_liars_and_fails_with_one_more(f
     assert idle > 10.0
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("rule", [LocalMin, SpatialAdaptivePlay])
 @pytest.mark.parametrize("trust", [Plausible(), Accusations(), Reputation()], ids=lambda each: each.kind)
 def test_evidence_restores_the_capture(rule, trust):
@@ -313,6 +313,7 @@ def test_evidence_restores_the_capture(rule, trust):
 # Everywhere.
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", PROTOCOLS.choices())
 def test_every_protocol_runs_with_every_trust(kind):

@@ -572,6 +572,7 @@ def repeated(tmp_path: Path, *args: object) -> tuple[dict[str, object], dict[str
     return found[0], found[1]
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.usefixtures("_no_pictures")
 @pytest.mark.parametrize("file", SCENARIOS, ids=lambda file: file.stem)
@@ -676,7 +677,7 @@ def test_worker_processes_write_the_same_files_as_one_process(beside, tmp_path):
     assert read(tmp_path / "two" / "seed-1" / "run.json")["argv"] == sys.argv
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_run_is_repeated_byte_for_byte_by_another_process(tmp_path):
     """From another folder, with another order of sets, and with its pictures."""
     (tmp_path / "home").mkdir()

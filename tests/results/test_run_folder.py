@@ -104,7 +104,7 @@ def test_a_picture_of_an_earlier_run_does_not_stay_beside_the_trace_of_a_later_o
     assert names(tmp_path) == DATA
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_nothing_that_shows_an_earlier_run_stays_but_the_runs_below(seen, tmp_path):
     """Whatever `replay` and `plot` make; a folder `seed-S` has a scenario of its own."""
     write_below(tmp_path, run(seen, 4))
@@ -133,6 +133,7 @@ FILES = ("relay", "faults", "radio", "soak", "auction", "flooding", "token_ring"
 PACK = ("evader.count=3", "evader.box=[1, 19]", "team.speeds=4.0")
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize(("name", "pack"), [*((name, ()) for name in FILES), ("reckoning", PACK)])
 @pytest.mark.usefixtures("_undrawn")
@@ -153,7 +154,7 @@ TO_FILE = SCENARIO.model_copy(update={"record": Recording(trajectory=0.1, messag
 WITH_MESSAGES = SCENARIO.model_copy(update={"record": Recording(trajectory=0.1, messages=True)})
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_run_with_measured_links_is_repeated_without_the_file(tmp_path, monkeypatch):
     """From run.json and from scenario.toml, and byte by byte; the control is an edited file."""
     file, table = tmp_path / "f.toml", tmp_path / "rtt.csv"
@@ -502,7 +503,7 @@ def shown_or_refused(recorded, folder, seeds):
     assert outcomes == {0, 2}
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("name", ["faults", "radio", "many", "flooding"])
 def test_runs_of_any_kind_with_wrong_lines_are_refused_or_shown(name, tmp_path, monkeypatch):
     few = ["team.count=6"] if name in {"radio", "flooding"} else []

@@ -76,6 +76,7 @@ def test_a_new_kind_keeps_the_keys_that_it_has(files):
     assert (bare.protocol, bare.network.range) == (CBBA(), inf)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("path", sorted(SCENARIOS.glob("*.toml")), ids=lambda path: path.stem)
 def test_an_example_is_its_own_scenario_over_no_keys_and_over_the_default(path, tmp_path):

@@ -46,6 +46,7 @@ PLACES = {
 }
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("place", PLACES)
 @given(text=TEXTS)

@@ -122,7 +122,7 @@ def check(tables) -> set[str]:
     return texts
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @settings(max_examples=12)
 @given(tables())
 def test_a_key_that_is_said_to_have_no_effect_has_none(drawn):

@@ -76,7 +76,7 @@ def few(monkeypatch, tmp_path):
     return study
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_study_measures_all_ways_on_all_workloads(few, tmp_path):
     document = few("--parts", "broadcasts", "--no-peers", "--workloads", "W1,W4")
     measured = document["broadcasts"]
@@ -105,7 +105,7 @@ def test_ways_and_workloads_can_be_chosen(few):
     assert "there is no 'pigeon'" in done.output
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_simulator_that_cannot_be_had_is_reported_and_the_rest_goes_on(few, monkeypatch, tmp_path):
     peer = Peer("peer_ns3.cpp", ("there-is-no-such-package",))
     monkeypatch.setattr(elsewhere, "PEERS", {"ns-3": peer})
@@ -272,14 +272,14 @@ def test_the_study_measures_sweeps_and_large_stores(few, monkeypatch, processes)
     assert len(measured) == 10
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_process_of_its_own_has_memory_and_time_of_its_own():
     held = bytearray(200_000_000)
     assert 0.0 < measuring.apart(measuring.memory, "VmHWM") < measuring.memory("VmRSS") - 0.5 * len(held)
     assert 0.0 < measuring.command("-S", "-c", "pass") < measuring.command("-S", "-c", "import time; time.sleep(0.5)")
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_contention_has_the_same_results_in_plain_simpy(monkeypatch):
     """The share of messages that are delivered, in 5 runs each; the control is a window of 4 slots."""
 

@@ -13,7 +13,7 @@ def test_a_search_begins_for_each_protocol_and_each_kind_of_trust():
     assert all(base.protocol_name == name.partition(" + ")[0] for name, base in bases.items())
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_smallest_scenario_of_a_protocol_is_a_file_that_shows_it(study, tmp_path, monkeypatch):
     """Case 1 breaks cbaa: the bid of a winner that crashes blocks all others."""
     monkeypatch.setattr(breaking, "BASE", breaking.BASE.with_({"team.count": 4}))

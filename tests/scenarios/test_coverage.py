@@ -21,6 +21,7 @@ PUBLISHED = {
 """Coverage and bias by distribution and size, with the first look that is the default."""
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(("law", "size"), PUBLISHED)
 def test_intervals_cover_as_often_as_the_table_says(law, size):

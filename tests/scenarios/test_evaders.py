@@ -37,7 +37,7 @@ def tiny(monkeypatch):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_every_strategy_meets_every_protocol_and_every_estimate_every_radius(tiny, study, shortened):
     cut = shortened(12.0)
     document, text, picture = study(evaders.main, "--runs", "1", "--seed", "1", "--latency", "0.2")
@@ -140,7 +140,7 @@ def errors_from_0(differences):
     return found.mean / found.standard_error
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_an_evader_that_flees_only_active_pursuers_survives_longer():
     """By 1.06 +- 0.08 s (standard error of 200 runs): that of 20 runs is 0.25 s."""
     thrifty = {"announce": Announcements(trigger="change"), "motion": Motion(step=0.02)}
@@ -167,7 +167,7 @@ def test_fleeing_active_or_all_pursuers_is_the_same_if_all_chase():
         assert end_time(one) == end_time(other)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_picture_is_as_wide_as_a_column_and_its_text_lies_clear():
     rows = enumerate(evaders_runs.STRATEGIES)
     cells = [made(name, protocol, 0.3 * k) for k, name in rows for protocol in evaders_runs.PROTOCOLS]

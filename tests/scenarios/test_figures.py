@@ -34,7 +34,7 @@ def drawn(results):
     }
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_panels_are_the_runs_of_table_1(results):
     """Positions that are sampled change nothing."""
     base = table1.configuration(20)
@@ -59,7 +59,7 @@ def test_utilities_are_marginal_contributions_at_the_actions_that_are_played(res
     assert len({tuple(row) for row in active.tolist()}) > 5
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_line_of_every_pursuer_is_its_utility_while_it_is_active(drawn, results):
     """Bold while it is active alone; together the lines are active as long as the sum of active times."""
     for axes, (name, result) in zip(drawn["utilities"].axes[:3], list(results.items())[1:], strict=True):
@@ -74,7 +74,7 @@ def test_the_line_of_every_pursuer_is_its_utility_while_it_is_active(drawn, resu
         assert max(thin) == (2.0 if name != "delta = 0.1 s" else 0.7)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_utilities_of_a_run_are_computed_once(monkeypatch):
     """Also if its beginning is drawn enlarged, and handovers are labelled."""
     computed, utilities = [], figures.individual_utilities
@@ -168,7 +168,7 @@ for name, figure in figures.pictures(20, 0):
 """
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_study_writes_its_figures_and_its_numbers_and_another_process_the_same_bytes(tmp_path, study, monkeypatch):
     monkeypatch.setattr(figures, "COUNTS", (20,))
     monkeypatch.setattr(figures, "DELTAS", DELTAS)

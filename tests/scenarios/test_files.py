@@ -16,6 +16,7 @@ FILES = sorted(path.name for path in SCENARIOS.glob("*.toml"))
 SHORT = ("horizon=1.0", "record.messages=true")
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("name", FILES)
 def test_a_scenario_runs_without_a_warning_and_no_message_goes_astray(name, run_of):

@@ -23,7 +23,7 @@ def tiny(monkeypatch):
         patch_study(monkeypatch, (learning, learning_runs), name, value)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.usefixtures("tiny")
 def test_the_study_trains_compares_and_draws(study, tmp_path, monkeypatch):
     document, text, picture = study(learning.main, "--runs", "1")
@@ -42,7 +42,7 @@ def test_the_study_trains_compares_and_draws(study, tmp_path, monkeypatch):
         assert study(learning.main, "--runs", "1")[0] == document
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.usefixtures("tiny")
 def test_the_second_study_trains_twice(study):
     document, text, _ = study(learning.main, "--runs", "1", "--delays")
@@ -78,7 +78,7 @@ def mean_costs(weights, seeds=(500, 501)):
     return float(np.mean([cost(run(game, seed)) for game, seed in zip(games, seeds, strict=True)]))
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_shuffled_weights_are_no_better_than_random_ones():
     """The control of what was learned: it is in the places of the weights, not in their sizes."""
     rng = np.random.default_rng(3)

@@ -27,7 +27,7 @@ def few(monkeypatch):
     patch_study(monkeypatch, (many, many_runs), "CONTENDERS", {name: many_runs.CONTENDERS[name] for name in FEW})
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_study_shows_what_runs_come_to(few, study):
     document, text, picture = study(many.main, "--runs", "2")
     games = {(each["pursuers"], each["protocol"], each["slots"]): each for each in document["negotiations"]}

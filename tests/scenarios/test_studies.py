@@ -94,7 +94,7 @@ def cells(tmp_path_factory):
     return json.loads(done.stdout)["cells"], (folder / "table1.txt").read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_table_1_has_every_cell_and_both_starts(cells):
     found = {(c["algorithm"], c["pursuers"], c["delta"], c["start"]) for c in cells[0]}
     assert found == {
@@ -210,7 +210,7 @@ def test_a_found_configuration_is_written_as_it_was_found(tmp_path):
     assert load(tmp_path / "found.toml") == chosen
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_two_clocks_reports_that_table_1_depends_on_the_slot(study, monkeypatch):
     """From slots of 0.01 s to 0.1 s, of which the paper has 11.7 s and 55.6 s of active time."""
     monkeypatch.setattr(two_clocks, "VALUES", (0.01, 0.03, 0.1))
@@ -254,7 +254,7 @@ def few(monkeypatch):
     patch_study(monkeypatch, (ranges, range_runs), "TEAMS", small)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_all_rivals_are_compared_in_the_same_runs(few, study, shortened):
     cut = shortened(1.0)
     document, text, picture = study(rivals.main, "--runs", "1")
@@ -297,7 +297,7 @@ def test_the_saving_by_communication_is_relative_to_the_silent_team_of_the_same_
     assert cell.difference_half_width == pytest.approx(12.706 * np.std([1.0, 3.0], ddof=1) / np.sqrt(2), rel=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_range_study_pairs_runs_and_enumerates_games(few, study, shortened, monkeypatch):
     shortened(1.0)
     patch_study(monkeypatch, (ranges, range_runs), "GAMES_PER_RUN", 200)
@@ -314,7 +314,7 @@ def test_the_range_study_pairs_runs_and_enumerates_games(few, study, shortened, 
         assert label in picture
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_contention_study_compares_channels_in_the_same_runs_and_measures_ages(monkeypatch, study, shortened):
     shortened(1.5)
     fewer = {"LOADS": (0.1, 2.0), "TEAM_SIZES": (5,), "FACTORS": (0.5, 1.0, 4.0), "SPREADING_FACTORS": (7, 12)}
@@ -334,7 +334,7 @@ def test_the_contention_study_compares_channels_in_the_same_runs_and_measures_ag
     assert "mean age of information (s)" in picture
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_transport_study_spends_the_same_bytes_on_each_way_to_repeat(monkeypatch, study, shortened):
     """In a game at rest, where many announcements are averaged; with few pursuits the bytes are about the same."""
     shortened(2.0)
@@ -351,7 +351,7 @@ def test_the_transport_study_spends_the_same_bytes_on_each_way_to_repeat(monkeyp
     assert "mean age of information (s)" in picture
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_study_of_liars_shows_harm_and_defence(monkeypatch, study, shortened):
     """In a run of 6 s: a liar leaves all idle, trimming holds against F liars, and evidence against more.
 
@@ -388,7 +388,7 @@ def test_the_study_of_liars_shows_harm_and_defence(monkeypatch, study, shortened
     assert "false accusations per run" in picture
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_study_of_bodies_compares_motions_and_rules_in_the_same_runs(monkeypatch, study):
     """One run of each cell: means are taken by `estimate`, which has tests of its own. Two cells are run once more."""
     patch_study(monkeypatch, (bodies, bodies_runs), "LATENCIES", (0.0, 0.5))
@@ -531,7 +531,7 @@ def test_active_times_are_divided_by_who_could_capture_in_time():
         assert (times[0] > 0.0) is some_late
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_study_of_the_start_prints_what_it_measured(study, shortened):
     shortened(0.3)
     document, table, _ = study(start.main, "--runs", "1")
@@ -543,7 +543,7 @@ def test_the_study_of_the_start_prints_what_it_measured(study, shortened):
     assert law["law"][0]["difference"]["mean"] == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_boids_that_hear_each_other_fly_alike_and_others_do_not(tmp_path, monkeypatch):
     """Of N random headings, the mean has the length sqrt(pi / (4 N)) in the mean, here 0.20."""
     bounds = {name: boids.NETWORKS[name] for name in ("everything at once", "nothing ever")}

@@ -167,7 +167,7 @@ def test_a_slow_pursuer_is_not_active_at_the_start():
     assert run(scenario).trace.of(Started)[0].active == (False, False, True)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @settings(max_examples=25, deadline=None)
 @given(
     st.integers(0, 10**6),

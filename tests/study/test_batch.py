@@ -75,6 +75,7 @@ def test_measured_values_are_returned():
     assert run_many(tasks, jobs=1, measure=active_time) == [active_time(run(*task)) for task in tasks]
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(("jobs", "count"), [(2, 1), (2, 60), (0, 3)])
 def test_the_number_of_workers_changes_neither_order_nor_value(jobs, count):
@@ -107,7 +108,7 @@ def test_an_exception_of_a_run_is_raised(with_dask):
         run_many([(SMALL, 0), (BROKEN, 1), (SMALL, 2)], jobs=1)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_an_exception_of_a_run_in_a_worker_is_raised_here_and_the_next_batch_runs():
     tasks = [(SMALL, seed) for seed in range(4)]
     with pytest.raises(BrokenRunError, match="pursuer 0"):

@@ -61,6 +61,7 @@ NETWORKS = {
 }
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.parametrize(
     "name", [*islice(NETWORKS, 2), *(pytest.param(name, marks=pytest.mark.slow) for name in islice(NETWORKS, 2, None))]
 )
@@ -113,7 +114,7 @@ def test_no_choice_of_lost_messages_is_left_out(protocol):
     _compare_with_all(protocol, seeds=[1], most=1)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("protocol", ["sap", "cbaa", "fictitious_play"])
 def test_no_choice_of_two_lost_messages_is_left_out(protocol):
     _compare_with_all(protocol, seeds=[1], most=2)
@@ -128,7 +129,7 @@ def _compare_with_all(protocol, seeds, most):
     assert table.runs + table.skipped == every.runs if most == 1 else table.runs < every.runs
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_table_of_one_lost_message_of_four_pursuers():
     """Values of an independent loop: one message costs best_response its agreement, and none of local_min matters."""
     scenario = Scenario(
@@ -227,7 +228,7 @@ def talks(times):
     return rule
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize(("times", "is_found"), [(3, True), (1000, False)])
 def test_a_rule_that_falls_silent_is_found(times, is_found):
     scenario = Scenario(
@@ -242,7 +243,7 @@ def test_a_rule_that_falls_silent_is_found(times, is_found):
     assert (search.violation is not None) == is_found
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_what_no_protocol_can_win_is_not_reported():
     """Only the last pursuer is fast enough, and it is down: the reference is idle, too."""
     scenario = Scenario(
@@ -257,7 +258,7 @@ def test_what_no_protocol_can_win_is_not_reported():
     assert control.violation is not None
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_crash_of_the_chaser_is_found_and_made_small():
     scenario = load(SCENARIOS / "relay.toml", ["network.latency=0.1", "announce.heartbeat=0.34"])
     search = find_violation(scenario.with_({"protocol": "cbaa"}), IDLE, runs=100, seed=1, jobs=1)
@@ -274,7 +275,7 @@ def test_the_crash_of_the_chaser_is_found_and_made_small():
     assert "centralised" not in verdicts
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_token_that_is_stuck_is_found():
     token = {"kind": "sap", "schedule": {"kind": "token_ring", "attempts": 1}}
     scenario = Scenario(team=Team(count=5), protocol=token, network=Links(latency=0.1), horizon=10.0)
@@ -285,7 +286,7 @@ def test_a_token_that_is_stuck_is_found():
 QUICK = {"runs": 20, "seed": 3, "features": ["latency", "loss", "chaser crash"]}
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_search_does_not_depend_on_what_was_run_before(tmp_path):
     file = tmp_path / "cases.jsonl"
     first = find_violation(SMALL, IDLE.replace("2 in", "1.9 in"), **QUICK, jobs=1, log=CaseLog(file, SMALL, "x"))
@@ -299,7 +300,7 @@ def test_a_search_does_not_depend_on_what_was_run_before(tmp_path):
     assert len(CaseLog(file, SMALL.with_({"team.count": 4}), "x")) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_search_tells_what_it_has_seen():
     search = find_violation(SMALL, IDLE.replace("2 in", "1.9 in"), **QUICK, jobs=1)
     assert search.featured.keys() == {"latency", "loss", "chaser crash"}

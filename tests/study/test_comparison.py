@@ -155,7 +155,7 @@ network.loss = { kind = "bernoulli", p = 0.0 }
 """
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_command_compares_two_folders_and_says_what_differs(tmp_path):
     file = tmp_path / "relay.toml"
     file.write_text(FILE)

@@ -409,7 +409,7 @@ INSTALLED = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("changed", "text", "whose"),
     [
@@ -489,7 +489,7 @@ for each in HELD:
 """
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_in_a_script_what_a_rule_reads_counts_and_nothing_else_in_every_process_and_folder(tmp_path):
     def hashes(seed="1", folder="a", **texts):
         (tmp_path / folder).mkdir(exist_ok=True)

@@ -369,7 +369,7 @@ def other_process(file: Path, seed: int) -> dict[str, str]:
 KINDS = ("mine_of_cells:Mine", "mine_of_cells:plain", "sap")
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_code_of_a_rule_beside_the_file_counts_and_is_the_same_in_every_process(tmp_path):
     (tmp_path / "f.toml").write_text(BASE)
     rule = tmp_path / "mine_of_cells.py"

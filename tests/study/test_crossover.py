@@ -70,6 +70,7 @@ def test_the_interval_of_two_points_is_fiellers_closed_form():
     assert sign_changes([0.0, 1.0], differences.mean(axis=0).tolist()) == (pytest.approx(ratio),)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("seed", range(8))
 def test_the_interval_holds_the_points_at_which_a_t_test_does_not_decide(seed):
@@ -185,6 +186,7 @@ def test_what_has_no_crossover_is_refused(tmp_path):
     assert "should be two texts with =" in refused("crossover", tmp_path, KEY, "sap", "protocol=cbba")
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("confidence", [0.95, 0.5])
 def test_the_interval_covers_as_often_as_it_says(confidence):

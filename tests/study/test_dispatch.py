@@ -163,7 +163,7 @@ def test_a_run_that_ends_its_worker_costs_no_other_run(scenario):
         assert each.value == (None if k in ways else summary(run(*tasks[k])))
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_crashes_of_the_first_and_seventh_of_ten_runs_are_rows_of_the_same_table_everywhere(tmp_path, cluster):
     file = sweeps.write(tmp_path / "in", losses=(0.2,), reps=10, bad=(0, 6), how="exit")
     told = []
@@ -192,7 +192,7 @@ def test_a_run_without_memory_says_what_to_do(scenario):
     assert Row(0, 0, "error", traceback=outcome.traceback).error == f"MemoryError: {OUT_OF_MEMORY}"
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_an_exception_of_a_run_has_the_same_text_wherever_it_runs(scenario, cluster):
     """Two good runs stand between the bad ones, so that some share a lot with others."""
     tasks = [task for how in WAYS for task in ((wrong(scenario, how, 0), 0), (scenario, 1), (scenario, 2))]
@@ -220,7 +220,7 @@ def test_an_exception_of_a_run_has_the_same_text_wherever_it_runs(scenario, clus
             ]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_an_exception_is_passed_on_if_it_can_be_pickled(scenario):
     def fail(how, _):
         next(module for name, module in sys.modules.items() if name.startswith("my_trouble")).trouble(how)
@@ -247,7 +247,7 @@ def test_a_ctrl_c_in_a_run_is_no_failure_of_it(scenario):
         list(drive([(scenario, 0)], InProcess(), simulate=interrupt))
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_an_object_that_cannot_be_pickled_is_an_error_of_each_run_that_needs_it(scenario, cluster):
     """A measure that returns a lock, and one that has a lock."""
     lock = threading.Lock()
@@ -270,7 +270,7 @@ def test_an_object_that_cannot_be_pickled_is_an_error_of_each_run_that_needs_it(
     assert [each.status for each in outcomes(tasks, InProcess(), give)] == ["ok"] * 6  # it never leaves
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_an_executor_that_breaks_ends_the_sweep_and_what_was_done_is_kept(tmp_path):
     scenario = load(sweeps.write(tmp_path / "in", losses=(0.2,), bad=(30,), how="exit", reps=40), allow_import=True)
     with (

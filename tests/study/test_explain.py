@@ -139,6 +139,7 @@ ONLY = [
 ]
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize(("scenario", "name"), ONLY)
 def test_if_only_one_thing_is_imperfect_all_is_due_to_it(scenario, name):
@@ -204,7 +205,7 @@ def whole():
     return explain(BAD, 2, seed=11)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_costs_equal_those_of_single_runs_seed_by_seed(whole):
     found = whole
     assert (found.name, found.runs, found.failed, found.absent) == ("small", 2, 0, ())
@@ -334,7 +335,7 @@ def test_messages_matter_to_a_rule_that_needs_them_only():
 TIMES = st.lists(st.tuples(*[st.floats(0.0, 1e3)] * 4), min_size=2, max_size=5)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @settings(max_examples=20, deadline=None)
 @given(TIMES)
 def test_the_parts_and_what_they_leave_over_are_what_is_saved_together(times):
@@ -414,7 +415,7 @@ def declared(rng, effect, confidence, metrics=2, runs=30):
     return share, np.sqrt(share * (1.0 - share) / STUDIES)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_an_interaction_is_declared_without_one_at_most_at_the_nominal_rate():
     """0.01 for two metrics together, with a standard error of 0.0022 for 2000 studies.
 
@@ -505,7 +506,7 @@ def _nothing_ran():
     RAN.clear()
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_variants_that_are_the_same_are_run_once(tmp_path):
     """Without latency is without all, and a perfect network: 3 variants, with the one without messages; and of none
     there is nothing to do the next time."""
@@ -519,7 +520,7 @@ def test_variants_that_are_the_same_are_run_once(tmp_path):
     assert RAN == [0.0] * 6
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_two_workers_and_a_store_that_was_interrupted_change_nothing(tmp_path):
     store = tmp_path / "some.sqlite"
     few, whole = explain(TWO, 2, store=store, seed=11), explain(TWO, 3, seed=11)
@@ -528,7 +529,7 @@ def test_two_workers_and_a_store_that_was_interrupted_change_nothing(tmp_path):
     assert (few.runs, whole.runs) == (2, 3)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_seed_of_the_scenario_is_the_root_seed_unless_another_is_given():
     seeded = LATE.model_copy(update={"seed": 5})
     assert explain(seeded, 2) == explain(LATE, 2, seed=5)
@@ -584,7 +585,7 @@ def fails(scenario, seed):
     return False
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("protocol", [fails_late, fails_in_time], ids=["as it is", "removed"])
 def test_seeds_with_which_any_variant_fails_are_left_out(protocol, tmp_path):
     """Of the scenario as it is, too, or the differences would be between other seeds; later they are tried again."""
@@ -823,7 +824,7 @@ def output_of(*arguments):
 WRITTEN = {*(f"explain.{kind}" for kind in ("txt", "json", "svg", "png")), "run.json", "sweep.sqlite"}
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_command_prints_the_table_and_writes_it_with_picture_numbers_and_provenance(file, monkeypatch):
     table = output_of(file, "-n", 3)
     folder = file.parent / "out/late/explain"

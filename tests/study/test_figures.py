@@ -222,7 +222,7 @@ def test_panels_side_by_side_share_the_names_of_their_axes():
     assert [axes.get_xlabel() for axes in figure.axes] == ["x", "x"]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_small_panels_show_what_the_pictures_of_each_metric_show():
     grid, metrics = {"horizon": [1.0, 2.0], "prune": ["inf", "none"]}, ["active_time", "switches", "end_time", "energy"]
     figure = multiples(result(grid), metrics)
@@ -240,7 +240,7 @@ def test_small_panels_show_what_the_pictures_of_each_metric_show():
     assert [axes.get_xlabel() for axes in figure.axes] == ["", *["horizon (s)"] * 3, "", ""]
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.whole
 @pytest.mark.parametrize("size", [1, 9])
 def test_the_legend_of_small_panels_is_within_the_picture(size):
     others = {"network.range": [float(k) for k in range(size)], "announce.payload": ["action", "state"]}

@@ -62,6 +62,7 @@ def study(folder):
     (folder / "trace.jsonl").unlink()
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("make", "says"),

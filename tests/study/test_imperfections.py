@@ -250,6 +250,7 @@ def test_only_the_given_imperfection_is_removed(name):
     assert changes(WORST, removed(WORST, [name])) == CHANGES[name]
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("scenario", [WORST, *FILES], ids=lambda each: getattr(each, "stem", "worst"))
 def test_removing_all_imperfections_in_any_order_leaves_none(scenario):
@@ -329,6 +330,7 @@ def unideal(result):
     return late + len(result.trace.of(Queued)), tally.lost, tally.in_flight
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_it_starts_as_it_would_and_no_message_is_late_or_lost(path):

@@ -79,7 +79,7 @@ def interrupted(process, mark, number=signal.SIGINT, send=os.killpg):
     return stderr
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("jobs", "number", "send", "how"),
     [

@@ -144,7 +144,7 @@ def test_an_export_of_no_store_or_an_empty_one_is_refused(tmp_path):
     assert not (tmp_path / "a.csv").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_full_disk_is_reported_and_finished_runs_are_kept(tmp_path, file, monkeypatch):
     """A store that may have 16 pages of 4 kB holds the configurations, and not all of 60 runs."""
     begin = Store._open
@@ -167,7 +167,7 @@ def test_a_full_disk_is_reported_and_finished_runs_are_kept(tmp_path, file, monk
     assert exported(out) == exported(tmp_path / "whole")
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("limit", [0, 4, 60])
 def test_a_file_size_limit_is_reported(tmp_path, file, limit):
     """The process may write files of some kB at most, as where a quota ends: run.json, the store or its journal."""
@@ -228,7 +228,7 @@ def test_a_failed_run_is_replaced_by_any_and_a_successful_one_by_none(file):
             assert {each[2] for each in statuses(store, plan)} == {expected}
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_shards_make_the_whole_in_any_order_and_whatever_they_share(tmp_path, file):
     assert command("sweep", file, "--allow-import", "-o", tmp_path / "whole").exit_code == 0
     paths = []
@@ -329,6 +329,7 @@ def test_of_a_run_that_failed_in_two_shards_the_first_failure_is_kept(tmp_path, 
         store.close()
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "told"),
@@ -346,7 +347,7 @@ def test_stores_of_other_sweeps_are_not_merged(tmp_path, file, options, told):
     assert told in refused("sweep", file, "--allow-import", "-o", tmp_path / "one", *options)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_two_drivers_may_work_on_one_store(tmp_path, file):
     """Both make it, both do all runs, and the table is that of one."""
     out = tmp_path / "out"
@@ -498,7 +499,7 @@ for here in sys.argv[1:]:
 """
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.skipif(not (os.geteuid() or shutil.which("setpriv")), reason="permissions do not bind root")
 def test_a_store_that_may_not_be_written_is_read(tmp_path, good):
     """Its file, or its folder, too. Nothing appears beside it, and its own file stays as it is."""
@@ -518,7 +519,7 @@ def test_a_store_that_may_not_be_written_is_read(tmp_path, good):
         assert (there / "r.html").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.skipif(not (os.geteuid() or shutil.which("setpriv")), reason="permissions do not bind root")
 def test_the_journal_of_a_read_only_store_is_read(tmp_path, file):
     """As of a driver that was killed: without the shared memory beside it the journal cannot be read, which is

@@ -107,7 +107,7 @@ def test_independent_seeds_are_all_different_and_the_same_every_time():
     assert set(independent(grid={**GRID, "capture.radius": [0.2]})) < set(independent())
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_independent_seeds_are_the_same_in_another_process():
     """Or a store could not be continued by another process."""
     scenario = BASE.model_copy(update={"sweep": Sweep(seeds="independent")})
@@ -137,7 +137,7 @@ def test_independent_runs_are_no_pairs():
     assert found.document()["configurations"][1]["difference"] == {}
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_common_seeds_make_differences_precise():
     """Of active time, between latencies of 0 and 0.02 s: var + var' of unpaired runs over the variance of pairs.
 
@@ -207,7 +207,7 @@ def test_a_sweep_of_several_rounds_calls_on_start_once(monkeypatch):
     assert (rounds, calls) == ([100, 3], [0])
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.usefixtures("looks")
 def test_the_number_of_runs_is_the_same_with_two_workers_and_after_an_interruption(tmp_path, monkeypatch):
     grid, target = {"team.count": [2, 4]}, {"reps": 30, "until": ("active_time", 0.07)}

@@ -77,7 +77,7 @@ def stored(path):
         return [json.loads(text) for (text,) in database.execute("SELECT summary FROM runs ORDER BY rowid")]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_metric_is_in_the_rows_the_table_the_files_the_view_and_the_figure(tmp_path):
     store = tmp_path / "s.sqlite"
     found = sweep(BASE, GRID, 2, store=store, metrics={"half": Metric(half, "s"), "late": lambda result: True})
@@ -103,7 +103,7 @@ def test_a_metric_is_in_the_rows_the_table_the_files_the_view_and_the_figure(tmp
             assert f"half: {row.summary['half']:.6g} s" in str(row.summary).splitlines()
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_metrics_of_a_script_are_computed_by_other_processes():
     metrics = {"half": Metric(half, "s"), "more": partial(lambda more, result: active_time(result) + more, 1.0)}
     assert sweep(BASE, GRID, 4, executor=2, metrics=metrics) == sweep(BASE, GRID, 4, metrics=metrics)
@@ -336,7 +336,7 @@ def test_an_explanation_is_in_any_metrics_with_their_units():
         explain(late, 2, metrics={"half": half}, shown=["haf"])
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_report_shows_a_metric_in_its_tables_and_as_a_panel(tmp_path):
     sweep(BASE, RANGES, 2, store=tmp_path / "sweep.sqlite", metrics={"half": Metric(half, "furlongs")})
     elements = Elements(report(Study.read(tmp_path)))
@@ -467,7 +467,7 @@ def test_a_sweep_shows_measures_and_stores_them(file, tmp_path):
     assert record["metrics"] == ["mine_of_commands:gap", "mine_of_commands:twice"]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.usefixtures("looks")
 def test_a_sweep_ends_at_the_precision_of_a_metric_which_has_to_be_there(file):
     accepted("sweep", file, TRUSTED, "--until", "gap:100", "-o", "out")
@@ -482,7 +482,7 @@ def test_a_sweep_ends_at_the_precision_of_a_metric_which_has_to_be_there(file):
     assert said.startswith("--metric mine_of_commands:none: record.metrics.1: ")
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_an_explanation_is_in_the_metrics_of_the_command(file):
     rows = accepted("explain", file, TRUSTED, "-n", 2, *TWICE, "--metric", "energy").stdout.splitlines()
     assert rows[1].split() == ["twice,", "s", "energy,", "(m/s)^p", "s"]
@@ -515,7 +515,7 @@ for words in sys.argv[1:]:
 """
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_metric_is_added_to_the_repository_in_one_place(tmp_path):
     """And a store that was made before has it as soon as it is asked for."""
     for package in ("desim", "protocols"):

@@ -99,6 +99,7 @@ def test_every_built_in_metric_passes_the_check_of_metrics():
     check_metric(lambda result: sum(bool(metric(result)) for metric in METRICS.values()))
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHARES)
 def test_the_share_of_a_loss_is_compared_with_that_of_the_theory(name, monkeypatch):
@@ -114,19 +115,19 @@ def test_the_share_of_a_loss_is_compared_with_that_of_the_theory(name, monkeypat
         check_loss(model, share=share + 0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_model_is_given_as_an_object_a_class_a_kind_a_table_or_a_name():
     for still in ("still", {"kind": "still"}, "desim.pursuit.evaders.evasion:Still", STRATEGIES.choices()["still"]):
         check_evader(still)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_run_is_the_same_under_every_hash_seed(monkeypatch):
     monkeypatch.setattr(decisions, "SITUATIONS", {})
     check_protocol("local_min", hash_seeds=True, limit=60.0)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_checks_cost_nothing_until_they_are_used_and_need_no_pytest():
     code = "import sys, desim, desim.testing; assert not {'numpy', 'pytest', 'desim.testing.links'} & set(sys.modules)"
     code += "; from desim.testing import *; assert check_latency and 'pytest' not in sys.modules"

@@ -306,7 +306,7 @@ def test_a_wrong_protocol_is_told_what_is_wrong_with_it(name):
         check_protocol(model, limit=0.5 if "does not end" in what else 20.0)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_protocol_that_depends_on_the_order_of_a_set_is_told_so(monkeypatch):
     monkeypatch.setattr(decisions, "SITUATIONS", {})
     with pytest.raises(ContractError, match="runs under PYTHONHASHSEED=1 and =2 differ: sort sets"):
@@ -336,7 +336,7 @@ def test_a_wrong_metric_is_told_what_is_wrong_with_it(name):
         check_metric(model)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_checks_accept_the_right_models_from_which_the_wrong_ones_differ():
     check_protocol(decides)
     check_metric(lambda result: float("nan"))

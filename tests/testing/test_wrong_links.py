@@ -300,6 +300,7 @@ def test_a_wrong_latency_is_told_what_is_wrong_with_it(name):
         check_latency(model)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow_cases("another share", "numbers drawn", "one of all", "per position")
 @pytest.mark.parametrize("name", LOSSES)
 def test_a_wrong_loss_is_told_what_is_wrong_with_it(name):
@@ -353,7 +354,7 @@ def test_a_latency_in_milliseconds_gives_a_warning():
         check_latency(Milliseconds())
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_checks_accept_the_right_models_from_which_the_wrong_ones_differ():
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -336,7 +336,7 @@ def test_a_wrong_strategy_is_told_what_is_wrong_with_it(name):
         check_evader(model, limit=0.5 if name == "endless" else 10.0)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_checks_accept_the_right_models_from_which_the_wrong_ones_differ():
     check_body(loose(at_once))
     check_evader(lambda state, rng: 1j)

@@ -88,7 +88,7 @@ def test_a_film_lasts_as_long_as_the_run_at_its_speed(asked, count, pause, tmp_p
     assert loop == 0
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_frame_depends_on_the_one_before_only_by_what_ended_since():
     """The loss at 100 ms is in the second frame and not in the third, which has the arrival at 200 ms."""
     lost, after = frames(history(), [0, 150 * MS, 300 * MS])[1:]
@@ -97,7 +97,7 @@ def test_a_frame_depends_on_the_one_before_only_by_what_ended_since():
     assert after.tobytes() == same.tobytes() != frames(history(), [200 * MS, 300 * MS])[1].tobytes()
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_first_frame_has_no_marks_of_messages_that_ended_earlier():
     """The loss at 100 ms and the arrival at 200 ms precede the window."""
     (first,), (_, later) = frames(history(), [300 * MS]), frames(history(), [290 * MS, 300 * MS])
@@ -122,7 +122,7 @@ def test_nothing_is_cut_off_at_the_edge():
             assert (edge == 255).all()
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_film_made_twice_has_equal_bytes_and_leaves_global_generators_and_style_alone(tmp_path):
     luck, style = np.random.get_state()[1].tolist(), dict(mpl.rcParams)  # noqa: NPY002 - the global generator is meant
     for name, messages in (("one", True), ("two", True), ("three", False)):
@@ -133,7 +133,7 @@ def test_a_film_made_twice_has_equal_bytes_and_leaves_global_generators_and_styl
     assert dict(mpl.rcParams) == style
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_six_seconds_of_twenty_pursuers_and_their_messages_are_less_than_a_megabyte(tmp_path, run_of):
     """Measured: 0.44 MB for 5.2 s. A quarter of it is filmed."""
     animate(run_of("relay.toml"), tmp_path / "film.gif", end=1.5)
@@ -194,7 +194,7 @@ def test_a_gif_that_does_not_fit_into_memory_is_refused(tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of the pipes of imageio-ffmpeg
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_video_has_the_frames_of_the_gif(tmp_path):
     """Ten frames a second of 0.5 s, and the last one for 1.5 s; H.264 changes colours a little."""
     ffmpeg = pytest.importorskip("imageio_ffmpeg")

@@ -118,7 +118,7 @@ def test_timelines(result):
     assert list(map(json.dumps, told(filter(is_data, texts)))) == finite
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_trace_file_has_the_trace_and_is_read_again(result, tmp_path):
     with TraceFile(tmp_path / "t.jsonl") as file:
         run(SCENARIO, 1, file)
@@ -141,7 +141,7 @@ print(sha256("".join(map(line_of, run(SCENARIO, 1).trace)).encode()).hexdigest()
 """
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_trace_is_the_same_under_every_hash_seed():
     """Under that of this process, which is drawn when it starts, as under another."""
     here = sha256("".join(map(line_of, run(SCENARIO, 1).trace)).encode()).hexdigest()

@@ -175,6 +175,7 @@ def test_beliefs_are_those_of_the_analysis(exported, run_of):
     assert "/beliefs" not in exported(result)
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["faults.toml", "contention.toml", "many.toml", "search.toml"])
 def test_a_run_of_many_events_is_readable(exported, run_of, name):

@@ -259,7 +259,7 @@ ORDERS = pytest.mark.parametrize(("first", "second"), [RUNS, RUNS[::-1]], ids=["
 
 
 @in_chromium
-@pytest.mark.slow
+@pytest.mark.whole
 @ORDERS
 def test_a_seek_in_either_run_moves_both_and_the_shorter_stays_at_its_end(first, second, shown):
     """One lasts 1 s, the other 0.5 s."""
@@ -276,7 +276,7 @@ def test_a_seek_in_either_run_moves_both_and_the_shorter_stays_at_its_end(first,
 
 
 @in_chromium
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize(("k", "first", "second"), [(0, *RUNS), (1, *RUNS)], ids=["longer", "shorter"])
 def test_play_in_either_run_plays_both_to_the_end_of_the_longer(k, first, second, shown):
     """The button in either pauses both; at the end, it plays both from the start."""

@@ -44,6 +44,7 @@ def messages_of(events):
     ]
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     "asked",
     [

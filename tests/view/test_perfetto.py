@@ -105,6 +105,7 @@ class Imported:
         self.waits.append((event["name"], self._begun.pop(key(event)), self._ns(event["ts"])))
 
 
+@pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize("asked", RUNS, ids=lambda asked: asked[0])
 def test_perfetto_loses_nothing_of_a_run(asked, run_of):

@@ -214,7 +214,7 @@ def test_a_scenario_made_in_python_can_be_played_with(tmp_path):
     assert tomllib.loads(found["texts"]["toml"])["team"] == {"count": 5, "speeds": 1.2}
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_saved_run_is_repeated_byte_for_byte(small, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     session = Session(small, InProcess())
@@ -298,7 +298,7 @@ def test_differences_are_of_the_pairs_in_which_both_have_a_value():
     assert row["difference"].startswith("+3.000 +- ")
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_worker_that_died_is_replaced(small):
     """It dies in one run and, at the same time, in a comparison."""
     workers = Processes(1, kept=True)
@@ -481,7 +481,7 @@ def test_comparisons_of_pages_that_were_closed_are_dropped(server, monkeypatch):
     assert [server.next_of_comparison(page) for page in ("a", "b", "c", "c")] == [{}, {"done": "b"}, {"done": "c"}, {}]
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_session_keeps_nothing_of_pages_that_are_answered(small):
     session = Session(small, InProcess())
     for page in range(2):
@@ -577,7 +577,7 @@ def are_gone(pids):
 on_linux = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs /proc")
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 @on_linux
 def test_no_process_is_left_after_an_interrupt(tmp_path):
     """A page is open, and a comparison is under way."""
@@ -639,7 +639,7 @@ def test_a_slider_that_is_released_shows_the_new_run_at_the_same_instant(played)
 
 
 @in_chromium
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_pinned_run_stays_as_a_ghost(played):
     assert played.value("play.replay.ghost") is None
     played.value("play.change('network.latency.value', '0.7')")
@@ -652,7 +652,7 @@ def test_the_pinned_run_stays_as_a_ghost(played):
 
 
 @in_chromium
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_bad_value_is_told_beside_its_control_and_the_picture_stays(played):
     before = played.value("document.querySelector('.numbers').textContent")
     played.value("play.change('network.loss.p', '2')")
@@ -684,7 +684,7 @@ def type_into(page, key, text):
 
 
 @in_chromium
-@pytest.mark.slow
+@pytest.mark.whole
 def test_while_a_value_is_not_valid_the_last_run_is_marked_as_such(played):
     marked = "getComputedStyle(document.querySelector('.{}')).opacity < 1"
     assert not played.value(marked.format("numbers"))
@@ -724,7 +724,7 @@ def test_keys_are_searched_above_all_controls(played):
 
 
 @in_chromium
-@pytest.mark.slow
+@pytest.mark.whole
 def test_all_metrics_show_that_they_scroll(played):
     played.value(CLICK.format("All metrics"))
     box = "document.querySelector('dialog .scroll')"
@@ -735,7 +735,7 @@ def test_all_metrics_show_that_they_scroll(played):
 
 
 @in_chromium
-@pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.parametrize("motion", ["reduce", "no-preference"])
 def test_a_run_begins_to_play_unless_the_system_wishes_for_little_motion(browser, address, motion):
     browser.visit("about:blank")
@@ -759,6 +759,7 @@ def test_on_a_phone_only_the_page_scrolls(played):
     assert played.value("document.documentElement.scrollHeight > innerHeight")
 
 
+@pytest.mark.whole_but_one
 @in_chromium
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [1280, 1920])
@@ -798,7 +799,7 @@ def test_a_kind_without_defaults_asks_for_what_it_needs(played):
 
 
 @in_chromium
-@pytest.mark.slow
+@pytest.mark.whole
 def test_thirty_seeds_are_compared_run_by_run_and_can_be_cancelled(played):
     played.value("play.change('network.latency.value', '0.7')")
     played.until("play.runs === 2")
@@ -819,7 +820,7 @@ def test_thirty_seeds_are_compared_run_by_run_and_can_be_cancelled(played):
 
 
 @in_chromium
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_address_keeps_the_state_for_reload_and_back(played):
     played.value("play.change('network.latency.value', '0.5')")
     played.until("play.runs === 2")
@@ -838,7 +839,7 @@ def test_the_address_keeps_the_state_for_reload_and_back(played):
 
 
 @in_chromium
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_key_set_back_to_its_first_value_has_it(played):
     """The first value of the team is that of the command line, not that of the file."""
     for count, changes in [("7", ["team.count=7", SMALL[1]]), ("6", list(SMALL)), ("20", [SMALL[1]])]:
@@ -847,6 +848,7 @@ def test_a_key_set_back_to_its_first_value_has_it(played):
         assert played.value("play.changes") == changes
 
 
+@pytest.mark.whole_but_one
 @in_chromium
 @pytest.mark.slow
 @pytest.mark.parametrize("key", ["network.latency.value", "network.range", "team.count", "network.loss.p"])
@@ -909,7 +911,7 @@ def test_without_a_pinned_run_there_is_no_difference_and_no_comparison(played):
 
 
 @in_chromium
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_run_can_be_saved_and_copied_from_the_page(played):
     played.value(CLICK.format("Save"))
     played.until("document.querySelector('dialog').open")
@@ -955,7 +957,7 @@ def test_nothing_is_wider_than_the_window(played, width, height, theme):
 
 
 @in_chromium
-@pytest.mark.slow
+@pytest.mark.whole
 def test_seven_pages_of_a_browser_run_and_compare_at_the_same_time(browser, address):
     """A browser opens at most six connections to a host."""
     pages = [browser, *(Page(browser.commands, browser.answers) for _ in range(6))]
@@ -977,7 +979,7 @@ def test_seven_pages_of_a_browser_run_and_compare_at_the_same_time(browser, addr
 
 
 @in_chromium
-@pytest.mark.slow
+@pytest.mark.whole
 @on_linux
 def test_all_pages_say_that_the_program_has_ended(browser, tmp_path):
     with program(RELAY, "--set", "horizon=0.5", cwd=tmp_path) as (process, found):
@@ -995,7 +997,7 @@ def test_all_pages_say_that_the_program_has_ended(browser, tmp_path):
 
 
 @in_chromium
-@pytest.mark.slow
+@pytest.mark.whole
 @on_linux
 def test_the_program_ends_when_its_page_is_closed(browser, tmp_path):
     with program(RELAY, "--set", "horizon=0.5", cwd=tmp_path) as (process, found):
@@ -1008,7 +1010,7 @@ def test_the_program_ends_when_its_page_is_closed(browser, tmp_path):
         assert are_gone(begun)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_page_that_is_reloaded_keeps_the_server(small, monkeypatch):
     monkeypatch.setattr(play_server, "LINGER", 0.3)
     with PlayServer(Session(small, InProcess())) as made:

@@ -63,7 +63,7 @@ def folder(file, made, tmp_path):
     return shutil.copytree(made[1], tmp_path / "ran")
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_space_time_diagram_of_a_folder_is_that_of_the_run(made, folder, tmp_path):
     said = call("spacetime", folder, "--from", 0.1, "--to", 0.3, "--pursuers", "4,1", "--size", "8.5cm")
     assert "spacetime.svg" in said
@@ -87,7 +87,7 @@ def test_a_timeline_of_a_folder_is_that_of_the_run(made, folder):
     assert (folder / "trace.perfetto.json").read_text() == perfetto(made[0])
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_film_of_a_folder_is_that_of_the_run(made, folder, tmp_path):
     call("film", folder, "--from", 0.1, "--to", 0.2, "--speed", 0.5, "--fps", 10)
     animate(made[0], tmp_path / "expected.gif", begin=0.1, end=0.2, speed=0.5, fps=10)
@@ -139,7 +139,7 @@ def test_a_picture_that_cannot_be_written_is_named_without_an_option_that_was_no
     assert call("trajectory", file, code=2).startswith("small.trajectory.svg: cannot be written: ")
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_folder_without_messages_gives_an_error_that_explains_how_to_record_them(file, tmp_path):
     write(run(load(file, ["record.messages=false"])), tmp_path / "quiet")
     assert "record.messages = true" in call("spacetime", tmp_path / "quiet", code=2)
@@ -147,7 +147,7 @@ def test_a_folder_without_messages_gives_an_error_that_explains_how_to_record_th
     call("perfetto", tmp_path / "quiet")
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_format_of_a_figure_follows_its_suffix(folder, tmp_path):
     """And of a name without one, nothing is lost."""
     window = ("--from", 0.1, "--to", 0.2)
@@ -190,7 +190,7 @@ def swept(tmp_path_factory):
     return folder / "out"
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_figure_of_a_metric_stays_when_that_of_another_is_drawn(swept, tmp_path):
     """The names of their files carry the metric."""
     folder = shutil.copytree(swept, tmp_path / "out")

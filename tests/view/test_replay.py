@@ -596,7 +596,7 @@ def test_forty_pursuers_and_ten_thousand_messages_take_less_than_a_megabyte():
     assert len(replay_page(result).encode()) / messages(result).sent < 100.0
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_page_is_the_same_bytes_whatever_the_hash_seed(run_of):
     program = (
         "import sys; from desim import load, run; from desim.view.pages.replay import replay_page;"
@@ -708,7 +708,7 @@ def invoke(*arguments):
     return CliRunner().invoke(main, ["replay", *map(str, arguments)])
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_page_of_a_folder_is_that_of_the_run(tmp_path, result_of):
     result = result_of("faults")
     write(result, tmp_path)
@@ -1118,6 +1118,7 @@ LINKED = {
 }
 
 
+@pytest.mark.whole_but_one
 @in_chromium
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LINKED)

@@ -129,7 +129,7 @@ def explained(full):
     return report(Study.read(full.path.parent / "explain"))
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_page_of_an_explanation_alone_is_of_the_scenario_as_it_is(explained):
     elements = Elements(explained)
     assert elements.tags.count("svg") == 7, "two costs, five metrics"
@@ -294,7 +294,7 @@ def test_hostile_names_and_settings_are_text_also_in_pictures(full):
     assert "prune = inf&lt;script&gt;hurt()&lt;/script&gt; url(#x)" in pictures
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_same_store_gives_the_same_bytes_in_another_process(full, explained):
     program = (
         "import sys; from pathlib import Path; from desim.view.pages.report import Study, report;"

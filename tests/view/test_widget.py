@@ -98,7 +98,7 @@ Object.assign(window, {{ sent, remove, tell: each => hears.forEach(hear => hear(
 
 
 @in_chromium
-@pytest.mark.slow
+@pytest.mark.whole
 def test_the_page_in_a_cell_asks_the_kernel_and_shows_its_answers(widget, browser, tmp_path):
     made, sent = widget
     script = made._esm.replace("export default", "const widget =")
