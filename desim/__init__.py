@@ -150,6 +150,7 @@ if TYPE_CHECKING:
     from desim.study.breaking.losses import fatal_losses as fatal_losses
     from desim.study.breaking.search import find_violation as find_violation
     from desim.study.selection.race import race as race
+    from desim.study.sensitivity.analysis import sensitivity as sensitivity
     from desim.study.sweeps.folder import compare as compare
     from desim.study.sweeps.folder import open as open  # noqa: A004 - called as `desim.open`
     from desim.study.sweeps.listing import ls as ls

@@ -38,7 +38,10 @@ FLOORS = [
     {"desim.study.store", "desim.study.workers"},
     {"desim.study.results", "desim.view.pictures"},
     {"desim.study.sweeps", "desim.view.pages"},
-    {"desim.study.ablation", "desim.study.breaking", "desim.study.selection", "desim.testing"},
+    {
+        *("desim.study.ablation", "desim.study.breaking", "desim.study.selection", "desim.study.sensitivity"),
+        "desim.testing",
+    },
     {"desim.learning"},
     {"desim.cli"},
     {"scenarios.studies", "scenarios.templates"},

@@ -23,6 +23,7 @@ from desim.cli.play import play
 from desim.cli.plot import plot
 from desim.cli.program import Program
 from desim.cli.race import race
+from desim.cli.sensitivity import sensitivity
 from desim.cli.start import examples, new
 from desim.cli.usage import no_command
 from desim.config.trust import no_cwd_import
@@ -39,6 +40,7 @@ GROUPS: dict[str, dict[click.Command, str]] = {
         sweep: "Run each configuration of a grid with many seeds; resumes.",
         fates: "Send the messages of a log over the network of a scenario.",
         race: "Find the best configuration of a grid, in few runs.",
+        sensitivity: "Find which keys decide a metric.",
         explain: "Measure what each imperfection of the network costs.",
         break_: "Search for the smallest scenario that breaks a protocol.",
         merge: "Merge the runs of several stores of one sweep.",

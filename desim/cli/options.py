@@ -119,6 +119,17 @@ METRIC = click.option(
 )
 
 
+ONE_METRIC = click.option(
+    "-y",
+    "--metric",
+    metavar="NAME",
+    default="active_time",
+    show_default=True,
+    help="The metric: a built-in or installed one (`desim metrics`), or MODULE:FUNCTION, a function of the result of a"
+    " run.",
+)
+
+
 class Pair(click.ParamType[tuple[str, str]]):
     """A parameter type: two texts, NAME=TEXT."""
 

@@ -15,6 +15,7 @@ from desim.cli.options import (
     JOBS,
     JSON,
     MIX_VERSIONS,
+    ONE_METRIC,
     SEED,
     SET,
     TIMEOUT,
@@ -33,14 +34,7 @@ from desim.config.trust import write_whole
 @FILE
 @GRID
 @DESIGN
-@click.option(
-    "-y",
-    "--metric",
-    metavar="NAME",
-    default="active_time",
-    show_default=True,
-    help="The metric: a built-in or installed one (`desim metrics`), or MODULE:FUNCTION.",
-)
+@ONE_METRIC
 @click.option(
     "--zone",
     type=float,

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import reduce
+from functools import cache, reduce
 from pathlib import Path
 from typing import Any, Self
 
@@ -301,10 +301,16 @@ def _copied(tables: Any) -> Any:
 
 def _defaults(model: type[Value], tables: dict[str, Any]) -> dict[str, Any]:
     """Return the defaults of missing keys: those of the model, with the values of the network's preset, if any."""
-    default = model().model_dump()
+    default = _tables_of_defaults(model)
     network = tables.get("network")
     preset = PRESETS.get(str(network.get("preset"))) if isinstance(network, dict) else None
     return default if preset is None else default | {"network": default["network"] | preset}
+
+
+@cache
+def _tables_of_defaults(model: type[Value]) -> dict[str, Any]:
+    """Return the defaults of a model as tables, which callers only read; a sweep asks for them at every point."""
+    return model().model_dump()
 
 
 def _key(part: str, node: Any) -> str | int:

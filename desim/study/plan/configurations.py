@@ -73,10 +73,8 @@ def configurations(
             two are the same or have the same name, an object in one has no stable hash, or the grid has ranges and no
             design, or a design and no ranges.
     """
-    if grid is not None or design is not None:
-        source = _with_grid(source, grid, design)
-    sweep = validate(source).sweep
-    grid = checked_ranges(source, sweep.grid)
+    source, own = grid_of(source, grid, design)
+    sweep, grid = validate(source).sweep, checked_ranges(source, own)
     _check_design(source, grid, sweep.design)
     drawn = drawn_keys(grid, sweep.design) if sweep.design else []
     size = prod(len(values) for key, values in grid.items() if key not in drawn)
@@ -89,18 +87,35 @@ def configurations(
     return valid_configurations(source, grid, combinations)
 
 
-def checked_ranges(source: Source, grid: SweepGrid) -> SweepGrid:
-    """Return a grid whose ranges know whether they are of whole numbers.
+def grid_of(source: Source, grid: SweepGrid | None, design: Design | str | None = None) -> tuple[Source, SweepGrid]:
+    """Return a source with another grid or design, and its validated grid.
 
     Raises:
-        ScenarioError: if the grid is empty, or a key does not take an end of its range.
+        ScenarioError: if the scenario is invalid, or the grid is empty.
+        TypeError: if the grid is not a mapping.
     """
-    if not grid:
+    given_grid: Any = grid
+    if not isinstance(given_grid, Mapping | None):
+        form = "{'network.latency.value': [0.0, 0.1]}"
+        raise TypeError(f"the grid should be lists of values by key, {form} for instance (got {grid!r})")
+    if grid is not None or design is not None:
+        source = _with_grid(source, grid, design)
+    own = validate(source).sweep.grid
+    if not own:
         why = (
             "should have at least one key of the scenario, and a list of values for it,"
             ' "network.latency.value" = [0.0, 0.1] for instance'
         )
         raise ScenarioError(_about_grid(source, why))
+    return source, own
+
+
+def checked_ranges(source: Source, grid: SweepGrid) -> SweepGrid:
+    """Return a grid whose ranges know whether they are of whole numbers.
+
+    Raises:
+        ScenarioError: if a key does not take an end of its range.
+    """
     first = {key: ends(values)[0] for key, values in grid.items()}
     checked, problems = dict(grid), list[Problem]()
     for key, (interval, *_) in ((key, values) for key, values in grid.items() if is_range(values)):

@@ -8,7 +8,6 @@ needed in the end only remain in the store.
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import closing
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +22,7 @@ from desim.study.selection.kim_nelson import check_confidence, check_zone, kim_n
 from desim.study.selection.race_result import RaceResult
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
+from desim.study.sweeps.metric_values import metric_value
 from desim.study.sweeps.sweep import MAX_RUNS, SweepPlan, check_ok, perform_jobs
 from desim.study.workers.progress import advance, progress
 from desim.study.workers.workers import Workers, workers_for
@@ -226,19 +226,4 @@ class _Samples:
         Raises:
             ValueError: if there is none, or it is infinite.
         """
-        return metric_value(self._metric, f"{self._plan.configurations[system]}", row.seed, row.value(self._metric))
-
-
-def metric_value(metric: str, configuration: str, seed: int, value: float | None) -> float:
-    """Return the value of a metric in a run, as a finite number.
-
-    Raises:
-        ValueError: if there is none, or it is infinite.
-    """
-    where = f"{words(metric)}: the run of {configuration} with seed {seed}"
-    if value is None:
-        instead = "; end_time counts the horizon where there is no capture" if "capture_time" in metric else ""
-        raise ValueError(f"{where} has no value, and a mean over all seeds needs one in every run{instead}")
-    if not isfinite(value):
-        raise ValueError(f"{where} is {float(value)}, and a mean needs finite values")
-    return float(value)
+        return metric_value(self._metric, self._plan.configurations[system], row.seed, row.value(self._metric))

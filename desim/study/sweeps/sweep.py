@@ -86,10 +86,6 @@ class SweepPlan:
         """
         if not isinstance(scenario, Source):
             scenario_argument(Scenario).check(scenario, "sweep")
-        of_grid: Any = grid
-        if not isinstance(of_grid, Mapping | None):
-            form = "{'network.latency.value': [0.0, 0.1]}"
-            raise TypeError(f"the grid should be lists of values by key, {form} for instance (got {grid!r})")
         source = scenario if isinstance(scenario, Source) else Source.of(scenario)
         base = validate(source)
         reps = whole(base.sweep.reps if reps is None else reps, "reps")

@@ -1,0 +1,217 @@
+"""Sensitivity analysis: runs at the points of trajectories, and then at those of Sobol matrices.
+
+Screening comes first. A key whose mean absolute effect is below a tenth of the greatest, by the upper end of its
+interval, keeps the middle of its range afterwards, so that the many points of the indices are spent on the others. All
+points have the same seeds.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from desim.analysis.metrics import Metrics, check_numeric, unit_of, users_metrics
+from desim.config.arguments import naming_arguments, scenario_argument
+from desim.config.arrays import Floats
+from desim.config.python_numbers import whole
+from desim.kernel.core.seeds import seed_of, stream
+from desim.scenario.overrides import Source
+from desim.scenario.scenario import Scenario
+from desim.scenario.toml import validate
+from desim.scenario.value_ranges import is_range, setting_at
+from desim.simulation.watchdog import checked_limit
+from desim.study.plan.configurations import (
+    SweepGrid,
+    checked_ranges,
+    grid_of,
+    label,
+    valid_configurations,
+    without_metrics,
+)
+from desim.study.sensitivity.morris import ElementaryEffects, elementary_effects, morris_points
+from desim.study.sensitivity.sensitivity_result import SensitivityResult
+from desim.study.sensitivity.sobol_indices import SobolIndices, saltelli_points, sobol_indices
+from desim.study.store.store import Store
+from desim.study.sweeps.metric_values import metric_values
+from desim.study.sweeps.sweep import SweepPlan, carry_out
+from desim.study.workers.workers import Workers, workers_for
+
+POINTS, TRAJECTORIES, RUNS = 64, 10, 4
+"""The default numbers of points of a matrix, of trajectories, and of runs at each point."""
+SHARE = 0.1
+"""The share of the greatest mean absolute effect below which a key is screened out."""
+
+
+@naming_arguments
+def sensitivity(
+    scenario: Scenario | Source,
+    grid: SweepGrid | None = None,
+    metric: str = "active_time",
+    *,
+    points: int = POINTS,
+    trajectories: int = TRAJECTORIES,
+    runs: int = RUNS,
+    executor: Executor | int | str = 1,
+    seed: int | None = None,
+    store: str | Path | None = None,
+    metrics: Metrics | None = None,
+    timeout: float | None = None,
+    mix_versions: bool = False,
+) -> SensitivityResult:
+    """Find which keys decide a metric: how much of its variance over the ranges of the keys each key causes.
+
+    Use it before a sweep over many keys: a sweep over those that decide is then enough.
+
+        ranges = {"network.latency.value": "log:0.01:1", "network.loss.p": "0:0.5", "protocol": ["sap", "cbba"]}
+        print(sensitivity(load("relay.toml"), ranges))
+
+    Args:
+        scenario: the scenario that is varied.
+        grid: dotted keys, each with a range ("0:0.5", "log:0.01:1") or a list of values, of which each is equally
+            probable; None = the grid of `scenario.sweep`. A design in it has no effect.
+        metric: the name of the metric; every run needs a value.
+        points: the number of rows of a Sobol matrix, a power of 2; 0 = screening only. There are (keys + 2) times as
+            many points. If in doubt, 64, and four times as many if intervals are too wide: this halves them.
+        trajectories: the number of trajectories of the screening, each with keys + 1 points; 0 = none, so that all keys
+            have indices. If in doubt, 10.
+        runs: the number of runs at each point, with the same seeds at all. With 1, chance counts as an effect of the
+            keys. If in doubt, 4, and more if the result says that most of the variance of a run is chance.
+        executor: as in `sweep`.
+        seed: the root seed of the runs; None = that of the scenario.
+        store: the file in which runs are kept; finished runs in it are not repeated.
+        metrics: metrics in addition to the built-in ones, by name.
+        timeout: the wall time, s, after which a run counts as failed.
+        mix_versions: as in `sweep`.
+
+    Raises:
+        TypeError: if it is not a scenario.
+        ScenarioError: if the scenario or the grid is invalid, or a key does not take a value of its range.
+        ValueError: if fewer than two keys have several values, a number is out of its range, or the metric does not
+            exist, is not numeric, or has no or an infinite value in a run.
+        StoreError: if the store cannot be used; see `sweep`.
+        RunError: if a run fails.
+    """
+    if timeout is not None:
+        checked_limit(timeout)
+    analysis = Analysis.of(scenario, grid, metric, points, trajectories, runs, seed, metrics)
+    with Store(None if store is None else Path(store)) as kept, workers_for(executor) as workers:
+        return analysis.carry_out(kept, workers, timeout=timeout, mix_versions=mix_versions)
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """A sensitivity analysis before its runs."""
+
+    source: Source
+    grid: SweepGrid
+    """The ranges and lists of the keys."""
+    metric: str
+    unit: str
+    points: int
+    trajectories: int
+    plan: SweepPlan
+    """The scenario, the number of runs at each point and their seeds; its configurations are those of a stage."""
+
+    @classmethod
+    def of(
+        cls,
+        scenario: Scenario | Source,
+        grid: SweepGrid | None,
+        metric: str,
+        points: int = POINTS,
+        trajectories: int = TRAJECTORIES,
+        runs: int = RUNS,
+        seed: int | None = None,
+        metrics: Metrics | None = None,
+    ) -> Self:
+        """Return the analysis; for the arguments and the errors see `sensitivity`."""
+        if not isinstance(scenario, Source):
+            scenario_argument(Scenario).check(scenario, "sensitivity")
+        source, chosen = grid_of(scenario if isinstance(scenario, Source) else Source.of(scenario), grid)
+        base = validate(source)
+        if few := [key for key, values in chosen.items() if len(values) < 2 and not is_range(values)]:
+            raise ValueError(f"{few[0]}: has one value, {label(chosen[few[0]][0])}: give a range or several values")
+        if len(chosen) == 1:
+            (key,) = chosen
+            raise ValueError(f"{key}: with one key there is nothing to divide: give ranges of two keys or more")
+        ranges = checked_ranges(source, chosen)
+        added = users_metrics(base.record.metrics, metrics or {})
+        check_numeric(metric, dict(added))
+        points, trajectories = whole(points, "points"), whole(trajectories, "trajectories")
+        if points < 0 or points & (points - 1) or 0 < points < 8:
+            raise ValueError(f"points should be 0 or a power of 2 from 8 on, such as 64 (got {points})")
+        if trajectories < 0 or trajectories == 1 or not (points or trajectories):
+            raise ValueError(f"trajectories should be at least 2, or 0 with points (got {trajectories})")
+        root = base.seed if seed is None else seed_of(seed)
+        plan = SweepPlan(without_metrics(base), (), whole(runs, "runs"), root, metrics=added)
+        unit = unit_of(metric, {name: one.unit for name, one in added})
+        return cls(source, ranges, metric, unit, points, trajectories, plan)
+
+    def carry_out(
+        self, store: Store, workers: Workers, *, timeout: float | None = None, mix_versions: bool = False
+    ) -> SensitivityResult:
+        """Perform the runs that a store lacks, and return what decides.
+
+        Raises:
+            StoreError: if the store belongs to another sweep; see `SweepPlan.register`.
+            RunError: if a run fails.
+            ValueError: if a run has no value of the metric, or an infinite one.
+        """
+
+        def values_at(shares: Floats) -> Floats:
+            return self._values(shares, store, workers, timeout, mix_versions)
+
+        keys = len(self.grid)
+        effects: ElementaryEffects | None = None
+        kept, count = list(range(keys)), 0
+        if self.trajectories:
+            at = morris_points(self.trajectories, keys, stream(0, "morris"))
+            values = values_at(at.reshape(-1, keys))
+            count += values.size
+            means = values.mean(axis=1).reshape(at.shape[:2])
+            effects = elementary_effects(at, means, rng=stream(0, "bootstrap"))
+            kept = effects.matters(SHARE)
+        indices: SobolIndices | None = None
+        if self.points and kept:
+            at = np.full((len(kept) + 2, self.points, keys), 0.5)
+            at[:, :, kept] = saltelli_points(self.points, len(kept))
+            values = values_at(at.reshape(-1, keys))
+            count += values.size
+            indices = sobol_indices(values.reshape(*at.shape[:2], -1), rng=stream(0, "bootstrap"))
+        return SensitivityResult(
+            self.plan.base.name,
+            self.metric,
+            self.unit,
+            {
+                key: str(values[0]) if is_range(values) else ", ".join(map(label, values))
+                for key, values in self.grid.items()
+            },
+            self.plan.reps,
+            count,
+            effects,
+            tuple(kept),
+            indices,
+        )
+
+    def _values(
+        self, shares: Floats, store: Store, workers: Workers, timeout: float | None, mix_versions: bool
+    ) -> Floats:
+        """Return the (points, runs) values of the metric at points, given their (points, keys) shares of the ranges."""
+        places: dict[str, int] = {}
+        distinct: list[dict[str, Any]] = []
+        at = []
+        for settings in map(self._settings, shares.tolist()):
+            at.append(places.setdefault(repr(settings), len(distinct)))
+            if at[-1] == len(distinct):
+                distinct.append(settings)
+        plan = replace(self.plan, configurations=tuple(valid_configurations(self.source, self.grid, distinct)))
+        plan.register(store, mix_versions=mix_versions)
+        result = carry_out(plan, store, workers, fail_fast=True, timeout=timeout, metrics=[self.metric])
+        values: Floats = metric_values(plan, result, self.metric)[at]
+        return values
+
+    def _settings(self, shares: Sequence[float]) -> dict[str, Any]:
+        return {key: setting_at(values, share) for (key, values), share in zip(self.grid.items(), shares, strict=True)}

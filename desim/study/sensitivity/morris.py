@@ -1,0 +1,88 @@
+"""Screening: which inputs of a model have an effect, in few runs.
+
+Source: Morris 1991, "Factorial Sampling Plans for Preliminary Computational Experiments". Each trajectory begins at a
+random point of a grid of `LEVELS` levels, and changes one input after another by `STEP`, up or down, in random order.
+The change of the model divided by `STEP` is an elementary effect: the change over the whole range, if it were linear.
+The mean of absolute effects (mu*, Campolongo et al. 2007, "An effective screening design for sensitivity analysis of
+large models") is 0 for an input without effect; the standard deviation of effects is 0 for an input that adds a term in
+proportion, and large for one with interactions or a curve.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from desim.config.arrays import Floats
+from desim.study.sensitivity.sobol_indices import IndexEstimate
+
+LEVELS = 4
+"""The number of levels of an input: 0, 1/3, 2/3, 1."""
+STEP = LEVELS / (2.0 * (LEVELS - 1))
+"""The change of an input, 2/3: every level is then as probable as another."""
+
+
+@dataclass(frozen=True)
+class ElementaryEffects:
+    """The effects of d inputs, in the unit of the model."""
+
+    mean_absolute: tuple[IndexEstimate, ...]
+    """mu*: the mean of the absolute effects of each input, with its bootstrap interval."""
+    mean: tuple[float, ...]
+    """mu: the mean of the effects, with their signs."""
+    deviation: tuple[float, ...]
+    """sigma: the standard deviation of the effects."""
+
+    def matters(self, share: float) -> list[int]:
+        """Return the inputs of which mu* may be at least a share of the greatest, by the upper end of its interval."""
+        greatest = max(effect.value for effect in self.mean_absolute)
+        return [
+            k for k, effect in enumerate(self.mean_absolute) if effect.high > 0.0 and effect.high >= share * greatest
+        ]
+
+
+def morris_points(trajectories: int, inputs: int, rng: np.random.Generator) -> Floats:
+    """Return the (trajectories, inputs + 1, inputs) points of trajectories, each in {0, 1/3, 2/3, 1}."""
+    points = np.empty((trajectories, inputs + 1, inputs))
+    for trajectory in points:
+        low = rng.integers(LEVELS // 2, size=inputs) / (LEVELS - 1)
+        up = rng.random(inputs) < 0.5
+        trajectory[0] = np.where(up, low, low + STEP)
+        for k, changed in enumerate(rng.permutation(inputs)):
+            trajectory[k + 1] = trajectory[k]
+            trajectory[k + 1, changed] = low[changed] + (STEP if up[changed] else 0.0)
+    return points.round(12)
+
+
+def elementary_effects(
+    points: Floats,
+    values: Floats,
+    *,
+    confidence: float = 0.95,
+    resamples: int = 1000,
+    rng: np.random.Generator | None = None,
+) -> ElementaryEffects:
+    """Return the effects of the inputs of a model.
+
+    Args:
+        points: the points of trajectories, of `morris_points`.
+        values: the (trajectories, inputs + 1) values of the model there; of a model with chance, means over the same
+            seeds at all points.
+        confidence: the confidence of the intervals.
+        resamples: the number of bootstrap samples, which draw trajectories.
+        rng: draws them; None = one with the seed 0.
+    """
+    rng = np.random.default_rng(0) if rng is None else rng
+    steps = np.diff(points, axis=1)
+    changed = np.abs(steps).argmax(axis=2)
+    slopes = np.diff(values, axis=1) / np.take_along_axis(steps, changed[..., None], axis=2)[..., 0]
+    effects = np.empty_like(slopes)  # (trajectories, inputs)
+    np.put_along_axis(effects, changed, slopes, axis=1)
+    draws = rng.integers(len(effects), size=(resamples, len(effects)))
+    ends = 100.0 * np.array([0.5 - confidence / 2, 0.5 + confidence / 2])
+    low, high = np.percentile(np.abs(effects)[draws].mean(axis=1), ends, axis=0).tolist()
+    sizes = np.abs(effects).mean(axis=0).tolist()
+    return ElementaryEffects(
+        tuple(IndexEstimate(*one) for one in zip(sizes, low, high, strict=True)),
+        tuple(effects.mean(axis=0).tolist()),
+        tuple(effects.std(axis=0, ddof=1).tolist()) if len(effects) > 1 else tuple(0.0 for _ in sizes),
+    )

@@ -1,0 +1,122 @@
+"""Sobol indices: the shares of the variance of a model that its inputs cause.
+
+The first-order index of an input is the share that disappears if the input is known, and its total index the share that
+remains if all others are known. Their difference is due to interactions. Inputs are independent and uniform.
+
+The estimators are those of Saltelli et al. 2010, "Variance based sensitivity analysis of model output. Design and
+estimator for the total sensitivity index" (table 2, b and f). They take the model at the points of two matrices A and
+B, and at those of A with column i from B, (AB)_i.
+
+A model with chance is run with the same seeds at all points. What is divided then is the variance of its mean over all
+seeds, not of the mean over those that were run: each product of two values is replaced by the mean of products of
+values with different seeds. The estimators therefore do not count chance as an effect. An input that only changes the
+luck of a run has the indices 0. With one seed the model is taken as one without chance.
+"""
+
+from dataclasses import dataclass
+from math import nan
+
+import numpy as np
+
+from desim.config.arrays import Floats
+from desim.scenario.sweep_table import Design
+from desim.study.plan.designs import unit_points
+
+
+@dataclass(frozen=True)
+class IndexEstimate:
+    """An index with its bootstrap interval."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def has_0(self) -> bool:
+        """Whether the interval contains 0."""
+        return self.low <= 0.0 <= self.high
+
+
+@dataclass(frozen=True)
+class SobolIndices:
+    """The indices of d inputs."""
+
+    first: tuple[IndexEstimate, ...]
+    total: tuple[IndexEstimate, ...]
+    variance: float
+    """The variance of the mean over all seeds, in the squared unit of the model."""
+    variance_of_chance: float
+    """The mean variance of values with different seeds at one point; nan with one seed."""
+    is_varied: bool
+    """Whether the variance is told apart from 0; if not, indices are nan."""
+
+
+def saltelli_points(size: int, inputs: int, seed: int = 0) -> Floats:
+    """Return the (inputs + 2, size, inputs) points of A, B and each (AB)_i, from a Sobol sequence; in [0, 1)."""
+    points = unit_points(Design(size=size, seed=seed), 2 * inputs)
+    a, b = points[:, :inputs], points[:, inputs:]
+    return np.stack([a, b, *(np.where(np.arange(inputs) == i, b, a) for i in range(inputs))])
+
+
+def sobol_indices(
+    values: Floats, *, confidence: float = 0.95, resamples: int = 1000, rng: np.random.Generator | None = None
+) -> SobolIndices:
+    """Return the indices of the inputs of a model; see the module.
+
+    The intervals are percentiles of a bootstrap over the points. They hold for the seeds that were run, and for a
+    number of points that is not too small: about 64.
+
+    Args:
+        values: the (inputs + 2, size, seeds) values of the model at the points of `saltelli_points`.
+        confidence: the confidence of the intervals.
+        resamples: the number of bootstrap samples.
+        rng: draws them; None = one with the seed 0.
+    """
+    rng = np.random.default_rng(0) if rng is None else rng
+    first, total, variance = _estimates(values)
+    size, seeds = values.shape[1:]
+    samples = [_estimates(values[:, rng.integers(size, size=size)]) for _ in range(resamples)]
+    ends = 100.0 * np.array([0.5 - confidence / 2, 0.5 + confidence / 2])
+    least = float(np.percentile([sample[2] for sample in samples], ends[0]))
+    is_varied = variance > 0.0 and least > 0.0
+    chance = float(values[:2].var(axis=2, ddof=1).mean()) if seeds > 1 else nan
+
+    def with_interval(of_all: Floats, of_samples: Floats) -> tuple[IndexEstimate, ...]:
+        if not is_varied:
+            return tuple(IndexEstimate(nan, nan, nan) for _ in of_all)
+        intervals = np.percentile(of_samples, ends, axis=0)
+        return tuple(
+            IndexEstimate(value, low, high)
+            for value, low, high in zip(of_all.tolist(), *intervals.tolist(), strict=True)
+        )
+
+    return SobolIndices(
+        with_interval(first, np.array([sample[0] for sample in samples])),
+        with_interval(total, np.array([sample[1] for sample in samples])),
+        variance,
+        chance,
+        is_varied,
+    )
+
+
+def _estimates(values: Floats) -> tuple[Floats, Floats, float]:
+    """Return the first-order and total indices (inputs,), and the variance."""
+    a, b, mixed = values[0], values[1], values[2:]
+    means = values[:2].mean(axis=(0, 1))  # of each seed, so that what a seed does everywhere alike does not count
+    variance = float(_products(values[:2] - means, values[:2] - means).mean())
+    if not variance > 0.0:
+        nothing = np.full(len(mixed), nan)
+        return nothing, nothing, variance
+    changes = mixed - a
+    first = _products(np.broadcast_to(b - means, changes.shape), changes).mean(axis=1) / variance
+    total = _products(changes, changes).mean(axis=1) / (2.0 * variance)
+    return first, total, variance
+
+
+def _products(values: Floats, others: Floats) -> Floats:
+    """Return the mean product of two values with different seeds (the last axis); with one seed, the product."""
+    seeds = values.shape[-1]
+    if seeds == 1:
+        return np.asarray(values[..., 0] * others[..., 0])
+    products = values.sum(axis=-1) * others.sum(axis=-1) - (values * others).sum(axis=-1)
+    return np.asarray(products / (seeds * (seeds - 1)))

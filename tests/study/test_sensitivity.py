@@ -1,0 +1,211 @@
+"""Sensitivity: the estimators against known indices, and the analysis that performs runs for them."""
+
+from math import pi, sqrt
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from desim import Scenario, sensitivity
+from desim.study.sensitivity.morris import LEVELS, STEP, elementary_effects, morris_points
+from desim.study.sensitivity.sobol_indices import saltelli_points, sobol_indices
+from desim.study.store.store import Store
+
+FIRST = (0.313905, 0.442411, 0.0)
+"""The first-order indices of the function of Ishigami & Homma for a = 7 and b = 0.1."""
+VARIANCE = 49 / 8 + 0.1 * pi**4 / 5 + 0.01 * pi**8 / 18 + 1 / 2
+TOTAL = (1 - 0.442411, 0.442411, 1 - 0.313905 - 0.442411)
+
+
+def ishigami(shares):
+    """Return the values at points in [0, 1), an array (..., 3 or more); further inputs are dummies."""
+    x = pi * (2.0 * shares - 1.0)
+    return np.sin(x[..., 0]) + 7.0 * np.sin(x[..., 1]) ** 2 + 0.1 * x[..., 2] ** 4 * np.sin(x[..., 0])
+
+
+def luck(shares, seeds):
+    """Return normal numbers that depend on each point and on each of some seeds, an array (..., seeds)."""
+    numbers = [np.random.default_rng(int(share * 2**40)).standard_normal(seeds) for share in shares.ravel()]
+    return np.array(numbers).reshape(*shares.shape, seeds)
+
+
+def test_the_indices_of_a_known_function():
+    indices = sobol_indices(ishigami(saltelli_points(8192, 4))[..., None], resamples=60)
+    assert [index.value for index in indices.first] == pytest.approx([*FIRST, 0.0], abs=0.01)
+    assert [index.value for index in indices.total] == pytest.approx([*TOTAL, 0.0], abs=0.01)
+    assert indices.variance == pytest.approx(VARIANCE, rel=0.01)
+    assert all(index.low <= value <= index.high for index, value in zip(indices.first, (*FIRST, 0.0), strict=True))
+    dummy = indices.total[3]
+    assert dummy.has_0
+    assert (dummy.low, dummy.high) == (0.0, 0.0)
+    assert not any(index.has_0 for index in indices.total[:3])
+
+
+def test_the_estimators_are_those_of_scipy():
+    values = ishigami(saltelli_points(64, 3))
+    ours = sobol_indices(values[..., None], resamples=2)
+    theirs = stats.sobol_indices(
+        func={"f_A": values[:1], "f_B": values[1:2], "f_AB": values[2:, None]}, n=64, method="saltelli_2010"
+    )
+    assert [index.value for index in ours.first] == pytest.approx(theirs.first_order, abs=1e-12)
+    assert [index.value for index in ours.total] == pytest.approx(theirs.total_order, abs=1e-12)
+
+
+def test_the_matrices_differ_in_one_column():
+    a, b, *mixed = saltelli_points(8, 3)
+    for i, matrix in enumerate(mixed):
+        assert (matrix[:, i] == b[:, i]).all()
+        assert (np.delete(matrix, i, axis=1) == np.delete(a, i, axis=1)).all()
+
+
+@pytest.mark.slow
+def test_an_input_that_only_changes_the_luck_has_no_index_and_without_seeds_it_has_one():
+    """12 analyses of a model whose second input only chooses other random numbers, with as much variance as the first.
+
+    With one seed, as the control, it has half of the variance.
+    """
+    of_luck = {1: [], 8: []}
+    for repetition in range(12):
+        points = saltelli_points(64, 2, seed=repetition)
+        for seeds, indices in of_luck.items():
+            values = sqrt(12.0) * points[..., :1] + luck(points[..., 1], seeds)
+            indices.append(sobol_indices(values, resamples=100))
+    means = {seeds: np.mean([one.total[1].value for one in indices]) for seeds, indices in of_luck.items()}
+    error = np.std([one.total[1].value for one in of_luck[8]], ddof=1) / sqrt(12)
+    assert abs(means[8]) <= 3.0 * error < 0.1
+    assert np.mean([one.first[0].value for one in of_luck[8]]) == pytest.approx(1.0, abs=0.1)
+    assert sum(one.total[1].has_0 for one in of_luck[8]) >= 9
+    assert means[1] == pytest.approx(0.5, abs=0.1)
+    assert not any(one.total[1].has_0 for one in of_luck[1])
+    chance = np.mean([one.variance_of_chance for one in of_luck[8]])
+    assert chance == pytest.approx(1.0, abs=0.1)
+
+
+def test_what_a_seed_does_at_all_points_alike_does_not_count():
+    points = saltelli_points(64, 3)
+    of_seeds = 100.0 * np.random.default_rng(1).standard_normal(4)
+    with_seeds, without = (
+        sobol_indices(ishigami(points)[..., None] + added, resamples=10) for added in (of_seeds, np.zeros(4))
+    )
+    assert [index.value for index in with_seeds.total] == pytest.approx([index.value for index in without.total])
+    assert [index.value for index in with_seeds.first] == pytest.approx([index.value for index in without.first])
+
+
+@pytest.mark.parametrize("values", [np.ones((4, 64, 1)), np.random.default_rng(3).standard_normal((4, 64, 8))])
+def test_a_model_that_does_not_vary_has_no_indices(values):
+    indices = sobol_indices(values, resamples=100)
+    assert not indices.is_varied
+    assert all(np.isnan(index.value) for index in (*indices.first, *indices.total))
+
+
+def test_a_trajectory_changes_each_input_once_and_visits_all_levels():
+    points = morris_points(200, 5, np.random.default_rng(1))
+    changes = np.diff(points, axis=1)
+    assert (np.abs(changes).round(9) == np.eye(5)[np.abs(changes).argmax(axis=2)] * round(STEP, 9)).all()
+    assert (np.sort(np.abs(changes).argmax(axis=2), axis=1) == np.arange(5)).all()
+    levels, counts = np.unique((points[:, 0] * (LEVELS - 1)).round(9), return_counts=True)
+    assert [*levels] == [0, 1, 2, 3]
+    assert counts == pytest.approx(250, abs=3 * sqrt(1000 * 3 / 16))
+
+
+def test_the_effects_of_a_linear_model_are_its_slopes_and_interactions_spread():
+    points = morris_points(30, 4, np.random.default_rng(2))
+    x = points.transpose(2, 0, 1)
+    effects = elementary_effects(points, 3.0 * x[0] - 2.0 * x[1] + 4.0 * x[1] * x[2])
+    assert effects.mean[0] == pytest.approx(3.0)
+    assert effects.deviation[0] == pytest.approx(0.0, abs=1e-9)
+    assert effects.deviation[2] > 1.0
+    assert effects.mean_absolute[3].value == effects.mean_absolute[3].high == 0.0
+    assert effects.matters(0.1) == [0, 1, 2]
+
+
+SHORT = Scenario(horizon=0.01, team={"count": 2}, record={"trajectory": 0}, network={"latency": 0.1, "loss": 0.1})
+RANGES = {"network.latency.value": "0.0:1.0", "network.loss.p": "0:1", "team.count": "2:5", "prune": ["none", "inf"]}
+
+
+def score(result):
+    """Return a number in which latency decides, loss and the protocol play a part together, and the team none."""
+    network, own = result.scenario.network, np.random.default_rng(result.seed).random()
+    kind = 1.0 if result.scenario.prune == "inf" else -1.0
+    return 4.0 * network.latency.value + kind * network.loss.p + own
+
+
+def analysed(**options):
+    usual = {"points": 8, "trajectories": 3, "runs": 2, "metrics": {"score": score}}
+    return sensitivity(SHORT, options.pop("grid", RANGES), options.pop("metric", "score"), **(usual | options))
+
+
+@pytest.mark.slow
+def test_an_analysis_finds_what_decides_and_resumes(tmp_path):
+    path = tmp_path / "sweep.sqlite"
+    result = analysed(store=path)
+    assert result.kept == (0, 1, 3)
+    shares = saltelli_points(8, 3)
+    of_points = 4.0 * shares[..., 0] + np.where(shares[..., 2] < 0.5, -1.0, 1.0) * shares[..., 1]
+    of_seeds = np.array([np.random.default_rng(seed).random() for seed in (0, 1)])
+    expected = sobol_indices(of_points[..., None] + of_seeds, resamples=2)
+    for key, total, first in zip(
+        [key for key in RANGES if key != "team.count"], expected.total, expected.first, strict=True
+    ):
+        assert result.total[key].value == pytest.approx(total.value, abs=1e-4)
+        assert result.first[key].value == pytest.approx(first.value, abs=1e-4)
+    sentence, *others = result.sentences()
+    assert sentence.startswith("score is decided by network.latency.value (")
+    assert "screened out, with an effect below a tenth of the greatest: team.count; they keep the middle" in others[0]
+    assert result.chance == pytest.approx(of_seeds.var(ddof=1) / (expected.variance + of_seeds.var(ddof=1)), rel=1e-3)
+    with Store(path) as store:
+        count = len(store)
+    again = analysed(store=path)
+    with Store(path) as store:
+        assert len(store) == count
+    assert again.document() == result.document()
+    figure = again.plot()
+    assert [text.get_text() for text in figure.axes[0].get_yticklabels()] == [*RANGES]
+    assert len(figure.axes) == 2
+
+
+def constant(_):
+    return 1.0
+
+
+def test_screening_alone_and_a_metric_that_is_the_same_everywhere():
+    pair = {key: RANGES[key] for key in ("network.latency.value", "team.count")}
+    screened = analysed(grid=pair, points=0)
+    assert screened.indices is None
+    assert screened.sentences()[0].startswith("score changes most with network.latency.value (4 over its range)")
+    flat = analysed(grid=pair, metrics={"score": constant})
+    assert flat.sentences() == ["score is the same at all points: no key has an effect"]
+    assert "total index" not in flat.table()
+    unscreened = analysed(grid=pair, metrics={"score": constant}, trajectories=0)
+    assert "varies no more than chance explains" in unscreened.sentences()[0]
+
+
+def nothing(result):
+    return None if result.seed == 1 else 1.0
+
+
+def endless(_):
+    return float("-inf")
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"grid": {}}, "should have at least one key"),
+        ({"grid": {"team.count": "2:5"}}, "with one key there is nothing to divide"),
+        ({"grid": {"team.count": [2], "network.loss.p": "0:1"}}, "team.count: has one value, 2: give a range"),
+        ({"grid": RANGES | {"network.loss.p": "0:1.5"}}, "network.loss.p: should be less than or equal to 1"),
+        ({"grid": RANGES | {"seed": "0:3"}}, "seed: cannot be swept"),
+        ({"metric": "scor"}, "no numeric metric 'scor', did you mean"),
+        ({"points": 12}, "points should be 0 or a power of 2 from 8 on"),
+        ({"points": 4}, "points should be 0 or a power of 2 from 8 on"),
+        ({"trajectories": 1}, "trajectories should be at least 2"),
+        ({"points": 0, "trajectories": 0}, "trajectories should be at least 2"),
+        ({"runs": 0}, "at least one run"),
+        ({"metrics": {"score": nothing}}, r"with seed 1 has no value, and a mean"),
+        ({"metrics": {"score": endless}}, r"with seed 0 is -inf, and a mean needs finite values"),
+    ],
+)
+def test_what_is_no_analysis_is_refused(options, why):
+    with pytest.raises(ValueError, match=why):
+        analysed(**({"points": 8, "trajectories": 2} | options))
