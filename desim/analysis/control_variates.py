@@ -1,0 +1,139 @@
+"""Means that a control variate makes more precise: a value of the same run with a known mean.
+
+With the same seed, the value of a cheap control explains a share of the variance of a value. Its mean is estimated from
+many runs of its own, and the estimate is corrected by how far the control of the few paired runs is from this mean
+(Lavenberg & Welch 1981, "A Perspective on the Use of Control Variables to Increase the Efficiency of Monte Carlo
+Simulations"; for the estimated mean, the double sampling of Cochran 1977, "Sampling Techniques", section 12.6).
+
+The slope that corrects a run is fitted to all other runs (Avramidis & Wilson 1993, "A Splitting Scheme for Control
+Variates"), and the mean of the control is that of runs that are not paired. So the slope is independent of what it
+multiplies, and the estimate is unbiased for any distribution; with one slope for all runs it is not.
+
+`python -m scenarios.coverage --control` measured how often 95 % intervals cover the mean, in %, with n pairs and 10 n runs
+of the control, from 4,000 studies (s.e. at most 0.5 %). The last columns are the bias of the estimate, in its standard
+deviations (s.e. 0.016), with the slopes of other runs and with one slope; `plain` is the mean of the n values.
+
+{table}
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, nan, sqrt
+
+import numpy as np
+
+from desim.analysis.statistics import Estimate, estimate
+from desim.config.arrays import Floats
+from desim.kernel.core.portable_math import inner_product
+
+MIN_PAIRS = 4
+"""The least number of pairs: a slope fitted to all others needs two, and the interval degrees of freedom."""
+MIN_CONTROLS = 2
+"""The least number of runs of the control in addition to the pairs."""
+USELESS = 1.1
+"""A control is worth little if as many runs without it, times this factor at most, have the same interval."""
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class ControlledEstimate(Estimate):
+    """The mean of a value over independent runs, corrected by a control variate."""
+
+    plain: Estimate
+    """The mean without the correction."""
+    explained: float
+    """The share of the variance that the control explains, R^2 in the pairs."""
+    slope: float
+    """The change of the value with that of the control, in the unit of the value per unit of the control."""
+    controls: int
+    """The number of runs of the control, the paired ones included."""
+    freedom: float
+    """The degrees of freedom of the interval, after Satterthwaite."""
+
+    @property
+    def others(self) -> float | None:
+        """None: values that are all equal are not corrected."""
+        return None
+
+    @property
+    def worth(self) -> float:
+        """The number of runs without a control that would have the same standard error; inf if this one is 0.
+
+        It is n (1 - 2/n) / (1 - R^2 + n R^2 / (m - n)) or close to it, with n pairs among m runs of the control.
+        """
+        if not self.standard_error:
+            return inf
+        return self.count * (self.plain.standard_error / self.standard_error) ** 2
+
+    @property
+    def helps(self) -> bool:
+        """Whether the control is worth more than some more runs; see `USELESS`."""
+        return self.worth > USELESS * self.count
+
+    def half_width_at(self, confidence: float) -> float:
+        """Return half the width of the t interval with a confidence in (0, 1)."""
+        from scipy.special import stdtrit
+
+        return float(stdtrit(self.freedom, 0.5 + confidence / 2) * self.standard_error)
+
+
+def control_variate(
+    values: Sequence[float] | Floats, paired: Sequence[float] | Floats, others: Sequence[float] | Floats
+) -> ControlledEstimate:
+    """Return the mean of values, corrected by a control.
+
+    Its variance is that of the corrected values over n, and that of the mean of the control times the squared slope: an
+    interval without the second part covers too rarely.
+
+    Args:
+        values: (n,) values of independent runs.
+        paired: (n,) the control in the same runs, with the same random numbers.
+        others: (m,) the control in other runs, independent of these.
+
+    Raises:
+        ValueError: if the lengths of pairs differ, there are too few runs, a value is missing or infinite, or the
+            control does not vary.
+    """
+    y, x, z = (np.asarray(numbers, dtype=float) for numbers in (values, paired, others))
+    if len(y) != len(x):
+        raise ValueError(f"values and their controls should have the same length, got {len(y)} and {len(x)}")
+    if len(y) < MIN_PAIRS or len(z) < MIN_CONTROLS:
+        raise ValueError(
+            f"a control needs at least {MIN_PAIRS} pairs and {MIN_CONTROLS} runs more, got {len(y)} and {len(z)}"
+        )
+    if not all(np.isfinite(numbers).all() for numbers in (y, x, z)):
+        raise ValueError("some runs have no value, or no finite one")
+    plain, control, rest = estimate(y), estimate(x), estimate(z)
+    if not (control.standard_error and rest.standard_error):
+        raise ValueError("the control does not vary")
+    slopes, slope, explained = _slopes(y - plain.mean, x - control.mean)
+    corrected = estimate(y - slopes * (x - rest.mean))
+    variances = corrected.standard_error**2, (slope * rest.standard_error) ** 2
+    total = variances[0] + variances[1]
+    scale = variances[0] ** 2 / (len(y) - 2) + variances[1] ** 2 / (len(z) - 1)
+    return ControlledEstimate(
+        corrected.mean,
+        sqrt(total),
+        len(y),
+        plain,
+        explained,
+        slope,
+        len(x) + len(z),
+        total**2 / scale if scale else inf,
+    )
+
+
+def _slopes(y: Floats, x: Floats) -> tuple[Floats, float, float]:
+    """Return the slope of a regression without each run in turn, that of all runs, and its R^2, of centred values.
+
+    Without run i, the slope is b - x_i e_i / (S (1 - h_i)), with the residual e_i, S = sum x^2 and the leverage
+    h_i = 1/n + x_i^2 / S (Cook & Weisberg 1982, "Residuals and Influence in Regression", section 2.2). If the control
+    is the same in all other runs, h_i is 1, and their slope is set to 0.
+    """
+    squares, variation = inner_product(x, x), inner_product(y, y)
+    slope = inner_product(x, y) / squares
+    residuals, left = y - slope * x, 1.0 - 1.0 / len(x) - x * x / squares
+    some_left = left > 1e-12
+    change = np.divide(x * residuals, squares * left, out=np.zeros_like(x), where=some_left)
+    slopes = np.where(some_left, slope - change, 0.0)
+    explained = slope * slope * squares / variation if variation else nan
+    return slopes, slope, explained

@@ -1,0 +1,214 @@
+"""The benchmark: every protocol in every scenario, on its network and on a perfect one, scored between two bounds."""
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from desim.config.arguments import naming_arguments
+from desim.config.arrays import Floats
+from desim.config.python_numbers import whole
+from desim.config.traits import kind_of
+from desim.scenario.overrides import ScenarioError
+from desim.scenario.scenario import Scenario
+from desim.study.ablation.imperfections import with_perfect_network, without_messages
+from desim.study.comparing.scores import Benchmark, NoPart
+from desim.study.comparing.suite import (
+    AS_IT_IS,
+    NEWEST,
+    PERFECT,
+    REFERENCE,
+    SILENT,
+    CostsByProtocol,
+    Suite,
+    cost_of_runs,
+)
+from desim.study.plan.configurations import Configuration
+from desim.study.store.store import Store
+from desim.study.sweeps.sweep import RunError, SweepPlan, carry_out
+from desim.study.workers.workers import Workers, workers_for
+
+METRICS = ("active_time", "idle_time")
+"""The metrics of which a cost consists."""
+
+
+@naming_arguments
+def bench(
+    protocols: Any = (),
+    runs: int | None = None,
+    executor: Executor | int | str = 1,
+    *,
+    version: str | int = NEWEST,
+    again: bool = False,
+    folder: str | Path | None = None,
+    timeout: float | None = None,
+    mix_versions: bool = False,
+) -> Benchmark:
+    """Compare protocols with all built-in ones in the scenarios of the benchmark.
+
+    Use it to place a protocol of yours beside those of the literature: the built-in protocols do not run again, their
+    costs are part of the version. `bench()` returns the table of the version.
+
+        print(desim.bench(MyRule()).table())
+        print(desim.bench({"mine": MyRule(), "mine, patient": MyRule(patience=1.0)}).table())
+
+    Args:
+        protocols: a protocol, a list of protocols, or protocols by the name in the table.
+        runs: the number of runs of each protocol in each scenario, at least 2; None = that of the version, which is the
+            largest number. Fewer are for a first look.
+        executor: as in `sweep`.
+        version: the version of the benchmark.
+        again: whether the built-in protocols run, too, instead of their costs being read.
+        folder: the folder of a store for each scenario, from which an interrupted benchmark resumes; None = no store.
+        timeout: the wall time, s, after which a run counts as failed; None = no limit.
+        mix_versions: as in `sweep`.
+
+    Raises:
+        ValueError: if there is no such version, too few or too many runs, or a protocol takes part in no scenario.
+        RunError: if a run of a protocol fails.
+        StoreError: if a store cannot be written, or has runs of other code or versions.
+    """
+    suite = Suite.of(version)
+    count = suite.runs if runs is None else whole(runs, "runs")
+    if not 2 <= count <= suite.runs:
+        raise ValueError(f"runs should be 2 to {suite.runs}, the number of version {version} (got {count})")
+    entrants = Entrants(suite, _by_name(protocols, suite), again=again)
+    with workers_for(executor, entrants.runs(count)) as workers:
+        return entrants.carry_out(
+            count, workers, folder=None if folder is None else Path(folder), timeout=timeout, mix_versions=mix_versions
+        )
+
+
+def _by_name(protocols: Any, suite: Suite) -> dict[str, Any]:
+    """Return protocols by their names in the table; a name of a built-in protocol gets a suffix."""
+    if isinstance(protocols, Mapping) and "kind" not in protocols:
+        named = [(str(name), protocol) for name, protocol in protocols.items()]
+    else:
+        several = protocols if isinstance(protocols, list | tuple) else [protocols]
+        named = [(_name(protocol), protocol) for protocol in several]
+    by_name: dict[str, Any] = {}
+    for name, protocol in named:
+        other, number = name, 1
+        while other in suite.protocols or other in by_name:
+            number += 1
+            other = f"{name} ({number})"
+        by_name[other] = protocol
+    return by_name
+
+
+def _name(protocol: Any) -> str:
+    if isinstance(protocol, str):
+        return protocol
+    return str(protocol["kind"]) if isinstance(protocol, Mapping) else kind_of(protocol)
+
+
+@dataclass(frozen=True)
+class Entrants:
+    """The protocols that run, beside those whose costs are frozen."""
+
+    suite: Suite
+    protocols: Mapping[str, Any]
+    """The protocols of the caller by name."""
+    again: bool = False
+    """Whether the built-in protocols run, too."""
+
+    def runs(self, count: int) -> int:
+        """Return the number of runs, at most, with `count` runs of each protocol in each scenario."""
+        names = len(self.protocols) + (len(self.suite.protocols) + 1) * self.again
+        return max(2 * count * names * len(self.suite.scenarios), 1)
+
+    def variants(self, name: str) -> tuple[list[Configuration], list[NoPart]]:
+        """Return what is run of a scenario, and the protocols that cannot take part in it with the reasons."""
+        scenario = self.suite.scenarios[name]
+        entered = {**(self.suite.protocols if self.again else {}), **self.protocols}
+        variants: list[tuple[str, str, Scenario]] = []
+        absent: list[NoPart] = []
+        for protocol, value in entered.items():
+            try:
+                with_it = scenario.with_({"protocol": value})
+            except ScenarioError as error:
+                absent.append(NoPart(protocol, name, str(error)))
+                continue
+            variants += [(protocol, AS_IT_IS, with_it), (protocol, PERFECT, with_perfect_network(with_it))]
+        if self.again:
+            variants.append((REFERENCE, SILENT, without_messages(scenario)))
+        settings = [{"protocol": protocol, "network": network} for protocol, network, _ in variants]
+        return [Configuration(*pair) for pair in zip(settings, [with_it for *_, with_it in variants], strict=True)], absent
+
+    def carry_out(
+        self,
+        count: int,
+        workers: Workers,
+        *,
+        folder: Path | None = None,
+        timeout: float | None = None,
+        mix_versions: bool = False,
+    ) -> Benchmark:
+        """Perform the runs that the stores lack, and score all protocols.
+
+        Raises:
+            RunError: if a run fails.
+            ValueError: if a protocol takes part in no scenario.
+        """
+        costs: dict[str, dict[str, dict[str, Any]]] = {}
+        absences: list[NoPart] = []
+        for name in self.suite.scenarios:
+            variants, absent = self.variants(name)
+            absences += absent
+            costs[name] = {} if self.again else _first(self.suite.costs[name], count)
+            if not variants:
+                continue
+            distinct = {variant.key: variant for variant in variants[::-1]}
+            scenario = self.suite.scenarios[name]
+            plan = SweepPlan(scenario, tuple(distinct.values()), count, scenario.seed)
+            with Store(None if folder is None else folder / f"{name}.sqlite") as store:
+                plan.register(store, mix_versions=mix_versions)
+                measured = _performed(plan, store, workers, timeout)
+            for variant in variants:
+                costs[name].setdefault(variant.settings["protocol"], {})[variant.settings["network"]] = measured[
+                    variant.key
+                ]
+        for protocol in self.protocols:
+            reasons = [absence.why for absence in absences if absence.protocol == protocol]
+            if len(reasons) == len(self.suite.scenarios):
+                raise ValueError(f"{protocol} takes part in no scenario: {reasons[0]}")
+        return Benchmark.of(self.suite.version, costs, tuple(self.protocols), tuple(absences))
+
+
+def _first(costs: CostsByProtocol, count: int) -> dict[str, dict[str, Any]]:
+    """Return the costs of the first runs."""
+    return {
+        protocol: {network: values[:count] for network, values in by_network.items()}
+        for protocol, by_network in costs.items()
+    }
+
+
+def _performed(plan: SweepPlan, store: Store, workers: Workers, timeout: float | None) -> dict[str, Floats]:
+    """Perform the runs that a store lacks; return the (n,) costs of each configuration by its hash."""
+    costs: dict[str, Floats] = {}
+    result = carry_out(plan, store, workers, timeout=timeout, metrics=METRICS)
+    for configuration, group in zip(plan.configurations, result.groups, strict=True):
+        if failed := group.failed:
+            row = failed[0]
+            raise RunError(f"{plan.base.name}, {configuration}, seed {row.seed}: the run failed: {row.error}")
+        active, idle = (group.numbers(metric)[: plan.reps] for metric in METRICS)
+        costs[configuration.key] = cost_of_runs(configuration.scenario, active, idle)
+    return costs
+
+
+def frozen_matches(suite: Suite, scenarios: Sequence[str] | None = None) -> bool:
+    """Return whether the first run of the reference in each scenario has its frozen cost: whether desim is the same."""
+    from desim.analysis.metrics import summary
+    from desim.simulation.run import run
+    from desim.study.workers.batch import seeds_from
+
+    for name in suite.scenarios if scenarios is None else scenarios:
+        scenario = suite.scenarios[name]
+        measured = summary(run(scenario, seeds_from(scenario.seed, 1)[0]))
+        cost = cost_of_runs(scenario, np.array([measured.active_time]), np.array([measured.idle_time]))
+        if cost[0] != suite.costs[name][REFERENCE][AS_IT_IS][0]:
+            return False
+    return True

@@ -1,0 +1,302 @@
+"""The scores of a benchmark, between the bounds of each scenario, with their intervals.
+
+P and Z are the costs of the reference protocol with a perfect network and without messages, A and Q those of a protocol
+on the network of the scenario and on a perfect one, all in runs with the same seed. With means over the seeds,
+
+    score = (Z - A) / (Z - P),    quality = (Z - Q) / (Z - P),    loss = quality - score = (A - Q) / (Z - P).
+
+So 1 is what the reference does on an ideal network, and 0 what it does without any message. The bounds are those of one
+protocol for all: if each had its own, a protocol that does badly on an ideal network would need little of it, and look
+robust. `quality` is what a protocol does on a perfect network, and `loss` what the network of the scenario costs it.
+
+The interval of such a ratio r is that of the mean of ((Z_i - A_i) - r (Z_i - P_i)) / (Z - P) over the seeds i, the
+linearised ratio of paired values (Cochran 1977, "Sampling Techniques", section 2.11), with Student's t. It needs a
+denominator far from 0: a scenario is kept only if Z - P is more than `APART` standard errors. The total of several
+scenarios is the mean of their scores; its interval is over the means of each seed, because runs of different scenarios
+with one seed have equal initial positions.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import inf, nan, sqrt
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
+
+import numpy as np
+
+from desim.analysis.statistics import Estimate, estimate
+from desim.analysis.table_formats import TableFormat, formatted
+from desim.analysis.tables import aligned, as_json
+from desim.config.arrays import Floats
+from desim.config.html import html_table
+from desim.kernel.core.portable_math import portable_sum
+from desim.study.comparing.suite import AS_IT_IS, PERFECT, REFERENCE, SILENT, CostsByProtocol
+
+if TYPE_CHECKING:
+    from desim.analysis.drawing.plots import Figure
+
+APART = 10.0
+"""The least distance of the bounds of a scenario in standard errors."""
+RISK = 0.05
+"""The probability that some protocol is said to be behind the best one although it is not, by Bonferroni."""
+OMNISCIENT = "centralised"
+"""The protocol that knows everything at once: a bound, and no competitor."""
+
+
+class NoPart(NamedTuple):
+    """A protocol that cannot take part in a scenario."""
+
+    protocol: str
+    scenario: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """A mean difference of costs over that of the bounds, with its part of each seed."""
+
+    value: float
+    parts: Floats
+    """(n,) linearised deviations of the ratio by seed; their mean is 0."""
+
+    @classmethod
+    def of(cls, above: Floats, below: Floats) -> Self:
+        """Return the ratio of the means of paired values, (n,) each."""
+        whole = float(np.mean(below))
+        if not whole:  # the bounds are equal
+            return cls(nan, np.full(len(below), nan))
+        value = float(np.mean(above)) / whole
+        return cls(value, (above - value * below) / whole)
+
+    @classmethod
+    def mean(cls, ratios: Sequence["Ratio"]) -> Self:
+        """Return the mean of ratios of the same seeds."""
+        return cls(
+            portable_sum(ratio.value for ratio in ratios) / len(ratios),
+            np.mean([ratio.parts for ratio in ratios], axis=0),
+        )
+
+    def minus(self, other: "Ratio") -> "Ratio":
+        """Return the difference of two ratios of the same seeds."""
+        return Ratio(self.value - other.value, self.parts - other.parts)
+
+    @property
+    def estimate(self) -> Estimate:
+        """The ratio with its standard error."""
+        count = len(self.parts)
+        return Estimate(self.value, float(np.std(self.parts, ddof=1)) / sqrt(count), count)
+
+
+class Score(NamedTuple):
+    """What a protocol reaches between the bounds."""
+
+    score: Ratio
+    """On the network of the scenario."""
+    quality: Ratio
+    """On a perfect network."""
+
+    @property
+    def loss(self) -> Ratio:
+        """What the network of the scenario costs."""
+        return self.quality.minus(self.score)
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """The costs of all runs of a benchmark, and the scores that follow from them."""
+
+    version: str
+    costs: Mapping[str, CostsByProtocol]
+    """The (n,) costs by scenario, protocol and network; those of equal places are of equal seeds."""
+    own: tuple[str, ...] = ()
+    """The names of the protocols of the caller."""
+    absent: tuple[NoPart, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        version: str,
+        costs: Mapping[str, CostsByProtocol],
+        own: tuple[str, ...] = (),
+        absent: tuple[NoPart, ...] = (),
+    ) -> Self:
+        """Return the benchmark of some costs."""
+        return cls(version, costs, own, absent)
+
+    @property
+    def runs(self) -> int:
+        """The number of runs of each protocol in each scenario."""
+        return len(next(iter(self.costs.values()))[REFERENCE][PERFECT])
+
+    def apart(self, scenario: str) -> float:
+        """Return the distance of the bounds of a scenario in standard errors; inf if it is equal for all seeds."""
+        difference = estimate(self._bounds(scenario)[1] - self._bounds(scenario)[0])
+        return difference.mean / difference.standard_error if difference.standard_error else inf * difference.mean
+
+    @cached_property
+    def kept(self) -> tuple[str, ...]:
+        """The scenarios whose bounds are far enough apart; in the others the network does not matter enough."""
+        return tuple(name for name in self.costs if self.apart(name) > APART)
+
+    @cached_property
+    def scores(self) -> Mapping[str, Mapping[str, Score]]:
+        """The scores by protocol and kept scenario."""
+        names = dict.fromkeys(name for by_protocol in self.costs.values() for name in by_protocol)
+        return {
+            name: {scenario: self._score(name, scenario) for scenario in self.kept if name in self.costs[scenario]}
+            for name in names
+        }
+
+    @cached_property
+    def totals(self) -> Mapping[str, Score]:
+        """The mean score of each protocol that takes part in all kept scenarios, best first."""
+        totals = {
+            name: Score(*(Ratio.mean([score[k] for score in scores.values()]) for k in (0, 1)))
+            for name, scores in self.scores.items()
+            if scores and len(scores) == len(self.kept)
+        }
+        return dict(sorted(totals.items(), key=lambda item: -item[1].score.value))
+
+    @property
+    def best(self) -> str | None:
+        """The competitor with the greatest total; None if there is none."""
+        return next((name for name in self.totals if name != OMNISCIENT), None)
+
+    def is_behind(self, name: str) -> bool:
+        """Return whether a protocol is behind the best one, beyond the Bonferroni interval of the paired difference."""
+        best = self.best
+        if best is None or name == best:
+            return False
+        difference = self.totals[best].score.minus(self.totals[name].score).estimate
+        rivals = max(len(self.totals) - 1 - (OMNISCIENT in self.totals), 1)
+        return difference.mean > difference.half_width_at(1.0 - 2.0 * RISK / rivals)
+
+    def _bounds(self, scenario: str) -> tuple[Floats, Floats]:
+        reference = self.costs[scenario][REFERENCE]
+        return reference[PERFECT], reference[SILENT]
+
+    def _score(self, name: str, scenario: str) -> Score:
+        perfect, silent = self._bounds(scenario)
+        costs, width = self.costs[scenario][name], silent - perfect
+        return Score(*(Ratio.of(silent - costs[network], width) for network in (AS_IT_IS, PERFECT)))
+
+    def tables(self) -> list[tuple[str, list[tuple[str, ...]]]]:
+        """Return the tables of totals, of scores by scenario, and of bounds, each as its title and rows of text."""
+        head = f"benchmark, version {self.version}: {len(self.kept)} scenarios, {self.runs} runs each"
+        return [
+            (
+                f"{head}; 1 = {REFERENCE} on a perfect network, 0 = without messages; +- is half a 95 % t interval",
+                [*self._total_rows()],
+            ),
+            ("score by scenario", [*self._scenario_rows()]),
+            (
+                f"bounds: mean cost of {REFERENCE}, s; distance in standard errors",
+                [("", "perfect", "as it is", "silent", "distance"), *self._bound_rows()],
+            ),
+        ]
+
+    def _total_rows(self) -> Iterator[tuple[str, ...]]:
+        yield "", "score", "quality", "loss", "behind"
+        for name, total in self.totals.items():
+            parts = (total.score, total.quality, total.loss)
+            behind = "" if name in (self.best, OMNISCIENT) else "yes" if self.is_behind(name) else "not shown"
+            yield self._shown(name), *(_text(part.estimate) for part in parts), behind
+
+    def _scenario_rows(self) -> Iterator[tuple[str, ...]]:
+        yield "", *self.kept
+        partly = [name for name in self.scores if name not in self.totals]
+        for name in (*self.totals, *partly):
+            scores = self.scores[name]
+            yield (
+                self._shown(name),
+                *(_text(scores[scenario].score.estimate) if scenario in scores else "-" for scenario in self.kept),
+            )
+
+    def _bound_rows(self) -> Iterator[tuple[str, ...]]:
+        for name, by_protocol in self.costs.items():
+            costs = [by_protocol[REFERENCE][network] for network in (PERFECT, AS_IT_IS, SILENT)]
+            left_out = "" if name in self.kept else " (left out)"
+            yield name + left_out, *(f"{np.mean(cost):.2f}" for cost in costs), f"{self.apart(name):.1f}"
+
+    def _shown(self, name: str) -> str:
+        return f"> {name}" if name in self.own else f"({name})" if name == OMNISCIENT else name
+
+    def remarks(self) -> list[str]:
+        """Return notes on the bounds, on scenarios that are left out, and on protocols that cannot take part."""
+        notes = ["score = quality - loss: quality is the score on a perfect network, loss what the network costs"]
+        if self.best is not None:
+            notes.append(
+                f"behind: behind {self.best} in pairs of equal seeds, at {RISK:.0%} for all protocols together;"
+                f" ({OMNISCIENT}) knows everything at once, and is no competitor"
+            )
+        if left_out := [name for name in self.costs if name not in self.kept]:
+            notes.append(
+                f"left out: {', '.join(left_out)}: the bounds are not more than {APART:g} standard errors apart, so the"
+                " network does not matter enough, or there are too few runs"
+            )
+        reasons = dict[tuple[str, str], list[str]]()
+        for absence in self.absent:
+            reasons.setdefault((absence.protocol, absence.why), []).append(absence.scenario)
+        notes += [f"{name} takes no part in {', '.join(where)}: {why}" for (name, why), where in reasons.items()]
+        return notes
+
+    def table(self, *, format: TableFormat = "text") -> str:  # noqa: A002 - the word of users
+        """Return the tables and notes: text, latex (booktabs) or markdown.
+
+        Raises:
+            ValueError: if there is no such format.
+        """
+        if format != "text":
+            return formatted(self.tables(), self.remarks(), format)
+        parts = [f"{title}\n{aligned(rows)}" for title, rows in self.tables()]
+        return "\n\n".join([*parts, "\n".join(self.remarks())])
+
+    def __str__(self) -> str:
+        return self.table()
+
+    def _repr_html_(self) -> str:
+        """Return the tables as HTML, for notebooks."""
+        return "".join(html_table(title, rows) for title, rows in self.tables())
+
+    def plot(self, *, size: str | None = None) -> "Figure":
+        """Return the scores of all protocols in all scenarios as a heat map; needs matplotlib (the extra `plot`)."""
+        from desim.study.results.figures import score_map
+
+        names = [*self.totals]
+        values = [[self.scores[name][scenario].score.value for scenario in self.kept] for name in names]
+        totals = [self.totals[name] for name in names]
+        return score_map(
+            [self._shown(name) for name in names],
+            list(self.kept),
+            values,
+            {"score": [total.score.value for total in totals], "quality": [total.quality.value for total in totals]},
+            size=size,
+        )
+
+    def document(self) -> dict[str, Any]:
+        """Return the scores as JSON-compatible values."""
+
+        def numbers(score: Score) -> dict[str, Any]:
+            parts = {"score": score.score, "quality": score.quality, "loss": score.loss}
+            return {name: as_json(part.estimate) for name, part in parts.items()}
+
+        return {
+            "version": self.version,
+            "runs": self.runs,
+            "reference": REFERENCE,
+            "scenarios": {name: {"distance": self.apart(name), "kept": name in self.kept} for name in self.costs},
+            "best": self.best,
+            "protocols": {
+                name: {
+                    "total": numbers(self.totals[name]) if name in self.totals else None,
+                    "behind": self.is_behind(name) if name in self.totals else None,
+                    "scenarios": {scenario: numbers(score) for scenario, score in scores.items()},
+                }
+                for name, scores in self.scores.items()
+            },
+            "absent": [absence._asdict() for absence in self.absent],
+        }
+
+
+def _text(value: Estimate) -> str:
+    return f"{value.mean:.3f} +- {value.half_width:.3f}" if value.standard_error else f"{value.mean:.3f}"
