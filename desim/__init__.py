@@ -149,6 +149,8 @@ if TYPE_CHECKING:
     from desim.study.ablation.explain import explain as explain
     from desim.study.breaking.losses import fatal_losses as fatal_losses
     from desim.study.breaking.search import find_violation as find_violation
+    from desim.study.comparing.bench import bench as bench
+    from desim.study.comparing.control import controlled as controlled
     from desim.study.selection.race import race as race
     from desim.study.sensitivity.analysis import sensitivity as sensitivity
     from desim.study.sweeps.folder import compare as compare

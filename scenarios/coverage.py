@@ -4,6 +4,10 @@ Each study draws independent values of a known distribution until the half width
 target, as a sweep with `--until` does. The target is the half width of 30 or of 300 values with a known deviation. A
 rule of `desim.analysis.statistics` for which runs end too early covers too rarely, and a mean of skewed values is low
 where they happen to vary little.
+
+With `--control` the studies have a fixed number of values, and a control variate (`desim.analysis.control_variates`): of
+known distributions, and of runs of desim that are resampled from a pool. An interval that takes the mean of the control
+for known covers too rarely, and an estimate with one slope for all runs is biased.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,6 +18,8 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
+from desim import Links, Motion, Recording, Scenario, Team, sweep
+from desim.analysis.control_variates import control_variate
 from desim.analysis.statistics import FIRST_LOOK, NORMAL_975, estimate, runs_needed, wilson
 from desim.analysis.tables import aligned
 
@@ -88,13 +94,122 @@ def table(studies: int) -> str:
     return aligned(rows)
 
 
+PAIRS = (10, 30, 100)
+"""The numbers of values of a study with a control."""
+TIMES = 10
+"""The number of values of the control, as a multiple of those of the study."""
+POOL = 1000
+"""The number of seeds in the pool of runs."""
+RUNS = Scenario(
+    horizon=30.0,
+    team=Team(count=8, speeds=2.0),
+    motion=Motion(step=0.05),
+    network=Links(latency=0.2, loss=0.1),
+    record=Recording(trajectory=0.0),
+)
+"""The scenario of the runs in the pool."""
+Pair = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Values of a study, and of its control in the same runs."""
+
+
+def normal_pairs(rng: np.random.Generator, size: int) -> Pair:
+    """Return normal values whose control explains 81 % of their variance."""
+    control = rng.normal(size=size)
+    return 0.9 * control + sqrt(0.19) * rng.normal(size=size), control
+
+
+def lognormal_pairs(rng: np.random.Generator, size: int) -> Pair:
+    """Return the exponentials of such values."""
+    values, control = normal_pairs(rng, size)
+    return np.exp(values), np.exp(control)
+
+
+def curved_pairs(rng: np.random.Generator, size: int) -> Pair:
+    """Return values that depend on their control by a parabola, so that no straight line fits; their mean is 1."""
+    values, control = normal_pairs(rng, size)
+    return values * values + control, control
+
+
+def pool(protocol: str, seeds: int = POOL) -> tuple[Callable[[np.random.Generator, int], Pair], float]:
+    """Return what draws pairs of active times, of a protocol and of `centralised`, from a pool, and their mean."""
+    kinds = [{"kind": protocol, "schedule": {"kind": "poisson", "rate": 5.0}}, {"kind": "centralised", "slot": 0.2}]
+    values, control = (group.numbers("active_time") for group in sweep(RUNS, {"protocol": kinds}, seeds).groups)
+
+    def draw(rng: np.random.Generator, size: int) -> Pair:
+        at = rng.integers(seeds, size=size)
+        return values[at], control[at]
+
+    return draw, float(np.mean(values))
+
+
+@dataclass(frozen=True)
+class ControlledCoverage:
+    """How the intervals of several studies with a control do."""
+
+    plain: float
+    """Share of the intervals without the control that cover the mean."""
+    controlled: float
+    """Share of those with the control."""
+    ignoring: float
+    """Share of those that take the mean of the control for known."""
+    bias: float
+    """Mean error of the corrected means, in their standard deviations."""
+    bias_of_one_slope: float
+    """The same with one slope for all runs."""
+    worth: float
+    """How many times as many values without the control have the same variance of the mean."""
+
+
+def controlled_coverage(
+    draw: Callable[[np.random.Generator, int], Pair], mean: float, size: int, studies: int
+) -> ControlledCoverage:
+    """Return the coverage of studies of `size` values, with `TIMES` as many values of the control."""
+    from scipy.special import stdtrit
+
+    rng = np.random.default_rng(1)
+    covered = np.zeros((studies, 3), dtype=bool)
+    means = np.zeros((studies, 3))
+    for k in range(studies):
+        (values, paired), (_, others) = draw(rng, size), draw(rng, (TIMES - 1) * size)
+        made = control_variate(values, paired, others)
+        offset = float(np.mean(paired) - np.mean(others))
+        means[k] = made.plain.mean, made.mean, made.plain.mean - made.slope * offset
+        known = made.standard_error**2 - (made.slope * estimate(others).standard_error) ** 2
+        widths = made.plain.half_width, made.half_width, float(stdtrit(size - 2, 0.975)) * sqrt(max(known, 0.0))
+        covered[k] = np.abs(means[k][[0, 1, 1]] - mean) <= widths
+    bias = (means.mean(axis=0) - mean) / means.std(axis=0)
+    worth = float(means[:, 0].var() / means[:, 1].var())
+    return ControlledCoverage(*map(float, covered.mean(axis=0)), float(bias[1]), float(bias[2]), worth)
+
+
+def control_table(studies: int, seeds: int = POOL) -> str:
+    """Return the table of all distributions of pairs."""
+    laws = {
+        "normal": (normal_pairs, 0.0),
+        "lognormal": (lognormal_pairs, exp(0.5)),
+        "parabola": (curved_pairs, 1.0),
+    }
+    laws |= {f"runs of {kind}": pool(kind, seeds) for kind in ("local_min", "sap")}
+    head = ("pairs", "n", "plain", "control", "mean taken for known", "bias", "with one slope", "worth")
+    rows: list[tuple[str, ...]] = [head]
+    for name, (draw, mean) in laws.items():
+        for size in PAIRS:
+            measured = controlled_coverage(draw, mean, size, studies)
+            shares = (f"{100 * share:.1f}" for share in (measured.plain, measured.controlled, measured.ignoring))
+            biases = f"{measured.bias:+.3f}", f"{measured.bias_of_one_slope:+.3f}"
+            rows.append((name, str(size), *shares, *biases, f"{measured.worth:.1f} n"))
+    return aligned(rows)
+
+
 @click.command(help=__doc__)
 @click.option(
     "-n", "--runs", "studies", type=click.IntRange(2), default=4000, show_default=True, help="Studies of each."
 )
-def main(studies: int) -> None:
+@click.option("--control", is_flag=True, help="Studies with a control variate.")
+@click.option("--seeds", type=click.IntRange(10), default=POOL, show_default=True, help="Seeds of the pool of runs.")
+def main(studies: int, *, control: bool, seeds: int) -> None:
     """Print the table."""
-    click.echo(table(studies))
+    click.echo(control_table(studies, seeds) if control else table(studies))
 
 
 if __name__ == "__main__":

@@ -9,9 +9,9 @@ The slope that corrects a run is fitted to all other runs (Avramidis & Wilson 19
 Variates"), and the mean of the control is that of runs that are not paired. So the slope is independent of what it
 multiplies, and the estimate is unbiased for any distribution; with one slope for all runs it is not.
 
-`python -m scenarios.coverage --control` measured how often 95 % intervals cover the mean, in %, with n pairs and 10 n runs
-of the control, from 4,000 studies (s.e. at most 0.5 %). The last columns are the bias of the estimate, in its standard
-deviations (s.e. 0.016), with the slopes of other runs and with one slope; `plain` is the mean of the n values.
+`python -m scenarios.coverage --control` measured how often 95 % intervals cover the mean, in %, with n pairs and 10 n
+runs of the control. The last columns are the bias of the estimate, in its standard deviations, with the slopes of other
+runs and with one slope; `plain` is the mean of the n values.
 
 {table}
 """

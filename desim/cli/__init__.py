@@ -9,6 +9,7 @@ import sys
 import click
 
 from desim.cli.about import check, keys, metrics, protocols, schema
+from desim.cli.bench import bench
 from desim.cli.breaking import break_
 from desim.cli.compare import compare, crossover, ls
 from desim.cli.explain import explain
@@ -42,6 +43,7 @@ GROUPS: dict[str, dict[click.Command, str]] = {
         race: "Find the best configuration of a grid, in few runs.",
         sensitivity: "Find which keys decide a metric.",
         explain: "Measure what each imperfection of the network costs.",
+        bench: "Score protocols in ten scenarios, beside all built-in ones.",
         break_: "Search for the smallest scenario that breaks a protocol.",
         merge: "Merge the runs of several stores of one sweep.",
     },

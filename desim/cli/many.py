@@ -31,6 +31,7 @@ from desim.cli.options import (
     echo,
     fail,
     folder_for,
+    protocol_of,
     shown_metrics,
     source_of,
     storing,
@@ -40,9 +41,11 @@ from desim.config.file_names import STORE, TRACE
 from desim.config.trust import write_whole
 
 if TYPE_CHECKING:
+    from desim.study.comparing.control import Controlled, ControlPlan
     from desim.study.results.result import SweepResult
     from desim.study.store.store import Store
     from desim.study.sweeps.sweep import Job, SweepPlan
+    from desim.study.workers.workers import Workers
 
 
 PRECISION = "should be METRIC:HALFWIDTH, active_time:0.1 for instance"
@@ -101,6 +104,13 @@ class Precision(click.ParamType[tuple[str, float]]):
 @click.option("--dry-run", is_flag=True, help="Print the planned runs without running them.")
 @AGAINST
 @click.option("--fail-fast", is_flag=True, help="Stop at the first run that fails.")
+@click.option(
+    "--control",
+    metavar="PROTOCOL",
+    help="Make the means more precise by a control variate: many runs of another protocol with equal seeds, e.g."
+    " centralised.",
+)
+@click.option("--control-runs", type=COUNT, help="Runs of the control; default: ten times those of a configuration.")
 @METRIC
 @MIX_VERSIONS
 @JSON
@@ -121,6 +131,8 @@ def sweep(
     dry_run: bool,
     against: tuple[tuple[str, str], ...],
     fail_fast: bool,
+    control: str | None,
+    control_runs: int | None,
     metrics: tuple[str, ...],
     mix_versions: bool,
     as_json: bool,
@@ -161,6 +173,7 @@ def sweep(
         plan.check_reference(reference)
     except ValueError as error:
         fail(f"--against: {error}")
+    control_plan = _control_plan(plan, control, control_runs, is_partial=bool(until or shard))
     folder = folder_for(scenario, out)
     path = folder / (f"sweep.{shard[0]}-of-{shard[1]}.sqlite" if shard else STORE)
     start = time.perf_counter()
@@ -191,10 +204,16 @@ def sweep(
                 metrics=shown,
                 on_start=note,
             )
+            controlled = None if control_plan is None else _controlled(control_plan, result, folder, workers, metrics)
         done = store.added
         everything = None if shard else _whole_of(result, store)
     table = result.table(shown, against=reference)
-    echo(json.dumps(result.document(shown), indent=2) if as_json else table)
+    document = result.document(shown)
+    if controlled is not None:
+        table, document["control"] = f"{table}\n\n{controlled.table()}", controlled.document()
+        with storing(folder):
+            write_whole(folder / "control.txt", f"{controlled.table()}\n".encode())
+    echo(json.dumps(document, indent=2) if as_json else table)
     for warning in result.warnings(shown) if as_json else ():
         echo(f"warning: {warning}", err=True)
     took = time.perf_counter() - start
@@ -210,6 +229,43 @@ def sweep(
             err=True,
         )
         sys.exit(FAILED)
+
+
+def _control_plan(
+    plan: "SweepPlan", control: str | None, runs: int | None, *, is_partial: bool
+) -> "ControlPlan | None":
+    """Return the plan of the control of a sweep; None without one. End the program if it does not fit."""
+    from desim.scenario.overrides import ScenarioError
+    from desim.study.comparing.control import ControlPlan
+
+    if control is None:
+        if runs is not None:
+            raise click.UsageError("--control-runs is an option of --control")
+        return None
+    if is_partial:
+        fail("--control needs as many runs of each configuration: it excludes --until and --shard")
+    try:
+        return ControlPlan.of(plan, protocol_of(control), runs)
+    except (ScenarioError, ValueError) as error:
+        fail(f"--control {control}: {error}")
+
+
+def _controlled(
+    control_plan: "ControlPlan",
+    result: "SweepResult",
+    folder: Path,
+    workers: "Workers",
+    metrics: tuple[str, ...],
+) -> "Controlled":
+    """Perform the runs of the control that its store lacks, and return the corrected means."""
+    from desim.config.file_names import folder_name
+    from desim.study.comparing.control import SHOWN
+    from desim.study.store.store import Store
+
+    names = tuple(dict.fromkeys(metric.rpartition(":")[2] for metric in metrics))
+    with Store(folder / f"control-{folder_name(control_plan.name)}.sqlite") as store:
+        control_plan.plan.register(store)
+        return control_plan.carry_out(result, store, workers, names or SHOWN)
 
 
 @click.command()

@@ -324,6 +324,28 @@ def valid(source: "Source") -> "Scenario":
     return scenario
 
 
+def protocol_of(text: str) -> Any:
+    """Return the protocol that an option names: KIND, MODULE:NAME, FILE.py:NAME, or a table { kind = ..., ... }.
+
+    A module is an installed one, or lies in the working folder or in that of the file. End the program if it is
+    invalid, or names code without --allow-import.
+    """
+    from desim.scenario.overrides import ScenarioError, Source
+    from desim.scenario.scenario import Scenario
+    from desim.scenario.toml import validate
+
+    folder, name = Path(), text
+    file, colon, inner = text.rpartition(":")
+    if colon and file.endswith(".py"):
+        folder, name = Path(file).parent, f"{Path(file).stem}:{inner}"
+    source = Source("the command line", {}, Scenario, folder=folder, allow_import=is_import_allowed())
+    try:
+        source.override(f"protocol={name}")
+        return validate(source).protocol
+    except ScenarioError as error:
+        fail(str(error))
+
+
 def make_folder(folder: Path) -> None:
     """Create the output folder; end the program if it cannot be written. Warn if matplotlib is not installed."""
     from desim.results.run_folder import can_plot

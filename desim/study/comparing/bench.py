@@ -13,7 +13,6 @@ from desim.config.arrays import Floats
 from desim.config.python_numbers import whole
 from desim.config.traits import kind_of
 from desim.scenario.overrides import ScenarioError
-from desim.scenario.scenario import Scenario
 from desim.study.ablation.imperfections import with_perfect_network, without_messages
 from desim.study.comparing.scores import Benchmark, NoPart
 from desim.study.comparing.suite import (
@@ -124,7 +123,7 @@ class Entrants:
         """Return what is run of a scenario, and the protocols that cannot take part in it with the reasons."""
         scenario = self.suite.scenarios[name]
         entered = {**(self.suite.protocols if self.again else {}), **self.protocols}
-        variants: list[tuple[str, str, Scenario]] = []
+        variants: list[Configuration] = []
         absent: list[NoPart] = []
         for protocol, value in entered.items():
             try:
@@ -132,11 +131,13 @@ class Entrants:
             except ScenarioError as error:
                 absent.append(NoPart(protocol, name, str(error)))
                 continue
-            variants += [(protocol, AS_IT_IS, with_it), (protocol, PERFECT, with_perfect_network(with_it))]
+            networks = {AS_IT_IS: with_it, PERFECT: with_perfect_network(with_it)}
+            variants += [
+                Configuration({"protocol": protocol, "network": network}, it) for network, it in networks.items()
+            ]
         if self.again:
-            variants.append((REFERENCE, SILENT, without_messages(scenario)))
-        settings = [{"protocol": protocol, "network": network} for protocol, network, _ in variants]
-        return [Configuration(*pair) for pair in zip(settings, [with_it for *_, with_it in variants], strict=True)], absent
+            variants.append(Configuration({"protocol": REFERENCE, "network": SILENT}, without_messages(scenario)))
+        return variants, absent
 
     def carry_out(
         self,
@@ -175,7 +176,7 @@ class Entrants:
             reasons = [absence.why for absence in absences if absence.protocol == protocol]
             if len(reasons) == len(self.suite.scenarios):
                 raise ValueError(f"{protocol} takes part in no scenario: {reasons[0]}")
-        return Benchmark.of(self.suite.version, costs, tuple(self.protocols), tuple(absences))
+        return Benchmark(self.suite.version, costs, tuple(self.protocols), tuple(absences))
 
 
 def _first(costs: CostsByProtocol, count: int) -> dict[str, dict[str, Any]]:

@@ -33,7 +33,7 @@ from desim.kernel.core.portable_math import portable_sum
 from desim.study.comparing.suite import AS_IT_IS, PERFECT, REFERENCE, SILENT, CostsByProtocol
 
 if TYPE_CHECKING:
-    from desim.analysis.drawing.plots import Figure
+    from desim.analysis.drawing.plots import Figure, Style
 
 APART = 10.0
 """The least distance of the bounds of a scenario in standard errors."""
@@ -111,17 +111,6 @@ class Benchmark:
     own: tuple[str, ...] = ()
     """The names of the protocols of the caller."""
     absent: tuple[NoPart, ...] = ()
-
-    @classmethod
-    def of(
-        cls,
-        version: str,
-        costs: Mapping[str, CostsByProtocol],
-        own: tuple[str, ...] = (),
-        absent: tuple[NoPart, ...] = (),
-    ) -> Self:
-        """Return the benchmark of some costs."""
-        return cls(version, costs, own, absent)
 
     @property
     def runs(self) -> int:
@@ -258,20 +247,29 @@ class Benchmark:
         """Return the tables as HTML, for notebooks."""
         return "".join(html_table(title, rows) for title, rows in self.tables())
 
-    def plot(self, *, size: str | None = None) -> "Figure":
-        """Return the scores of all protocols in all scenarios as a heat map; needs matplotlib (the extra `plot`)."""
-        from desim.study.results.figures import score_map
+    def plot(self, *, size: str | None = None, style: "Style" = None) -> "Figure":
+        """Return a figure of the totals with their intervals, and of the scores by scenario; needs matplotlib.
 
-        names = [*self.totals]
-        values = [[self.scores[name][scenario].score.value for scenario in self.kept] for name in names]
-        totals = [self.totals[name] for name in names]
-        return score_map(
-            [self._shown(name) for name in names],
-            list(self.kept),
-            values,
-            {"score": [total.score.value for total in totals], "quality": [total.quality.value for total in totals]},
-            size=size,
-        )
+        Args:
+            size: the width and perhaps the height, such as "17cm" or "17cmx9cm".
+            style: a style of matplotlib on top of that of desim: rcParams, or the name of a style.
+
+        Raises:
+            ValueError: if no scenario is kept, or the size or the style is invalid.
+            ModuleNotFoundError: if matplotlib is not installed.
+        """
+        from desim.study.comparing.score_figure import score_figure
+
+        if not self.kept:
+            raise ValueError("no scenario is kept: there are too few runs for a figure")
+        totals = {
+            self._shown(name): (total.score.estimate, total.quality.estimate) for name, total in self.totals.items()
+        }
+        scores = {
+            self._shown(name): [self.scores[name][scenario].score.value for scenario in self.kept]
+            for name in self.totals
+        }
+        return score_figure(totals, scores, list(self.kept), size=size, style=style)
 
     def document(self) -> dict[str, Any]:
         """Return the scores as JSON-compatible values."""
