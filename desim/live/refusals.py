@@ -45,7 +45,7 @@ def _of_protocol(scenario: Scenario) -> Iterator[tuple[str, str]]:
     traits = scenario.protocol_traits
     if traits.omniscient or not traits.embodied:
         yield "protocol.kind", "an omniscient protocol decides for all pursuers in one place; it is the benchmark"
-    if not scenario.sensing.is_perfect:
+    if not scenario.sight_is_perfect:
         yield "sensing", "the referee moves a pursuer that sees no evader, and does not know where it searches"
 
 

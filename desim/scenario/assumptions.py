@@ -150,6 +150,8 @@ def times_known(scenario: "Scenario") -> str | None:
     """
     if scenario.sensing.limited:
         return "pursuers see the evader only within the sensing radius (`sensing.radius`)"
+    if scenario.space.blocks_sight:
+        return "pursuers do not see the evader through walls (`wall`)"
     if scenario.sensing.is_noisy:
         return "pursuers do not see the evader exactly (`sensing.noise`)"
     if scenario.announce.payload == "action":

@@ -76,7 +76,7 @@ def sweep_warnings(base: Scenario, keys: Sequence[str], scenarios: Sequence[Scen
     """
     of_base = dict(latency_warnings([base]))
     yield from ((key, why) for key, why in latency_warnings(scenarios) if key not in of_base)
-    reported = any(not scenario.sensing.is_perfect for scenario in scenarios)  # limited sensing: sightings are sent
+    reported = any(not scenario.sight_is_perfect for scenario in scenarios)  # limited sensing: sightings are sent
     tables = ("announce.",) if reported else ("network.", "announce.")
     unread = [key for key in keys if key.startswith(tables) and key != "announce.payload"]
     if unread and all(map(_senses_instead, scenarios)):
@@ -95,7 +95,7 @@ def _time_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about times that round to 0, and about periods that are longer than the horizon."""
     used = {
         "announce.heartbeat": has_heartbeats(scenario),
-        "sensing.period": not scenario.sensing.is_perfect,
+        "sensing.period": not scenario.sight_is_perfect,
         "sensing.interval": scenario.sensing.is_noisy,
     }
     for key, time, markers in _numbers(scenario):

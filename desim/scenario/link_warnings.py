@@ -84,7 +84,7 @@ def _transport_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
                 f"{key}.window",
                 f"no more than depth = {model.depth} messages are kept, so a window of {model.window} is never full",
             )
-    sends = scenario.schedule_traits.spreads_to is not None or not scenario.sensing.is_perfect
+    sends = scenario.schedule_traits.spreads_to is not None or not scenario.sight_is_perfect
     sends = sends or announce.trust.period is not None  # accusations
     if transport != BestEffort() and scenario.announces and not sends and is_built_in(scenario):
         if isinstance(announce.dissemination, Reliable | Coded):

@@ -127,7 +127,7 @@ def _estimates_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 def _sensing_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about keys of sensing without effect, and about a sensing radius within the capture radius."""
     sensing = scenario.sensing
-    if sensing.is_perfect:
+    if scenario.sight_is_perfect:
         default = dict(Sensing())
         changed = [key for key, value in sensing if value != default[key]]
         yield from ((f"sensing.{key}", "it has no effect while the radius is inf") for key in changed)

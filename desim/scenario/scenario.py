@@ -256,6 +256,16 @@ class Scenario(Value):
         return space_among(self.wall)
 
     @property
+    def sight_is_limited(self) -> bool:
+        """Whether pursuers may not see an evader: the sensing radius is finite, or walls block sight."""
+        return self.sensing.limited or self.space.blocks_sight
+
+    @property
+    def sight_is_perfect(self) -> bool:
+        """Whether all pursuers see all evaders exactly."""
+        return not (self.sight_is_limited or self.sensing.is_noisy)
+
+    @property
     def pursuer_dynamics(self) -> Dynamics:
         """The dynamics of the pursuers: `team.dynamics`, or simple motion in a static game."""
         return Simple() if self.motion.static else self.team.dynamics

@@ -120,7 +120,7 @@ def _instants(scenario: Scenario) -> Iterator[tuple[str, str, int, _Spread]]:
 
 def _broadcasts(scenario: Scenario) -> bool:
     """Return whether pursuers broadcast messages that the transport of the network carries."""
-    return not scenario.sensing.is_perfect or scenario.protocol_traits.host is not None
+    return not scenario.sight_is_perfect or scenario.protocol_traits.host is not None
 
 
 def _periodic_warnings(scenario: Scenario, channel: Channel) -> Iterator[tuple[str, str]]:
@@ -138,7 +138,7 @@ def _periodic_warnings(scenario: Scenario, channel: Channel) -> Iterator[tuple[s
     delay = "give `network.processing.sender` a random delay"
     for key, messages, is_sent, advice in (
         ("announce.jitter", "heartbeats", beats, "give it some jitter"),
-        ("sensing.period", "reports", not scenario.sensing.is_perfect, delay),
+        ("sensing.period", "reports", not scenario.sight_is_perfect, delay),
         ("announce.trust.period", "accusations", announce.trust.period is not None, delay),
         ("clocks.sync.interval", "requests", scenario.clocks.sync != Unsynchronised(), delay),
     ):

@@ -255,7 +255,7 @@ def _sensor(
     seed: int,
 ) -> Sensor | None:
     """Create the sensors of the team; return None if sensing is perfect or the protocol is omniscient."""
-    if scenario.sensing.is_perfect or scenario.protocol_traits.omniscient:
+    if scenario.sight_is_perfect or scenario.protocol_traits.omniscient:
         return None
     if scenario.sensing.is_noisy:
         return NoisySensor(scenario.sensing, state, scenario.prune, network, clocks, env, seed)

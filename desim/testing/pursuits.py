@@ -300,7 +300,7 @@ class ApolloniusWatcher:
             and scenario.environment.is_still
             and scenario.space.is_open
             and scenario.motion.order == "evader_first"
-            and scenario.sensing.is_perfect
+            and scenario.sight_is_perfect
         )
 
     def __call__(self, event: Event) -> None:

@@ -64,7 +64,7 @@ class EvaderController:
         self._inference = InferredActivity(period, motion_error, speeds, rng.spawn(1)[0]) if period else None
         self._space = space
         flees_all = type(strategy) is PureEvasion and strategy.flees_from == "all"
-        self._is_pure_evasion = flees_all and sensing_range == inf and self._memory is None and space.is_open
+        self._is_pure_evasion = flees_all and sensing_range == inf and self._memory is None and space is PLANE
         self._heading = 0j
         self._since: int | None = None
 
@@ -94,6 +94,8 @@ class EvaderController:
         )
         if self._sensing_range < inf:
             observation = observation.only(observation.distances <= self._sensing_range)
+        if self._space.blocks_sight:
+            observation = observation.only(self._space.visible(observation.pursuers, observation.evader))
         if self._space is not PLANE:
             observation = observation.within(self._space)
         heading = self._strategy(observation, self._rng)

@@ -46,6 +46,15 @@ class Plane:
         """The space itself if there are walls, else None."""
         return None
 
+    @property
+    def blocks_sight(self) -> bool:
+        """Whether some walls block sight."""
+        return bool(self._sight)
+
+    def visible(self, places: Points, watcher: complex) -> Bools:
+        """Return which of (k,) places are seen from a place, or see it: no wall is between them, (k,)."""
+        return ~crossings(coordinates(np.array([watcher])), coordinates(places), self._sight).any(axis=1)
+
     def distance(self, source: complex, target: complex) -> float:
         """Return the distance of two places, m; inf if there is no path between them."""
         return abs(target - source)
@@ -91,8 +100,8 @@ class Plane:
     def hidden(self, places: Points, watchers: Points) -> Bools:
         """Return which of (k,) places none of (n,) watchers sees, because walls block their sight, (k,)."""
         unseen = np.ones(len(places), dtype=bool)
-        for watcher in coordinates(watchers):
-            unseen &= crossings(watcher[np.newaxis], coordinates(places), self._sight).any(axis=1)
+        for watcher in watchers.tolist():
+            unseen &= ~self.visible(places, watcher)
         return unseen
 
     def hiding_places(self, distance: float) -> Points:

@@ -137,10 +137,9 @@ class NoisySensor:
             if evader not in state.at_large:
                 continue
             offsets = (state.body(evader).position - state.positions()).tolist()
-            for view, offset, (first, second), broken in zip(
-                self.views, offsets, draws, state.broken.tolist(), strict=True
-            ):
-                if not broken and abs(offset) <= radius:
+            seeing = (state.in_sight(evader, radius) & ~state.broken).tolist()
+            for view, offset, (first, second), sees in zip(self.views, offsets, draws, seeing, strict=True):
+                if sees:
                     measured: Any = self._noise(offset, first, second)
                     is_number = isinstance(measured, (complex, float, int, np.number))
                     if not is_number or isinstance(measured, bool) or measured != measured:
@@ -234,7 +233,7 @@ class TrackingView(LimitedView):
         if sensing.on_lost == "stay":
             return None
         lost = track.position - track.velocity * (age - sensing.track_timeout)
-        return EvaderEstimate(lost + self._search(age), 0j, 0.0, track.deviation)
+        return EvaderEstimate(lost + self._search(age, evader), 0j, 0.0, track.deviation)
 
     def covariance(self, evader: int) -> tuple[float, float, float]:
         """Return the entries xx, xy and yy, m^2, of the covariance of the estimate of an evader; 0 if it has none.

@@ -1,6 +1,7 @@
-"""Sensing of evaders by pursuers with a limited range, and estimation from past sightings.
+"""Sensing of evaders by pursuers with a limited range or behind walls, and estimation from past sightings.
 
-Within the sensing radius a pursuer sees the true position of an evader. Beyond this radius, the pursuer estimates the
+Within the sensing radius a pursuer sees the true position of an evader, unless a wall that blocks sight is between
+them. Otherwise, the pursuer estimates the
 position from the newest sighting that it knows, its own or a reported one (`Sensing.estimate`). Its decisions and its
 guidance use this estimate. The sensing radius applies to evaders only: teammates are sensed at any distance or announce
 their positions, and all pursuers know which evaders are captured.
@@ -65,7 +66,8 @@ class Sensing(Value):
     on_lost: Literal["stay", "search"] = "search"
     """Reaction to a lost evader. stay: it may not be chased; search: its estimated position moves along a spiral at the
     speed of the pursuer, from the last estimated position. The spiral starts when the evader is lost, even if the
-    pursuer is still far away. Its turns are 2 R_s apart, at least 2 eps. It is rotated by another angle for each
+    pursuer is still far away. Its turns are 2 R_s apart, at least 2 eps; if only walls limit the sight, R_s is the way
+    of the evader in the time T_lost. It is rotated by another angle for each
     pursuer. A pursuer without any sighting of an evader may not chase it."""
     noise: Annotated[Noise, NOISES] = Noiseless()
     """Noise of sightings."""
@@ -166,17 +168,17 @@ class TeamSensor:
         """Record, for each pursuer that is not down, a sighting at `now` (ns) of each evader in its sensing range."""
         state, able = self._state, ~self._state.broken
         for evader in state.at_large:
-            seeing = able & (state.distances(evader) <= self.sensing.radius)
+            seeing = able & state.in_sight(evader, self.sensing.radius)
             row = evader - 1
             self._seen[row, seeing] = now
             self._positions[row, seeing] = state.body(evader).position
             self._velocities[row, seeing] = state.velocity(evader)
 
     def blind(self, actions: "Actions") -> list[int]:
-        """Return the pursuers whose evader is outside their sensing radius now, given the (N,) actions."""
+        """Return the pursuers that do not see their evader now, given the (N,) actions."""
         unseen = np.zeros(self._state.size, dtype=bool)
         for evader in self._state.at_large:
-            unseen |= (actions == evader) & (self._state.distances(evader) > self.sensing.radius)
+            unseen |= (actions == evader) & ~self._state.in_sight(evader, self.sensing.radius)
         pursuers: list[int] = np.flatnonzero(unseen).tolist()
         return pursuers
 
@@ -241,14 +243,17 @@ class LimitedView(View):
             return EvaderEstimate(sighting.position + velocity * age, velocity, uncertainty)
         if sensing.on_lost == "stay":
             return None
-        off = self._search(age)
+        off = self._search(age, evader)
         return EvaderEstimate(
             sighting.position + velocity * sensing.track_timeout + off, 0j, uncertainty + abs(off) if worst else 0.0
         )
 
-    def _search(self, age: float) -> complex:
+    def _search(self, age: float, evader: int) -> complex:
         """Return the place of the search, m from the last estimated position, if the newest sighting is `age` s old."""
-        apart = 2.0 * max(min(self._sensing.radius, MAX_COORDINATE), self.state.radius)
+        reach = self._sensing.radius
+        if reach == inf:  # only walls limit the sight
+            reach = self.state.body(evader).speed * self._sensing.track_timeout
+        apart = 2.0 * max(min(reach, MAX_COORDINATE), self.state.radius)
         arm = rect(1.0, 2.0 * pi * self._id / self.state.size)  # pursuers of equal speed search in different directions
         return arm * spiral(self.state.speed(self._id) * (age - self._sensing.track_timeout), apart)
 
@@ -282,8 +287,8 @@ class SensedView(LimitedView):
         self._reported: dict[int, Sighting] = {}
 
     def sees(self, evader: int) -> bool:
-        """Return whether an evader is within the sensing radius of the pursuer now."""
-        return bool(self.state.distances(evader)[self._id] <= self._sensing.radius)
+        """Return whether an evader is within the sensing radius of the pursuer now, and not behind a wall."""
+        return bool(self.state.in_sight(evader, self._sensing.radius)[self._id])
 
     def newest(self, evader: int) -> Sighting | None:
         """Return the newest sighting of an evader, the pursuer's own or a reported one; None if there is none."""

@@ -10,7 +10,7 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.config.arrays import Floats, Points
+from desim.config.arrays import Bools, Floats, Points
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.units import SECOND
 from desim.pursuit.evaders.evader import EvaderBody
@@ -75,6 +75,9 @@ class WorldState:
         self._env = env
         self.players, self.bodies, self.speeds, self.dynamics = players, bodies, speeds, dynamics
         self.environment, self.space = environment, space
+        self._visible_now: dict[int, Bools] = {}
+        """By evader, what `_visible` has returned at `_visible_at`, ns."""
+        self._visible_at = -1
         self.radius, self.horizon, self.static, self.relays = radius, horizon, static, relays
         self.size, self.evader_count = len(speeds), len(bodies)
         self.top_speed = float(speeds.max(initial=0.0)) + environment.relative_speed
@@ -120,6 +123,22 @@ class WorldState:
     def distances(self, evader: int) -> Floats:
         """Return the (N,) distances of the pursuers to an evader, m."""
         return self.body(evader).state(self.now).distances
+
+    def in_sight(self, evader: int, radius: float) -> Bools:
+        """Return which pursuers see an evader now, (N,): it is within a radius, m, and no wall is between them."""
+        near: Bools = self.distances(evader) <= radius
+        if self.space.blocks_sight:
+            near &= self._visible(evader)
+        return near
+
+    def _visible(self, evader: int) -> Bools:
+        """Return between which pursuers and an evader there is no wall that blocks sight now, (N,)."""
+        if self._visible_at != self.now:
+            self._visible_now, self._visible_at = {}, self.now
+        visible = self._visible_now.get(evader)
+        if visible is None:
+            visible = self._visible_now[evader] = self.space.visible(self.positions(), self.body(evader).position)
+        return visible
 
     def time_left(self, now: int) -> float:
         """Return the time r, s, from an instant (ns) to the horizon; in a static game, always the whole horizon."""

@@ -23,6 +23,7 @@ from desim.kernel.models.medium import LoRa, Medium, Radio, Unlimited, contends
 from desim.kernel.models.reception import Disk
 from desim.kernel.models.traits import FaultTraits
 from desim.kernel.models.transport import BestEffort, Coded, Reliable
+from desim.kernel.walls.wall import What
 from desim.pursuit.byzantine.lies import is_lie
 from desim.pursuit.motion.dynamics import Simple
 from desim.pursuit.motion.flow import Environment
@@ -157,6 +158,8 @@ def without_sensing_limit(scenario: Scenario) -> Scenario:
         return scenario
     kept = ("noise", "interval", "estimator", "fusion", "period", "relay", "estimate")
     sensing = scenario.sensing
+    if scenario.space.blocks_sight:
+        return scenario.model_copy(update={"sensing": sensing.model_copy(update={"radius": inf})})
     perfect = Sensing() if not sensing.is_noisy else Sensing(**{key: dict(sensing)[key] for key in kept})
     return scenario.model_copy(update={"sensing": perfect})
 
@@ -167,7 +170,7 @@ def without_noise(scenario: Scenario) -> Scenario:
         return scenario
     plain = {"noise": Noiseless(), "estimator": Unfiltered(), "fusion": "by_stamp", "interval": Sensing().interval}
     sensing = scenario.sensing.model_copy(update=plain)
-    return scenario.model_copy(update={"sensing": sensing if sensing.limited else Sensing()})
+    return scenario.model_copy(update={"sensing": sensing if scenario.sight_is_limited else Sensing()})
 
 
 def without_inertia(scenario: Scenario) -> Scenario:
@@ -184,6 +187,17 @@ def without_inertia(scenario: Scenario) -> Scenario:
 def without_flow(scenario: Scenario) -> Scenario:
     """Return the scenario in which the medium is at rest."""
     return scenario.model_copy(update={"environment": Environment()})
+
+
+def without_walls(what: What) -> Callable[[Scenario], Scenario]:
+    """Return a function that returns a scenario in which no wall blocks radio, sight or motion."""
+
+    def without(scenario: Scenario) -> Scenario:
+        kept = [(wall, tuple(name for name in wall.blocks if name != what)) for wall in scenario.wall]
+        walls = tuple(wall.model_copy(update={"blocks": blocks}) for wall, blocks in kept if blocks)
+        return scenario if walls == scenario.wall else scenario.model_copy(update={"wall": walls})
+
+    return without
 
 
 IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
@@ -204,6 +218,9 @@ IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
         "noise": without_noise,
         "inertia": without_inertia,
         "flow": without_flow,
+        "walls (radio)": without_walls("radio"),
+        "walls (sight)": without_walls("sight"),
+        "walls (motion)": without_walls("motion"),
     }
 )
 """The name of each imperfection, and the function that removes it."""
@@ -216,6 +233,7 @@ PERFECT_NETWORK = (
     without_duplicates,
     without_transport,
     without_range,
+    without_walls("radio"),
 )
 """What is removed of a network in which everything arrives at once; without contention, no airtime remains."""
 
