@@ -3,7 +3,8 @@
 Beside them, the warning that walls enclose an evader.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 
@@ -36,11 +37,14 @@ def wall_misfits(scenario: AnyScenario) -> Iterator[Misfit]:
         for pursuer in (~free).nonzero()[0].tolist():
             if pursuer not in team.relays:
                 yield ("team", "positions", pursuer), _inside(*team.positions[pursuer])
+    else:
+        yield from _box_misfits(("team",), partial(team.start, scenario.seed, space))
     for k, relay in enumerate(team.relay):
         yield from _record_misfits(space, ("team", "relay", k, "motion"), relay.motion)
     for place, evader in _evaders(scenario):
         if evader.position is not None and not space.are_free(complex_points([evader.position]))[0]:
             yield (*place, "position"), _inside(*evader.position)
+        yield from _box_misfits(place, partial(evader.start, scenario.seed, 0, space))
         if evader.record is not None:
             yield from _record_misfits(space, (*place, "strategy"), evader.record)
 
@@ -77,6 +81,14 @@ def _model_misfits(scenario: AnyScenario) -> Iterator[Misfit]:
                 f"{kind_of(evader.strategy)} takes straight lines for shortest paths: {INSTEAD} max_geodesic or"
                 " pure_evasion",
             )
+
+
+def _box_misfits(place: tuple[str | int, ...], start: Callable[[], object]) -> Iterator[Misfit]:
+    """Yield the key and the text of a box in which walls leave no place to start."""
+    try:
+        start()
+    except ValueError as error:
+        yield (*place, "box"), str(error)
 
 
 def _record_misfits(space: Plane, place: tuple[str | int, ...], record: RecordedMotion) -> Iterator[Misfit]:

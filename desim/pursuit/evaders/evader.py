@@ -1,7 +1,7 @@
 """An evader in a run: its body, its controller and its delayed perception."""
 
 from collections import deque
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from itertools import repeat
 from math import inf
 
@@ -21,7 +21,7 @@ from desim.pursuit.motion.dynamics import Courses, Dynamics, capture_times_with
 from desim.pursuit.motion.flow import Environment
 from desim.pursuit.motion.flow_capture import capture_times_in_flow
 from desim.pursuit.motion.kinematics import CaptureTest, Kinematics
-from desim.pursuit.paths.space import PLANE, Plane
+from desim.pursuit.paths.space import PLANE, Plane, Walled
 
 
 class EvaderController:
@@ -232,6 +232,7 @@ class EvaderBody:
         self._state: State | None = None
         self._state_positions: Points | None = None  # the positions from which _state was computed
         self._times: tuple[float, ...] | None = None
+        self._lengths: tuple[complex, dict[complex, float]] | None = None  # of paths to this place, from each place
 
     @property
     def position(self) -> complex:
@@ -268,11 +269,22 @@ class EvaderBody:
         if len(pursuers) > MAX_SCALAR_SIZE or self.captured is not None or not self.is_radial:
             times = self.capture_times(now)
             return [times[pursuer] for pursuer in pursuers]
-        if self._walled is not None:
-            distances = self._walled.distances(self._players.positions_of(list(pursuers)), self.position).tolist()
-        else:
+        if self._walled is None:
             distances = self._players.distances(self.player, pursuers)
+        else:
+            distances = self._path_lengths(self._walled, pursuers)
         return list(map(self._radial_time.of, pursuers, distances))
+
+    def _path_lengths(self, walled: Walled, pursuers: Iterable[int]) -> list[float]:
+        """Return the lengths of the paths from some pursuers, m; those at one instant are kept."""
+        place, kept = self.position, self._lengths
+        if kept is None or kept[0] != place:
+            kept = self._lengths = place, {}
+        here = list(map(self._players.position, pursuers))
+        missing = [position for position in here if position not in kept[1]]
+        if missing:
+            kept[1].update(zip(missing, walled.distances(np.array(missing), place).tolist(), strict=True))
+        return [kept[1][position] for position in here]
 
     def capture_times_at(self, place: complex, pursuers: Points, distances: Floats) -> tuple[float, ...]:
         """Return the capture time, s, of each pursuer for this evader, which must be at large, at an assumed position.
