@@ -239,6 +239,9 @@ def anything(seed):
         "fault": faults(dice, size, dice.one([1.0, np.inf])),
         "record": {"trajectory": dice.one([0.011, 0.05]), "messages": dice.chance(0.5)},
     }
+    if drawn["network"]["reception"]["kind"] in {"disk", "log_distance", "nakagami", "rice"} and dice.chance(0.5):
+        coherence = {"doppler": 2.0, "frequency": 1e9, "decorrelation": 2.0, "shared": 0.5, "waves": 16}
+        drawn["network"] |= {"fading": "correlated", "coherence": coherence}
     return bodies(dice, drawn)
 
 

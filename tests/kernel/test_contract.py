@@ -45,12 +45,13 @@ from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.kernel.fault_injection import inject
 from desim.kernel.link_layer.arrivals import Arrivals
 from desim.kernel.link_layer.delivery import MessageDelivery
+from desim.kernel.models.coherence import Coherence
 from desim.kernel.models.faults import Crash, Jamming, Partition
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links, Processing
 from desim.kernel.models.loss import Bernoulli
 from desim.kernel.models.medium import Bitrate, Unlimited
-from desim.kernel.models.reception import Disk, QuasiUnitDisk
+from desim.kernel.models.reception import Disk, QuasiUnitDisk, Rice
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from tests.kernel.layers import network_over
@@ -499,6 +500,9 @@ def with_losses_on_arrival(data, history):
         "reception": data.draw(st.sampled_from([Disk(), QuasiUnitDisk()])),
         "fading": data.draw(st.sampled_from(["per_link", "message"])),
     }
+    if data.draw(st.booleans()):
+        coherence = Coherence(doppler=50.0, frequency=3e8, waves=8)
+        changes |= {"reception": Rice(), "fading": "correlated", "coherence": coherence}
     return graph, links.model_copy(update=changes), acts, seed
 
 

@@ -19,7 +19,7 @@ from desim.kernel.models.latency import Constant, Lognormal
 from desim.kernel.models.links import Links, Processing
 from desim.kernel.models.loss import Bernoulli, GilbertElliott
 from desim.kernel.models.medium import Bitrate, LoRa, Unlimited
-from desim.kernel.models.reception import Disk, QuasiUnitDisk
+from desim.kernel.models.reception import Disk, QuasiUnitDisk, Rice
 from desim.kernel.models.transport import Coded
 from desim.pursuit.byzantine.lies import Silent
 from desim.pursuit.core.events import Started
@@ -300,7 +300,7 @@ THERE = {
     "reliable": "latency, loss, transport, faults, stale knowledge, limited sight",
     "search": "latency, limited sight",
     "server": "latency",
-    "shadowing": "latency, contention, loss, channel memory",
+    "shadowing": "contention, loss, channel memory",
     "soak": "latency, loss, faults, serial decisions",
     "table1_20": "serial decisions",
     "table1_40": "serial decisions",

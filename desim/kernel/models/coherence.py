@@ -73,7 +73,9 @@ class Coherence(Value):
     """Number n of plane waves.
 
     The distribution function of the power of Rayleigh fading is wrong by at most 0.12 / n, and deep fades are too rare
-    by the share 1 / (2 n). If in doubt, 64, for 0.2 % and 0.8 %; the cost grows with n.
+    by the share 1 / (2 n); the cost grows with n.
+
+    If in doubt, 64, for 0.2 % and 0.8 %.
     """
 
     def lacks(self, variation: Variation) -> str:

@@ -41,9 +41,9 @@ class CommonCause(Value):
         draws = rng.random(len(context.dst) + 1)
         follows = math.sqrt(self.common)
         # One draw decides both: below `follows` the receiver shares the fate, above it the rest decides.
-        own: Bools = draws[1:] < follows + (1.0 - follows) * self.p
+        lost: Bools = draws[1:] < follows + (1.0 - follows) * self.p
         shares: Bools = draws[1:] < follows
-        return own if draws[0] < self.p else own & ~shares
+        return lost if draws[0] < self.p else lost & ~shares
 
 
 class CommonBursts:
@@ -66,14 +66,14 @@ class CommonBursts:
         # Two links with a node in common are both good with (1 - share)^2 / (1 - s), s being the share of the node.
         of_node = common * odds
         self._node_share = of_node / (1.0 + of_node)
-        self._own_share = 1.0 - (1.0 - share) * (1.0 + of_node) ** 2
-        of_link = self._own_share / (1.0 - self._own_share)
+        self._link_share = 1.0 - (1.0 - share) * (1.0 + of_node) ** 2
+        of_link = self._link_share / (1.0 - self._link_share)
         # A link that is good turns bad at the rate of all three, which is that of its share and mean bad period.
         recovery = odds / burst / (2.0 * of_node + of_link)
-        self._node_rate, self._own_rate = recovery * (1.0 + of_node), recovery * (1.0 + of_link)
+        self._node_rate, self._link_rate = recovery * (1.0 + of_node), recovery * (1.0 + of_link)
         self._nodes = np.full(size, self._node_share), np.full(size, -math.inf)
         """The states of the nodes, and their times, s; (n,) each. A node that has not been asked has its share."""
-        self._rows: defaultdict[int, LinkMemory] = defaultdict(partial(LinkMemory, self._own_share))
+        self._rows: defaultdict[int, LinkMemory] = defaultdict(partial(LinkMemory, self._link_share))
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
         """Advance the states of the nodes and links of a message and return its (k,) losses."""
@@ -81,9 +81,9 @@ class CommonBursts:
         of_nodes = self._advance(np.append(dst, context.src), now, rng)
         row.select(dst)
         last = np.broadcast_to(np.asarray(row.since), len(dst))
-        own = rng.random(len(dst)) < _chances(row.value, self._own_share, self._own_rate, last, now)
-        row.value[:], row.since = own, now
-        bad: Bools = own | of_nodes[:-1] | of_nodes[-1]
+        of_links = rng.random(len(dst)) < _chances(row.value, self._link_share, self._link_rate, last, now)
+        row.value[:], row.since = of_links, now
+        bad: Bools = of_links | of_nodes[:-1] | of_nodes[-1]
         if self._losses == (0.0, 1.0):
             return bad
         lost: Bools = rng.random(len(bad)) < np.where(bad, self._losses[1], self._losses[0])

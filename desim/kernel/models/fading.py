@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from desim.config.arrays import Floats
+from desim.kernel.core.portable_math import portable_sum
 
 Shape = Annotated[float, Field(ge=0.5, le=1000, strict=True)]
 """A parameter m of Nakagami fading."""
@@ -100,7 +101,7 @@ def nakagami_powers(m: float, normals: Callable[[int], Floats]) -> Floats:
     from scipy.special import gammaincc
 
     count = min(max(round(2.0 * m), 1), MAX_NORMALS)
-    squares: Floats = np.add.reduce(normals(count) ** 2, axis=0)
+    squares: Floats = portable_sum(normals(count) ** 2)  # row by row
     if count == 2.0 * m:
         return squares / count
     return nakagami_quantiles(m, gammaincc(count / 2.0, squares / 2.0))

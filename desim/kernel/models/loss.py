@@ -83,8 +83,9 @@ class GilbertElliott(Value):
     """Correlation of the states of two links with a node in common, such as those to two receivers of a broadcast;
     only if the state advances with time.
 
-    A link is then bad while its sender, its receiver or itself is, so `common` is a little less than 1/2 at most. If in
-    doubt, 0.3 where robots drive into dead spots; 0: links are independent.
+    A link is then bad while its sender, its receiver or itself is, so `common` is a little less than 1/2 at most.
+
+    If in doubt, 0.3 where robots drive into dead spots; 0: links are independent.
     """
 
     @model_validator(mode="after")
