@@ -42,7 +42,7 @@ FLOORS = [
         *("desim.study.ablation", "desim.study.breaking", "desim.study.selection", "desim.study.sensitivity"),
         "desim.testing",
     },
-    {"desim.learning"},
+    {"desim.learning", "desim.live"},
     {"desim.cli"},
     {"scenarios.studies", "scenarios.templates"},
     {"scenarios", "scenarios.benchmarks"},
@@ -60,7 +60,7 @@ PACKAGES = [
     {"desim.results"},
     {"desim.study"},
     {"desim.view"},
-    {"desim.learning", "desim.testing"},
+    {"desim.learning", "desim.live", "desim.testing"},
     {"desim.cli"},
     {"scenarios"},
 ]

@@ -13,7 +13,7 @@ carry an old stamp. The radio reads t1 and t3 as a transmission begins (hardware
 waiting for a busy channel or a slot is no error; request and answer have the same size, and so the same airtime.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import count
 from typing import Annotated, Literal, NamedTuple
@@ -104,6 +104,7 @@ class Synchroniser:
         seed: the seed of the random phases of the requests.
         trace: receives the corrections; None if they are not needed.
         send: sends the messages; None: the network.
+        nodes: the nodes that send and answer here; None: all.
 
     Attributes:
         answered: by number of a request: t3, ns, by the clock of the reference, as it travels with the answer.
@@ -118,6 +119,7 @@ class Synchroniser:
         seed: int,
         trace: Trace | None = None,
         send: Callable[..., None] | None = None,
+        nodes: Iterable[int] | None = None,
     ):
         self._send_message = send or network.send
         self._env, self._network, self._clocks, self._model, self._trace = env, network, clocks, model, trace
@@ -128,10 +130,10 @@ class Synchroniser:
         """By node: t1, ns, by its uncorrected clock, of each request that may still be answered, by number."""
         self.answered: dict[int, int] = {}
         network.overhear(self._stamp)
-        self._timers: list[Timer] = []
-        for node, clock in enumerate(clocks):
+        self._timers = [Timer(env, Phase.HEARTBEAT + node, partial(self._ask, node)) for node in range(len(clocks))]
+        for node in range(len(clocks)) if nodes is None else nodes:
+            clock = clocks[node]
             self._listen(node)
-            self._timers.append(Timer(env, Phase.HEARTBEAT + node, partial(self._ask, node)))
             if node != model.reference:
                 phase = stream(seed, "clock synchronisation", node).uniform(0.0, model.interval)
                 self._timers[node].set(clock.span(phase))
@@ -192,8 +194,9 @@ def synchronise(
     seed: int,
     trace: Trace | None = None,
     send: Callable[..., None] | None = None,
+    nodes: Iterable[int] | None = None,
 ) -> Synchroniser | None:
     """Start the synchronisation of the clocks of a network, if its model has one; see `Synchroniser`."""
     if isinstance(model, TwoWay):
-        return Synchroniser(env, network, clocks, model, seed, trace, send)
+        return Synchroniser(env, network, clocks, model, seed, trace, send, nodes)
     return None

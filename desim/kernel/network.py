@@ -10,7 +10,7 @@ busy transmitter, to decide losses on arrival, and to wake processes. A read in 
 instant.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from desim.config.python_numbers import whole
@@ -297,6 +297,14 @@ class Network(ReceivingNodes):
             receivers = [node for node in self.topology.neighbours(src).tolist() if node in only]
         for receiver in receivers:
             self._transport_layer.send(src, receiver, message, port, size, transport or self._transport)
+
+    def listen(self, by_port: Mapping[str, Transport]) -> None:
+        """Let all nodes take frames of transports before any is sent here; see `TransportLayer.listen`.
+
+        Args:
+            by_port: the transports of ports that have another one than the links.
+        """
+        self._transport_layer.listen(self._transport, by_port)
 
     def next_record(self, src: int, body: Any, stamp: int | None = None) -> Record:
         """Return a new record of a node, for a protocol that spreads records by other means than `publish`."""

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import copysign
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from desim.analysis.metrics import METRICS, Summary, summary
 from desim.analysis.statistics import Estimate, mean, paired
@@ -68,9 +68,10 @@ class Agreement:
     @property
     def p99(self) -> float:
         """The 99th percentile of the lateness of all timers, s."""
-        return self._late("timers").p99
+        return self.late("timers").p99
 
-    def _late(self, what: str) -> Lateness:
+    def late(self, what: Literal["timers", "deliveries", "orders"]) -> Lateness:
+        """Return how late timers, deliveries of messages or orders were in all runs."""
         return Lateness.of([late for result in self.live for late in getattr(result.conduct, what)])
 
     @property
@@ -106,7 +107,7 @@ class Agreement:
             )
             for row in self.rows
         ]
-        error, orders = self._late("deliveries"), self._late("orders")
+        error, orders = self.late("deliveries"), self.late("orders")
         return "\n".join(
             [
                 f"{self.scenario.name}, {self.scenario.protocol_name}: {counted(len(self.live), 'run')} live and"
@@ -139,7 +140,11 @@ class Agreement:
             }
             for row in self.rows
         ]
-        late = {name: self._late(name)._asdict() for name in ("timers", "deliveries", "orders")}
+        late = {
+            "timers": self.late("timers")._asdict(),
+            "deliveries": self.late("deliveries")._asdict(),
+            "orders": self.late("orders")._asdict(),
+        }
         return {"runs": len(self.live), "agrees": self.agrees, **late, "rows": rows}
 
 

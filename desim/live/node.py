@@ -30,6 +30,7 @@ from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.fault_injection import inject
 from desim.kernel.link_layer.propagation import LinkSampler
 from desim.kernel.models.faults import draw_faults, is_skewed
+from desim.kernel.models.transport import Coded, Reliable
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.kernel.wandering_clock import node_clocks
@@ -50,6 +51,7 @@ from desim.scenario.scenario import Scenario
 from desim.simulation.pursuer_positions import PursuerPositions
 from desim.simulation.team_processes import TeamProcesses
 from desim.simulation.world import initial_state, possible_action
+from protocols.dissemination import PORT as ANNOUNCEMENTS
 
 DRAIN = 0.02
 """Time for which a node reads its socket after the end, so that the fates of what was on the way are known, s."""
@@ -141,6 +143,8 @@ class Node:
             clocks=clocks,
             link_layer=link_layer,
         )
+        spreads = scenario.announce.dissemination
+        network.listen({ANNOUNCEMENTS: spreads} if isinstance(spreads, Reliable | Coded) else {})
         self.link.trusts_stamps = not is_skewed(scenario.network_faults)
         self._faults = faults
         return network, clocks
@@ -148,7 +152,7 @@ class Node:
     def _make_agent(self, clocks: list[NodeClock]) -> Agent:
         """Create the agent of the pursuer and its processes."""
         scenario, state, env, network, me = self._scenario, self._state, self._env, self._network, self.pursuer
-        sync = synchronise(env, network, clocks, scenario.clocks.sync, self._seed, self.trace)
+        sync = synchronise(env, network, clocks, scenario.clocks.sync, self._seed, self.trace, nodes=[me])
         if sync is not None:
             sync.answered = self._wire.answered
         self._view = view = View(state, scenario.prune)
@@ -381,7 +385,8 @@ class Node:
 
     def transport_counts(self) -> TransportCounts | None:
         """Return the counts of transports up to now; None if no message has needed a transport."""
-        return self._network.transport_counts()
+        counts = self._network.transport_counts()
+        return counts if counts is not None and counts.submitted + counts.delivered else None
 
 
 class _Body:

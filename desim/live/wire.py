@@ -15,10 +15,9 @@ Bodies of users have no such layout (`desim.live.own_bodies`). Nothing of a data
 the tables below, or is malformed.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from enum import IntEnum
 from itertools import count
-from math import isnan
 from struct import Struct, error
 from types import MappingProxyType
 from typing import Any, NamedTuple, get_args, get_origin, get_type_hints
@@ -60,6 +59,20 @@ NOTHING, OWN = 30, 31
 """The numbers of None, and of a body of a user."""
 PORTS = ("", ANNOUNCEMENTS, TOKENS, MUTEX, SERVER, ACCUSATIONS, CLOCKS)
 """The ports, by their numbers in a header."""
+ADMITTED: tuple[Container[type[Any]], ...] = (
+    BODIES,
+    {Forwarded},
+    {Token, TokenReceipt, TokenNotice},
+    {Request, Reply, Deferred},
+    {TeamOrder, Forwarded},
+    {Accusation},
+    {TimeRequest, TimeAnswer},
+)
+"""The bodies that are sent at each port."""
+ANNOUNCED = {Assignment, TimedAssignment, LocatedAssignment, MovingAssignment, Claim, StampedClaim}
+"""The bodies of records."""
+MAX_COUNT = 1 << 40
+"""Largest number of hops, or of events by a logical clock."""
 MAX_NODES = 1 << 9
 MARK = 1 << 31
 """The set bit with which a header begins."""
@@ -127,9 +140,10 @@ class Wire:
         if nodes > MAX_NODES:
             raise WireError(f"at most {MAX_NODES} nodes can run live (got {nodes})")
         self._nodes, self._own = nodes, own
-        limits = {"active": (0, evaders), "winners": (-1, nodes - 1), "absent": (0, nodes - 1), "chasers": (0, nodes)}
+        limits = {"active": (0, evaders), "winners": (-1, nodes - 1), "hop": (0, MAX_COUNT), "hops": (1, MAX_COUNT)}
+        limits |= dict.fromkeys(("absent", "accused", "chasers"), (0, nodes - 1))
         lengths = {"winners": evaders, "amounts": evaders, "chasers": evaders, "stamps": nodes, "visits": nodes}
-        self._layouts = [_Layout(body, lengths, limits | {"accused": (0, nodes - 1)}) for body in BODIES]
+        self._layouts = [_Layout(body, lengths, limits, nodes) for body in BODIES]
         self._number_of = {body: number for number, body in enumerate(BODIES)}
         self._sent = count(1)
         self.answered: dict[int, int] = {}
@@ -184,6 +198,9 @@ class Wire:
     ) -> bytes:
         place = next((k for k, known in enumerate(PORTS) if known is port or (not k and port == "")), None)
         packed = None if place is None else self._body_of(body)
+        if packed is not None and packed[0] != NOTHING:
+            admitted = ANNOUNCED if kind is Kind.RECORD or kind in OF_RECORD else ADMITTED[place or 0]
+            packed = packed if type(body) in admitted else None
         if packed is None:
             number, data = OWN, self._own.pack(port, body)
             size = max(size, HEADER + len(head) + len(data))
@@ -232,6 +249,9 @@ class Wire:
         if not word & MARK or src >= self._nodes or abs(stamp) > MAX_INTEGER:
             raise ValueError("not a header")
         number, attempt, port, at = word >> 8 & 0x1F, word & 0xFF, PORTS[place], HEADER
+        admitted = ANNOUNCED if kind is Kind.RECORD or kind in OF_RECORD else ADMITTED[place]
+        if number < NOTHING and BODIES[number] not in admitted:
+            raise ValueError("a body at a wrong port")
         first = second = 0
         if kind in FRAMES:
             first, second = _PAIR.unpack_from(datagram, at)
@@ -304,8 +324,8 @@ class Wire:
 class _Layout:
     """The layout of a body: numbers of a fixed count, then maybe a list of numbers, then maybe a list of records."""
 
-    def __init__(self, body: type[Any], lengths: dict[str, int], limits: dict[str, tuple[int, int]]):
-        self.body, self._limits = body, limits
+    def __init__(self, body: type[Any], lengths: dict[str, int], limits: dict[str, tuple[int, int]], nodes: int):
+        self.body, self._limits, self._nodes = body, limits, nodes
         hints = get_type_hints(body)
         self._fields = [(name, hints[name], lengths.get(name)) for name in body._fields]
         fixed = [_format(hint, length) for _, hint, length in self._fields]
@@ -313,7 +333,7 @@ class _Layout:
         self.size = self._struct.size
         self._missing = [name for name, hint, _ in self._fields if _may_miss(hint)]
         self.has_rest = None in fixed or bool(self._missing)
-        self._is_plain = not self.has_rest and all(len(part or "") == 1 for part in fixed)
+        self._is_plain = all(hint in _FORMATS for _, hint, _ in self._fields)
 
     def flat(self, body: Any) -> tuple[list[Any], Sequence[Record]]:
         """Return the numbers of a body, those of a fixed count first, and its records."""
@@ -342,7 +362,7 @@ class _Layout:
     def read(self, data: bytes, records: Callable[[bytes], Iterator[Record]]) -> Any:
         """Return the body in some bytes."""
         numbers = self._struct.unpack_from(data)
-        if any(isnan(number) or abs(number) > MAX_INTEGER for number in numbers if abs(number) != float("inf")):
+        if any(number != number for number in numbers):  # nan
             raise ValueError("not a number")
         rest = data[self.size :]
         if rest and not self.has_rest:
@@ -382,6 +402,8 @@ class _Layout:
 
     def _check(self, name: str, value: Any) -> None:
         """Raise ValueError if an entry of a field is out of its range."""
+        if name in {"epoch", "stamp"} and not (0 <= value[0] <= MAX_COUNT and -1 <= value[1] < self._nodes):
+            raise ValueError(f"{name} is out of range")
         low, high = self._limits.get(name, (0, 0))
         entries = value if isinstance(value, tuple) else (value,)
         if name in self._limits and not all(low <= entry <= high for entry in entries if entry is not None):

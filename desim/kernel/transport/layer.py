@@ -8,7 +8,7 @@ again. After a crash without memory a node numbers its messages anew, in a new s
 it has received. A message whose acknowledgement was lost may then be delivered a second time.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import count
@@ -90,6 +90,7 @@ class TransportLayer:
         self._log = TransportLog(state.env, trace)
         self._transports: dict[str, Transport] = {}
         """By port."""
+        self._usual: Transport = Reliable()
         self._nodes: list[_Node] = []
         """Empty until the first message."""
         self._numbers = count(FIRST_DELIVERY)
@@ -123,6 +124,18 @@ class TransportLayer:
             kind = ReliableSender if isinstance(transport, Reliable) else CodedSender
             sender = node.senders[flow] = kind(flow, transport, node.endpoint)  # type: ignore[arg-type]
         sender.send(message, size, self._topology.neighbours(src).tolist() if dst is None else [dst])
+
+    def listen(self, usual: Transport, by_port: Mapping[str, Transport]) -> None:
+        """Let all nodes take frames before they have sent any, because their senders are in other processes.
+
+        Args:
+            usual: the transport of a port at which nothing has been sent here.
+            by_port: the transports of some ports.
+        """
+        self._usual = Reliable() if usual.is_plain else usual
+        self._transports.update(by_port)
+        if not self._nodes:
+            self._start()
 
     def recover(self, node: int, *, memory: bool) -> None:
         """Let the senders of a node continue, whose radio may be up again; without memory, let it forget them first."""
@@ -172,14 +185,14 @@ class TransportLayer:
     def _receive(self, node: int) -> None:
         """Process the frames that have arrived at a node."""
         for src, stamp, frame in self._nodes[node].inbox.drain():
-            transport = self._transports[frame.port]
+            transport = self._transports.get(frame.port, self._usual)
             if transport.lease < inf:
                 self._expect(node, "lease", src, frame.port, transport.lease)
             if isinstance(frame, Acknowledgement):
                 sender = self._nodes[node].senders.get(MessageFlow(node, None if frame.to_all else src, frame.port))
                 if isinstance(sender, ReliableSender):
                     sender.acknowledge(src, stamp, frame)
-            else:
+            elif isinstance(frame, CodedPiece) != isinstance(transport, Reliable):  # else it is of a stranger
                 self._take(node, src, stamp, frame, transport)
         self._listen(node)
 

@@ -1,0 +1,244 @@
+"""Datagrams have the bytes that are counted, say what was sent, and cannot stop a node."""
+
+import contextlib
+from dataclasses import dataclass
+from inspect import getmembers, isclass
+from math import inf
+from random import Random
+from typing import NamedTuple
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from desim.kernel.clock_sync import SIZE, TimeAnswer, TimeRequest
+from desim.kernel.core.message_size import size_of
+from desim.kernel.core.records import Record
+from desim.kernel.state.inbox import Message
+from desim.kernel.transport.frames import (
+    SKIP_SIZE,
+    Acknowledgement,
+    CodedPiece,
+    Segment,
+    Skip,
+    acknowledgement_size,
+)
+from desim.kernel.transport.layer import PORT as FRAMES
+from desim.live import wire as wire_module
+from desim.live.own_bodies import OwnBodies
+from desim.live.wire import ADMITTED, ANNOUNCED, BODIES, PORTS, Wire, WireError
+from desim.pursuit.team import announcements
+from desim.pursuit.team.announcements import Assignment, Forwarded, LocatedAssignment, MovingAssignment, TimedAssignment
+from desim.pursuit.team.trust import Accusation
+from protocols.cbaa import Claim
+from protocols.cbba import StampedClaim
+from protocols.dissemination import PORT as ANNOUNCEMENTS
+from protocols.schedules import mutex, token_messages
+from protocols.schedules.mutex import Deferred, Reply, Request
+from protocols.schedules.token_messages import Token, TokenNotice, TokenReceipt
+from protocols.server import PORT as SERVER
+from protocols.server import TeamOrder
+
+NODES, EVADERS = 5, 2
+
+
+def record(body, src=1):
+    return Record(src, 3, 77, body)
+
+
+EXAMPLES = [
+    Assignment(2),
+    TimedAssignment(0, inf),
+    LocatedAssignment(1, 2.0, 3.0, 1.5),
+    MovingAssignment(1, 2.0, 3.0, 1.0, 0.0, 0.1),
+    Claim(1, (0, -1), (-2.0, -inf)),
+    StampedClaim(1, (1, -1), (-3.0, -inf), (0.0, 1.0, 2.0, -inf, 4.0)),
+    Forwarded((record(Assignment(1)), record(StampedClaim(0, (-1, -1), (-inf, -inf), (0.0,) * 5), 2)), 3),
+    Token((1, 2, 0.5), 4, (1, 2, 3, 4, 5), (2, 4), (record(Assignment(1)), record(Assignment(0), 2))),
+    Token((1, 2, 0.5), 4, (1, 2, 3, 4, 5), (), ()),
+    TokenReceipt((1, 2, 0.5), 3),
+    TokenNotice((1, -1, 0.5), 3, asks=True),
+    Request((1, 2)),
+    Reply((1, 2), (record(Assignment(1)),)),
+    Deferred((3, 4)),
+    TeamOrder(12, (None, 3)),
+    Accusation((1, 2)),
+]
+"""A body of each class with a layout, but those of clock synchronisation."""
+
+
+@pytest.fixture
+def wire():
+    return Wire(NODES, EVADERS, OwnBodies(None, WireError))
+
+
+def port_of(body):
+    return next((PORTS[k] for k in range(1, len(PORTS)) if type(body) in ADMITTED[k]), "")
+
+
+@pytest.mark.parametrize("body", EXAMPLES, ids=lambda body: type(body).__name__)
+@pytest.mark.parametrize("to_one", [True, False])
+def test_a_message_has_the_bytes_that_are_counted_and_arrives_as_it_was_sent(wire, body, to_one):
+    message, port = Message(4, 123_456, body), port_of(body)
+    datagram = wire.encode(message, port, size_of(body), to_one=to_one)
+    assert len(datagram) == size_of(body)
+    parcel = wire.decode(datagram)
+    assert parcel.content == message
+    assert type(parcel.content.body) is type(body)
+    assert (parcel.src, parcel.to_one) == (4, to_one)
+    assert parcel.port is port
+    if type(body) in ANNOUNCED:
+        datagram = wire.encode(record(body), "", size_of(body), to_one=False)
+        assert len(datagram) == size_of(body)
+        assert wire.decode(datagram).content == record(body)
+
+
+def test_every_body_of_desim_that_is_sent_has_a_layout():
+    examples = {type(body) for body in EXAMPLES} | {TimeRequest, TimeAnswer}
+    assert examples == set(BODIES)
+    payloads = set(announcements.PAYLOADS.values())
+    modules = (token_messages, mutex)
+    sent = {kind for module in modules for _, kind in getmembers(module, isclass) if hasattr(kind, "_fields")}
+    assert payloads | sent - {Record} <= set(BODIES)
+
+
+@given(
+    st.integers(0, EVADERS),
+    st.floats(allow_nan=False),
+    st.integers(0, NODES - 1),
+    st.integers(1, 2**32 - 1),
+    st.integers(-(2**62), 2**62),
+)
+def test_any_announcement_arrives_as_it_was_sent(active, phi, src, seq, stamp):
+    wire = Wire(NODES, EVADERS, OwnBodies(None, WireError))
+    sent = Record(src, seq, stamp, TimedAssignment(active, phi))
+    assert wire.decode(wire.encode(sent, "", 32, to_one=False)).content == sent
+
+
+FRAME_EXAMPLES = [
+    (Segment(ANNOUNCEMENTS, False, 0, 9, 3, 7, Forwarded((record(Assignment(1)),), 2)), None),
+    (Segment(token_messages.PORT, False, 0, 9, 3, 7, TokenReceipt((1, 2, 0.5), 3)), None),
+    (Segment(ANNOUNCEMENTS, True, 0, 3, 3, 1, Forwarded((Record(4, 3, 77, Assignment(1)),))), 24 + 8),
+    (CodedPiece(ANNOUNCEMENTS, True, 0, 3, 2, Forwarded((Record(4, 3, 77, Assignment(1)),))), 24 + 8),
+    (Skip(SERVER, True, 0, 12), SKIP_SIZE),
+    (Acknowledgement(ANNOUNCEMENTS, True, 0, 12, ()), acknowledgement_size(1)),
+    (Acknowledgement(ANNOUNCEMENTS, False, 0, 12, (14, 15, 75)), acknowledgement_size(64)),
+]
+
+
+@pytest.mark.parametrize(("frame", "size"), FRAME_EXAMPLES, ids=lambda frame: type(frame).__name__)
+def test_a_frame_of_a_transport_has_the_bytes_that_are_counted(wire, frame, size):
+    size = size or size_of(frame.body) + 8
+    message = Message(4, 77, frame)
+    datagram = wire.encode(message, FRAMES, size, to_one=not frame.to_all)
+    assert len(datagram) == size
+    parcel = wire.decode(datagram)
+    assert parcel.content == message
+    assert parcel.port is FRAMES
+
+
+def test_two_attempts_are_two_datagrams(wire):
+    segments = [Segment(ANNOUNCEMENTS, True, 0, 3, 3, k, Forwarded((Record(4, 3, 77, Assignment(1)),))) for k in (1, 2)]
+    first, second = (wire.encode(Message(4, 77, segment), FRAMES, 32, to_one=False) for segment in segments)
+    assert wire.decode(first).number != wire.decode(second).number
+
+
+def test_an_answer_about_the_time_carries_the_clock_at_its_transmission():
+    asking, answering = (Wire(NODES, EVADERS, OwnBodies(None, WireError)) for _ in range(2))
+    answering.answered[6] = 1234
+    datagram = answering.encode(Message(0, 5, TimeAnswer(6, 99)), wire_module.CLOCKS, SIZE, to_one=True)
+    assert len(datagram) == SIZE
+    assert asking.decode(datagram).content.body == TimeAnswer(6, 99)
+    assert asking.answered == {6: 1234}
+    request = asking.encode(Message(1, 5, TimeRequest(7)), wire_module.CLOCKS, SIZE, to_one=True)
+    assert len(request) == SIZE
+    assert answering.decode(request).content.body == TimeRequest(7)
+
+
+# Bodies of users.
+
+
+class Plan(NamedTuple):
+    active: int
+    route: tuple[tuple[float, float], ...]
+    note: str | None = None
+
+
+@dataclass(frozen=True)
+class Load:
+    kilograms: float
+    parts: dict
+
+
+def protocol(me):
+    yield me.sleep(1.0)
+
+
+OWN = [Plan(1, ((1.0, 2.0),), "x"), Load(2.5, {"a": [1, None], 3: (True, 1j)}), {"x": 1}, 3, "text", (1, 2), None]
+
+
+@pytest.mark.parametrize("body", OWN, ids=repr)
+def test_a_body_of_a_user_arrives_as_it_was_sent(body):
+    pytest.importorskip("msgspec")
+    wire = Wire(NODES, EVADERS, OwnBodies(protocol, WireError))
+    message = Message(2, 5, body)
+    datagram = wire.encode(message, "plans", size_of(body), to_one=False)
+    parcel = wire.decode(datagram)
+    assert parcel.content == message
+    assert type(parcel.content.body) is type(body)
+    assert parcel.port == "plans"
+
+
+def test_a_body_of_an_unknown_class_is_refused_when_it_is_sent():
+    pytest.importorskip("msgspec")
+    wire = Wire(NODES, EVADERS, OwnBodies(protocol, WireError))
+    with pytest.raises(WireError, match=r"of type Random cannot be sent live: send numbers, texts"):
+        wire.encode(Message(2, 5, Random(3)), "", 100, to_one=False)
+
+
+def test_without_msgspec_a_body_of_a_user_names_what_to_install(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "msgspec", None)
+    wire = Wire(NODES, EVADERS, OwnBodies(protocol, WireError))
+    with pytest.raises(ModuleNotFoundError, match=r"pip install 'pursuit-desim\[live\]'"):
+        wire.encode(Message(2, 5, Plan(1, ())), "", 100, to_one=False)
+
+
+# Malformed datagrams.
+
+
+def flipped(rng, datagram):
+    octets = bytearray(datagram)
+    for _ in range(rng.randint(1, 3)):
+        octets[rng.randrange(len(octets))] = rng.randrange(256)
+    return bytes(octets[: rng.randint(0, len(octets))] if rng.random() < 0.3 else octets)
+
+
+def test_whatever_bytes_arrive_they_are_read_or_malformed(wire):
+    rng = Random(7)
+    datagrams = [wire.encode(Message(4, 5, body), port_of(body), size_of(body), to_one=True) for body in EXAMPLES]
+    for _ in range(4000):
+        octets = rng.randbytes(rng.choice([0, 3, 16, 24, 32, 48, 64, 200])) if rng.random() < 0.3 else b""
+        with contextlib.suppress(WireError):
+            wire.decode(octets or flipped(rng, rng.choice(datagrams)))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda octets: octets[:-1],
+        lambda octets: octets + b"\0",
+        lambda octets: b"\0" + octets[1:],  # without the mark
+        lambda octets: octets[:16] + (3).to_bytes(8, "big"),  # an evader that does not exist
+        lambda octets: bytes([octets[0] | 0x7F]) + octets[1:],  # a node that does not exist
+    ],
+)
+def test_a_wrong_datagram_is_malformed(wire, change):
+    octets = wire.encode(record(Assignment(1)), "", 24, to_one=False)
+    wire.decode(octets)
+    with pytest.raises(WireError):
+        wire.decode(change(octets))
+
+
+def test_more_nodes_than_a_header_can_name_are_refused():
+    with pytest.raises(WireError, match=r"at most 512 nodes can run live \(got 513\)"):
+        Wire(513, 1, OwnBodies(None, WireError))
