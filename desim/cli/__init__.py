@@ -26,6 +26,7 @@ from desim.cli.program import Program
 from desim.cli.race import race
 from desim.cli.sensitivity import sensitivity
 from desim.cli.start import examples, new
+from desim.cli.submit import status, submit
 from desim.cli.usage import no_command
 from desim.config.trust import no_cwd_import
 
@@ -45,6 +46,8 @@ GROUPS: dict[str, dict[click.Command, str]] = {
         explain: "Measure what each imperfection of the network costs.",
         bench: "Score protocols in ten scenarios, beside all built-in ones.",
         break_: "Search for the smallest scenario that breaks a protocol.",
+        submit: "Submit a sweep to Slurm, in parts; resumes.",
+        status: "Say how far a sweep is.",
         merge: "Merge the runs of several stores of one sweep.",
     },
     "Look": {

@@ -101,6 +101,11 @@ class Precision(click.ParamType[tuple[str, float]]):
 @click.option(
     "--shard", type=Shard(), default=None, help="Do only every N-th run, starting with the K-th; see `desim merge`."
 )
+@click.option(
+    "--claim",
+    type=click.Path(path_type=Path),
+    help="Do lots of runs that are claimed in this folder, which several commands share; see `desim merge`.",
+)
 @click.option("--dry-run", is_flag=True, help="Print the planned runs without running them.")
 @AGAINST
 @click.option("--fail-fast", is_flag=True, help="Stop at the first run that fails.")
@@ -128,6 +133,7 @@ def sweep(
     out: Path | None,
     until: tuple[str, float] | None,
     shard: tuple[int, int] | None,
+    claim: Path | None,
     dry_run: bool,
     against: tuple[tuple[str, str], ...],
     fail_fast: bool,
@@ -148,6 +154,7 @@ def sweep(
     from desim.scenario.overrides import ScenarioError
     from desim.study.results.runs import SHOWN
     from desim.study.store.store import Store
+    from desim.study.sweeps.claims import carry_out_claimed
     from desim.study.sweeps.sweep import MAX_RUNS, SweepPlan, carry_out, check_target
 
     if until and ":" in until[0]:
@@ -157,6 +164,8 @@ def sweep(
     shown = shown_metrics(scenario, metrics, SHOWN)
     if until and shard:
         fail("--until needs all runs, and --shard performs a part of them only: they exclude each other")
+    if claim and (shard or until):
+        fail(f"--claim shares the runs with other commands: it excludes --{'shard' if shard else 'until'}")
     try:
         plan = SweepPlan.of(source, reps=(runs or MAX_RUNS) if until else runs, seed=seed)
     except ScenarioError as error:
@@ -193,20 +202,14 @@ def sweep(
             provenance.write(folder, made)
 
         with working(jobs, cluster, store, plan.runs) as workers:
-            result = carry_out(
-                plan,
-                store,
-                workers,
-                until=until,
-                shard=shard or (1, 1),
-                fail_fast=fail_fast,
-                timeout=timeout,
-                metrics=shown,
-                on_start=note,
-            )
+            common = {"fail_fast": fail_fast, "timeout": timeout, "metrics": shown, "on_start": note}
+            if claim:
+                result = carry_out_claimed(plan, store, workers, claim, **common)
+            else:
+                result = carry_out(plan, store, workers, until=until, shard=shard or (1, 1), **common)
             controlled = None if control_plan is None else _controlled(control_plan, result, folder, workers, metrics)
         done = store.added
-        everything = None if shard else _whole_of(result, store)
+        everything = None if shard or claim else _whole_of(result, store)
     table = result.table(shown, against=reference)
     document = result.document(shown)
     if controlled is not None:

@@ -157,6 +157,13 @@ class Store(SweepProperties, RunRows):
         return int(self.database.execute("SELECT count(*) FROM runs WHERE status != 'ok'").fetchone()[0])
 
     @naming_the_file
+    def outcomes(self) -> tuple[frozenset[tuple[str, int]], frozenset[tuple[str, int]]]:
+        """Return the runs that succeeded and those that failed, as pairs (hash of the configuration, replication)."""
+        rows = self.database.execute("SELECT configuration, replication, status = 'ok' FROM runs").fetchall()
+        done, failed = (frozenset((key, k) for key, k, is_ok in rows if is_ok == wanted) for wanted in (1, 0))
+        return done, failed
+
+    @naming_the_file
     def __len__(self) -> int:
         """Return the number of runs."""
         return int(self.database.execute("SELECT count(*) FROM runs").fetchone()[0])

@@ -322,12 +322,12 @@ def carry_out(
         if not is_started:
             on_start()
             is_started = True
-        failed |= _run(jobs, plan, store, workers, fail_fast, timeout)
+        failed |= perform(jobs, plan, store, workers, fail_fast=fail_fast, timeout=timeout)
         done |= {(configuration.key, k) for configuration, k in jobs}
 
 
-def _run(
-    jobs: Sequence[Job], plan: SweepPlan, store: Store, workers: Workers, fail_fast: bool, timeout: float | None
+def perform(
+    jobs: Sequence[Job], plan: SweepPlan, store: Store, workers: Workers, *, fail_fast: bool, timeout: float | None
 ) -> dict[tuple[str, int], Row]:
     """Perform some runs, add each batch to the store as it ends, and return those that failed.
 

@@ -1,0 +1,214 @@
+"""`desim submit` and `desim status`: a sweep as an array job of Slurm, and how far it is."""
+
+import json
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from desim.cli.options import (
+    ALLOW_IMPORT,
+    COUNT,
+    FILE,
+    GRID,
+    JSON,
+    METRIC,
+    MIX_VERSIONS,
+    SEED,
+    SET,
+    TIMEOUT,
+    echo,
+    fail,
+    folder_for,
+    is_import_allowed,
+    shown_metrics,
+    source_of,
+    storing,
+)
+from desim.config.trust import write_whole
+
+if TYPE_CHECKING:
+    from desim.study.sweeps.array_job import ArrayJob
+    from desim.study.sweeps.sweep import SweepPlan
+
+DESIM = (sys.executable, "-P", "-m", "desim")
+"""The words that call desim on another machine, which has the same environment under the same path."""
+
+
+@click.command()
+@FILE
+@click.option("--array", "parts", type=COUNT, required=True, help="The number of parts, each a task of the array.")
+@GRID
+@click.option("-n", "--runs", type=COUNT, help="Runs of each configuration; default: sweep.reps.")
+@SEED
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder that all machines see; default: out/NAME.")
+@click.option("--claim", is_flag=True, help="Let parts claim small lots of runs, so that a slow one delays nobody.")
+@click.option("--run", "is_run", is_flag=True, help="Submit the scripts; otherwise they are only written.")
+@click.option(
+    "--time", "time", default="02:00:00", help="Time limit of a part; it resumes after it.", show_default=True
+)
+@click.option("--cpus", type=COUNT, default=1, help="Cores and worker processes of a part.", show_default=True)
+@click.option("--memory", default="1G", help="Memory for each core.", show_default=True)
+@click.option("--sbatch", multiple=True, help="A further option of sbatch: --sbatch=--partition=short.")
+@METRIC
+@MIX_VERSIONS
+@TIMEOUT
+@ALLOW_IMPORT
+@SET
+def submit(
+    file: Path,
+    parts: int,
+    grid: tuple[str, ...],
+    runs: int | None,
+    seed: int | None,
+    out: Path | None,
+    claim: bool,
+    is_run: bool,
+    time: str,
+    cpus: int,
+    memory: str,
+    sbatch: tuple[str, ...],
+    metrics: tuple[str, ...],
+    mix_versions: bool,
+    timeout: float | None,
+    overrides: tuple[str, ...],
+) -> None:
+    """Write the scripts of an array job of Slurm that performs a sweep, and submit them with --run.
+
+    The same command again submits only the parts that are not done.
+    """
+    from desim.analysis.tables import counted
+    from desim.scenario.overrides import ScenarioError
+    from desim.study.results.runs import SHOWN
+    from desim.study.sweeps import array_job
+    from desim.study.sweeps.sweep import SweepPlan
+
+    source, scenario = source_of(file, overrides, metrics, grid)
+    try:
+        plan = SweepPlan.of(source, reps=runs, seed=seed)
+    except ScenarioError as error:
+        fail(str(error))
+    if parts > plan.runs:
+        fail(f"--array {parts}: there are only {counted(plan.runs, 'run')}: give a part at least one")
+    folder = folder_for(scenario, out).absolute()
+    job = _job(folder, plan, parts, claim)
+    with storing(folder):
+        missing = _missing(job, plan, folder, shown_metrics(scenario, metrics, SHOWN))
+        live = array_job.states(job.jobs)
+        numbers = [part for part in missing if part not in live]
+        merge = [*DESIM, "merge", *(["--mix-versions"] if mix_versions else [])]
+        if not numbers:
+            _tell_nothing_to_do(bool(missing), folder, merge)
+            return
+        words = _words(file, grid, runs, seed, metrics, timeout, overrides, mix_versions=mix_versions)
+        made_by = shlex.join(["desim", *sys.argv[1:]]).replace("\n", " ")
+        resources = array_job.Resources(time=time, cpus=cpus, memory=memory, options=sbatch)
+        part_script = array_job.part_script(job, folder, [*DESIM, *words], made_by, numbers, resources)
+        (folder / array_job.LOGS).mkdir(parents=True, exist_ok=True)
+        write_whole(folder / array_job.PART_SCRIPT, part_script.encode())
+        merge_script = array_job.merge_script(job, folder, merge, made_by, resources)
+        write_whole(folder / array_job.MERGE_SCRIPT, merge_script.encode())
+        job.write(folder)
+        which = f"{counted(len(numbers), 'part')} of {parts}"
+        if is_run:
+            number = array_job.submit(folder)
+            array_job.record_of(job, number).write(folder)
+            echo(f"submitted {which} as job {number}; `desim status {shlex.quote(str(folder))}` says how far it is")
+        else:
+            echo(f"wrote the scripts of {which}, and of the merge; --run submits them, or:")
+            script, merging = (
+                shlex.quote(str(folder / name)) for name in (array_job.PART_SCRIPT, array_job.MERGE_SCRIPT)
+            )
+            echo(f"sbatch --dependency=afterany:$(sbatch --parsable {script}) {merging}")
+
+
+def _job(folder: Path, plan: "SweepPlan", parts: int, claim: bool) -> "ArrayJob":
+    """Return the job of a folder, new or as it was submitted; end the program if it was cut in another way."""
+    from desim.study.sweeps.array_job import ArrayJob
+
+    wanted = ArrayJob(name=plan.base.name, runs=plan.runs, parts=parts, claim=claim)
+    try:
+        before = ArrayJob.read(folder)
+    except ValueError as error:
+        fail(str(error))
+    if before is None:
+        return wanted
+    if not claim and (before.parts, before.claim) != (parts, claim):
+        how = f"--array {before.parts}{' --claim' if before.claim else ''}"
+        fail(f"{folder}: was submitted with {how}, whose parts have other runs: give that, or another folder (-o)")
+    return ArrayJob(name=wanted.name, runs=wanted.runs, parts=max(parts, before.parts), claim=claim, jobs=before.jobs)
+
+
+def _missing(job: "ArrayJob", plan: "SweepPlan", folder: Path, metrics: Sequence[str]) -> list[int]:
+    """Return the numbers of the parts that have runs to do."""
+    from desim.study.store.store import Store
+    from desim.study.sweeps.array_job import CLAIMS
+    from desim.study.sweeps.claims import Claims
+
+    done: dict[int, set[tuple[str, int]]] = {}
+    for part in range(1, job.parts + 1):
+        if (path := job.store(folder, part)).exists():
+            with Store(path, read_only=True) as store:
+                done[part] = plan.done(store, {"captured", *metrics})
+    if job.claim:
+        whole = {(configuration.key, k) for configuration, k in plan.shard(1, 1)}
+        if whole <= set().union(*done.values()):
+            return []
+        claims = Claims(folder / CLAIMS, plan)
+        claims.retry()
+        return list(range(1, min(job.parts, len(claims.lots) - len(claims.done())) + 1))
+    return [
+        part
+        for part in range(1, job.parts + 1)
+        if not {(configuration.key, k) for configuration, k in plan.shard(part, job.parts)} <= done.get(part, set())
+    ]
+
+
+def _tell_nothing_to_do(is_live: bool, folder: Path, merge: Sequence[str]) -> None:
+    """Say why nothing is submitted."""
+    if is_live:
+        echo(
+            f"all parts that are not done wait or run; `desim status {shlex.quote(str(folder))}` says how far they are"
+        )
+    else:
+        where = shlex.quote(str(folder))
+        echo(f"all parts are done; to merge them: desim {shlex.join(merge[len(DESIM) :])} {where}/part-* -o {where}")
+
+
+def _words(
+    file: Path,
+    grid: Sequence[str],
+    runs: int | None,
+    seed: int | None,
+    metrics: Sequence[str],
+    timeout: float | None,
+    overrides: Sequence[str],
+    *,
+    mix_versions: bool,
+) -> list[str]:
+    """Return the words of `desim sweep` with the options of `desim submit` that concern it."""
+    words = ["sweep", str(file)]
+    for option, value in (("-n", runs), ("--seed", seed), ("--timeout", timeout)):
+        words += [] if value is None else [option, str(value)]
+    for option, values in (("--grid", grid), ("--metric", metrics), ("--set", overrides)):
+        words += [word for value in values for word in (option, value)]
+    words += ["--mix-versions"] if mix_versions else []
+    return words + (["--allow-import"] if is_import_allowed() else [])
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@JSON
+def status(folder: Path, as_json: bool) -> None:
+    """Say how far a sweep is: runs that are done and failed, from its stores, and what runs, from squeue."""
+    from desim.study.sweeps.status import status as status_of
+
+    with storing(folder):
+        try:
+            found = status_of(folder)
+        except ValueError as error:
+            fail(str(error))
+    echo(json.dumps(found.document(), indent=2) if as_json else str(found))

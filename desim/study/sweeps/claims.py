@@ -1,0 +1,138 @@
+"""Lots of runs that workers claim by file, so that the fast ones do what slow ones have not begun.
+
+The workers share a folder. The file of a lot is a lock that its worker holds while it performs the runs; when the lot
+is done, another file says so. The lot of a worker that died is claimed again as soon as its lock is stale; see
+`desim.study.store.lock_file`. Each worker has a store of its own, and `desim merge` puts the stores together.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from desim.config.trust import write_whole
+from desim.study.plan.metric_code import units_and_codes
+from desim.study.results.result import SweepResult
+from desim.study.results.runs import SHOWN
+from desim.study.store.lock_file import LockFile
+from desim.study.store.store import Store
+from desim.study.sweeps.sweep import Job, SweepPlan, perform
+from desim.study.workers.workers import Workers
+
+if TYPE_CHECKING:
+    from desim.study.store.run_table import Row
+
+LARGEST = 50
+"""The largest number of runs in a lot: what is repeated if a worker dies, and what others wait for at the end."""
+LOTS = 100
+"""The number of lots of a sweep that has as many runs, so that there are enough for many workers."""
+
+
+class Claims:
+    """The lots of a sweep, in a folder that its workers share.
+
+    Args:
+        folder: the folder, which is created; several sweeps may share it.
+        plan: the sweep; workers share lots only if their plans are equal.
+
+    Raises:
+        OSError: if the folder cannot be created.
+    """
+
+    def __init__(self, folder: Path, plan: SweepPlan):
+        self.lots = lots_of(plan)
+        self.folder = folder / _identity(plan)
+        self.folder.mkdir(parents=True, exist_ok=True)
+
+    def __iter__(self) -> Iterator[tuple[int, LockFile]]:
+        """Yield the number and the lock of each lot that this process gets; it must release the lock.
+
+        After the last lot, those are tried again that another process had claimed and did not end.
+        """
+        is_first, got = True, 0
+        while is_first or got:
+            is_first, got = False, 0
+            for number in range(len(self.lots)):
+                if self._done(number).exists():
+                    continue
+                lock = LockFile(self.folder / f"{number}.claim")
+                if lock.try_acquire() is not None:
+                    continue
+                if self._done(number).exists():  # the one before has just ended it
+                    lock.release()
+                else:
+                    got += 1
+                    yield number, lock
+
+    def finish(self, number: int, failed: int) -> None:
+        """Record that the runs of a lot have ended, and how many of them failed."""
+        write_whole(self._done(number), f"{json.dumps({'failed': failed})}\n".encode())
+
+    def held(self) -> list[int]:
+        """Return the numbers of the lots that a process has claimed and not ended."""
+        return [number for number in range(len(self.lots)) if (self.folder / f"{number}.claim").exists()]
+
+    def done(self) -> list[int]:
+        """Return the numbers of the lots whose runs have ended."""
+        return [number for number in range(len(self.lots)) if self._done(number).exists()]
+
+    def retry(self) -> None:
+        """Let the lots be claimed again in which a run failed."""
+        for number in self.done():
+            if json.loads(self._done(number).read_text())["failed"]:
+                self._done(number).unlink()
+
+    def _done(self, number: int) -> Path:
+        return self.folder / f"{number}.done"
+
+
+def lots_of(plan: SweepPlan) -> list[list[Job]]:
+    """Return the runs of a plan in lots, which depend on nothing but the plan."""
+    jobs = [job for part in range(1, 3) for job in plan.shard(part, 2)]  # not in the order of the grid
+    size = max(1, min(LARGEST, len(jobs) // LOTS))
+    return [jobs[begin : begin + size] for begin in range(0, len(jobs), size)]
+
+
+def _identity(plan: SweepPlan) -> str:
+    """Return a name that equal plans have."""
+    keys = sorted(configuration.key for configuration in plan.configurations)
+    whole = [plan.about, keys, plan.reps, units_and_codes(plan.metrics)]
+    return hashlib.sha256(json.dumps(whole, sort_keys=True, default=list).encode()).hexdigest()[:16]
+
+
+def carry_out_claimed(
+    plan: SweepPlan,
+    store: Store,
+    workers: Workers,
+    folder: Path,
+    *,
+    fail_fast: bool = False,
+    timeout: float | None = None,
+    metrics: Sequence[str] = SHOWN,
+    on_start: Callable[[], None] = lambda: None,
+) -> SweepResult:
+    """Perform the lots of a plan that this process gets, until the others are done or claimed, and return the result.
+
+    `folder` is shared by the workers, and the result has the runs of this store only. The other arguments are those of
+    `desim.study.sweeps.sweep.carry_out`.
+
+    Raises:
+        RunError: if a run fails and `fail_fast` is set.
+        OSError: if the folder cannot be written.
+    """
+    claims = Claims(folder, plan)
+    done = plan.done(store, {"captured", *metrics})
+    failed: dict[tuple[str, int], Row] = {}
+    on_start()
+    for number, lock in claims:
+        try:
+            jobs = [
+                (configuration, k) for configuration, k in claims.lots[number] if (configuration.key, k) not in done
+            ]
+            failures = perform(jobs, plan, store, workers, fail_fast=fail_fast, timeout=timeout) if jobs else {}
+            claims.finish(number, len(failures))
+            failed |= failures
+        finally:
+            lock.release()
+    return SweepResult.of(store, [configuration.key for configuration in plan.configurations], failed)

@@ -1,0 +1,158 @@
+"""How far a sweep is: its runs that are done, running and failed, part by part, from its stores and from Slurm."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from desim.analysis.tables import aligned, counted
+from desim.config.arguments import naming_arguments
+from desim.config.file_names import STORE, STORE_PARTS
+from desim.results import provenance
+from desim.study.store.store import Store
+from desim.study.sweeps.array_job import ArrayJob, states
+
+HEAD = ("part", "planned", "done", "failed", "state")
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a sweep, with a store of its own."""
+
+    name: str
+    planned: int | None
+    """The number of its runs; None if it claims them, or nobody recorded it."""
+    done: int
+    """The number of runs that succeeded."""
+    failed: int
+    state: str
+    """done; unfinished; not begun; the state in Slurm, in the words of squeue; stored, if it has no plan; or why its
+    store cannot be read."""
+
+
+@dataclass(frozen=True)
+class Status:
+    """How far a sweep is."""
+
+    name: str
+    """The name of the scenario."""
+    planned: int | None
+    """The number of its runs; None if nobody recorded it."""
+    done: int
+    """The number of runs that succeeded, each counted once."""
+    failed: int
+    parts: tuple[Part, ...]
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all runs succeeded."""
+        return self.planned is not None and self.done >= self.planned
+
+    def __str__(self) -> str:
+        of = "" if self.planned is None else f" of {self.planned:,}"
+        failed = f", {counted(self.failed, 'run')} failed" if self.failed else ""
+        count = sum(part.state.startswith("RUNNING") for part in self.parts)
+        running = f", {counted(count, 'part')} running" if count else ""
+        head = f"{self.name}: {self.done:,}{of} runs are done{failed}{running}"
+        rows = [
+            (
+                part.name,
+                "-" if part.planned is None else str(part.planned),
+                str(part.done),
+                str(part.failed),
+                part.state,
+            )
+            for part in self.parts
+        ]
+        return f"{head}\n{aligned([HEAD, *rows], right_from=1)}"
+
+    def document(self) -> dict[str, Any]:
+        """Return the status as JSON values."""
+        return asdict(self)
+
+
+@naming_arguments
+def status(folder: str | Path) -> Status:
+    """Return how far the sweep in a folder is.
+
+    The folder is that of `desim submit`, or any with the stores of a sweep. Runs are read from the stores, also while a
+    sweep writes to them, and the states of parts from squeue if there is one.
+
+    Raises:
+        ValueError: if the folder has no sweep.
+        OSError: if it cannot be read.
+    """
+    folder = Path(folder)
+    job = ArrayJob.read(folder)
+    stores = dict(_stores(folder, job))
+    if job is None and not stores:
+        raise ValueError(f"{folder}: has no sweep: neither {STORE} nor parts of one")
+    live = states(job.jobs) if job is not None else {}
+    counts = {name: _Counts.of(path) for name, path in stores.items()}
+    parts = []
+    for name, count in counts.items():
+        planned = job.planned(int(name)) if job is not None and name.isdecimal() else None
+        parts.append(Part(name, planned, len(count.done), len(count.failed), _state(name, count, planned, live)))
+    done = frozenset().union(*(count.done for count in counts.values()))
+    failed = frozenset().union(*(count.failed for count in counts.values())) - done
+    name = job.name if job is not None else next((count.name for count in counts.values() if count.name), "")
+    return Status(name, job.runs if job is not None else _planned(folder), len(done), len(failed), tuple(parts))
+
+
+@dataclass(frozen=True)
+class _Counts:
+    """The runs in a store, as pairs of configuration and replication."""
+
+    name: str
+    done: frozenset[tuple[str, int]]
+    failed: frozenset[tuple[str, int]]
+    problem: str = ""
+
+    @classmethod
+    def of(cls, path: Path) -> "_Counts":
+        """Return the runs in a store; none if it is missing or cannot be read."""
+        nothing: frozenset[tuple[str, int]] = frozenset()
+        if not path.exists():
+            return cls("", nothing, nothing, "not begun")
+        try:
+            with Store(path, read_only=True) as store:
+                done, failed = store.outcomes()
+                name = store.read_property("name", str) if "name" in store.about else ""
+        except (OSError, ValueError) as error:
+            return cls("", nothing, nothing, str(error))
+        return cls(name, done, failed)
+
+
+def _stores(folder: Path, job: ArrayJob | None) -> Iterator[tuple[str, Path]]:
+    """Yield the name and the store of each part, and "merged" with that of the whole sweep if there is one."""
+    if job is not None:
+        for part in range(1, job.parts + 1):
+            yield str(part), job.store(folder, part)
+    else:
+        for path in sorted([*folder.glob(STORE_PARTS), *folder.glob("*/sweep*.sqlite")]):
+            yield str(path.relative_to(folder)), path
+    if (folder / STORE).exists():
+        yield ("merged" if job is not None else STORE), folder / STORE
+
+
+def _state(name: str, count: _Counts, planned: int | None, live: Mapping[int, str]) -> str:
+    """Return the state of a part."""
+    if name.isdecimal() and int(name) in live:
+        return str(live[int(name)])
+    if count.problem:
+        return count.problem
+    if planned is not None:
+        return "done" if len(count.done) >= planned else "unfinished"
+    return "stored"
+
+
+def _planned(folder: Path) -> int | None:
+    """Return the number of runs of the sweep in a folder, from its run.json or that of a part; None if unknown."""
+    for path in (folder / provenance.FILE, *sorted(folder.glob(f"*/{provenance.FILE}"))):
+        try:
+            made = provenance.read(path)
+        except (OSError, ValueError):
+            continue
+        if made["what"] == "sweep":
+            return int(made["runs"])
+    return None

@@ -1,0 +1,162 @@
+"""`desim submit` and `desim status`: the scripts of an array job, and how far it is, without and with a real Slurm."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+
+import pytest
+
+from desim.study.sweeps import array_job
+from desim.study.sweeps.array_job import ArrayJob, _ranges
+from tests.command import accepted, refused
+from tests.study import slurm
+from tests.study.sweeps import count, rows
+
+GRID = ("--grid", "network.latency.value=0.0,0.1")
+WORDS = ("relay.toml", "-n", 3, "--set", "horizon=0.2", *GRID)
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """Return a working folder with an example, on whose path there are no commands of Slurm."""
+    monkeypatch.chdir(tmp_path)
+    accepted("examples", "relay")
+    (tmp_path / "bin").mkdir()
+    for name in ("bash", "kill"):
+        (tmp_path / "bin" / name).symlink_to(shutil.which(name) or "/bin/true")
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"))
+    return tmp_path
+
+
+def stub(place, name, text):
+    """Write a command of Slurm that does something else."""
+    file = place / "bin" / name
+    file.write_text(f"#!/bin/bash\n{text}\n")
+    file.chmod(0o755)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "text"), [([1], "1"), ([1, 2, 3], "1-3"), ([1, 3], "1,3"), ([2, 3, 7, 9, 10], "2-3,7,9-10")]
+)
+def test_parts_are_written_as_slurm_writes_them(numbers, text):
+    assert _ranges(numbers) == text
+
+
+def test_the_parts_have_all_runs_together():
+    job = ArrayJob(name="a", runs=10, parts=3)
+    assert [job.planned(part) for part in (1, 2, 3)] == [4, 3, 3]
+
+
+def test_scripts_are_written_and_say_what_submits_them(place):
+    told = accepted(
+        "submit", *WORDS, "--array", 3, "--time", "00:10:00", "--cpus", 2, "--sbatch=--partition=short"
+    ).output
+    assert "wrote the scripts of 3 parts of 3" in told
+    out = place / "out" / "relay"
+    script = (out / "parts.sbatch").read_text()
+    for line in ("--array=1-3", "--time=00:10:00", "--cpus-per-task=2", "--requeue", "--signal=B:USR1@60"):
+        assert f"#SBATCH {line}\n" in script
+    assert "#SBATCH --partition=short\n" in script
+    assert "--dependency=afterany:" in told
+    assert subprocess.run(["bash", "-n", out / "parts.sbatch"], check=False).returncode == 0
+    document = json.loads(accepted("status", out, "--json").output)
+    assert (document["planned"], document["done"]) == (6, 0)
+    assert [part["state"] for part in document["parts"]] == ["not begun"] * 3
+
+
+def test_bad_input_of_submit_and_status_is_refused(place):
+    assert "there are only 6 runs: give a part at least one" in refused("submit", *WORDS, "--array", 7)
+    assert "sbatch: there is no Slurm on this machine" in refused("submit", *WORDS, "--array", 2, "--run")
+    assert "was submitted with --array 2, whose parts have other runs" in refused("submit", *WORDS, "--array", 3)
+    assert "has no sweep: neither sweep.sqlite nor parts of one" in refused("status", place)
+    record = place / "out" / "relay" / "submit.json"
+    record.write_text('{"name": "a", "runs": "many", "parts": 2}')
+    assert "submit.json: is damaged: runs cannot be read; remove the file" in refused("status", record.parent)
+
+
+def run_part(place, part, **options):
+    """Start the script of a part as Slurm would."""
+    variables = {"SLURM_ARRAY_TASK_ID": str(part), "SLURM_CPUS_PER_TASK": "1", "SLURM_ARRAY_JOB_ID": "7", **options}
+    script = place / "out" / "relay" / "parts.sbatch"
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen(["bash", script], env=os.environ | variables, start_new_session=True, **pipes)
+
+
+@pytest.mark.slow
+def test_only_the_parts_that_are_not_done_are_submitted_again(place):
+    """Part 2 runs in Slurm at first, says a stub of squeue."""
+    accepted("submit", *WORDS, "--array", 3)
+    out = place / "out" / "relay"
+    part = run_part(place, 1)
+    part.communicate(timeout=300)
+    assert part.returncode == 0
+    stub(place, "sbatch", 'echo "$@" >> submitted; echo 8')
+    stub(place, "squeue", "echo '2 RUNNING'")
+    ArrayJob(name="relay", runs=6, parts=3, jobs=("7",)).write(out)
+    assert "submitted 1 part of 3 as job 8" in accepted("submit", *WORDS, "--array", 3, "--run").output
+    assert "#SBATCH --array=3\n" in (out / "parts.sbatch").read_text()
+    submitted = (place / "submitted").read_text().splitlines()
+    assert submitted == [f"--parsable {out}/parts.sbatch", f"--parsable --dependency=afterany:8 {out}/merge.sbatch"]
+    told = accepted("status", out).output
+    assert told.startswith("relay: 2 of 6 runs are done, 1 part running\n")
+    stub(place, "squeue", "exit 1")
+    for part in (2, 3):
+        accepted("sweep", *WORDS, "--shard", f"{part}/3", "-o", out / f"part-{part}")
+    assert "all parts are done; to merge them: desim merge" in accepted("submit", *WORDS, "--array", 3).output
+    assert "6 of 6 runs are done" in accepted("status", out).output
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "restarts"), [(signal.SIGUSR1, 0), (signal.SIGUSR1, 20), (signal.SIGTERM, 0)])
+def test_a_part_whose_time_is_up_keeps_its_runs_and_asks_to_be_run_again(place, number, restarts):
+    """SIGTERM is what `scancel` sends: then it is not run again, nor after twenty times."""
+    long = ("relay.toml", "-n", 1000, "--set", "horizon=0.2", *GRID)
+    accepted("submit", *long, "--array", 2)
+    stub(place, "scontrol", 'echo "$@" > requeued')
+    part = run_part(place, 1, SLURM_RESTART_COUNT=str(restarts))
+    store = place / "out" / "relay" / "part-1" / "sweep.1-of-2.sqlite"
+    slurm.wait_for(lambda: count(store) > 0, place, 300.0)
+    part.send_signal(number)
+    _, told = part.communicate(timeout=300)
+    requeued = place / "requeued"
+    assert "the same command resumes" in told
+    assert 0 < count(store) < 1000
+    if number == signal.SIGUSR1 and not restarts:
+        assert (part.returncode, requeued.read_text()) == (0, "requeue 7_1\n")
+    else:
+        assert part.returncode == (1 if restarts else 143)
+        assert not requeued.exists()
+
+
+@pytest.mark.slow
+@pytest.mark.whole
+@pytest.mark.skipif(slurm.WHY_NOT != "", reason=f"NO SLURM: {slurm.WHY_NOT}")
+@pytest.mark.timeout(900)
+def test_a_sweep_that_slurm_performs_in_parts_is_the_serial_sweep(tmp_path, monkeypatch):
+    """A part is told that its time is up, and requeued; the store of another is lost; then all is done with claims."""
+    monkeypatch.chdir(tmp_path)
+    accepted("examples", "relay")
+    words = ("relay.toml", "-n", 12, "--set", "horizon=1.0", *GRID, "--memory", "100M")
+    (tmp_path / "slurm").mkdir()
+    with slurm.slurm(tmp_path / "slurm") as found:
+        for name, value in found.items():
+            monkeypatch.setenv(name, value)
+        assert "submitted 2 parts of 2" in accepted("submit", *words, "--array", 2, "--run").output
+        out = tmp_path / "out" / "relay"
+        slurm.wait_for(lambda: count(out / "part-1" / "sweep.1-of-2.sqlite") > 0, tmp_path / "slurm", 300.0)
+        job = ArrayJob.read(out).jobs[0]
+        array_job.slurm("scancel", "--batch", "--signal=USR1", f"{job}_1")
+        slurm.wait_for(lambda: array_job.states([job]).get(1) == "PENDING", tmp_path / "slurm", 300.0)
+        array_job.slurm("scontrol", "update", f"JobId={job}_1", "StartTime=now")  # Slurm waits two minutes before
+        merged = out / "sweep.sqlite"
+        slurm.wait_for(lambda: count(merged) == 24, tmp_path / "slurm", 600.0)
+        assert "24 of 24 runs are done" in accepted("status", out).output
+        shutil.rmtree(out / "part-2")
+        assert "submitted 1 part of 2" in accepted("submit", *words, "--array", 2, "--run").output
+        slurm.wait_for(lambda: "24 of 24" in accepted("status", out).output, tmp_path / "slurm", 600.0)
+        accepted("submit", *words, "--array", 3, "--claim", "--run", "-o", "out/claimed")
+        slurm.wait_for(lambda: count(tmp_path / "out/claimed/sweep.sqlite") == 24, tmp_path / "slurm", 600.0)
+    accepted("sweep", *words[:-2], "-o", "serial")
+    assert rows(tmp_path / "serial" / "sweep.sqlite") == rows(merged) == rows(tmp_path / "out/claimed/sweep.sqlite")
