@@ -30,6 +30,7 @@ from desim.pursuit.motion.guidance import ConstantBearing, apollonius_disc
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result, run
 from desim.testing.messages import Conservation, DeliveredOnce
+from desim.testing.opacity import OpacityWatcher
 from desim.testing.paths import PathWatcher
 
 if TYPE_CHECKING:
@@ -45,8 +46,8 @@ def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> 
     """Run a scenario as `run` does, with the watchers whose invariants hold in every run, and return the result.
 
     These watchers are `Conservation`, `DeliveredOnce`, `ActiveTimeWatcher`, `MotionWatcher`, `InertiaWatcher`,
-    `PathWatcher` and, if its assumptions hold, `ApolloniusWatcher`. `watchers` are added to them. Use this function in
-    tests of a protocol or a model.
+    `PathWatcher`, `OpacityWatcher` and, if its assumptions hold, `ApolloniusWatcher`. `watchers` are added to them. Use
+    this function in tests of a protocol or a model.
 
     Raises:
         AssertionError: if an invariant is broken.
@@ -59,6 +60,7 @@ def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> 
         MotionWatcher(scenario),
         InertiaWatcher(scenario),
         PathWatcher(scenario),
+        OpacityWatcher(scenario),
     ]
     standard += [ApolloniusWatcher(scenario)] if ApolloniusWatcher.applies(scenario) else []
     result = run(scenario, seed, *standard, *watchers)
