@@ -31,6 +31,7 @@ from desim.analysis.drawing.palette import (
     INACTIVE,
     PURSUER_MARK,
 )
+from desim.analysis.drawing.walls import draw_walls
 from desim.analysis.trace_index import captures, sampled
 from desim.config.file_names import PICTURE_SUFFIXES, files
 from desim.config.trust import escaped, write_whole
@@ -338,6 +339,7 @@ def draw_trajectory(axes: Axes, result: Result) -> None:
     capturers = list(dict.fromkeys(capture.capturer for capture in captured))
     idle = [i for i in range(pursuers.shape[1]) if np.ptp(pursuers[:, i], axis=0).any() and i not in capturers]
     set_plane(axes)
+    draw_walls(axes, result.scenario.wall)
     axes.plot(*pursuers[0].T, PURSUER_MARK, mfc="white", mec=INACTIVE, ms=5, label="pursuer at the start")
     for i in idle:
         label = "pursuer that chased for a while" if i == idle[0] else None

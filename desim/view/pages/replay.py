@@ -21,7 +21,7 @@ LARGE_TEAM = 1000
 """The number of pursuers from which on a replay is announced as large."""
 SAMPLES = 0.05
 """Time between samples of positions, s, in a run for a replay if the scenario does not record positions."""
-SCRIPTS = ("run", "state", "plane", "beliefs", "axis", "page")
+SCRIPTS = ("run", "walls", "state", "plane", "beliefs", "axis", "page")
 """The parts of the script in their order: they share one scope, and each uses those before it as the page begins."""
 HEIGHT = 760
 """The height of a replay in a notebook, in pixels of CSS."""
@@ -96,6 +96,9 @@ def replay_page(result: Result, ghost: Result | None = None, *, on_part: Callabl
         palette=palette,
         warnings=list(missing_recordings(result, ghost)),
         run=data,
+        radio_walls=any("radio" in wall.blocks for wall in result.scenario.wall),
+        sight_walls=any("sight" in wall.blocks for wall in result.scenario.wall),
+        mixed_walls=any(not {"sight", "motion"} <= {*wall.blocks} for wall in result.scenario.wall),
         style=_file("replay.css"),
         script="\n".join(_file(f"replay_{part}.js") for part in SCRIPTS),
     )

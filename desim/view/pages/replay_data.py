@@ -15,7 +15,15 @@ from desim.simulation.run import Result
 from desim.view.data.deliveries import delivery_table, handover_events, outages
 from desim.view.pages.headline import outcome, run_name
 from desim.view.pages.replay_columns import ReplayData, Ticks, packed_column
-from desim.view.pages.replay_plane import arcs_data, estimates_data, flow_data, headings_data, path_data, reception_data
+from desim.view.pages.replay_plane import (
+    arcs_data,
+    estimates_data,
+    flow_data,
+    headings_data,
+    path_data,
+    reception_data,
+    walls_data,
+)
 
 MANY_MESSAGES, COARSE_TICK = 1_000_000, 10_000
 """With more messages than this, a tick has at least so many ns: random latencies then take two bytes instead of four.
@@ -58,6 +66,7 @@ def replay_data(
         "headings": headings_data(result),
         "estimates": estimates_data(result, ticks),
         "flow": flow_data(result, ticks),
+        "walls": walls_data(result),
         "decisions": _decisions(result, ticks),
         "relays": _relays(result, ticks),
         "faults": _faults(result, ticks),

@@ -150,7 +150,7 @@ $("next").onclick = () => step(1);
 $("kind").onchange = () => { stale = true; };
 $("slider").max = END;
 $("slider").oninput = () => { seek(+$("slider").value); };
-for (const id of ["links", "trails", "sight", "ellipses", "flow", "other"]) if ($(id)) $(id).onchange = () => { stale = axisStale = true; };
+for (const id of ["links", "trails", "sight", "ellipses", "flow", "shadows", "other"]) if ($(id)) $(id).onchange = () => { stale = axisStale = true; };
 const setZoom = value => { zoom = Math.min(Math.max(value, 1), 64); stale = true; };
 $("closer").onclick = () => setZoom(zoom * 2);
 $("farther").onclick = () => setZoom(zoom / 2);
@@ -208,7 +208,7 @@ const KEYS = {
   ArrowUp: () => bySpeed(1), ArrowDown: () => bySpeed(-1), Home: () => seek(0), End: () => seek(END),
   ",": () => { setPlaying(false); seek(time - speed / 20 / TICK); }, ".": () => { setPlaying(false); seek(time + speed / 20 / TICK); },
   "+": () => setZoom(zoom * 2), "=": () => setZoom(zoom * 2), "-": () => setZoom(zoom / 2),
-  l: () => $("links").click(), r: () => $("trails").click(), s: () => $("sight")?.click(), u: () => $("ellipses")?.click(), f: () => $("flow")?.click(), o: () => $("other")?.click(), t: () => $("theme").click(), "?": () => $("help").click(),
+  l: () => $("links").click(), r: () => $("trails").click(), s: () => $("sight")?.click(), u: () => $("ellipses")?.click(), f: () => $("flow")?.click(), w: () => $("shadows")?.click(), o: () => $("other")?.click(), t: () => $("theme").click(), "?": () => $("help").click(),
   e: () => { $("kind").selectedIndex = ($("kind").selectedIndex + 1) % $("kind").length; stale = true; },
   k: () => $("legend").click(), p: () => $("save").click(),
   Escape: () => { choose(chosen); if (!isBeside()) showKey(false); },
@@ -249,6 +249,7 @@ window.replay = {
   get drawn() { return { ...drawn }; }, get sent() { return sentBy(time); }, get lost() { return lostBy(time); },
   get truth() { return [...truth]; }, get captured() { return [...caught]; }, get players() { return [...X].map((x, i) => [x, Y[i]]); }, get heard() { return [...heard]; }, get hears() { return all.map(heardBy); }, get places() { return { flying: metres(flying.used, 5), lost: metres(gone.used, 6) }; }, get scale() { return scale; }, pixel: (x, y) => [px(x), py(y)],
   get headings() { return [...heading]; }, get estimates() { return estimates ? shownEstimates().map(k => [estimates.pursuer[k], estimates.evader[k], ...estimates.centres.slice(2 * k, 2 * k + 2)]) : []; }, flowAt,
+  get hidden() { return evaders.filter(isHidden); }, stretch,
   choose: i => { chosen = i; draw(); }, draw, get chosen() { return chosen; },
   get end() { return END * TICK; }, get ghost() { return ghost && ghostAt(time); },
   get speed() { return speed; }, set speed(value) { setSpeed(nearestSpeed(value)); },

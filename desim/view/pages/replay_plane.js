@@ -30,6 +30,9 @@ const whole = (() => {
   let [left, right, low, high] = [Infinity, -Infinity, Infinity, -Infinity];
   const include = (x, y) => { left = Math.min(left, x); right = Math.max(right, x); low = Math.min(low, y); high = Math.max(high, y); };
   for (let k = 0; k < path.places.length; k += 2) include(path.places[k], path.places[k + 1]);
+  const reach = Math.max(right - left, high - low, 1e-3);  // walls that are near the players are shown as a whole
+  const [xLow, xHigh, yLow, yHigh] = [left - reach / 2, right + reach / 2, low - reach / 2, high + reach / 2];
+  for (const { shapes } of walls) for (const { corners } of shapes) for (const [x, y] of corners) include(Math.min(Math.max(x, xLow), xHigh), Math.min(Math.max(y, yLow), yHigh));
   if (ghost) {  // as far as it is shown
     for (let k = 0; k < ghost.path.places.length && ghost.path.t[Math.floor(k / ghost.path.width)] <= END; k += 2) include(ghost.path.places[k], ghost.path.places[k + 1]);
     for (const [x, y] of ghostAt(END)) include(x, y);
@@ -95,8 +98,9 @@ function hasMoved() {
 function drawGround(w, h) {
   const hasLinks = $("links").checked && run.reception.known, hasSight = $("sight")?.checked;
   const ranges = hasLinks && isRangeShown() && focus() < 0 ? rangesShown().join() : "";
-  const state = `${view} ${epoch} ${focus()} ${hasLinks} ${hasSight} ${ranges}`;
-  const depends = jams.length || hasSight || (hasLinks && (sparse || focus() >= 0)) || ranges;
+  const hasShadows = $("shadows")?.checked && run.reception.known;
+  const state = `${view} ${epoch} ${focus()} ${hasLinks} ${hasSight} ${hasShadows} ${ranges}`;
+  const depends = jams.length || hasSight || hasShadows || (hasLinks && (sparse || focus() >= 0)) || ranges;
   if (state === ground.state && !(depends && (N <= MANY || hasMoved()))) return;
   ground.state = state;
   groundX.set(X.subarray(0, N)); groundY.set(Y.subarray(0, N));
@@ -105,6 +109,8 @@ function drawGround(w, h) {
   drawGrid(c, w, h);
   if (hasSight) drawSight(c);
   for (const jam of jams) drawJam(c, jam);
+  if (hasShadows) drawShadows(c, w, h);
+  if (walls.length) drawWalls(c);
   if (hasLinks) { drawLinks(c); drawRanges(c); }
 }
 /** The evader in the centre of a zoomed view: that of the selected pursuer, else one at large, else the last captured. */
@@ -237,7 +243,12 @@ function drawRanges(c) {
   const from = focus(), shown = rangesShown();
   c.setLineDash([2, 5]); c.lineWidth = 1.2; c.strokeStyle = from >= 0 ? colour.soft : colour.active;
   c.globalAlpha = from >= 0 ? .9 : .45;
-  for (const i of shown) { c.beginPath(); c.arc(px(X[i]), py(Y[i]), run.reception.radius * scale, 0, 7); c.stroke(); }
+  for (const i of shown) {
+    c.beginPath();
+    if (radioEdges.length) outline(c, reachOf(X[i], Y[i], run.reception.radius, run.reception.radius));
+    else c.arc(px(X[i]), py(Y[i]), run.reception.radius * scale, 0, 7);
+    c.stroke();
+  }
   c.setLineDash([]); c.globalAlpha = 1;
 }
 function drawSight(c) {
@@ -551,6 +562,12 @@ function drawEvader(c, evader) {
   c.globalAlpha = 1; c.stroke();
   if (!caught.has(evader)) drawNose(c, player(evader), x, y, r - 2, colour.evader);
   c.beginPath(); c.moveTo(x, y - r); c.lineTo(x + r, y); c.lineTo(x, y + r); c.lineTo(x - r, y); c.closePath();
+  if (!caught.has(evader) && isHidden(evader)) {
+    c.fillStyle = colour.card; c.fill(); c.setLineDash([3, 2]); c.lineWidth = 1.8; c.stroke(); c.setLineDash([]);
+    c.fillStyle = colour.evader;
+    if (M > 1) label(c, `${evader}`, x + r + 3, y, colour.evader);
+    return;
+  }
   c.fill(); c.strokeStyle = colour.card; c.lineWidth = 1.2; c.stroke();
   if (M > 1) inside(c, evader, x, y, 10);
   if (caught.has(evader)) {

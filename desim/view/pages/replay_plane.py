@@ -4,7 +4,7 @@ Positions are whole millimetres or, beyond about 1000 km, multiples of a coarser
 """
 
 from cmath import phase
-from math import atan2, isfinite
+from math import atan2, isfinite, isinf
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from desim.kernel.models.graphs import Complete
 from desim.kernel.models.implicit_complete import is_complete
 from desim.kernel.models.links import Links
 from desim.kernel.models.reception import Disk
+from desim.kernel.models.traits import ReceptionTraits
+from desim.kernel.topology.radio_walls import range_factor
 from desim.kernel.topology.topology import Topology
 from desim.pursuit.core.events import Estimated
 from desim.pursuit.core.state import coordinates
@@ -28,6 +30,8 @@ MAX_LENGTH = 2**30
 """The greatest position and semi-axis of an estimate that is stored; greater ones are off the plane."""
 FLOW_POINTS, FLOW_TIMES = 12, 60
 """Number of intervals along the longer side of the grid on which a flow is shown, and of times at which it is."""
+FAINT = 1000.0
+"""Loss of a wall, dB, that stands for any greater one."""
 FLOW_MARGIN = 1.0
 """Margin of this grid around all paths, m."""
 
@@ -189,3 +193,19 @@ def flow_data(result: Result, ticks: Ticks) -> ReplayData | None:
         "top": float(np.hypot(*velocities.reshape(-1, 2).T).max()),
         "velocities": raw(velocities, "<f4"),
     }
+
+
+def walls_data(result: Result) -> list[ReplayData] | None:
+    """Return the walls: what each blocks, its shapes (m), and the factor by which it stretches distances for radio.
+
+    The factor is None where radio does not pass. Without walls, the result is None.
+    """
+    exponent = ReceptionTraits.of(result.scenario.network.reception).exponent
+    return [
+        {
+            "blocks": list(wall.blocks),
+            "shapes": [{"closed": shape.closed, "corners": shape.corners.tolist()} for shape in wall.shapes],
+            "factor": None if isinf(wall.decibels) else 1.0 / range_factor(min(wall.decibels, FAINT), exponent),
+        }
+        for wall in result.scenario.wall
+    ] or None

@@ -73,7 +73,7 @@ const radii = run.reception.radii && (() => {
   for (let i = 0, k = 0; i < N; i++) for (let j = i + 1; j < N; j++, k++) found[i * N + j] = found[j * N + i] = given[k];
   return found;
 })();
-const sparse = arcs !== null || radii !== null || run.reception.radius !== null;
+const sparse = arcs !== null || radii !== null || run.reception.radius !== null || !!run.walls?.some(wall => wall.blocks.includes("radio"));
 const said = run.messages && {
   begin: u4(run.messages.begin), left: u4(run.messages.left), src: u2(run.messages.src), count: u2(run.messages.count),
   dst: u2(run.messages.dst), end: u4(run.messages.end), fate: u1(run.messages.fate), causes: run.messages.causes,

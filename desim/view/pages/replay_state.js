@@ -72,9 +72,11 @@ function recall() {
 function believed(i, j) { const found = heard[i * N + j]; return found === UNHEARD ? 0 : found; }
 const isNear = (i, j) => {
   const radius = radii ? radii[i * N + j] : run.reception.radius;
-  if (radius === null) return true;
   const dx = X[i] - X[j], dy = Y[i] - Y[j];
-  return Math.abs(dx) <= radius && Math.abs(dy) <= radius && Math.hypot(dx, dy) <= radius;  // `hypot` is exact, and slow
+  const isWithin = radius === null || (Math.abs(dx) <= radius && Math.abs(dy) <= radius && Math.hypot(dx, dy) <= radius);  // `hypot` is exact, and slow
+  if (!isWithin || !radioEdges.length) return isWithin;
+  const factor = stretch(i, j);
+  return factor === 1 || (factor < Infinity && (radius === null || Math.hypot(dx, dy) * factor <= radius));
 };
 /** Whether a message sent now is received, apart from random loss; as in the network, a jammed node sends but does not receive. */
 const passes = (src, dst) => src !== dst && isNear(src, dst) && (!arcs || arcs[src * N + dst] === 1) && !down[src] && !down[dst] && !deaf[dst]

@@ -34,6 +34,7 @@ from desim.analysis.drawing.palette import (
     PURSUER_MARK,
 )
 from desim.analysis.drawing.plots import Axes, Figure, size_of, styled
+from desim.analysis.drawing.walls import draw_walls
 from desim.analysis.trace_index import captures, ended, messages_recorded, started
 from desim.config.arrays import Bools, Floats, Integers
 from desim.config.trust import replacing
@@ -280,6 +281,7 @@ class _Scene:
         self._captured = {capture.evader: capture for capture in captures(result)}
         axes = figure.add_subplot()
         self._set(axes)
+        draw_walls(axes, result.scenario.wall)
         left, right = axes.get_xlim()
         self._messages = _message_dots(result, self._paths, RECEIVER_GAP * (right - left))
         count = self._paths.count

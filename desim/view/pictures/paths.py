@@ -26,6 +26,7 @@ from desim.analysis.drawing.palette import (
     PURSUER_MARK,
 )
 from desim.analysis.drawing.plots import EVADER_PATH, Axes, set_plane
+from desim.analysis.drawing.walls import draw_walls
 from desim.analysis.trace_index import captures, sampled
 from desim.config.arrays import Floats, Integers
 from desim.kernel.core.portable_math import portable_sum
@@ -163,6 +164,7 @@ def draw_pursuit(axes: Axes, result: Result) -> None:
     paths = Paths(result)
     looks = {evader: EvaderStyle.of(evader, paths.count) for evader in range(1, paths.count + 1)}
     set_plane(axes)
+    draw_walls(axes, result.scenario.wall)
     axes.plot(
         *paths.pursuers[0].T, PURSUER_MARK, mfc="white", mec=INACTIVE, mew=0.7, ms=3, label="pursuer at the start"
     )

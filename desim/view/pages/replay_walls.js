@@ -1,0 +1,72 @@
+/* Walls: which lines they cross, how far radio reaches among them, and who is hidden. */
+const walls = run.walls ?? [];
+/** The edges of the walls that block something: [x, y, u, v, factor], by which radio stretches distances, or Infinity. */
+const edgesOf = what => walls.filter(wall => wall.blocks.includes(what)).flatMap(({ shapes, factor }) => shapes.flatMap(({ closed, corners }) =>
+  corners.slice(closed ? 0 : 1).map((corner, k) => [...corners.at(closed ? k - 1 : k), ...corner, factor ?? Infinity])));
+const radioEdges = edgesOf("radio"), sightEdges = edgesOf("sight");
+const turnOf = (x, y, u, v) => x * v - y * u;
+/** Whether a ray crosses an edge; as in the network, a corner that is exactly on the ray is left of it. */
+function crosses([ax, ay, bx, by], x, y, u, v) {
+  if (x > u || (x === u && y > v)) [x, y, u, v] = [u, v, x, y];
+  return turnOf(ax - x, ay - y, ax - u, ay - v) >= 0 !== turnOf(bx - x, by - y, bx - u, by - v) >= 0
+    && turnOf(ax - x, ay - y, bx - x, by - y) >= 0 !== turnOf(ax - u, ay - v, bx - u, by - v) >= 0;
+}
+/** The factor by which walls stretch the distance of two players for radio. */
+function stretch(i, j) {
+  let factor = 1;
+  for (const edge of radioEdges) if (crosses(edge, X[i], Y[i], X[j], Y[j])) factor *= edge[4];
+  return factor;
+}
+/** Whether no pursuer sees an evader, because walls or distances are between them. */
+const isHidden = evader => sightEdges.length > 0 && all.every(i => {
+  const x = X[player(evader)], y = Y[player(evader)];
+  return (run.sensing_range !== null && Math.hypot(X[i] - x, Y[i] - y) > run.sensing_range) || sightEdges.some(edge => crosses(edge, X[i], Y[i], x, y));
+});
+const DIRECTIONS = 360;
+/** The places up to which radio reaches from a place, by direction, m; `radius` is the range, or Infinity. */
+function reachOf(x, y, radius, far) {
+  const reach = [];
+  for (let k = 0; k < DIRECTIONS; k++) {
+    const dx = Math.cos(2 * Math.PI * k / DIRECTIONS), dy = Math.sin(2 * Math.PI * k / DIRECTIONS), hits = [];
+    for (const edge of radioEdges) if (crosses(edge, x, y, x + far * dx, y + far * dy)) {
+      const [ax, ay, bx, by, factor] = edge, ahead = turnOf(ax - x, ay - y, bx - ax, by - ay) / turnOf(dx, dy, bx - ax, by - ay);
+      hits.push([ahead, factor]);
+    }
+    let factor = 1, end = null;
+    for (const [ahead, more] of hits.sort(([a], [b]) => a - b)) {
+      if (ahead * factor > radius) break;
+      factor *= more;
+      if (ahead * factor > radius || factor === Infinity) { end = ahead; break; }
+    }
+    end ??= Math.min(radius / factor, far);
+    reach.push([x + end * dx, y + end * dy]);
+  }
+  return reach;
+}
+function outline(c, places) { places.forEach(([x, y], k) => k ? c.lineTo(px(x), py(y)) : c.moveTo(px(x), py(y))); c.closePath(); }
+function drawWalls(c) {
+  for (const { blocks, shapes } of walls) {
+    c.strokeStyle = c.fillStyle = blocks.includes("motion") ? colour.ink : colour.soft;
+    c.lineWidth = blocks.includes("motion") ? 2.6 : 1.6; c.lineJoin = "round";
+    c.setLineDash(blocks.includes("sight") ? [] : [6, 4]);
+    c.beginPath();
+    for (const { closed, corners } of shapes) {
+      corners.forEach(([x, y], k) => k ? c.lineTo(px(x), py(y)) : c.moveTo(px(x), py(y)));
+      if (closed) c.closePath();
+    }
+    if (shapes.some(shape => shape.closed)) { c.globalAlpha = .22; c.fill("evenodd"); }
+    c.globalAlpha = .9; c.stroke();
+  }
+  c.globalAlpha = 1; c.setLineDash([]); c.lineJoin = "miter";
+}
+/** What is out of radio contact with the selected pursuer, or with the first that is active. */
+function drawShadows(c, w, h) {
+  const [from] = rangesShown().length ? rangesShown() : all.filter(i => !down[i]);
+  if (from === undefined) return;
+  const radius = run.reception.radius ?? Infinity, far = Math.min(radius, 4 * Math.hypot(w, h) / scale);
+  c.beginPath();
+  if (radius * scale <= 20000) c.arc(px(X[from]), py(Y[from]), radius * scale, 0, 7); else c.rect(0, 0, w, h);
+  outline(c, reachOf(X[from], Y[from], radius, far));
+  c.fillStyle = colour.lost; c.globalAlpha = .14; c.fill("evenodd");
+  c.globalAlpha = 1;
+}
