@@ -30,7 +30,8 @@ class Rings:
         rings = [edges for edges in rings if edges]
         self._first = np.cumsum([0, *(len(edges.owners) for edges in rings)])[:-1]
         """The first edge of each wall."""
-        starts, ends = (np.vstack([np.zeros((0, 2)), *(edges[k] for edges in rings)]) for k in (0, 1))
+        starts = np.vstack([np.zeros((0, 2)), *(edges.starts for edges in rings)])
+        ends = np.vstack([np.zeros((0, 2)), *(edges.ends for edges in rings)])
         (self._x, self._y), (end_x, self._end_y) = starts.T, ends.T
         rise = self._end_y - self._y
         self._slope = (end_x - self._x) / np.where(rise == 0.0, 1.0, rise)
