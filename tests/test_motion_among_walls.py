@@ -76,7 +76,7 @@ def boxes(seed):
 
 
 def pursuit(seed):
-    """Return a random pursuit among boxes: one pursuer, and one of the strategies."""
+    """Return a random pursuit among boxes: one of the strategies, and one pursuer that sees through walls."""
     rng = np.random.default_rng(1_000 + seed)
     return Scenario().with_(
         {
@@ -87,7 +87,7 @@ def pursuit(seed):
             "evader.strategy": STRATEGIES[seed % len(STRATEGIES)],
             "horizon": 200.0,
             "motion.step": 0.05,
-            "protocol": {"kind": "best_response"},
+            "protocol": {"kind": "centralised"},
             "wall": boxes(seed),
         }
     )
