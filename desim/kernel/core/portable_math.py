@@ -41,12 +41,12 @@ def cos(angles: Floats) -> Floats:
     return np.fromiter(map(math.cos, angles.tolist()), float, len(angles))
 
 
-TURN = [(-1) ** k * (2.0 * math.pi) ** (2 * k + 1) / math.factorial(2 * k + 1) for k in range(8)]
-"""The coefficients of the Taylor series of sin(2 pi x): of x, x^3, ..., x^15."""
+TURN = [(-1) ** k * (2.0 * math.pi) ** (2 * k + 1) / math.factorial(2 * k + 1) for k in range(7)]
+"""The coefficients of the Taylor series of sin(2 pi x): of x, x^3, ..., x^13."""
 
 
 def cos_of_turns(turns: Floats) -> Floats:
-    """Return cos(2 pi x) for each x of an array of any shape, with an error of less than 1e-10 up to |x| = 1e5.
+    """Return cos(2 pi x) for each x of an array of any shape, with an error of less than 1e-9 up to |x| = 1e6.
 
     It takes a tenth of the time of `cos`, and is as portable: there are additions and multiplications only.
     """

@@ -47,15 +47,15 @@ class Ends(NamedTuple):
 
 
 class _Phases(NamedTuple):
-    """The random numbers of a process of k pairs."""
+    """The random numbers of p processes of each of k pairs."""
 
     waves: Floats
-    """(n, k) the phases of the waves, in turns."""
+    """(n, p, k) the phases of the waves, in turns."""
     turns: Floats
-    """(2, 3, k) cosines and sines of the random angles of the directions at both ends, and of the Doppler shifts."""
+    """(2, 3, p, k) cosines and sines of the random angles of the directions at both ends, and of the Doppler shifts."""
 
     def of(self, columns: Nodes) -> "_Phases":
-        return _Phases(self.waves[:, columns], self.turns[:, :, columns])
+        return _Phases(self.waves[..., columns], self.turns[..., columns])
 
 
 class CorrelatedChannel:
@@ -69,9 +69,8 @@ class CorrelatedChannel:
 
     def __init__(self, coherence: Coherence, seed: int, size: int):
         self._coherence, self._seed, self._size = coherence, seed, size
-        self._kept: dict[tuple[str, int], _Phases] = {}
-        """By process and sender, the random numbers of its pairs with all nodes, if there is room for those of all."""
-        self._keeps = size**2 * coherence.waves <= ROOM
+        self._kept: dict[tuple[str, int, int], _Phases] = {}
+        """By name, number of processes and sender: the random numbers of its pairs with all nodes."""
 
     def between(self, ends: Ends) -> ChannelState:
         """Return the states of the channels of k links."""
@@ -80,20 +79,9 @@ class CorrelatedChannel:
     # Fading.
 
     def _normals(self, ends: Ends, count: int) -> Floats:
-        """Return (count, k) Gaussian numbers of k links: real and imaginary parts of sums of waves."""
-        pairs = [self._sums(ends, f"fading {number}") for number in range((count + 1) // 2)]
-        return np.concatenate(pairs)[:count]
-
-    @cached_property
-    def _directions(self) -> Floats:
-        """(6, n) cosines and sines of the directions at both ends, and of those of the Doppler shifts."""
-        angles = [2.0 * math.pi * index / self._coherence.waves for index in range(self._coherence.waves)]
-        circle = np.array([[math.cos(angle) for angle in angles], [math.sin(angle) for angle in angles]])
-        return np.concatenate([circle[:, self._point(axis)] for axis in range(3)])
-
-    def _sums(self, ends: Ends, name: str) -> Floats:
-        """Return (2, k) sums of cosines and of sines of the waves of k links, with variance 1."""
-        coherence, phases = self._coherence, self._phases(name, ends)
+        """Return (count, k) Gaussian numbers of k links: the cosine and the sine parts of sums of waves."""
+        coherence, pairs = self._coherence, (count + 1) // 2
+        phases = self._phases("fading", pairs, ends)
         per_metre = (coherence.frequency or 0.0) / LIGHT
         rows = _turned(ends, phases.turns, per_metre) if per_metre else []
         directions = self._directions[: len(rows)]
@@ -103,7 +91,16 @@ class CorrelatedChannel:
         if not rows:
             raise _missing(coherence.lacks("fading"))
         turns = _phase(directions, rows, phases.waves)
-        return np.stack([_sum(turns), _sum(turns - 0.25)])
+        parts = _sum(np.stack([turns, turns - 0.25], axis=2))  # sin(2 pi x) = cos(2 pi (x - 1/4))
+        normals: Floats = parts.reshape(2 * pairs, -1)[:count]
+        return normals
+
+    @cached_property
+    def _directions(self) -> Floats:
+        """(6, n) cosines and sines of the directions at both ends, and of those of the Doppler shifts."""
+        angles = [2.0 * math.pi * index / self._coherence.waves for index in range(self._coherence.waves)]
+        circle = np.array([[math.cos(angle) for angle in angles], [math.sin(angle) for angle in angles]])
+        return np.concatenate([circle[:, self._point(axis)] for axis in range(3)])
 
     # Shadowing.
 
@@ -111,19 +108,22 @@ class CorrelatedChannel:
         """Return (k,) numbers of k links, with variance 1."""
         if lack := self._coherence.lacks("shadowing"):
             raise _missing(lack)
-        phases, shared = self._phases("shadowing", ends), self._coherence.shared
-        of_pair = _sum(_phase(self._spectrum, _turned(ends, phases.turns, 1.0), phases.waves))
+        phases, shared = self._phases("shadowing", 1, ends), self._coherence.shared
+        of_pair = _sum(_phase(self._spectrum, _turned(ends, phases.turns, 1.0), phases.waves))[0]
         if not shared:
             return of_pair
-        of_ends = self._of_nodes(ends.dst, ends.dst_at) + self._of_nodes(np.atleast_1d(ends.src), ends.src_at)
+        nodes, at = np.append(ends.dst, ends.src), np.concatenate((ends.dst_at, np.atleast_2d(ends.src_at)))
+        of_nodes = self._of_nodes(nodes, at)
+        of_ends = of_nodes[: len(ends.dst)] + of_nodes[len(ends.dst) :]
         total: Floats = math.sqrt(1.0 - shared) * of_pair + math.sqrt(shared / 2.0) * of_ends
         return total
 
     def _of_nodes(self, nodes: Nodes, at: Floats) -> Floats:
         """Return (k,) the shadowing by what surrounds nodes at their positions, with variance 1."""
-        ends = Ends(nodes, nodes, at, np.atleast_2d(at), 0.0)
-        phases = self._drawn(OF_NODE, nodes, nodes) if self._of_node is None else self._of_node.of(nodes)
-        return _sum(_phase(self._spectrum[:2], _turned(ends, phases.turns, 1.0)[:2], phases.waves))
+        ends = Ends(nodes, nodes, at, at, 0.0)
+        phases = self._drawn(OF_NODE, 1, nodes, nodes) if self._of_node is None else self._of_node.of(nodes)
+        values: Floats = _sum(_phase(self._spectrum[:2], _turned(ends, phases.turns, 1.0)[:2], phases.waves))[0]
+        return values
 
     @cached_property
     def _spectrum(self) -> Floats:
@@ -156,33 +156,35 @@ class CorrelatedChannel:
         step = next(step for step in near if math.gcd(step, count) == 1) if axis else 1
         return np.arange(count) * step % count
 
-    def _phases(self, name: str, ends: Ends) -> _Phases:
-        """Return the random numbers of a process of k pairs."""
+    def _phases(self, name: str, processes: int, ends: Ends) -> _Phases:
+        """Return the random numbers of processes of k pairs; keep those of a sender if there is room for all."""
         src = ends.src
-        if not (self._keeps and isinstance(src, int)):
-            return self._drawn(name, src, ends.dst)
-        kept = self._kept.get((name, src))
+        if not isinstance(src, int) or self._size**2 * processes * self._coherence.waves > ROOM:
+            return self._drawn(name, processes, src, ends.dst)
+        key = name, processes, src
+        kept = self._kept.get(key)
         if kept is None:
-            kept = self._kept[name, src] = self._drawn(name, src, np.arange(self._size))
+            kept = self._kept[key] = self._drawn(name, processes, src, np.arange(self._size))
         return kept.of(ends.dst)
 
     @cached_property
     def _of_node(self) -> _Phases | None:
         """The random numbers of what surrounds each node; None: there are too many to keep them."""
         everyone = np.arange(self._size)
-        return self._drawn(OF_NODE, everyone, everyone) if self._size * self._coherence.waves <= ROOM else None
+        return self._drawn(OF_NODE, 1, everyone, everyone) if self._size * self._coherence.waves <= ROOM else None
 
-    def _drawn(self, name: str, src: int | Integers, dst: Nodes) -> _Phases:
-        count = self._coherence.waves + 3
-        first = np.tile(np.broadcast_to(src, len(dst)), count)
-        numbers = np.repeat(np.arange(count), len(dst))
-        draws = pair_uniform(self._seed, name, first, np.tile(dst, count), numbers).reshape(count, len(dst))
-        angles = draws[:3]
-        return _Phases(draws[3:], np.stack([cos_of_turns(angles), cos_of_turns(angles - 0.25)]))
+    def _drawn(self, name: str, processes: int, src: int | Integers, dst: Nodes) -> _Phases:
+        rows = self._coherence.waves + 3
+        count, links = rows * processes, len(dst)
+        first = np.tile(np.broadcast_to(src, links), count)
+        draws = pair_uniform(self._seed, name, first, np.tile(dst, count), np.repeat(np.arange(count), links))
+        by_process = draws.reshape(processes, rows, links).transpose(1, 0, 2)
+        angles, waves = by_process[:3], np.ascontiguousarray(by_process[3:])
+        return _Phases(waves, np.stack([cos_of_turns(angles), cos_of_turns(angles - 0.25)]))
 
 
 def _turned(ends: Ends, turns: Floats, per_metre: float) -> list[Floats]:
-    """Return the coordinates of both ends of k links, turned by their random angles, in wavelengths.
+    """Return the coordinates of both ends of k links, turned by the random angles of p processes; (p, k) each.
 
     The first end is the node with the smaller number, so both directions have the same state.
     """
@@ -199,15 +201,18 @@ def _turned(ends: Ends, turns: Floats, per_metre: float) -> list[Floats]:
 
 
 def _phase(directions: Floats, rows: list[Floats], waves: Floats) -> Floats:
-    """Return (n, k) the phases of n waves on k links, in turns; sums of products, because BLAS rounds by processor."""
+    """Return (n, p, k) the phases of n waves of p processes on k links, in turns.
+
+    The sums of products are no product of matrices, because BLAS rounds by processor.
+    """
     turns = waves.copy()
     for direction, row in zip(directions, rows, strict=True):
-        turns += direction[:, np.newaxis] * row
+        turns += direction[:, np.newaxis, np.newaxis] * row
     return turns
 
 
 def _sum(turns: Floats) -> Floats:
-    """Return (k,) the sums of the cosines of (n, k) phases, with variance 1.
+    """Return the sums of the cosines of phases, over their first axis, with variance 1.
 
     Halves are added to each other, because `np.add.reduce` rounds otherwise if there is one link than if there are two.
     """
@@ -216,7 +221,8 @@ def _sum(turns: Floats) -> Floats:
         kept = (count + 1) // 2
         parts[: count - kept] += parts[kept:]
         parts = parts[:kept]
-    return parts[0] * math.sqrt(2.0 / len(turns))
+    total: Floats = parts[0] * math.sqrt(2.0 / len(turns))
+    return total
 
 
 def _missing(lack: str) -> KeyedError:
