@@ -20,7 +20,6 @@ from desim.kernel.models.implicit_complete import is_complete
 from desim.kernel.models.medium import Medium, contends
 from desim.kernel.models.reception import Disk
 from desim.kernel.models.traits import FaultTraits, InterferenceTraits
-from desim.kernel.topology.correlated_channel import correlated_channel
 from desim.kernel.topology.topology import Topology
 from desim.pursuit.core.traits import Assuming, DisseminationTraits
 
@@ -262,6 +261,5 @@ def initial_graph(scenario: "Scenario") -> "nx.DiGraph[int]":
         per_link=network.fading == "per_link",
         seed=scenario.seed,
         walls=scenario.wall,
-        channel=correlated_channel(network, scenario.seed, scenario.team.count),
     )
     return topology.graph()

@@ -21,6 +21,7 @@ from protocols.local_min import LocalMin
 from scenarios import (
     bodies,
     boids,
+    coherence,
     contention,
     delay,
     evaders,
@@ -40,6 +41,7 @@ from scenarios import range as ranges
 from scenarios.benchmarks import __main__ as benchmarks
 from scenarios.studies import (
     bodies_runs,
+    coherence_runs,
     contention_runs,
     liars_runs,
     range_runs,
@@ -56,6 +58,7 @@ STUDIES = (
     benchmarks,
     bodies,
     boids,
+    coherence,
     contention,
     delay,
     evaders,
@@ -347,6 +350,24 @@ def test_the_transport_study_spends_the_same_bytes_on_each_way_to_repeat(monkeyp
     assert cells["loss", 0.0, "once"]["difference"]["mean"] == 0.0
     assert cells["loss", 0.5, "heartbeats"]["age"]["mean"] < cells["loss", 0.5, "reliable"]["age"]["mean"]
     assert cells["distance", 20.0, "coded"]["age"] is None
+    assert "bytes/s, coded" in table
+    assert "mean age of information (s)" in picture
+
+
+@pytest.mark.whole
+def test_the_coherence_study_compares_channels_with_one_probability_of_reception(monkeypatch, study, shortened):
+    """Whoever is announced to once fares alike on a channel that changes fast and on one without memory: ages."""
+    d = np.linspace(0.5, 30.0, 60)
+    of = [coherence_runs.links(channel) for channel in coherence_runs.CHANNELS]
+    assert all((links.reception(d, links.range) == of[0].reception(d, of[0].range)).all() for links in of)
+    assert [links.fading for links in of] == ["correlated"] * 3 + ["message"]
+    shortened(2.0)
+    patch_study(monkeypatch, (coherence, coherence_runs), "CHANNELS", {"10": 10.0, "no memory": None})
+    document, table, picture = study(coherence.main, "--runs", "2")
+    cells = {(each["channel"], each["way"]): each for each in document["cells"]}
+    assert len(cells) == 2 * 4
+    assert cells["10", "reliable"]["rate"] > 2.0 * cells["10", "once"]["rate"]
+    assert cells["10", "heartbeats"]["age"]["mean"] < cells["10", "once"]["age"]["mean"]
     assert "bytes/s, coded" in table
     assert "mean age of information (s)" in picture
 

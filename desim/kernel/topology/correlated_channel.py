@@ -109,7 +109,7 @@ class CorrelatedChannel:
         if lack := self._coherence.lacks("shadowing"):
             raise _missing(lack)
         phases, shared = self._phases("shadowing", 1, ends), self._coherence.shared
-        of_pair = _sum(_phase(self._spectrum, _turned(ends, phases.turns, 1.0), phases.waves))[0]
+        of_pair: Floats = _sum(_phase(self._spectrum, _turned(ends, phases.turns, 1.0), phases.waves))[0]
         if not shared:
             return of_pair
         nodes, at = np.append(ends.dst, ends.src), np.concatenate((ends.dst_at, np.atleast_2d(ends.src_at)))

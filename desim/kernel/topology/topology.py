@@ -197,8 +197,8 @@ class Topology:
     def neighbours(self, node: int) -> Nodes:
         """Return the nodes that receive from `node` now, ascending.
 
-        With fading per message, these are the nodes with a probability of reception of at least 1/2. With correlated
-        fading, they are those that would receive a message now.
+        If fading changes, these are the nodes with a probability of reception of at least 1/2: a sender that waits for
+        acknowledgements does not know who is in a fade.
 
         Raises:
             IndexError: if the node does not exist.
@@ -268,7 +268,7 @@ class Topology:
             near = (apart <= self._bound).nonzero()[0]  # walls only make distances longer
             decibels = self.walls.between(node, candidates[near], places[index : index + 1], places[near])
             apart[near] = stretched(apart[near], decibels, self.exponent)
-        if self.channel is None:
+        if self.channel is None or message is None:
             received = self._received(node, candidates, apart, message)
         else:
             state = self.channel.between(Ends(node, candidates, places[index], places, self._seconds()))

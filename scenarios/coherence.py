@@ -1,0 +1,85 @@
+"""What is retransmitting worth on a channel that remembers? Pursuits over Rayleigh fading, at equal bytes.
+
+A change of action is announced once; retransmitted to each teammate until it is acknowledged; repeated by heartbeats;
+or repeated as coded copies 0.05 s apart. Heartbeats and copies need as many bytes as the retransmissions. The Doppler
+frequency of the channel is varied, at the same probability of loss, beside a channel on which each message fades anew.
+
+In a game at rest, the study measures the mean age of information of announcements that are made periodically.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from desim.analysis.statistics import Estimate
+from desim.analysis.tables import aligned
+from scenarios.studies.coherence_runs import CHANNELS, WAYS, Cell, measure
+from scenarios.studies.study import Options, study
+from scenarios.studies.transport_runs import HEARTBEATS, N_REST, ONCE, N
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def table(cells: Sequence[Cell], runs: int) -> str:
+    """Return all results as text."""
+    of = {(cell.channel, cell.way): cell for cell in cells}
+    compared = [way for way in WAYS if way != HEARTBEATS]
+    pursuits: list[tuple[str, ...]] = [("Doppler (Hz)", HEARTBEATS, *compared, *(f"bytes/s, {way}" for way in WAYS))]
+    ages: list[tuple[str, ...]] = [("Doppler (Hz)", *WAYS)]
+    for channel in CHANNELS:
+        pursuits.append(
+            (
+                channel,
+                text(of[channel, HEARTBEATS].active_time),
+                *(text(of[channel, way].difference) for way in compared),
+                *(f"{of[channel, way].rate:,.0f}" for way in WAYS),
+            )
+        )
+        ages.append((channel, *(text(of[channel, way].age) for way in WAYS)))
+    return (
+        f"sum of active times, s: {HEARTBEATS}, and differences from it: {N} pursuers, {runs} runs, 95 % intervals\n"
+        f"{aligned(pursuits)}\n\nmean age of information in a game at rest, s: {N_REST} pursuers\n{aligned(ages)}"
+    )
+
+
+def text(value: Estimate) -> str:
+    """Return an estimate as text."""
+    return f"{value.mean:.3g} +- {value.half_width:.2g}"
+
+
+def picture(cells: Sequence[Cell]) -> "Figure":
+    """Draw the differences of the active time and the ages of information over the channels, a line per way."""
+    from desim.analysis.drawing import palette, plots
+
+    with plots.styled(figsize=(9.0, 3.2)) as figure:
+        left, right = figure.subplots(1, 2)
+        for k, (colour, way) in enumerate(zip(palette.SERIES, WAYS, strict=False)):
+            here = [cell for cell in cells if cell.way == way]
+            places = [place + 0.05 * (k - 1.5) for place in range(len(here))]  # shifted, so that error bars are seen
+            style = {"color": colour, "ms": 3, "lw": 1.0, "elinewidth": 0.7, "label": way}
+            for axes, values in ((left, [cell.difference for cell in here]), (right, [cell.age for cell in here])):
+                if axes is left and way == ONCE:
+                    continue
+                means, widths = [value.mean for value in values], [value.half_width for value in values]
+                axes.errorbar(places[:-1], means[:-1], widths[:-1], marker="o", **style)
+                axes.errorbar(places[-1:], means[-1:], widths[-1:], marker="s", **style | {"label": None})
+        for axes in (left, right):
+            axes.set_xticks(range(len(CHANNELS)), CHANNELS)
+            axes.set_xlabel("Doppler frequency of the channel (Hz)")
+        left.set_ylabel("active time minus that\nwith heartbeats (s)")
+        right.set_ylabel("mean age of information (s)")
+        right.set_yscale("log")
+        right.legend(fontsize=8)
+    return figure
+
+
+@study("coherence", __doc__, seconds=20, runs=20)
+def main(options: Options) -> None:
+    """Run the pursuits and show the results."""
+    cells = measure(options)
+    options.show({"cells": [asdict(cell) for cell in cells]}, table(cells, options.runs), lambda: picture(cells))
+
+
+if __name__ == "__main__":
+    main()

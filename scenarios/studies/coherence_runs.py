@@ -1,0 +1,103 @@
+"""The scenarios and measurements of `python -m scenarios.coherence`."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from desim import Result, Scenario
+from desim.analysis.statistics import Estimate, estimate
+from desim.kernel.models.coherence import Coherence
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.kernel.models.reception import Nakagami
+from scenarios.studies import transport_runs
+from scenarios.studies.study import Options
+from scenarios.studies.transport_runs import CODED, EQUAL, HEARTBEATS, ONCE, RELIABLE, Budget, Run, Setting, budget_of
+
+WAYS = (ONCE, RELIABLE, HEARTBEATS, CODED)
+"""How a change of action is announced, see `scenarios.studies.transport_runs`."""
+RANGE = 14.0
+"""Range, m, at which about 30 % of the messages are lost."""
+NONE = "no memory"
+CHANNELS: Mapping[str, float | None] = MappingProxyType({"0.1": 0.1, "1": 1.0, "10": 10.0, NONE: None})
+"""Doppler frequency, Hz, by name; None: each message fades anew."""
+SETTING = Setting(loss=0.0)
+"""The setting of `transport_runs`, whose losses are replaced by fading."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The results of one way to announce on one channel."""
+
+    channel: str
+    """Doppler frequency, Hz, or `NONE`."""
+    way: str
+    active_time: Estimate
+    difference: Estimate
+    """Paired difference of the active time from that of heartbeats on the same channel, s."""
+    age: Estimate
+    """Mean age of information in a game at rest, s."""
+    rate: float
+    """Bytes per second of a pursuit."""
+
+
+def links(channel: str) -> Links:
+    """Return links with Rayleigh fading whose probability of reception does not depend on the channel."""
+    doppler = CHANNELS[channel]
+    memory = {"fading": "message"} if doppler is None else {"coherence": Coherence(doppler=doppler)}
+    return Links(
+        **{
+            "latency": Constant(value=SETTING.latency),
+            "range": RANGE,
+            "reception": Nakagami(m=1.0, exponent=3.0),
+            "fading": "correlated",
+        }
+        | memory
+    )
+
+
+def pursuit(channel: str, way: str, budget: Budget | None = None) -> Scenario:
+    """Return the scenario of Lee & Bakolas on a channel; `budget` is what `RELIABLE` takes, for ways with as much."""
+    return _on(channel, transport_runs.pursuit(SETTING, way, budget))
+
+
+def at_rest(channel: str, way: str, budget: Budget | None = None) -> Scenario:
+    """Return a game at rest on a channel, in which each pursuer announces its action periodically."""
+    return _on(channel, transport_runs.at_rest(SETTING, way, budget))
+
+
+def _on(channel: str, scenario: Scenario) -> Scenario:
+    return scenario.model_copy(update={"network": links(channel)})
+
+
+def measure(options: Options) -> list[Cell]:
+    """Run each way to announce on each channel."""
+    pursued = _with_equal_bytes(options, pursuit, "pursuits", transport_runs.run_of_pursuit)
+    rested = _with_equal_bytes(options, at_rest, "ages", transport_runs.run_at_rest)
+    return [
+        _cell(channel, way, pursued[channel, way], pursued[channel, HEARTBEATS], rested[channel, way])
+        for channel in CHANNELS
+        for way in WAYS
+    ]
+
+
+def _cell(channel: str, way: str, runs: list[Run], reference: list[Run], ages: list[Run]) -> Cell:
+    times, of_reference = (np.array([run.value for run in run_list]) for run_list in (runs, reference))
+    age = estimate([run.value for run in ages])
+    return Cell(channel, way, estimate(times), estimate(times - of_reference), age, budget_of(runs).bytes)
+
+
+def _with_equal_bytes(
+    options: Options, make: Callable[..., Scenario], label: str, metric: Callable[[Result], Run]
+) -> dict[tuple[str, str], list[Run]]:
+    """Run each way on each channel; heartbeats and copies have the bytes of `RELIABLE` on the same channel."""
+    first = [(channel, way) for channel in CHANNELS for way in WAYS if way not in EQUAL]
+    runs: dict[tuple[str, str], Any] = dict(
+        zip(first, options.measure([make(*key) for key in first], label, metric), strict=True)
+    )
+    equal = [(channel, way) for channel in CHANNELS for way in EQUAL]
+    scenarios = [make(channel, way, budget_of(runs[channel, RELIABLE])) for channel, way in equal]
+    return runs | dict(zip(equal, options.measure(scenarios, f"{label}, equal bytes", metric), strict=True))
