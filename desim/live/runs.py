@@ -7,7 +7,6 @@ from threading import Thread
 from typing import Any, Literal
 
 from desim.config.arguments import naming_arguments, scenario_argument
-from desim.kernel.core.seeds import seed_of
 from desim.live.lobby import LOCAL
 from desim.live.namespaces import Places, namespaces
 from desim.live.nursery import Nursery
@@ -80,25 +79,44 @@ def runs(
         raise ValueError(f"hosts should be one for each of the {size} pursuers (got {len(hosts)})")
     if hosts is not None and links != "drawn":
         raise ValueError('hosts have real links between them, so links should be "drawn"')
-    numbers = [scenario.seed if seed is None else seed_of(seed) for seed in seeds]
     with _places(scenario, links, hosts) as places:
+        options: Any = {"hosts": places.hosts, "namespaces": places.namespaces, "draws": links != "netem"}
+        return _play([(scenario, seed) for seed in seeds], at_once, finished, tell=tell, **options)
 
-        async def play() -> list[LiveResult]:
-            limit = asyncio.Semaphore(at_once)
 
-            async def one(seed: int) -> LiveResult:
-                async with limit:
-                    options: Any = {"hosts": places.hosts, "namespaces": places.namespaces, "tell": tell}
-                    result = await Referee(scenario, seed, draws=links != "netem", **options).play(nursery)
-                    if finished is not None:
-                        finished(result)
-                    return result
+def run_all(tasks: Sequence[tuple[Scenario, int]], *, at_once: int = 1) -> list[LiveResult]:
+    """Run several scenarios live, on the loopback, each with a seed, and return the results in their order.
 
-            async with Nursery() as nursery, asyncio.TaskGroup() as group:
-                tasks = [group.create_task(one(seed)) for seed in numbers]
-            return [task.result() for task in tasks]
+    Raises:
+        ValueError: if a scenario cannot run live.
+        LiveError: if a process does not start, or a protocol raises an exception.
+    """
+    return _play(tasks, at_once, None)
 
-        return _run(play)
+
+def _play(
+    tasks: Sequence[tuple[Scenario, int | None]],
+    at_once: int,
+    finished: Callable[[LiveResult], object] | None,
+    **options: Any,
+) -> list[LiveResult]:
+    """Run scenarios live, some at the same time; `options` are those of `Referee`."""
+
+    async def play() -> list[LiveResult]:
+        limit = asyncio.Semaphore(at_once)
+
+        async def one(scenario: Scenario, seed: int | None) -> LiveResult:
+            async with limit:
+                result = await Referee(scenario, seed, **options).play(nursery)
+                if finished is not None:
+                    finished(result)
+                return result
+
+        async with Nursery() as nursery, asyncio.TaskGroup() as group:
+            running = [group.create_task(one(*task)) for task in tasks]
+        return [task.result() for task in running]
+
+    return _run(play)  # type: ignore[no-any-return]
 
 
 @contextmanager

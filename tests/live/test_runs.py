@@ -21,7 +21,7 @@ from desim.kernel.models.faults import FaultStarted
 from desim.live.agreement import ERRORS, GATE, compare
 from desim.live.lobby import LiveError
 from desim.live.namespaces import NamespaceError
-from desim.live.runs import run, runs
+from desim.live.runs import run, run_all, runs
 from desim.pursuit.core.events import Sampled
 from desim.results import run_folder
 from desim.scenario.toml import dump
@@ -153,9 +153,9 @@ def variant(changes) -> Scenario:
 @pytest.mark.slow
 def test_each_message_and_each_model_that_runs_live_runs_as_it_is_simulated():
     """Numbers of messages are those of the simulation to a fifth, because each timer is at the same time."""
-    for name, changes in VARIANTS.items():
-        experiment = variant(changes)
-        result = run(experiment, 5)
+    experiments = [variant(changes) for changes in VARIANTS.values()]
+    results = run_all([(experiment, 5) for experiment in experiments], at_once=3)
+    for name, experiment, result in zip(VARIANTS, experiments, results, strict=True):
         conservation, once = Conservation(), DeliveredOnce()
         for event in result.trace:
             conservation(event)
@@ -304,7 +304,8 @@ def test_pursuers_run_at_other_addresses_of_this_machine_and_on_invitation(tmp_p
             started.append(live(tmp_path / "short.toml", "--join", match[1]))
 
     result = run(experiment, 3, hosts=["127.0.0.2", "127.0.0.3", "127.0.0.4"], tell=tell)
-    assert started[0].wait(timeout=10) == 0, started[0].communicate()
+    told = started[0].communicate(timeout=10)
+    assert started[0].returncode == 0, told
     assert {event.src for event in result.trace.of(Broadcast)} == {0, 1, 2}
     assert result.conduct.dropped == (0, 0, 0)
 
