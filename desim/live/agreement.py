@@ -35,8 +35,8 @@ class Row(NamedTuple):
     difference: Estimate
     """Live minus simulated, paired by seed."""
     margin: float
-    """What the lateness of actions explains: of a time, the mean time by which an action took effect late, times the
-    mean number of changes of actions; else 0."""
+    """What the lateness of actions explains: of a time, the sum of the times by which changes of actions took effect
+    late, in the mean of the runs; else 0."""
 
     @property
     def errors(self) -> float:
@@ -84,8 +84,7 @@ class Agreement:
         """The metrics, live and simulated."""
         live, simulated = [list(map(summary, results)) for results in (self.live, self.simulated)]
         orders = [late for result in self.live for late in result.conduct.orders]
-        late = portable_sum(orders) / SECOND / max(len(orders), 1)
-        margin = late * mean([run.switches for run in live]).mean
+        margin = portable_sum(orders) / SECOND / len(self.live)
         return [_row(name, live, simulated, margin) for name in SHOWN]
 
     @property

@@ -139,9 +139,11 @@ class Referee:
         any_taken = bool(self._orders or self._gone)
         while self._orders:
             pursuer, decided, action = self._orders.popleft()
-            self._conduct.orders.append(max(self._env.now - decided, 0))
             self._obeyed[pursuer] += 1
+            before = self._state.profile[pursuer]
             self._world.set_action(pursuer, action)
+            if self._state.profile[pursuer] != before:
+                self._conduct.orders.append(max(self._env.now - decided, 0))
         while self._gone:
             self._crash(*self._gone.popleft())
         return any_taken

@@ -20,7 +20,7 @@ class Conduct:
         lateness: by process, the pursuers and "referee", how late its timers were.
         timers: the same of all processes together, ns.
         deliveries: how much later than its time each message was delivered, ns.
-        orders: how long after its decision each action has taken effect, ns.
+        orders: how long after its decision each change of an action has taken effect, ns.
         cpu: by pursuer, the time that its process has computed during the run, s.
         drops: by pursuer, the datagrams that it has dropped.
         ends: by pursuer whose process was lost, how it ended.

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import desim
-from desim import Constant, Scenario, Team, load
+from desim import Constant, Evader, Scenario, Team, load
 from desim.config.model import Value
 from desim.kernel.core.events import LOST, Broadcast, ClockCorrected, Delivered, Lost, MessageCounts, Sent
 from desim.kernel.models.faults import FaultStarted
@@ -340,8 +340,10 @@ def agrees(agreement) -> bool:
 
 
 def game(protocol) -> Scenario:
-    """Return six pursuers whose period is 0.2 s in the mean, and their heartbeat 0.1 s."""
-    return scenario(team={"count": 6}, horizon=6.0, protocol=protocol)
+    """Return a pursuit of about a second, of six pursuers with periods of 0.2 s in the mean."""
+    rule = {"kind": protocol, "schedule": {"kind": "poisson", "rate": 5.0}}
+    experiment = scenario(team={"count": 6}, horizon=6.0, evader=Evader(box=(2.0, 4.0), speed=1.0))
+    return Scenario.model_validate(experiment.plain() | {"protocol": rule})
 
 
 @pytest.mark.slow
