@@ -230,6 +230,13 @@ def source_of(
     return source, valid(source)
 
 
+def added_metrics(metric: str) -> tuple[str, ...]:
+    """Return the metric of -y if it is to be added to those of a scenario, which are built in or named by its file."""
+    from desim.scenario.named_metrics import installed_metrics
+
+    return (metric,) if ":" in metric or metric in installed_metrics() else ()
+
+
 def _set_design(source: "Source", text: str) -> None:
     """Set the method and the size of `sweep.design`; the other keys of the design remain.
 

@@ -19,6 +19,7 @@ from desim.cli.options import (
     SEED,
     SET,
     TIMEOUT,
+    added_metrics,
     echo,
     fail,
     folder_for,
@@ -92,7 +93,7 @@ def race(
     from desim.study.store.store import Store
     from desim.study.sweeps.sweep import SweepPlan
 
-    source, scenario = source_of(file, overrides, (metric,), grid, design)
+    source, scenario = source_of(file, overrides, added_metrics(metric), grid, design)
     name = metric.rpartition(":")[2]
     try:
         plan = SweepPlan.of(source, reps=runs, seed=seed)

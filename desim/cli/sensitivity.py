@@ -18,6 +18,7 @@ from desim.cli.options import (
     SEED,
     SET,
     TIMEOUT,
+    added_metrics,
     echo,
     fail,
     folder_for,
@@ -85,7 +86,7 @@ def sensitivity(
     from desim.study.sensitivity.analysis import Analysis
     from desim.study.store.store import Store
 
-    source, scenario = source_of(file, overrides, (metric,), grid)
+    source, scenario = source_of(file, overrides, added_metrics(metric), grid)
     try:
         analysis = Analysis.of(source, None, metric.rpartition(":")[2], points, trajectories, runs, seed)
     except ValueError as error:

@@ -194,6 +194,7 @@ def test_a_race_finds_the_best_and_says_who_was_dropped_when():
     assert raced(maximise=True).best == {"team.count": 2}
 
 
+@pytest.mark.slow
 def test_a_race_reads_the_runs_of_a_sweep_and_resumes(tmp_path):
     path = tmp_path / "sweep.sqlite"
     sweep(SHORT, COUNTS, reps=3, store=path, metrics={"score": size_and_luck})
@@ -218,6 +219,7 @@ class FourAtOnce(Executor):
         return future
 
 
+@pytest.mark.slow
 def test_the_result_does_not_depend_on_the_number_of_workers(tmp_path):
     paths = [tmp_path / "one.sqlite", tmp_path / "four.sqlite"]
     one, four = raced(store=paths[0]), raced(store=paths[1], executor=FourAtOnce())

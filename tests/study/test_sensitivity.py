@@ -151,7 +151,7 @@ def test_an_analysis_finds_what_decides_and_resumes(tmp_path):
         assert result.first[key].value == pytest.approx(first.value, abs=1e-4)
     sentence, *others = result.sentences()
     assert sentence.startswith("score is decided by network.latency.value (")
-    assert "screened out, with an effect below a tenth of the greatest: team.count; they keep the middle" in others[0]
+    assert "screened out, with an effect below a tenth of the greatest: team.count; each keeps the middle" in others[0]
     assert result.chance == pytest.approx(of_seeds.var(ddof=1) / (expected.variance + of_seeds.var(ddof=1)), rel=1e-3)
     with Store(path) as store:
         count = len(store)
@@ -168,6 +168,7 @@ def constant(_):
     return 1.0
 
 
+@pytest.mark.slow
 def test_screening_alone_and_a_metric_that_is_the_same_everywhere():
     pair = {key: RANGES[key] for key in ("network.latency.value", "team.count")}
     screened = analysed(grid=pair, points=0)

@@ -82,7 +82,7 @@ class SensitivityResult:
         if lost and self.effects is not None and self.kept:
             sentences.append(
                 f"screened out, with an effect below a tenth of the greatest: {', '.join(lost)}"
-                + ("; they keep the middle of their ranges" if self.indices is not None else "")
+                + ("; each keeps the middle of its range" if self.indices is not None else "")
             )
         if self.indices is not None and self.indices.is_varied:
             alone = portable_sum(index.value for index in self.first.values())
