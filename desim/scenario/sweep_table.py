@@ -3,8 +3,16 @@
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, ValidationInfo, field_serializer, field_validator
-from pydantic_core import PydanticCustomError
+from pydantic import (
+    BeforeValidator,
+    Field,
+    GetJsonSchemaHandler,
+    ValidationInfo,
+    field_serializer,
+    field_validator,
+)
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, PydanticCustomError
 
 from desim.config.choice import definition_of, import_name, is_unlisted_import, refusal
 from desim.config.model import Value
@@ -37,7 +45,14 @@ def _in_order(values: Any) -> Any:
     return (values,) if isinstance(values, KeyRange) else values
 
 
-Values = Annotated[tuple[Any, ...], Field(min_length=1), BeforeValidator(_in_order)]
+class _OrText:
+    """Annotation of a field that a file may also give as a text, for the JSON schema."""
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return {"anyOf": [handler(schema), {"type": "string"}]}
+
+
+Values = Annotated[tuple[Any, ...], Field(min_length=1), BeforeValidator(_in_order), _OrText()]
 """The values of one key of a grid; of a range without steps, one `KeyRange`."""
 
 
@@ -102,7 +117,7 @@ class Sweep(Value):
     """Dotted keys of the scenario as in --set, each with the list of its values, or with a range "FIRST:LAST:STEP" of
     numbers, such as "0:1:0.1", the last included, or "log:FIRST:LAST:COUNT" with equal ratios; every combination is a
     configuration. "LOW:HIGH" and "log:LOW:HIGH" are ranges from which `design` chooses."""
-    design: Annotated[Design, BeforeValidator(design_of)] | None = None
+    design: Annotated[Design, BeforeValidator(design_of), _OrText()] | None = None
     """The points of the ranges of the grid, such as "sobol:64"; without ranges there is none."""
 
     @field_validator("grid")
