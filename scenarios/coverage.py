@@ -5,13 +5,14 @@ target, as a sweep with `--until` does. The target is the half width of 30 or of
 rule of `desim.analysis.statistics` for which runs end too early covers too rarely, and a mean of skewed values is low
 where they happen to vary little.
 
-With `--control` the studies have a fixed number of values, and a control variate (`desim.analysis.control_variates`): of
-known distributions, and of runs of desim that are resampled from a pool. An interval that takes the mean of the control
-for known covers too rarely, and an estimate with one slope for all runs is biased.
+With `--control` the studies have a fixed number of values, and a control variate (`desim.analysis.control_variates`).
+Values are of known distributions, and of runs of desim that are resampled from a pool. An interval that takes the mean
+of the control for known covers too rarely, and an estimate with one slope for all runs is biased.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import e, exp, sqrt
 
 import click
@@ -98,8 +99,10 @@ PAIRS = (10, 30, 100)
 """The numbers of values of a study with a control."""
 TIMES = 10
 """The number of values of the control, as a multiple of those of the study."""
-POOL = 1000
+POOL = 500
 """The number of seeds in the pool of runs."""
+POOLED = ("local_min", "sap")
+"""The protocols in the pool, beside the control."""
 RUNS = Scenario(
     horizon=30.0,
     team=Team(count=8, speeds=2.0),
@@ -110,6 +113,8 @@ RUNS = Scenario(
 """The scenario of the runs in the pool."""
 Pair = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Values of a study, and of its control in the same runs."""
+Draw = Callable[[np.random.Generator, int], Pair]
+"""A function that draws a number of pairs."""
 
 
 def normal_pairs(rng: np.random.Generator, size: int) -> Pair:
@@ -130,16 +135,20 @@ def curved_pairs(rng: np.random.Generator, size: int) -> Pair:
     return values * values + control, control
 
 
-def pool(protocol: str, seeds: int = POOL) -> tuple[Callable[[np.random.Generator, int], Pair], float]:
-    """Return what draws pairs of active times, of a protocol and of `centralised`, from a pool, and their mean."""
-    kinds = [{"kind": protocol, "schedule": {"kind": "poisson", "rate": 5.0}}, {"kind": "centralised", "slot": 0.2}]
-    values, control = (group.numbers("active_time") for group in sweep(RUNS, {"protocol": kinds}, seeds).groups)
+def pools(seeds: int = POOL) -> dict[str, tuple[Draw, float]]:
+    """Return what draws pairs of active times, of each protocol and of `centralised`, from a pool, and their mean."""
+    schedule = {"kind": "poisson", "rate": 5.0}
+    kinds = [{"kind": "centralised", "slot": 0.2}, *({"kind": kind, "schedule": schedule} for kind in POOLED)]
+    control, *pooled = (group.numbers("active_time") for group in sweep(RUNS, {"protocol": kinds}, seeds).groups)
 
-    def draw(rng: np.random.Generator, size: int) -> Pair:
+    def draw(values: NDArray[np.float64], rng: np.random.Generator, size: int) -> Pair:
         at = rng.integers(seeds, size=size)
         return values[at], control[at]
 
-    return draw, float(np.mean(values))
+    return {
+        f"runs of {kind}": (partial(draw, values), float(np.mean(values)))
+        for kind, values in zip(POOLED, pooled, strict=True)
+    }
 
 
 @dataclass(frozen=True)
@@ -160,9 +169,7 @@ class ControlledCoverage:
     """How many times as many values without the control have the same variance of the mean."""
 
 
-def controlled_coverage(
-    draw: Callable[[np.random.Generator, int], Pair], mean: float, size: int, studies: int
-) -> ControlledCoverage:
+def controlled_coverage(draw: Draw, mean: float, size: int, studies: int) -> ControlledCoverage:
     """Return the coverage of studies of `size` values, with `TIMES` as many values of the control."""
     from scipy.special import stdtrit
 
@@ -178,18 +185,19 @@ def controlled_coverage(
         widths = made.plain.half_width, made.half_width, float(stdtrit(size - 2, 0.975)) * sqrt(max(known, 0.0))
         covered[k] = np.abs(means[k][[0, 1, 1]] - mean) <= widths
     bias = (means.mean(axis=0) - mean) / means.std(axis=0)
+    plain, controlled, ignoring = covered.mean(axis=0).tolist()
     worth = float(means[:, 0].var() / means[:, 1].var())
-    return ControlledCoverage(*map(float, covered.mean(axis=0)), float(bias[1]), float(bias[2]), worth)
+    return ControlledCoverage(plain, controlled, ignoring, float(bias[1]), float(bias[2]), worth)
 
 
 def control_table(studies: int, seeds: int = POOL) -> str:
     """Return the table of all distributions of pairs."""
-    laws = {
+    laws: dict[str, tuple[Draw, float]] = {
         "normal": (normal_pairs, 0.0),
         "lognormal": (lognormal_pairs, exp(0.5)),
         "parabola": (curved_pairs, 1.0),
     }
-    laws |= {f"runs of {kind}": pool(kind, seeds) for kind in ("local_min", "sap")}
+    laws |= pools(seeds)
     head = ("pairs", "n", "plain", "control", "mean taken for known", "bias", "with one slope", "worth")
     rows: list[tuple[str, ...]] = [head]
     for name, (draw, mean) in laws.items():

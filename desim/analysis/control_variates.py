@@ -129,8 +129,9 @@ def _slopes(y: Floats, x: Floats) -> tuple[Floats, float, float]:
     h_i = 1/n + x_i^2 / S (Cook & Weisberg 1982, "Residuals and Influence in Regression", section 2.2). If the control
     is the same in all other runs, h_i is 1, and their slope is set to 0.
     """
-    squares, variation = inner_product(x, x), inner_product(y, y)
-    slope = inner_product(x, y) / squares
+    abscissae, ordinates = x.tolist(), y.tolist()
+    squares, variation = inner_product(abscissae, abscissae), inner_product(ordinates, ordinates)
+    slope = inner_product(abscissae, ordinates) / squares
     residuals, left = y - slope * x, 1.0 - 1.0 / len(x) - x * x / squares
     some_left = left > 1e-12
     change = np.divide(x * residuals, squares * left, out=np.zeros_like(x), where=some_left)
