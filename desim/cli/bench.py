@@ -71,7 +71,7 @@ def bench(
         suite = Suite.of(version)
     except ValueError as error:
         raise click.BadParameter(str(error), param_hint="--version") from error
-    entered: Any = [protocol_of(text) for text in protocols]
+    entered: Any = [protocol_of(text, "--protocol") for text in protocols]
     folder = Path("out") / "bench" / f"v{suite.version}" if out is None else out
     if protocols or again:
         make_folder(folder)

@@ -247,8 +247,9 @@ def _control_plan(
         return None
     if is_partial:
         fail("--control needs as many runs of each configuration: it excludes --until and --shard")
+    protocol = protocol_of(control, "--control")
     try:
-        return ControlPlan.of(plan, protocol_of(control), runs)
+        return ControlPlan.of(plan, protocol, runs)
     except (ScenarioError, ValueError) as error:
         fail(f"--control {control}: {error}")
 

@@ -331,8 +331,8 @@ def valid(source: "Source") -> "Scenario":
     return scenario
 
 
-def protocol_of(text: str) -> Any:
-    """Return the protocol that an option names: KIND, MODULE:NAME, FILE.py:NAME, or a table { kind = ..., ... }.
+def protocol_of(text: str, option: str) -> Any:
+    """Return the protocol that an option names as KIND, MODULE:NAME, FILE.py:NAME, or { kind = ..., ... }.
 
     A module is an installed one, or lies in the working folder or in that of the file. End the program if it is
     invalid, or names code without --allow-import.
@@ -345,12 +345,13 @@ def protocol_of(text: str) -> Any:
     file, colon, inner = text.rpartition(":")
     if colon and file.endswith(".py"):
         folder, name = Path(file).parent, f"{Path(file).stem}:{inner}"
-    source = Source("the command line", {}, Scenario, folder=folder, allow_import=is_import_allowed())
+    source = Source(option, {}, Scenario, folder=folder, allow_import=is_import_allowed())
+    setting = f"protocol={name}"
     try:
-        source.override(f"protocol={name}")
+        source.override(setting)
         return validate(source).protocol
     except ScenarioError as error:
-        fail(str(error))
+        fail(str(error).replace(f"--set {setting}", f"{option} {text}"))
 
 
 def make_folder(folder: Path) -> None:

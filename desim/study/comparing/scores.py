@@ -120,7 +120,9 @@ class Benchmark:
     def apart(self, scenario: str) -> float:
         """Return the distance of the bounds of a scenario in standard errors; inf if it is equal for all seeds."""
         difference = estimate(self._bounds(scenario)[1] - self._bounds(scenario)[0])
-        return difference.mean / difference.standard_error if difference.standard_error else inf * difference.mean
+        if not difference.standard_error:
+            return inf if difference.mean > 0.0 else 0.0
+        return difference.mean / difference.standard_error
 
     @cached_property
     def kept(self) -> tuple[str, ...]:

@@ -1,0 +1,267 @@
+"""The benchmark: frozen files, scores by hand, intervals, and a protocol of a user beside the built-in ones."""
+
+import json
+from functools import cached_property
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from desim import Links, Motion, Recording, Scenario, Team, bench
+from desim.cli import main
+from desim.study.comparing.bench import Entrants, frozen_matches
+from desim.study.comparing.scores import APART, OMNISCIENT, Benchmark, Ratio
+from desim.study.comparing.suite import AS_IT_IS, PERFECT, REFERENCE, SILENT, Suite, cost_of_runs, frozen_text
+from desim.study.sweeps.sweep import RunError
+from desim.study.workers.workers import workers_for
+from scenarios.freeze import differences
+
+SUITE = Suite.of()
+DIGEST = "@DIGEST@"
+"""Of the scenarios and the protocols of version 1: whoever changes them makes version 2."""
+DIGEST_OF_COSTS = "@COSTS@"
+"""Of the costs of version 1, and so of its table."""
+
+# Frozen.
+
+
+def test_the_files_and_the_costs_of_a_version_never_change():
+    assert SUITE.digest == DIGEST
+    assert SUITE.digest_of_costs == DIGEST_OF_COSTS
+    assert frozen_text(SUITE.costs).encode() == (SUITE.folder / "costs.json").read_bytes()
+
+
+def test_every_scenario_of_a_version_is_one_in_which_the_network_matters():
+    frozen = bench()
+    assert frozen.kept == tuple(SUITE.scenarios)
+    assert min(frozen.apart(name) for name in SUITE.scenarios) > APART
+    assert set(frozen.totals) == set(SUITE.protocols)
+    assert frozen.runs == SUITE.runs
+
+
+def test_the_reference_repeats_its_first_frozen_runs():
+    """Also a digest of the simulator: a change of traces is a change of the table."""
+    assert frozen_matches(SUITE, ["partition", "latency"])
+    other = Suite.of()
+    costs = {name: {REFERENCE: {AS_IT_IS: SUITE.costs[name][REFERENCE][AS_IT_IS] + 1e-6}} for name in SUITE.costs}
+    vars(other)["costs"] = costs
+    assert not frozen_matches(other, ["latency"])
+
+
+@pytest.mark.whole
+def test_the_first_runs_of_all_protocols_have_their_frozen_costs(tmp_path):
+    """`python -m scenarios.freeze` compares all."""
+    assert list(differences(bench(runs=2, again=True, folder=tmp_path), SUITE)) == []
+
+
+# By hand.
+
+
+def benchmark_of(*, perfect, silent, **costs):
+    """Return a benchmark of one scenario, given the costs of the bounds, and of each protocol on both networks."""
+    reference = {PERFECT: np.array(perfect), SILENT: np.array(silent), AS_IT_IS: np.array(perfect)}
+    others = {name: dict(zip((AS_IT_IS, PERFECT), map(np.array, pair), strict=True)) for name, pair in costs.items()}
+    return Benchmark("1", {"one": {REFERENCE: reference, **others}})
+
+
+def test_scores_are_between_the_bounds_and_a_bad_protocol_does_not_look_robust():
+    """Bounds 10 and 50 s. `deaf` costs 40 s on every network: it loses nothing, and has a score of 1/4 all the same."""
+    made = benchmark_of(
+        perfect=[10.0, 10.1, 9.9],
+        silent=[50.0, 50.1, 49.9],
+        good=([20.0, 20.1, 19.9], [8.0, 8.1, 7.9]),
+        deaf=([40.0, 40.1, 39.9], [40.0, 40.1, 39.9]),
+    )
+    assert made.kept == ("one",)
+    values = {name: [part.value for part in (*total, total.loss)] for name, total in made.totals.items()}
+    assert values == {
+        REFERENCE: pytest.approx([1.0, 1.0, 0.0]),
+        "good": pytest.approx([0.75, 1.05, 0.3]),
+        "deaf": pytest.approx([0.25, 0.25, 0.0], abs=1e-12),
+    }
+    assert list(values) == [REFERENCE, "good", "deaf"]
+    assert (made.best, made.is_behind("good"), made.is_behind(REFERENCE)) == (REFERENCE, True, False)
+
+
+def test_without_a_difference_of_the_bounds_nothing_is_scored():
+    """The control of the rule: here the network cannot matter, by as much as a run varies."""
+    made = benchmark_of(perfect=[10.0, 12.0, 11.0], silent=[10.1, 11.9, 11.0], good=([9.0] * 3, [9.0] * 3))
+    assert made.apart("one") == pytest.approx(0.0, abs=1e-9)
+    assert (made.kept, made.totals, made.best) == ((), {}, None)
+    assert "left out: one: the bounds are not more than 10 standard errors apart" in made.table()
+    assert benchmark_of(perfect=[1.0, 2.0], silent=[1.0, 2.0]).kept == ()
+    with pytest.raises(ValueError, match="too few runs for a figure"):
+        made.plot()
+
+
+class Own(Suite):
+    """A suite of one small scenario."""
+
+    @cached_property
+    def scenarios(self):
+        return {"small": SMALL}
+
+    @cached_property
+    def protocols(self):
+        return {REFERENCE: SMALL.protocol, "argmin": {"kind": "argmin", "slot": 0.2}}
+
+
+SMALL = Scenario(
+    name="small",
+    horizon=20.0,
+    team=Team(count=4, speeds=3.0, box=(0.0, 5.0)),
+    motion=Motion(step=0.1),
+    protocol={"kind": REFERENCE, "schedule": {"kind": "poisson", "rate": 5.0}},
+    network=Links(latency=0.5),
+    record=Recording(trajectory=0.0),
+)
+
+
+def measured(suite, count=3, **protocols):
+    with workers_for(1) as workers:
+        return Entrants(suite, protocols, again=True).carry_out(count, workers)
+
+
+@pytest.mark.slow
+def test_a_scenario_stays_only_if_the_network_matters_in_it(monkeypatch):
+    """With one pursuer there is nothing to agree on: its bounds are equal in every run."""
+    made = measured(Own("1"), 6)
+    assert made.apart("small") > 3.0
+    assert (np.diff(made.costs["small"]["argmin"][PERFECT] - made.costs["small"]["argmin"][AS_IT_IS]) == 0.0).all()
+    monkeypatch.setitem(globals(), "SMALL", SMALL.with_({"team.count": 1}))
+    alone = measured(Own("1"))
+    assert alone.apart("small") == 0.0
+    assert alone.kept == ()
+
+
+def test_a_cost_counts_a_second_without_a_pursuer_as_one_in_which_all_chase():
+    assert list(cost_of_runs(SMALL, np.array([3.0, 0.0]), np.array([0.5, 2.0]))) == [5.0, 8.0]
+
+
+# Intervals.
+
+STUDIES = 2000
+
+
+@pytest.mark.slow
+def test_the_interval_of_a_score_covers_it_as_often_as_it_says():
+    """24 seeds, costs that share a gamma factor; the interval that takes both means as independent is too wide."""
+    rng = np.random.default_rng(0)
+    covered = np.zeros((STUDIES, 2))
+    for k in range(STUDIES):
+        length = rng.gamma(8.0, 1.0, 24)
+        perfect, silent, costs = (factor * length * rng.gamma(40.0, 1 / 40.0, 24) for factor in (1.0, 7.0, 2.5))
+        made = Ratio.of(silent - costs, silent - perfect).estimate
+        width = silent - perfect
+        apart = np.hypot(np.std(silent - costs) / width.mean(), made.mean * np.std(width) / width.mean())
+        covered[k] = np.abs(made.mean - 0.75) <= (made.half_width, 2.07 * apart / np.sqrt(24))
+    error = np.sqrt(0.95 * 0.05 / STUDIES)
+    share, unpaired = covered.mean(axis=0)
+    assert share == pytest.approx(0.95, abs=0.01 + 3.0 * error)
+    assert unpaired > 0.95 + 3.0 * error
+
+
+# A protocol of a user.
+
+
+@pytest.mark.slow
+def test_a_protocol_that_is_a_built_in_one_has_its_frozen_costs_exactly():
+    made = bench({"mine": SUITE.protocols["argmin"]}, runs=2)
+    for scenario in SUITE.scenarios:
+        for network in (AS_IT_IS, PERFECT):
+            mine, theirs = (made.costs[scenario][name][network] for name in ("mine", "argmin"))
+            assert mine.tolist() == theirs.tolist(), (scenario, network)
+
+
+def idle(me):
+    """Leave the evader alone."""
+    me.assign(False)
+    yield me.sleep(1e3)
+
+
+def failing(me):
+    """Fail."""
+    yield me.sleep(0.1)
+    raise RuntimeError("for good")
+
+
+@pytest.mark.slow
+def test_a_protocol_that_does_nothing_is_worse_than_one_without_messages(monkeypatch, tmp_path):
+    """It costs as much as if all chased up to the horizon, and stands in the table beside the others."""
+    monkeypatch.setattr(Suite, "scenarios", {name: SUITE.scenarios[name] for name in ("latency", "partition")})
+    monkeypatch.setattr(Suite, "costs", {name: SUITE.costs[name] for name in ("latency", "partition")})
+    made = bench(idle, folder=tmp_path)
+    assert set(made.costs["latency"]["idle"][AS_IT_IS]) == {8 * 30.0}
+    assert list(made.totals)[-1] == "idle"
+    assert made.totals["idle"].score.value < 0.0
+    assert "\n> idle" in made.table()
+    assert {path.name for path in tmp_path.glob("*.sqlite")} == {"latency.sqlite", "partition.sqlite"}
+    with pytest.raises(RunError, match="the run failed: RuntimeError: for good"):
+        bench(failing, runs=2)
+
+
+def test_names_that_are_there_already_get_a_number():
+    made = Entrants(SUITE, {})
+    assert made.runs(24) == 1
+    from desim.study.comparing.bench import _by_name
+
+    assert list(_by_name(["sap", {"kind": "sap"}, idle], SUITE)) == ["sap (2)", "sap (3)", "idle"]
+    assert list(_by_name({"kind": "sap"}, SUITE)) == ["sap (2)"]
+    assert list(_by_name({"mine": idle}, SUITE)) == ["mine"]
+
+
+# The command.
+
+
+def command(*arguments):
+    return CliRunner().invoke(main, ["bench", *map(str, arguments)])
+
+
+def test_the_command_prints_the_table_of_the_version():
+    result = command()
+    assert result.exit_code == 0
+    assert result.stdout == f"{bench()}\n"
+    assert json.loads(command("--json").stdout)["protocols"].keys() == SUITE.protocols.keys()
+    assert f"({OMNISCIENT})" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        (["--version", "2"], "there is no version 2 of the benchmark; allowed: 1"),
+        (["-n", 1000], "runs should be 2 to 24"),
+        (["-n", 1], "1 is not in the range"),
+        (["--protocol", "sapp"], "--protocol sapp: protocol.kind: there is no 'sapp', did you mean 'sap'?"),
+        (["--protocol", "my_rules:Mine"], "allow-import"),
+        (["--protocol", "{ kind = 'sap', tauu = 1 }"], "tau"),
+    ],
+)
+def test_the_command_says_what_is_wrong(arguments, why, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = command(*arguments)
+    assert result.exit_code == 2
+    assert why in result.output
+    assert list(tmp_path.iterdir()) == []
+
+
+RULE = """
+def nearest(me):
+    while True:
+        yield me.sleep(0.2)
+        others = [me.time_left(), *me.believed_chasers().values()]
+        me.assign(all(me.capture_time() <= phi for phi in others))
+        me.announce()
+"""
+
+
+@pytest.mark.whole
+def test_a_protocol_in_a_file_is_entered_by_one_argument(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "rules").mkdir()
+    (tmp_path / "rules/my.py").write_text(RULE)
+    result = command("--protocol", "rules/my.py:nearest", "-n", 8, "--allow-import")
+    assert result.exit_code == 0, result.output
+    assert "\n> nearest" in result.stdout
+    assert {"bench.txt", "bench.json", "bench.svg"} <= {path.name for path in (tmp_path / "out/bench/v1").iterdir()}
+    before = (tmp_path / "out/bench/v1/bench.txt").read_text()
+    assert command("--protocol", "rules/my.py:nearest", "-n", 8, "--allow-import").stdout == before
