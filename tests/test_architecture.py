@@ -42,6 +42,7 @@ FLOORS = [
         *("desim.study.ablation", "desim.study.breaking", "desim.study.selection", "desim.study.sensitivity"),
         "desim.testing",
     },
+    {"desim.study.comparing"},
     {"desim.learning", "desim.live"},
     {"desim.cli"},
     {"scenarios.studies", "scenarios.templates"},

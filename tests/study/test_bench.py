@@ -202,7 +202,7 @@ def test_a_protocol_that_does_nothing_is_worse_than_one_without_messages(monkeyp
 
 def test_names_that_are_there_already_get_a_number():
     made = Entrants(SUITE, {})
-    assert made.runs(24) == 1
+    assert made.runs(16) == 1
     from desim.study.comparing.bench import _by_name
 
     assert list(_by_name(["sap", {"kind": "sap"}, idle], SUITE)) == ["sap (2)", "sap (3)", "idle"]
@@ -229,7 +229,7 @@ def test_the_command_prints_the_table_of_the_version():
     ("arguments", "why"),
     [
         (["--version", "2"], "there is no version 2 of the benchmark; allowed: 1"),
-        (["-n", 1000], "runs should be 2 to 24"),
+        (["-n", 1000], "runs should be 2 to 16"),
         (["-n", 1], "1 is not in the range"),
         (["--protocol", "sapp"], "--protocol sapp: protocol.kind: there is no 'sapp', did you mean 'sap'?"),
         (["--protocol", "my_rules:Mine"], "allow-import"),

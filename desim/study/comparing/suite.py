@@ -28,7 +28,7 @@ REFERENCE = "local_min"
 It knows what the others may know: what pursuers sense and hear. On a perfect network it is close to the best, it has no
 parameter, and without messages each pursuer decides alone.
 """
-RUNS = {"1": 24}
+RUNS = {"1": 16}
 """The number of runs of each protocol in each scenario, by version."""
 NEWEST = "1"
 AS_IT_IS, PERFECT, SILENT = "as it is", "perfect network", "no messages"
