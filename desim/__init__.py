@@ -94,6 +94,7 @@ if TYPE_CHECKING:
     from desim.kernel.models.transport import Reliable as Reliable
     from desim.kernel.stepped_network import SteppedNetwork as SteppedNetwork
     from desim.kernel.stepped_networks import SteppedNetworks as SteppedNetworks
+    from desim.kernel.walls.wall import Wall as Wall
     from desim.learning.make import env as env
     from desim.learning.make import parallel_env as parallel_env
     from desim.pursuit.byzantine.lies import Equivocate as Equivocate

@@ -17,11 +17,15 @@ from desim.kernel.models.interference import Collision
 from desim.kernel.models.links import Links
 from desim.kernel.models.medium import LoRa, Radio, contends
 from desim.kernel.models.presets import PRESETS
-from desim.kernel.models.reception import Disk
+from desim.kernel.models.reception import Disk, QuasiUnitDisk
+from desim.kernel.models.traits import ReceptionTraits
 from desim.kernel.models.transport import BestEffort, Coded, Reliable
+from desim.kernel.walls.materials import MATERIALS
 from desim.scenario.scenario import Scenario
 from desim.scenario.telling import announces_start, has_heartbeats, is_built_in, sends_announcements
 
+LARGEST_EXPONENT = 4.0
+"""Largest path loss exponent that is usual without walls."""
 ROUNDS_TO_0 = "rounds to 0, because time is counted in nanoseconds"
 
 
@@ -47,6 +51,7 @@ def network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             yield f"fault.{k}.start", "the fault starts after the horizon"
     yield from _trace_warnings(scenario)
     yield from _channel_warnings(scenario)
+    yield from _wall_warnings(scenario)
     size, airtime = scenario.announcement_size, scenario.announcement_airtime
     if 0.0 < airtime <= RESOLUTION / 2:
         yield "network.medium", f"the airtime of {size} bytes, {airtime:.1g} s, {ROUNDS_TO_0}"
@@ -138,6 +143,30 @@ def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             f"a message that is sent later than {span:g} s ends the run with an error, and the horizon is"
             f" {scenario.horizon:g} s",
         )
+
+
+def _wall_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about walls that weaken radio, and about exponents for walls that are not there."""
+    network, exponent = scenario.network, ReceptionTraits.of(scenario.network.reception).exponent
+    by_power = isinstance(network.medium, Radio) and network.medium.reception.needs_positions
+    lossy = [(k, wall) for k, wall in enumerate(scenario.wall) if 0.0 < wall.decibels < inf]
+    if isinstance(network.reception, Disk | QuasiUnitDisk) and exponent != Disk().exponent and not lossy:
+        yield "network.reception.exponent", "it has no effect: no wall weakens radio without blocking it"
+    if lossy and exponent > LARGEST_EXPONENT:
+        yield (
+            "network.reception.exponent",
+            f"an exponent of {exponent:g} probably has walls in it, as those of ITU-R P.1238, and the tables `wall` count"
+            " them once more",
+        )
+    for k, wall in lossy:
+        if network.range == inf and not by_power:
+            yield f"wall.{k}", "its loss has no effect while network.range is inf: only an opaque wall (loss = inf) has"
+        if wall.material is not None and wall.frequency < MATERIALS[wall.material].low:
+            low = MATERIALS[wall.material].low / 1e9
+            yield (
+                f"wall.{k}.frequency",
+                f"the properties of {wall.material} are extrapolated: they begin at {low:g} GHz",
+            )
 
 
 def _channel_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
