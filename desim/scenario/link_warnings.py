@@ -155,8 +155,8 @@ def _wall_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     if lossy and exponent > LARGEST_EXPONENT:
         yield (
             "network.reception.exponent",
-            f"an exponent of {exponent:g} probably has walls in it, as those of ITU-R P.1238, and the tables `wall` count"
-            " them once more",
+            f"an exponent of {exponent:g} probably has walls in it, as those of ITU-R P.1238: with the tables `wall`,"
+            " they count twice",
         )
     for k, wall in lossy:
         if network.range == inf and not by_power:
