@@ -192,16 +192,16 @@ class Obstacles:
         length = np.hypot(x, y)
         across = np.outer(x, corner_y) - np.outer(y, corner_x)  # times the length
         turns = _signs(across, self._touch * length[:, None])
-        own = self._sides(np.array([source]))[0]
-        crossed = (own * sides < 0) & (turns[:, self._begin] * turns[:, self._end] < 0)
+        source_sides = self._sides(np.array([source]))[0]
+        crossed = (source_sides * sides < 0) & (turns[:, self._begin] * turns[:, self._end] < 0)
         clear: Bools = ~crossed.any(axis=1)
-        if not own.all():
-            clear &= ~self._enters(source, own, sides)
+        if not source_sides.all():
+            clear &= ~self._enters(source, source_sides, sides)
         on = (turns == 0) & (length > self._touch)[:, None]
         if at is not None:
             on[np.arange(len(at)), at] = False
         elif not sides.all():
-            clear &= ~self._leaves(targets, own, sides)
+            clear &= ~self._leaves(targets, source_sides, sides)
         if on.any():
             along = np.outer(x, corner_x) + np.outer(y, corner_y)
             reach = self._touch * length[:, None]
@@ -216,16 +216,16 @@ class Obstacles:
                     clear[k] = self._passes(source, complex(targets[k]), [], int(at[k]))
         return clear
 
-    def _enters(self, source: complex, own: np.ndarray, sides: np.ndarray) -> Bools:
+    def _enters(self, source: complex, source_sides: np.ndarray, sides: np.ndarray) -> Bools:
         """Return which lines from a source on the side of a solid wall go into the wall, (k,)."""
-        on = (own == 0) & self._beside(np.array([source]))[0]
+        on = (source_sides == 0) & self._beside(np.array([source]))[0]
         into = (sides > 0) & self._solid[1] | (sides < 0) & self._solid[0]
         return np.asarray((into & on).any(axis=1))
 
-    def _leaves(self, targets: Points, own: np.ndarray, sides: np.ndarray) -> Bools:
+    def _leaves(self, targets: Points, source_sides: np.ndarray, sides: np.ndarray) -> Bools:
         """Return which lines come out of a solid wall at a target on its side, (k,)."""
         on = (sides == 0) & self._beside(targets)
-        out = (own > 0) & self._solid[1] | (own < 0) & self._solid[0]
+        out = (source_sides > 0) & self._solid[1] | (source_sides < 0) & self._solid[0]
         return np.asarray((on & out).any(axis=1))
 
     def _beside(self, places: Points) -> Bools:
