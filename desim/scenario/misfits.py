@@ -19,10 +19,7 @@ from desim.kernel.models.own_links import link_misfits
 from desim.kernel.topology.topology import Topology
 from desim.pursuit.core.traits import ScheduleTraits, UtilityTraits
 from desim.scenario.properties import AnyScenario, property_misfits
-from desim.scenario.wall_misfits import wall_misfits
-
-Misfit = tuple[tuple[str | int, ...], str]
-"""The key of a value, in parts, and why it does not fit."""
+from desim.scenario.wall_misfits import Misfit, wall_misfits
 
 
 def misfits(scenario: AnyScenario) -> Iterator[Misfit]:

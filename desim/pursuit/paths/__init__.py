@@ -1,4 +1,4 @@
-"""Shortest paths among walls: which straight lines are free, the visibility graph, and the space of a game.
+"""The space in which players move: the plane, or the plane among walls, with the visibility graph and the shortest paths.
 
-Geometry without a clock. Motion, evaders and capture times ask the space (`space`) for distances and directions.
+Motion, evaders and capture times ask the space for distances and directions, so nothing else knows of walls.
 """

@@ -39,7 +39,7 @@ class Ray(NamedTuple):
     """The sides, looking along it, on which there is the inside of an obstacle."""
 
 
-class Corner:
+class WallCorner:
     """The directions around one corner.
 
     Args:
@@ -139,7 +139,9 @@ class Arrangement:
             along = complex(self.places[end] - self.places[begin])
             rays[begin].append(Ray(atan2(along.imag, along.real), end, solid))
             rays[end].append(Ray(atan2(-along.imag, -along.real), begin, _mirrored(solid)))
-        self.corners = [Corner(begins, inside=within) for begins, within in zip(rays, enclosed.tolist(), strict=True)]
+        self.corners = [
+            WallCorner(begins, inside=within) for begins, within in zip(rays, enclosed.tolist(), strict=True)
+        ]
 
     def sides_of_piece(self, begin: int, end: int) -> frozenset[Side] | None:
         """Return the sides on which one can go along a piece from one corner to another; None if there is no piece."""

@@ -1,6 +1,6 @@
 """Shortest paths among walls by a visibility graph.
 
-A shortest path is a chain of straight pieces that bends at corners of walls only (Lozano-Perez & Wesley 1979). The
+A shortest path is a chain of straight pieces that bends at corners of walls only (Lozano-Pérez & Wesley 1979). The
 distances between corners are computed once; a query looks for the corners in sight of both ends.
 """
 
