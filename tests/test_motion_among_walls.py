@@ -65,30 +65,31 @@ STRATEGIES = [
 ]
 
 
-def boxes(seed):
-    """Return 12 random boxes, with gaps between them."""
+def boxes(seed, *blocks):
+    """Return 12 random boxes, with gaps between them, that block motion and anything else."""
     rng, walls = np.random.default_rng(seed), []
     for k in range(12):
         x, y = (k % 4) * 5.0 + rng.uniform(0.3, 2.0), (k // 4) * 6.0 + rng.uniform(0.3, 2.0)
         w, h = rng.uniform(0.5, 2.8, 2)
-        walls.append({"polygon": [[x, y], [x + w, y], [x + w, y + h], [x, y + h]], "blocks": ["motion", "sight"]})
+        walls.append({"polygon": [[x, y], [x + w, y], [x + w, y + h], [x, y + h]], "blocks": ["motion", *blocks]})
     return walls
 
 
 def pursuit(seed):
     """Return a random pursuit among boxes: one of the strategies, and one pursuer that sees through walls."""
-    rng = np.random.default_rng(1_000 + seed)
+    rng, strategy = np.random.default_rng(1_000 + seed), STRATEGIES[seed % len(STRATEGIES)]
+    hides = isinstance(strategy, dict) and strategy["kind"] == "hide"
     return Scenario().with_(
         {
             "team.count": 1,
             "team.speeds": float(rng.uniform(1.2, 3.0)),
             "team.box": [0.0, 19.0],
             "evader.box": [0.0, 19.0],
-            "evader.strategy": STRATEGIES[seed % len(STRATEGIES)],
+            "evader.strategy": strategy,
             "horizon": 200.0,
             "motion.step": 0.05,
             "protocol": {"kind": "centralised"},
-            "wall": boxes(seed),
+            "wall": boxes(seed, *(["sight"] if hides else [])),
         }
     )
 
@@ -302,7 +303,7 @@ def test_random_starts_are_outside_of_walls():
     ids=["plain", "announced", "hiding", "noisy", "crash", "two evaders", "simultaneous"],
 )
 def test_no_path_of_a_team_crosses_a_wall(changes):
-    made = Scenario().with_({"team.count": 6, "wall": boxes(5), "horizon": 4.0, "motion.step": 0.02} | changes)
+    made = Scenario().with_({"team.count": 6, "wall": boxes(5, "sight"), "horizon": 4.0, "motion.step": 0.02} | changes)
     summary(watched(made, 3))
 
 
