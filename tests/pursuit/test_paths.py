@@ -182,6 +182,26 @@ def test_a_way_into_a_wall_becomes_one_along_it():
     assert stuck == pytest.approx(5.0 + 0j, abs=1e-8)
 
 
+def test_a_player_on_the_line_of_a_wall_goes_along_one_of_its_sides():
+    """Otherwise it would be on a line without thickness, and leave it to either side."""
+    obstacles = Obstacles(lines([[0, 0], [5, 0]]))
+    place = -1 + 0j
+    for _ in range(10):
+        place += obstacles.slide(place, 0.37 + 0j)
+    assert place.real == pytest.approx(2.7)
+    assert obstacles.are_free(np.array([place]))[0]
+    sides = {(place + obstacles.slide(place, way)).imag > 0.0 for way in (1j, -1j)}
+    assert len(sides) == 1
+    assert obstacles.slide(-1 + 0j, -1 + 0j) == -1
+    assert obstacles.slide(6 + 0j, -0.5 + 0j) == -0.5
+    for box in ([[0, 0], [5, 0], [5, 5], [0, 5]], [[0, 0], [5, 0], [5, -5], [0, -5]]):
+        solid, place = Obstacles(polygons(box)), -1 + 0j
+        for _ in range(10):
+            place += solid.slide(place, 0.37 + 0j)
+        assert place.real == pytest.approx(2.7)
+        assert solid.are_free(np.array([place]))[0]
+
+
 def test_a_place_inside_a_wall_is_replaced_by_the_nearest_outside():
     space = Walled([Wall(polygon=((0, 0), (4, 0), (4, 4), (0, 4)))])
     assert space.free_place(5 + 1j) == 5 + 1j

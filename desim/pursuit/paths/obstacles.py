@@ -5,12 +5,13 @@ A line may touch a corner and slide along a wall, but never cross one. All tests
 """
 
 from collections.abc import Sequence
-from math import atan2
+from math import atan2, inf
 
 import numpy as np
 
 from desim.config.arrays import Bools, Floats, Points
 from desim.kernel.walls.crossings import Shape, segments_of
+from desim.pursuit.core.geometry import SMALLEST
 from desim.pursuit.core.state import lengths
 from desim.pursuit.paths.corners import BOTH, Arrangement, Side
 
@@ -132,17 +133,21 @@ class Obstacles:
 
         At each wall the part of the way across it is lost. A player stops where walls leave it no way.
         """
+        longest = abs(way)
         for _ in range(SLIDES):
             wall = self._wall_ahead(place, way)
             if wall is None:
-                return way
+                return way if abs(way) <= longest else way * (longest / abs(way))
             along = complex(self._along_x[wall], self._along_y[wall])
             across = along * 1j
             offset = place - complex(self._x[wall], self._y[wall])
             distance, rate = _dot(offset, across), _dot(way, across)
-            if distance < 0.0:
+            on_wall, left = abs(distance) < self.clearance, distance >= 0.0
+            if on_wall and self._solid[int(left), wall]:
+                left = not left
+            if not left:
                 across, distance, rate = -across, -distance, -rate
-            way -= across * (rate + max(distance - 2.0 * self.clearance, 0.0))
+            way += across * (2.0 * self.clearance - distance - rate)
         return 0j if self._wall_ahead(place, way) is not None else way
 
     def free_place(self, place: complex) -> complex:
@@ -165,11 +170,15 @@ class Obstacles:
         rate = np.where(distance < 0.0, -rate, rate)
         gap = np.maximum(abs(distance) - self.clearance, 0.0)
         meets = gap + rate < -self._touch
-        if not meets.any():
-            return None
+        along, pace = self._along_x * x + self._along_y * y, self._along_x * way.real + self._along_y * way.imag
+        # A player on the line of a wall, which comes to its end, would be on both of its sides.
+        low, high = -self.clearance, self._size + self.clearance
+        ahead = np.where(along < low, low - along, np.where(along > high, along - high, -inf))
+        head_on = (gap == 0.0) & (abs(rate) < self.clearance) & (ahead >= 0.0) & (pace * (low - along) > 0.0)
         share = np.where(meets, gap / np.where(meets, -rate, 1.0), 2.0)
-        at = self._along_x * (x + share * way.real) + self._along_y * (y + share * way.imag)
-        share[(at < -self.clearance) | (at > self._size + self.clearance)] = 2.0
+        share = np.where(head_on, ahead / np.maximum(abs(pace), SMALLEST), share)
+        at = along + share * pace
+        share[~head_on & ((at < low) | (at > high))] = 2.0
         first = int(share.argmin())
         return first if share[first] <= 1.0 else None
 
