@@ -665,6 +665,10 @@ ELSEWHERE = {
     "LoRa.is_tuned": "contending nodes; see below",
     "LoRa.hears": "contending nodes; see below",
     "Faded.gains": "only with fading",
+    "Faded.varies": "refusals",
+    **dict.fromkeys(
+        (f"{kind}.received" for kind in ("Disk", "LogDistance", "Nakagami", "Rice")), "only with correlated fading"
+    ),
     "Acceleration.capture_times": "protocols ask for capture times; the function `talk` does not",
     "TurnRate.capture_times": "as above",
     "RecordedMotion.places": "refusals",

@@ -14,11 +14,13 @@ import numpy as np
 import pytest
 
 from desim.kernel.measured.models import LatencyTrace, LossTrace
+from desim.kernel.models.coherence import Coherence
+from desim.kernel.models.common_losses import CommonCause
 from desim.kernel.models.latency import Constant, Empirical, Gamma, Lognormal, Propagation, ShiftedExponential, Uniform
 from desim.kernel.models.latency_by_link import PerPair
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli, ByDistance, GilbertElliott
-from desim.kernel.models.reception import Disk, LogDistance, QuasiUnitDisk
+from desim.kernel.models.reception import Disk, LogDistance, QuasiUnitDisk, Rice
 from scenarios.benchmarks.peers.ways import WAYS
 from scenarios.benchmarks.peers.workloads import LOGNORMAL, workloads
 from tests.benchmarks.conftest import BY_MODEL
@@ -57,6 +59,15 @@ MODELS = {
     "disk": Links(range=FAR, reception=Disk()),
     "quasi_unit_disk": Links(range=FAR, reception=QuasiUnitDisk(certain=1.0)),
     "log_distance": Links(range=100 * FAR, reception=LogDistance()),
+    "rice, per message": Links(range=100 * FAR, reception=Rice(), fading="message"),
+    "rice, correlated": Links(
+        range=100 * FAR, reception=Rice(), fading="correlated", coherence=Coherence(frequency=2.4e9)
+    ),
+    "log_distance, correlated": Links(
+        range=100 * FAR, reception=LogDistance(), fading="correlated", coherence=Coherence(decorrelation=10.0)
+    ),
+    "common_cause": Links(loss=CommonCause(p=0.1)),
+    "gilbert_elliott in time, common": Links(loss=GilbertElliott(share=0.1, burst=5.0, advance="time", common=0.3)),
     "disk at delivery": Links(range=FAR, range_check="delivery"),
 }
 
