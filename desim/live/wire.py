@@ -334,6 +334,8 @@ class _Layout:
         self._missing = [name for name, hint, _ in self._fields if _may_miss(hint)]
         self.has_rest = None in fixed or bool(self._missing)
         self._is_plain = all(hint in _FORMATS for _, hint, _ in self._fields)
+        self._floats = [k for k, (_, hint, _) in enumerate(self._fields) if hint is float]
+        self._limited = [(k, *limits[name]) for k, (name, _, _) in enumerate(self._fields) if name in limits]
 
     def flat(self, body: Any) -> tuple[list[Any], Sequence[Record]]:
         """Return the numbers of a body, those of a fixed count first, and its records."""
@@ -362,15 +364,19 @@ class _Layout:
     def read(self, data: bytes, records: Callable[[bytes], Iterator[Record]]) -> Any:
         """Return the body in some bytes."""
         numbers = self._struct.unpack_from(data)
-        if any(number != number for number in numbers):  # nan
-            raise ValueError("not a number")
         rest = data[self.size :]
         if rest and not self.has_rest:
             raise ValueError("bytes after the end")
-        if self._is_plain:
-            for name, value in zip(self.body._fields, numbers, strict=True):
-                self._check(name, value)
-            return self.body(*map(_as, (hint for _, hint, _ in self._fields), numbers))
+        if self._is_plain:  # most datagrams
+            for k in self._floats:
+                if numbers[k] != numbers[k]:
+                    raise ValueError("not a number")
+            for k, low, high in self._limited:
+                if not low <= numbers[k] <= high:
+                    raise ValueError(f"{self.body._fields[k]} is out of range")
+            return self.body._make(numbers)
+        if any(number != number for number in numbers):
+            raise ValueError("not a number")
         items = list[int]()
         while rest and not rest[0] & 0x80:
             (item,) = _NUMBER.unpack_from(rest)

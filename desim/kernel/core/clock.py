@@ -7,7 +7,7 @@ No other module of `desim` uses private parts of SimPy.
 """
 
 import gc
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from enum import IntEnum
 from heapq import heappush
 from operator import attrgetter
@@ -123,8 +123,9 @@ class Clock(simpy.Environment):
         Raises:
             BaseException: as `run`.
         """
-        with _as_raised():
-            while self._queue and self._queue[0][0] <= time:
+        queue = self._queue
+        with _as_raised() if queue and queue[0][0] <= time else nullcontext():
+            while queue and queue[0][0] <= time:
                 if until is not None and until.processed:
                     return
                 self.step()

@@ -1,0 +1,193 @@
+"""A node: what it draws for a datagram, what it drops, and how a program embeds it."""
+
+import asyncio
+import subprocess
+import sys
+import time
+from math import sqrt
+from random import Random
+
+import pytest
+
+from desim import Bernoulli, Scenario, Uniform, load
+from desim.kernel.core.events import LOST
+from desim.kernel.core.records import Record
+from desim.kernel.state.inbox import Message
+from desim.live import Node, NotLiveError
+from desim.live.own_bodies import OwnBodies
+from desim.live.refusals import reasons
+from desim.live.wire import Wire, WireError
+from desim.pursuit.team.announcements import Assignment
+from scenarios.studies.study import SCENARIOS
+from tests.live.test_runs import scenario
+
+LOCAL = "127.0.0.1"
+
+
+WIRE = Wire(3, 1, OwnBodies(None, WireError))
+
+
+def node_with(**links) -> Node:
+    experiment = scenario()
+    return Node(experiment.model_copy(update={"network": experiment.network.model_copy(update=links)}), 1, 5)
+
+
+def announcement(seq, src=0):
+    return WIRE.encode(Record(src, seq, 0, Assignment(1)), "", 24, to_one=False)
+
+
+def share_lost(node, count=20_000):
+    node._env.advance(200_000_000)  # so that nothing stays in flight
+    for seq in range(1, count + 1):
+        node.link.receive(announcement(seq), 0)
+    assert len({outcome.number for outcome in node.link.outcomes}) == count
+    return sum(outcome.arrival == LOST for outcome in node.link.outcomes) / count
+
+
+@pytest.mark.slow
+def test_the_share_of_lost_datagrams_is_that_of_the_model():
+    p, count = 0.1, 20_000
+    error = sqrt(p * (1 - p) / count)  # 0.0021
+    share = share_lost(node_with(loss=Bernoulli(p=p)))
+    assert abs(share - p) < 3 * error
+    wrong = share_lost(node_with(loss=Bernoulli(p=1.2 * p)))
+    assert abs(wrong - p) > 3 * error  # the control
+
+
+def test_datagrams_arrive_at_the_stamp_plus_the_latency_and_nodes_draw_independently():
+    nodes = [Node(scenario(), k, 5) for k in (1, 2)]
+    latency = Uniform(low=0.1, high=0.3)
+    drawn = []
+    for k in (1, 2):
+        experiment = scenario()
+        network = experiment.network.model_copy(update={"latency": latency, "loss": Bernoulli()})
+        node = Node(experiment.model_copy(update={"network": network}), k, 5)
+        for seq in range(1, 201):
+            node.link.receive(announcement(seq), 0)
+        drawn.append([outcome.arrival for outcome in node.link.outcomes])
+        assert all(100_000_000 <= arrival <= 300_000_000 for arrival in drawn[-1])
+    assert len(set(drawn[0]) & set(drawn[1])) < 5
+    nodes[0].link.receive(announcement(1), 0)
+    assert [outcome.arrival for outcome in nodes[0].link.outcomes] == [100_000_000]
+
+
+def test_foreign_replayed_and_malformed_datagrams_are_dropped_and_counted():
+    node = node_with(loss=Bernoulli())
+    node.link.receive(announcement(1), 0)
+    node.link.receive(announcement(1), 0)
+    assert node.link.drops == (0, 0, 1)
+    node.link.receive(announcement(2), 2)  # from the address of another node
+    node.link.receive(announcement(2), None)  # from an address of none
+    node.link.receive(announcement(2, src=1), 1)  # its own
+    assert node.link.drops == (0, 3, 1)
+    node.link.receive(b"\x80", 0)
+    late = Wire(3, 1, OwnBodies(None, WireError)).encode(Message(0, 10**11, None), "", 16, to_one=True)
+    node.link.receive(late, 0)  # from the future
+    assert node.link.drops == (2, 3, 1)
+    assert len(node.link.outcomes) == 1
+
+
+@pytest.mark.slow
+def test_random_datagrams_do_not_stop_a_node():
+    rng, node = Random(3), node_with()
+    for _ in range(100_000):
+        node.link.receive(rng.randbytes(rng.choice([0, 8, 16, 24, 32, 40, 48, 64])), rng.randrange(3))
+        if node.link.outcomes:
+            node.link.outcomes.clear()
+    node._env.advance(10**9)
+    assert sum(node.link.drops) >= 99_900
+
+
+def test_a_program_of_ones_own_puts_positions_in_and_gets_commands_out():
+    async def play():
+        experiment = scenario(team={"count": 2, "speeds": 2.0}, latency=0.02, horizon=5.0)
+        nodes = [Node(experiment, k, 5) for k in range(2)]
+        start = time.monotonic_ns()
+
+        def now():
+            return time.monotonic_ns() - start
+
+        addresses = [(LOCAL, port) for port in await free_ports(2)]
+        async with nodes[0].open(addresses[0], addresses, now), nodes[1].open(addresses[1], addresses, now):
+            for _ in range(100):
+                for k, node in enumerate(nodes):
+                    node.sense([3.0 * k, 0.0], [[1.0, 0.0]], [[0.0, 0.0], [3.0, 0.0]], [[0.5, 0.0]])
+                if {node.action for node in nodes} == {0, 1} and nodes[0].now > 0.3:
+                    break
+                await asyncio.sleep(0.02)
+            assert [node.action for node in nodes] == [1, 0]  # the nearer one goes on
+            assert nodes[0].velocity() == pytest.approx([2.0, 0.0])
+            assert nodes[1].velocity() == [0.0, 0.0]
+            nodes[0].captured(1)
+            assert nodes[0].action == 0
+            with pytest.raises(ValueError, match=r"position should be finite numbers of shape \(2,\)"):
+                nodes[0].sense([1.0], [[1.0, 0.0]])
+        assert all(node.is_over for node in nodes)
+        assert nodes[0].lateness().count > 0
+        assert sum(node.link.drops.malformed for node in nodes) == 0
+
+    asyncio.run(play())
+
+
+async def free_ports(count):
+    loop, ports = asyncio.get_running_loop(), []
+    transports = []
+    for _ in range(count):
+        transport, _ = await loop.create_datagram_endpoint(asyncio.DatagramProtocol, local_addr=(LOCAL, 0))
+        transports.append(transport)
+        ports.append(transport.get_extra_info("sockname")[1])
+    for transport in transports:
+        transport.close()
+    await asyncio.sleep(0.01)
+    return ports
+
+
+@pytest.mark.slow
+def test_the_example_with_a_server_of_toy_robots_captures_its_evader():
+    command = [sys.executable, "-m", "scenarios.live_robots"]
+    shown = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60, cwd=SCENARIOS.parent)
+    assert shown.stdout.startswith("captured after")
+
+
+# What cannot run live.
+
+REFUSED = {
+    "protocol.kind": {"protocol": {"kind": "centralised"}},
+    "sensing": {"sensing": {"radius": 3.0}},
+    "evader.0.strategy": {"evader": {"strategy": {"kind": "listener"}}},
+    "network.medium": {"network": {"medium": {"kind": "bitrate", "bitrate": 1e6}}},
+    "network.processing.sender": {"network": {"processing": {"sender": {"kind": "uniform", "low": 0.0, "high": 0.1}}}},
+    "network.transport.needed": {"network": {"transport": {"kind": "coded", "pieces": 4, "needed": 2}}},
+    "announce.dissemination.needed": {"announce": {"dissemination": {"kind": "coded", "pieces": 4, "needed": 2}}},
+    "network.duplicate": {"network": {"transport": {"kind": "coded"}, "duplicate": 0.1}},
+    "fault.0": {"fault": [{"kind": "chaser_crash", "start": 1.0}]},
+    "fault.0.memory": {
+        "fault": [{"kind": "crash", "node": 1, "start": 0.5, "memory": False}],
+        "network": {"transport": {"kind": "reliable"}},
+    },
+}
+
+
+@pytest.mark.parametrize("key", REFUSED)
+def test_what_cannot_run_live_is_refused_with_a_reason(key):
+    tables = scenario().plain()
+    for table, keys in REFUSED[key].items():
+        tables[table] = keys if isinstance(keys, list) or "kind" in keys else (tables[table] or {}) | keys
+    experiment = Scenario.model_validate(tables)
+    assert key in dict(reasons(experiment))
+    with pytest.raises(NotLiveError, match=f"^{key} cannot run live: "):
+        Node(experiment, 0)
+
+
+def test_the_examples_that_can_run_live_are_these():
+    files = sorted(SCENARIOS.glob("*.toml"))
+    live = {file.stem for file in files if not any(reasons(load(file, allow_import=True)))}
+    assert {"relay", "auction", "flooding", "reliable", "imperfect"} & live
+    assert not {"contention", "lora", "liars", "noisy", "search"} & live
+
+
+def test_a_pursuer_that_does_not_exist_and_too_few_addresses_are_refused():
+    with pytest.raises(ValueError, match=r"there is no pursuer 3: they are 0 \.\. 2"):
+        Node(scenario(), 3)
+    with pytest.raises(ValueError, match=r"peers should be the addresses of 3 pursuers \(got 1\)"):
+        Node(scenario(), 0).connect([(LOCAL, 1)])
