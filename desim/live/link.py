@@ -35,8 +35,8 @@ class Departure(NamedTuple):
     """The causes of the losses that are known at transmission, by receiver."""
     created: int
     size: int
-    datagram: bytes | str
-    """Its bytes, or these in hexadecimal digits."""
+    datagram: Any
+    """Its bytes; in a report to the referee, their hexadecimal digits."""
     to_one: bool
 
 

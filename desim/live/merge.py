@@ -120,7 +120,6 @@ class Logs:
     def _events(
         self, src: int, sent: Departure, fates: Mapping[int, "_Fate"], number: int, traffic: "_Traffic"
     ) -> Iterable[tuple[int, int, Event]]:
-        assert isinstance(sent.datagram, bytes)
         content = self._wire.decode(sent.datagram).content
         arrivals, size, created = {node: fate.arrival for node, fate in fates.items()}, sent.size, sent.created
         traffic.transmit(sent, fates.values())

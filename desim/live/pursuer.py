@@ -149,7 +149,7 @@ class _Pursuer:
         """Send what has happened since the last report."""
         link, trace = self._node.link, self._node.trace
         if link.departures:
-            self._tell("sent", [sent._replace(datagram=sent.datagram.hex()) for sent in link.departures])
+            self._tell("sent", [sent._replace(datagram=bytes.hex(sent.datagram)) for sent in link.departures])
             link.departures.clear()
         if link.outcomes:
             self._tell("outcomes", link.outcomes)

@@ -1,7 +1,7 @@
 """The referee of a live run: it moves the players, answers what the pursuers sense, and ends the run."""
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from time import monotonic_ns
 from typing import Any
 
@@ -128,7 +128,7 @@ class Referee:
         team = TeamProcesses(env, scenario, world, {}, [], None, None)
         inject(faults, env, network, trace, crashed=team.crashed, recovered=team.recovered)
 
-    def _frames(self, period: int) -> Iterator[Any]:
+    def _frames(self, period: int) -> Generator[Any, Any, None]:
         """Send a frame each period (ns)."""
         for when in range(0, self._state.horizon + period, period):
             yield Instant(self._env, when, Phase.SAMPLE + 1)

@@ -18,7 +18,7 @@ MAX_KEPT = 1_000_000
 class Lateness(NamedTuple):
     """How late the timers of a process were, s."""
 
-    count: int
+    number: int
     median: float
     p99: float
     worst: float

@@ -123,7 +123,7 @@ def test_a_program_of_ones_own_puts_positions_in_and_gets_commands_out():
             with pytest.raises(ValueError, match=r"position should be finite numbers of shape \(2,\)"):
                 nodes[0].sense([1.0], [[1.0, 0.0]])
         assert all(node.is_over for node in nodes)
-        assert nodes[0].lateness().count > 0
+        assert nodes[0].lateness().number > 0
         assert sum(node.link.drops.malformed for node in nodes) == 0
 
     asyncio.run(play())
