@@ -16,6 +16,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import click
+
 from desim import Scenario, load
 from desim.live import Node
 
@@ -88,6 +90,7 @@ async def play(scenario: Scenario, robots: int) -> list[float]:
     return await asyncio.gather(*(drive(scenario, pursuer, ports, start, robots) for pursuer in range(3)))
 
 
+@click.command()
 def main() -> None:
     """Start the robots, and print when the evader was captured."""
     relay = load(Path(__file__).with_name("relay.toml"))

@@ -184,7 +184,7 @@ def test_an_import_in_the_wrong_direction_would_be_detected():
         "desim.cli.run",
         "tests.law",
     ]
-    assert set(imports(ROOT / "desim/simulation/run.py")) >= {"desim.simulation.world", "simpy"}
+    assert set(imports(ROOT / "desim/simulation/world.py")) >= {"desim.simulation.steering", "simpy"}
 
 
 def circle(graph):

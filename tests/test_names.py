@@ -21,7 +21,7 @@ SHARED_NAMES = {
     "one thing in two forms: in the records of a trace, and in a scenario": "Actions Evader Speeds",
     "the same measure of two things, each beside what it measures": "capture_time first_contact gains",
     "the terms of two fields, or of two file formats": (
-        "Column Component Diffusion Entry Measurement Message Order Point Points Row Table Track Velocity"
+        "Column Component Diffusion Entry Measurement Message Node Order Point Points Row Table Track Velocity"
     ),
     "small functions of two rooms that do not know each other": (
         "columns_of connected differences from_json kind_of positions_known size_of within"

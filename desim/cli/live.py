@@ -202,10 +202,10 @@ def _hosts(file: Path) -> list[str]:
 def _join(scenario: "Scenario", invitation: str) -> None:
     """Be one pursuer of a run whose referee is on another host."""
     from desim.live.pursuer import play
-    from desim.live.start import Start
+    from desim.live.start import PursuerStart
 
     try:
-        start = Start.invited(invitation, scenario)
+        start = PursuerStart.invited(invitation, scenario)
     except ValueError as error:
         raise click.UsageError(f"--join: {error}") from error
     sys.exit(play(scenario, start))

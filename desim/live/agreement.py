@@ -70,9 +70,9 @@ class Agreement:
         """The 99th percentile of the lateness of all timers, s."""
         return self.late("timers").p99
 
-    def late(self, what: Literal["timers", "deliveries", "orders"]) -> Lateness:
+    def late(self, name: Literal["timers", "deliveries", "orders"]) -> Lateness:
         """Return how late timers, deliveries of messages or orders were in all runs."""
-        return Lateness.of([late for result in self.live for late in getattr(result.conduct, what)])
+        return Lateness.of([late for result in self.live for late in getattr(result.conduct, name)])
 
     @property
     def is_on_time(self) -> bool:

@@ -10,7 +10,7 @@ from desim.pursuit.motion.dynamics import Courses
 from desim.pursuit.sensing.world_state import WorldState
 
 
-class Frame(NamedTuple):
+class WorldFrame(NamedTuple):
     """The state of the world at one time; positions and velocities as lists [x, y], for all pursuers, then evaders."""
 
     t: int
@@ -34,12 +34,12 @@ class Frame(NamedTuple):
     """The present motion step of each evader, as `TrackSegment`; empty before the first."""
 
 
-def frame_of(state: WorldState, obeyed: list[int]) -> Frame:
+def frame_of(state: WorldState, obeyed: list[int]) -> WorldFrame:
     """Return the frame of the present state of a world."""
     players, everybody = state.players, range(state.size + state.evader_count)
     courses = None if state.dynamics.is_simple else players.courses(everybody)
     segments = [getattr(body.path, "last", None) for body in state.bodies]
-    return Frame(
+    return WorldFrame(
         state.now,
         pairs_of(players.positions()),
         pairs_of(players.commands),
@@ -70,7 +70,7 @@ class Mirror:
         """Number of orders that the pursuer has given."""
         self._last = -1
 
-    def show(self, frame: Frame) -> bool:
+    def show(self, frame: WorldFrame) -> bool:
         """Let the world be as in a frame; return whether the frame is newer than the last one."""
         if frame.t < self._last:
             return False
@@ -97,7 +97,7 @@ class Mirror:
         actions[self._pursuer] = action
         self._replace(actions.tolist())
 
-    def _act(self, frame: Frame) -> None:
+    def _act(self, frame: WorldFrame) -> None:
         """Take over the actions of a frame, but not that of the pursuer while its last order is under way."""
         profile = list(frame.profile)
         if frame.obeyed[self._pursuer] != self.orders and self._pursuer not in frame.broken:

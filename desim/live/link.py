@@ -24,7 +24,7 @@ MAX_AHEAD = 5_000_000_000
 """How far in the future the time stamp of a datagram may be, ns."""
 
 
-class Departure(NamedTuple):
+class SentDatagram(NamedTuple):
     """A transmission as its sender knows it."""
 
     number: int
@@ -40,7 +40,7 @@ class Departure(NamedTuple):
     to_one: bool
 
 
-class Outcome(NamedTuple):
+class DatagramFate(NamedTuple):
     """The outcome of a datagram, as its receiver knows it."""
 
     number: int
@@ -103,8 +103,8 @@ class SocketLinkLayer(LinkLayer):
         self._seen: dict[int, dict[int, None]] = {}
         self._newest: dict[int, int] = {}
         """The greatest sequence number of the records of each source."""
-        self.departures: list[Departure] = []
-        self.outcomes: list[Outcome] = []
+        self.departures: list[SentDatagram] = []
+        self.outcomes: list[DatagramFate] = []
         self.errors: list[int] = []
         self.drops = Drops()
 
@@ -121,7 +121,7 @@ class SocketLinkLayer(LinkLayer):
         apart = None if self._fault_state is None else self._fault_state.separated(src, receivers)
         causes |= {node: cause for node, cause in zip(receivers, apart or (), strict=bool(apart)) if cause}
         number = int.from_bytes(datagram[:8], "big")
-        sent = Departure(number, self._env.now, tuple(receivers), causes, created, len(datagram), datagram, to_one)
+        sent = SentDatagram(number, self._env.now, tuple(receivers), causes, created, len(datagram), datagram, to_one)
         self.departures.append(sent)
         for node in receivers:
             if node not in causes:
@@ -199,13 +199,15 @@ class SocketLinkLayer(LinkLayer):
             arrival = arrival if isinstance(arrival, int) else arrival[0]
             lost = sampler.losses(src, me, start, size)
             if lost is not None and lost[0]:
-                self.outcomes.append(Outcome(number, src, self._node, LOST, sampler.cause(src, self._node), is_copy))
+                self.outcomes.append(
+                    DatagramFate(number, src, self._node, LOST, sampler.cause(src, self._node), is_copy)
+                )
                 return not is_copy
             if sampler.keeps_order:
                 (arrival,) = sampler.in_order(src, me, [arrival])  # type: ignore[misc]  # a list, as given
         self.errors.append(max(now - arrival, 0))
         arrival = max(arrival, now)
-        self.outcomes.append(Outcome(number, src, self._node, arrival, "", is_copy))
+        self.outcomes.append(DatagramFate(number, src, self._node, arrival, "", is_copy))
         content = parcel.content
         if isinstance(content, Record) and content.seq < self._newest.get(src, 0):  # overtaken between the sockets
             self._records.receive(me, [arrival], [content])
@@ -218,5 +220,5 @@ class SocketLinkLayer(LinkLayer):
     def _note_loss(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
         """Note a loss on arrival."""
         for cause in causes.values():
-            lost = Outcome(transmission.number, transmission.src, self._node, self._env.now, cause)
+            lost = DatagramFate(transmission.number, transmission.src, self._node, self._env.now, cause)
             self.outcomes.append(lost)

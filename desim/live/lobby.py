@@ -15,7 +15,7 @@ from typing import Any
 from desim.live.node import udp_socket
 from desim.live.nursery import Nursery
 from desim.live.pursuer import LINE
-from desim.live.start import Start, digest
+from desim.live.start import PursuerStart, digest
 from desim.scenario.scenario import Scenario
 
 LOCAL = "127.0.0.1"
@@ -102,7 +102,7 @@ class Lobby:
         self._server = await asyncio.start_server(self._welcome, "0.0.0.0" if self._distant else LOCAL, 0, limit=LINE)
         referee = home, int(self._server.sockets[0].getsockname()[1])
         starts = [
-            Start(referee, self._token, pursuer, seed, host, draws, namespaces[pursuer])
+            PursuerStart(referee, self._token, pursuer, seed, host, draws, namespaces[pursuer])
             for pursuer, host in enumerate(self._hosts)
         ]
         for pursuer in self._distant:

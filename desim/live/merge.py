@@ -17,7 +17,7 @@ from desim.kernel.core.events import (
 )
 from desim.kernel.core.records import Record
 from desim.kernel.core.trace_file import events_of
-from desim.live.link import Departure, Outcome
+from desim.live.link import DatagramFate, SentDatagram
 from desim.live.wire import Wire
 from desim.pursuit.core.events import Ended, Sampled
 from desim.results.run_folder import EVENTS
@@ -35,8 +35,8 @@ class Logs:
 
     def __init__(self, wire: Wire):
         self._wire = wire
-        self.departures: list[tuple[int, Departure]] = []
-        self.outcomes: dict[tuple[int, int, bool], Outcome] = {}
+        self.departures: list[tuple[int, SentDatagram]] = []
+        self.outcomes: dict[tuple[int, int, bool], DatagramFate] = {}
         """By number, receiver, and whether it is of a copy."""
         self.lines: list[str] = []
         self.transports: list[TransportCounts] = []
@@ -49,13 +49,13 @@ class Logs:
         """Take the transmissions of a pursuer."""
         for number, t, dst, causes, created, size, datagram, to_one in rows:
             lost = {int(node): cause for node, cause in causes.items()}
-            sent = Departure(number, t, tuple(dst), lost, created, size, bytes.fromhex(datagram), to_one)
+            sent = SentDatagram(number, t, tuple(dst), lost, created, size, bytes.fromhex(datagram), to_one)
             self.departures.append((pursuer, sent))
 
     def arrived(self, rows: Iterable[Any]) -> None:
         """Take the outcomes of datagrams; a loss on arrival replaces an arrival."""
         for row in rows:
-            outcome = Outcome(*row)
+            outcome = DatagramFate(*row)
             key = outcome.number, outcome.dst, outcome.is_copy
             before = self.outcomes.get(key)
             if before is not None and outcome.cause and before.arrival != LOST:
@@ -90,7 +90,7 @@ class Logs:
         return [*kept, sampled, *self._counted(end), traffic.counts(), ended]
 
     def _transmission(
-        self, src: int, sent: Departure, numbers: Any, traffic: "_Traffic"
+        self, src: int, sent: SentDatagram, numbers: Any, traffic: "_Traffic"
     ) -> Iterable[tuple[int, int, Event]]:
         """Yield a transmission and its losses, and those of its copies, each with its time and rank."""
         fates = {node: self._fate(src, sent, node, traffic.end) for node in sent.dst}
@@ -103,7 +103,7 @@ class Logs:
         if copies:
             yield from self._events(src, sent, copies, next(numbers), traffic)
 
-    def _fate(self, src: int, sent: Departure, node: int, end: int) -> "_Fate":
+    def _fate(self, src: int, sent: SentDatagram, node: int, end: int) -> "_Fate":
         if node in sent.causes:
             return _Fate(LOST, sent.causes[node])
         outcome = self.outcomes.get((sent.number, node, False))
@@ -118,7 +118,7 @@ class Logs:
         return _Fate(outcome.arrival, outcome.cause)
 
     def _events(
-        self, src: int, sent: Departure, fates: Mapping[int, "_Fate"], number: int, traffic: "_Traffic"
+        self, src: int, sent: SentDatagram, fates: Mapping[int, "_Fate"], number: int, traffic: "_Traffic"
     ) -> Iterable[tuple[int, int, Event]]:
         content = self._wire.decode(sent.datagram).content
         arrivals, size, created = {node: fate.arrival for node, fate in fates.items()}, sent.size, sent.created
@@ -168,7 +168,7 @@ class _Traffic:
         self._sent = self._transmissions = self._bytes = self._in_flight = 0
         self._lost: Counter[Cause] = Counter()
 
-    def transmit(self, sent: Departure, fates: Iterable[_Fate]) -> None:
+    def transmit(self, sent: SentDatagram, fates: Iterable[_Fate]) -> None:
         """Count a transmission."""
         self._transmissions += 1
         self._bytes += sent.size

@@ -34,7 +34,7 @@ from desim.kernel.models.transport import Coded, Reliable
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.kernel.wandering_clock import node_clocks
-from desim.live.frames import Frame, Mirror, pairs_of, points_of
+from desim.live.frames import Mirror, WorldFrame, pairs_of, points_of
 from desim.live.link import SocketLinkLayer
 from desim.live.own_bodies import OwnBodies
 from desim.live.refusals import check_live
@@ -297,7 +297,7 @@ class Node:
         """The time since the start of the run, s."""
         return seconds(self._env.now)
 
-    def show(self, frame: Frame) -> None:
+    def show(self, frame: WorldFrame) -> None:
         """Let the world be as in a frame of the referee."""
         self._mirror.show(frame)
         if self.clock is not None:
@@ -319,11 +319,11 @@ class Node:
             ValueError: if an argument has another shape, or is not finite.
         """
         state, me = self._state, self.pursuer
-        own, there = _points("position", [position], 1), _points("evaders", evaders, state.evader_count)
+        here, there = _points("position", [position], 1), _points("evaders", evaders, state.evader_count)
         places = state.players.positions().copy()
         if teammates is not None:
             places[: state.size] = _points("teammates", teammates, state.size)
-        places[me], places[state.size :] = own.item(0), there
+        places[me], places[state.size :] = here.item(0), there
         commands = np.zeros_like(places)
         if velocities is not None:
             commands[state.size :] = _points("velocities", velocities, state.evader_count)
@@ -343,7 +343,7 @@ class Node:
         broken = state.broken.nonzero()[0].tolist()
         captured = {str(body.number): body.captured for body in state.bodies if body.captured is not None}
         self.show(
-            Frame(
+            WorldFrame(
                 now,
                 pairs_of(places),
                 pairs_of(commands),

@@ -19,7 +19,7 @@ from functools import partial
 from time import monotonic
 from typing import Any, Self
 
-from desim.live.start import Start
+from desim.live.start import PursuerStart
 from desim.scenario.scenario import Scenario
 from desim.study.workers.serialization import packed
 
@@ -28,7 +28,7 @@ GRACE = 2.0
 POLL = 0.05
 """Time between two looks for children that have ended, s."""
 PR_SET_PDEATHSIG = 1
-Ended = Callable[[int, int], object]
+OnEnd = Callable[[int, int], object]
 """A function called with a pursuer whose process has ended, and its status as of `os.waitstatus_to_exitcode`."""
 
 
@@ -36,7 +36,7 @@ class Nursery:
     """The processes of live runs; used as an asynchronous context, at whose end all of them have ended."""
 
     def __init__(self) -> None:
-        self._ended: list[Ended] = []
+        self._ended: list[OnEnd] = []
 
     async def __aenter__(self) -> Self:
         """Start the nursery.
@@ -63,7 +63,7 @@ class Nursery:
         await self._process.wait()
         await self._watching
 
-    async def start(self, scenario: Scenario, starts: Sequence[Start], ended: Ended) -> None:
+    async def start(self, scenario: Scenario, starts: Sequence[PursuerStart], ended: OnEnd) -> None:
         """Start the pursuers of a run, and call a function with each whose process ends."""
         run = len(self._ended)
         self._ended.append(ended)
@@ -79,7 +79,7 @@ class Nursery:
             self._ended[run](pursuer, status)
 
 
-def _task(scenario: Scenario, starts: Sequence[Start]) -> tuple[Scenario, Sequence[Start]]:
+def _task(scenario: Scenario, starts: Sequence[PursuerStart]) -> tuple[Scenario, Sequence[PursuerStart]]:
     """Return what a nursery is told."""
     return scenario, starts
 
@@ -87,7 +87,7 @@ def _task(scenario: Scenario, starts: Sequence[Start]) -> tuple[Scenario, Sequen
 # In the process of the nursery.
 
 
-def main() -> None:
+def serve() -> None:
     """Fork a process for each pursuer that standard input names, and print run, number and status of each that ends."""
     for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(name, signal.SIG_IGN)  # the caller decides when all end
@@ -159,4 +159,4 @@ def _die_with_parent() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    serve()

@@ -28,8 +28,8 @@ class OwnBodies:
 
     def __init__(self, protocol: Any, wrong: Callable[[str], Exception] = ValueError):
         module = sys.modules.get(getattr(protocol, "__module__", type(protocol).__module__))
-        own = vars(module).values() if module is not None and not module.__name__.startswith("protocols") else ()
-        self._classes: list[type[Any]] = [Record, Forwarded, *filter(_is_body, own)]
+        defined = vars(module).values() if module is not None and not module.__name__.startswith("protocols") else ()
+        self._classes: list[type[Any]] = [Record, Forwarded, *filter(_is_body, defined)]
         self._wrong = wrong
 
     def pack(self, port: str, body: Any) -> bytes:

@@ -13,10 +13,10 @@ from desim.kernel.core.events import Broadcast, Lost, Sent
 from desim.kernel.core.trace_file import line_of
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.faults import FaultEnded, FaultStarted
-from desim.live.frames import Frame
+from desim.live.frames import WorldFrame
 from desim.live.namespaces import inside
 from desim.live.node import Node, udp_socket
-from desim.live.start import Start
+from desim.live.start import PursuerStart
 from desim.scenario.scenario import Scenario
 
 LINE = 1 << 24
@@ -33,7 +33,7 @@ OF_NETWORK = (Broadcast, Sent, Lost, FaultStarted, FaultEnded)
 """Events of a node that the referee makes itself."""
 
 
-def play(scenario: Scenario, start: Start) -> int:
+def play(scenario: Scenario, start: PursuerStart) -> int:
     """Run one pursuer to the end of the run; return the exit code of the process."""
     try:
         return asyncio.run(_Pursuer(scenario, start).play())
@@ -44,7 +44,7 @@ def play(scenario: Scenario, start: Start) -> int:
 class _Pursuer:
     """One pursuer of a live run."""
 
-    def __init__(self, scenario: Scenario, start: Start):
+    def __init__(self, scenario: Scenario, start: PursuerStart):
         self._start, self._begin, self._offset = start, 0, 0
         self._node = Node(scenario, start.pursuer, start.seed, draws=start.draws, on_action=self._order)
         self._heard = 0.0
@@ -126,7 +126,7 @@ class _Pursuer:
             word, *values = await self._hear()
             self._heard, self._is_silent = asyncio.get_running_loop().time(), False
             if word == "frame":
-                self._node.show(Frame(*values))
+                self._node.show(WorldFrame(*values))
             elif word == "over":
                 self._node.stop()
                 return

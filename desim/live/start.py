@@ -10,7 +10,7 @@ Address = tuple[str, int]
 """A host and a UDP port."""
 
 
-class Start(NamedTuple):
+class PursuerStart(NamedTuple):
     """What the process of a pursuer is told at its start."""
 
     referee: Address

@@ -130,16 +130,16 @@ class Wire:
     Args:
         nodes: number of nodes, N.
         evaders: number of evaders, M.
-        own: the bodies of users.
+        bodies: the bodies of users.
 
     Raises:
         WireError: if there are more nodes than a header can tell apart.
     """
 
-    def __init__(self, nodes: int, evaders: int, own: OwnBodies):
+    def __init__(self, nodes: int, evaders: int, bodies: OwnBodies):
         if nodes > MAX_NODES:
             raise WireError(f"at most {MAX_NODES} nodes can run live (got {nodes})")
-        self._nodes, self._own = nodes, own
+        self._nodes, self._own = nodes, bodies
         limits = {"active": (0, evaders), "winners": (-1, nodes - 1), "hop": (0, MAX_COUNT), "hops": (1, MAX_COUNT)}
         limits |= dict.fromkeys(("absent", "accused", "chasers"), (0, nodes - 1))
         lengths = {"winners": evaders, "amounts": evaders, "chasers": evaders, "stamps": nodes, "visits": nodes}

@@ -196,7 +196,7 @@ def test_an_exception_of_a_protocol_ends_the_run_and_is_told_with_its_pursuer():
 
 
 def live(path, *options, **more):
-    """Start `desim live`."""
+    """PursuerStart `desim live`."""
     return subprocess.Popen(
         [*DESIM, "live", str(path), *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more
     )
