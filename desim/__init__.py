@@ -157,6 +157,7 @@ if TYPE_CHECKING:
     from desim.study.sweeps.folder import compare as compare
     from desim.study.sweeps.folder import open as open  # noqa: A004 - called as `desim.open`
     from desim.study.sweeps.listing import ls as ls
+    from desim.study.sweeps.status import status as status
     from desim.study.sweeps.sweep import sweep as sweep
     from desim.view.formats.export import export as export
     from desim.view.pages.replay import replay as replay

@@ -202,7 +202,7 @@ def sweep(
             provenance.write(folder, made)
 
         with working(jobs, cluster, store, plan.runs) as workers:
-            common = {"fail_fast": fail_fast, "timeout": timeout, "metrics": shown, "on_start": note}
+            common: dict[str, Any] = {"fail_fast": fail_fast, "timeout": timeout, "metrics": shown, "on_start": note}
             if claim:
                 result = carry_out_claimed(plan, store, workers, claim, **common)
             else:

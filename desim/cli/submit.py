@@ -114,7 +114,7 @@ def submit(
         job.write(folder)
         which = f"{counted(len(numbers), 'part')} of {parts}"
         if is_run:
-            number = array_job.submit(folder)
+            number = array_job.submit_scripts(folder)
             array_job.record_of(job, number).write(folder)
             echo(f"submitted {which} as job {number}; `desim status {shlex.quote(str(folder))}` says how far it is")
         else:

@@ -45,6 +45,7 @@ def work(claims, taken):
         lock.release()
 
 
+@pytest.mark.slow
 def test_workers_that_claim_at_the_same_time_never_get_the_same_lot(tmp_path):
     whole, taken = plan(100), []
     with ThreadPoolExecutor(4) as workers:
@@ -72,6 +73,7 @@ def test_the_lot_of_a_dead_worker_is_claimed_again_and_that_of_a_living_one_is_n
     assert taken[-1] == 1
 
 
+@pytest.mark.slow
 def test_two_workers_have_the_runs_of_one_sweep_together(tmp_path):
     """The first ends after three lots, as one that is killed."""
     whole = plan()
@@ -97,9 +99,9 @@ def test_two_workers_have_the_runs_of_one_sweep_together(tmp_path):
 
 def carry_out_one(whole, store, workers, claims, number):
     """Perform the runs of one lot; return how many there are in the store."""
-    from desim.study.sweeps.sweep import perform
+    from desim.study.sweeps.sweep import perform_jobs
 
-    perform(claims.lots[number], whole, store, workers, fail_fast=False, timeout=None)
+    perform_jobs(claims.lots[number], whole, store, workers, fail_fast=False, timeout=None)
     claims.finish(number, 0)
     return len(store)
 
@@ -113,6 +115,7 @@ def test_a_lot_with_a_failed_run_is_claimed_again_when_that_is_asked_for(tmp_pat
     assert set(range(len(claims.lots))) - set(claims.done()) == {2}
 
 
+@pytest.mark.slow
 def test_the_command_claims_lots_and_leaves_the_rest_to_others(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     accepted("examples", "relay")

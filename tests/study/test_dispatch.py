@@ -16,7 +16,7 @@ from desim.simulation.run import run
 from desim.simulation.watchdog import OUT_OF_MEMORY
 from desim.study.store.run_table import Row
 from desim.study.workers import dispatch
-from desim.study.workers.dispatch import BATCH_SIZE, CRASHED, INNERMOST, drive
+from desim.study.workers.dispatch import CRASHED, INNERMOST, drive
 from desim.study.workers.workers import InProcess, Workers, workers_for
 from tests.study import sweeps
 from tests.study.test_workers import command
@@ -68,7 +68,7 @@ def test_each_task_is_handed_out_once_in_its_order_and_the_first_alone(count, to
     assert list(drive(range(count), workers)) == [(k, dispatch.Outcome("ok", k)) for k in range(count)]
     assert sum(workers.lots) == count
     assert workers.lots[:1] == [1][:count]
-    most = {1e-6: BATCH_SIZE, 0.01: 25, 10.0: 1}[took]  # in 0.25 s
+    most = {1e-6: Workers.batch_size, 0.01: 25, 10.0: 1}[took]  # in 0.25 s
     assert max(workers.lots, default=0) == (most if count == 1000 else min(count, 1))
 
 

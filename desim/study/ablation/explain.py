@@ -42,6 +42,7 @@ from desim.study.results.explanation import EXPLAINED, Explanation
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep import RunError, SweepPlan, carry_out
+from desim.study.workers.batch_system import JobExecutor
 from desim.study.workers.workers import Workers, workers_for
 
 RUNS = 100
@@ -53,7 +54,7 @@ RUNS = 100
 def explain(
     scenario: Scenario,
     runs: int = RUNS,
-    executor: Executor | int | str = 1,
+    executor: Executor | JobExecutor | Workers | int | str = 1,
     *,
     seed: int | None = None,
     store: str | Path | None = None,

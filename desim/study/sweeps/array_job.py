@@ -170,7 +170,7 @@ def _ranges(numbers: Sequence[int]) -> str:
     return ",".join(texts)
 
 
-def submit(folder: Path) -> str:
+def submit_scripts(folder: Path) -> str:
     """Submit the scripts in a folder, the merge as a job that begins after the parts; return the number of the array.
 
     Raises:

@@ -17,7 +17,7 @@ from desim.study.results.result import SweepResult
 from desim.study.results.runs import SHOWN
 from desim.study.store.lock_file import LockFile
 from desim.study.store.store import Store
-from desim.study.sweeps.sweep import Job, SweepPlan, perform
+from desim.study.sweeps.sweep import Job, SweepPlan, perform_jobs
 from desim.study.workers.workers import Workers
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ def carry_out_claimed(
             jobs = [
                 (configuration, k) for configuration, k in claims.lots[number] if (configuration.key, k) not in done
             ]
-            failures = perform(jobs, plan, store, workers, fail_fast=fail_fast, timeout=timeout) if jobs else {}
+            failures = perform_jobs(jobs, plan, store, workers, fail_fast=fail_fast, timeout=timeout) if jobs else {}
             claims.finish(number, len(failures))
             failed |= failures
         finally:

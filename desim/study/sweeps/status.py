@@ -16,7 +16,7 @@ HEAD = ("part", "planned", "done", "failed", "state")
 
 
 @dataclass(frozen=True)
-class Part:
+class SweepPart:
     """A part of a sweep, with a store of its own."""
 
     name: str
@@ -31,7 +31,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Status:
+class SweepStatus:
     """How far a sweep is."""
 
     name: str
@@ -41,7 +41,7 @@ class Status:
     done: int
     """The number of runs that succeeded, each counted once."""
     failed: int
-    parts: tuple[Part, ...]
+    parts: tuple[SweepPart, ...]
 
     @property
     def is_complete(self) -> bool:
@@ -72,7 +72,7 @@ class Status:
 
 
 @naming_arguments
-def status(folder: str | Path) -> Status:
+def status(folder: str | Path) -> SweepStatus:
     """Return how far the sweep in a folder is.
 
     The folder is that of `desim submit`, or any with the stores of a sweep. Runs are read from the stores, also while a
@@ -92,11 +92,11 @@ def status(folder: str | Path) -> Status:
     parts = []
     for name, count in counts.items():
         planned = job.planned(int(name)) if job is not None and name.isdecimal() else None
-        parts.append(Part(name, planned, len(count.done), len(count.failed), _state(name, count, planned, live)))
+        parts.append(SweepPart(name, planned, len(count.done), len(count.failed), _state(name, count, planned, live)))
     done = frozenset().union(*(count.done for count in counts.values()))
     failed = frozenset().union(*(count.failed for count in counts.values())) - done
     name = job.name if job is not None else next((count.name for count in counts.values() if count.name), "")
-    return Status(name, job.runs if job is not None else _planned(folder), len(done), len(failed), tuple(parts))
+    return SweepStatus(name, job.runs if job is not None else _planned(folder), len(done), len(failed), tuple(parts))
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from desim.study.results.runs import SHOWN, Group, SweepRuns
 from desim.study.store.properties import flat
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
+from desim.study.workers.batch_system import JobExecutor
 from desim.study.workers.dispatch import drive_batches, simulation
 from desim.study.workers.progress import advance, progress
 from desim.study.workers.workers import Workers, workers_for
@@ -210,7 +211,7 @@ def sweep(
     scenario: Scenario | Source,
     grid: SweepGrid | None = None,
     reps: int | None = None,
-    executor: Executor | int | str = 1,
+    executor: Executor | JobExecutor | Workers | int | str = 1,
     *,
     seed: int | None = None,
     design: Design | str | None = None,
@@ -238,7 +239,8 @@ def sweep(
             None = the grid of `scenario.sweep`.
         reps: the number of runs of each configuration; None = that of `scenario.sweep`.
         executor: a number of worker processes (0: the number of cores; 1: all runs in this process), the address of a
-            Dask scheduler ("tcp://host:8786"), or any executor of `concurrent.futures`, which is not shut down.
+            Dask scheduler ("tcp://host:8786"), any executor of `concurrent.futures`, which is not shut down, or one of
+            a batch system, such as submitit's; `desim.study.workers.batch_system.JobWorkers` chooses how many jobs.
         seed: the root seed, from which the seeds of all runs are derived; None = the seed of the scenario.
         design: which points of the ranges of the grid are run, "sobol:64" for instance (`desim.scenario.sweep_table`);
             None = that of `scenario.sweep` with its grid, and no design with another grid.
@@ -322,11 +324,11 @@ def carry_out(
         if not is_started:
             on_start()
             is_started = True
-        failed |= perform(jobs, plan, store, workers, fail_fast=fail_fast, timeout=timeout)
+        failed |= perform_jobs(jobs, plan, store, workers, fail_fast=fail_fast, timeout=timeout)
         done |= {(configuration.key, k) for configuration, k in jobs}
 
 
-def perform(
+def perform_jobs(
     jobs: Sequence[Job], plan: SweepPlan, store: Store, workers: Workers, *, fail_fast: bool, timeout: float | None
 ) -> dict[tuple[str, int], Row]:
     """Perform some runs, add each batch to the store as it ends, and return those that failed.

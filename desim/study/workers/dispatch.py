@@ -28,10 +28,8 @@ Measurement = Callable[[Result], Any]
 """Maps a result to the value to keep; called in the worker."""
 Simulate = Callable[[Scenario, int], Result]
 """Performs the run of a scenario and a seed; called in the worker."""
-BATCH_TIME = 0.25
-"""The intended duration of a batch of runs, s of wall time: dispatching a batch takes about a millisecond."""
-BATCH_SIZE = 64
-"""The largest number of runs in a batch."""
+FIRST_RUN = 0.25
+"""The duration of a run, s of wall time, that is assumed until one has ended."""
 INNERMOST = 30
 """The number of innermost calls that a traceback keeps: an infinite recursion has a thousand."""
 CRASHED = "the worker process died during the run; the machine may have too little memory for it\n"
@@ -113,12 +111,13 @@ def _in_batches(waiting: deque[int], submit: Submit, workers: Workers) -> Genera
     """Submit runs until a worker dies, and yield their outcomes; return the submitted runs without an outcome."""
     out: dict[Future[Any], list[int]] = {}
     unaccounted: list[int] = []
-    broken, run_time = False, BATCH_TIME
+    broken, run_time = False, FIRST_RUN
     try:
         while out or (waiting and not broken):
             while waiting and not broken and len(out) < workers.max_pending:
-                fair = len(waiting) // (2 * workers.count)
-                batch = [waiting.popleft() for _ in range(max(1, min(int(BATCH_TIME / run_time), fair, BATCH_SIZE)))]
+                fair = len(waiting) // (workers.shares * workers.count)
+                size = max(1, min(int(workers.batch_time / run_time), fair, workers.batch_size))
+                batch = [waiting.popleft() for _ in range(size)]
                 try:
                     out[submit(batch)] = batch
                 except BrokenExecutor:

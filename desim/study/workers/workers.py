@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import contextmanager
-from typing import Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from desim.config.extras import missing
 from desim.config.interrupts import SIGNALS, deferred
@@ -21,6 +21,9 @@ from desim.config.python_numbers import whole
 from desim.config.trust import NO_CWD_IMPORT
 from desim.kernel.core.portable_math import portable_sum
 from desim.study.workers.serialization import Call, called, packed
+
+if TYPE_CHECKING:
+    from desim.study.workers.batch_system import JobExecutor
 
 Returned = TypeVar("Returned")
 START_TIMEOUT = 10.0
@@ -31,6 +34,13 @@ WATCH = 0.5
 
 class Workers:
     """The workers of a user's executor, which is never shut down; also the base class of the other kinds of workers."""
+
+    batch_time = 0.25
+    """The intended duration of a batch of runs, s of wall time: dispatching a batch takes about a millisecond."""
+    batch_size = 64
+    """The largest number of runs in a batch."""
+    shares = 2
+    """How many batches each worker still gets when the runs run out; more balance unequal runs, fewer cost less."""
 
     def __init__(self, executor: Executor, count: int | None = None, name: str = ""):
         self.executor = executor
@@ -194,11 +204,12 @@ class Cluster(Workers):
         self._client.close()
 
 
-def workers_for(executor: Executor | int | str, calls: int | None = None) -> Workers:
+def workers_for(executor: "Executor | JobExecutor | Workers | int | str", calls: int | None = None) -> Workers:
     """Return the workers for an executor, the address of a Dask scheduler, or a number of processes.
 
-    The number 0 stands for the number of cores. There are no more processes than `calls`, the largest number of calls,
-    if it is known. With the number 1, calls are made in this process.
+    An executor whose `submit` returns jobs instead of futures is one of a batch system, such as submitit's. The number
+    0 stands for the number of cores. There are no more processes than `calls`, the largest number of calls, if it is
+    known. With the number 1, calls are made in this process.
 
     Raises:
         ConnectionError: if Dask is not installed, or a scheduler does not answer or has no workers.
@@ -208,8 +219,14 @@ def workers_for(executor: Executor | int | str, calls: int | None = None) -> Wor
         raise ValueError(f"executor should be the number {executor} instead of the text {executor!r}")
     if isinstance(executor, str) and ":" in executor:
         return Cluster(executor, START_TIMEOUT)
+    if isinstance(executor, Workers):
+        return executor
     if isinstance(executor, Executor):
         return Workers(executor)
+    if hasattr(executor, "submit"):
+        from desim.study.workers.batch_system import JobWorkers
+
+        return JobWorkers(executor)
     try:
         number = whole(executor, "the number of workers")
     except ValueError:

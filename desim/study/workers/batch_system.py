@@ -1,0 +1,76 @@
+"""Workers that are jobs of a batch system, submitted by an executor such as submitit's.
+
+The `submit` of such an executor returns no future of Python, but a job with `done` and `result`. A job takes seconds to
+start, so it performs runs for about a minute.
+"""
+
+import os
+import pickle
+import time
+from collections.abc import Callable, Collection
+from concurrent.futures import Future
+from typing import Any, Protocol, runtime_checkable
+
+from desim.study.workers.serialization import Call, called, packed
+from desim.study.workers.workers import Workers
+
+POLL = 0.2
+"""The interval, s of wall time, at which jobs are asked whether they have ended."""
+JOB_TIME = 60.0
+"""The intended duration of a job, s of wall time."""
+JOB_SIZE = 10_000
+"""The largest number of runs in a job."""
+
+
+@runtime_checkable
+class JobExecutor(Protocol):
+    """An executor whose `submit` returns jobs, as those of submitit do."""
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Any:
+        """Submit a call, and return its job."""
+
+
+class JobWorkers(Workers):
+    """The jobs of a batch system.
+
+    Choose a number of jobs that your account may have at a time; if in doubt, leave it out.
+
+    Args:
+        executor: submits the jobs; an executor of submitit, for instance.
+        jobs: the number of jobs at a time; None = the number of cores of this machine.
+    """
+
+    batch_time, batch_size, shares = JOB_TIME, JOB_SIZE, 1
+
+    def __init__(self, executor: JobExecutor, jobs: int | None = None):
+        self.executor: Any = executor
+        self._name = repr(executor)
+        self.count = self.max_pending = jobs or os.cpu_count() or 1
+
+    def submit(self, call: Call) -> "Future[Any]":
+        """Submit a call as a job."""
+        try:
+            content = packed(call)
+        except Exception as error:  # a call that cannot be serialized fails like one that raises
+            future: Future[Any] = Future()
+            future.set_exception(error)
+            return future
+        job: Future[Any] = self.executor.submit(called, content)
+        return job
+
+    def done(self, futures: Collection["Future[Any]"]) -> "set[Future[Any]]":
+        """Wait until at least one of the jobs has ended, and return all that have."""
+        while not (ended := {job for job in futures if job.done()}):
+            time.sleep(POLL)
+        return ended
+
+    def result(self, future: "Future[Any]") -> Any:
+        """Return the result of a job, or raise its exception."""
+        return pickle.loads(future.result())
+
+    def died(self, error: BaseException) -> bool:
+        """Return whether a job ended without a result: it was killed, or ran out of memory or time."""
+        return type(error).__name__ == "UncompletedJobError"
+
+    def renew(self) -> None:
+        """Do nothing: each job is a process of its own."""
