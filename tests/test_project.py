@@ -126,3 +126,24 @@ MODULES = [
 def test_every_path_that_the_contribution_guide_and_the_workflow_name_is_there(path):
     package = path.removesuffix(".py") + "/__main__.py"
     assert (ROOT / path).exists() or (ROOT / package).exists() or "NAME" in path
+
+
+# The container.
+
+CONTAINER = text("docs/container/Containerfile")
+
+
+def test_the_container_has_the_locked_versions_of_extras_that_exist_on_a_supported_python():
+    (python,) = re.findall(r"^ARG BASE=\S+/python:(\d\.\d+)\.\d+-slim-\w+$", CONTAINER, re.MULTILINE)
+    assert f"Programming Language :: Python :: {python}" in PROJECT["classifiers"]
+    (extras,) = re.findall(
+        r'^RUN pip install .*-c /desim/requirements\.lock "/desim\[(.*)\]"$', CONTAINER, re.MULTILINE
+    )
+    assert set(extras.split(",")) <= PROJECT["optional-dependencies"].keys()
+
+
+def test_the_container_has_all_that_the_wheel_is_built_from():
+    copied = {name for line in re.findall(r"^COPY (.*) \S+$", CONTAINER, re.MULTILINE) for name in line.split()}
+    assert all((ROOT / name).exists() for name in copied)
+    build = tomllib.loads(text("pyproject.toml"))["tool"]["hatch"]["build"]["targets"]["wheel"]
+    assert {*build["packages"], PROJECT["readme"], *PROJECT["license-files"], "pyproject.toml"} <= copied

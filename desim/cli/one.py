@@ -7,7 +7,7 @@ import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from traceback import extract_tb, format_list
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
@@ -256,5 +256,14 @@ def _recorded(path: Path, overrides: tuple[str, ...], metrics: tuple[str, ...]) 
         fail(f"{path}: cannot be read: {error.strerror}")
     scenario = valid(source)
     if differing := provenance.differences(made, environment()):
-        echo(f"warning: {path}: results may differ: {'; '.join(differing)}", err=True)
+        echo(f"warning: {path}: results may differ: {'; '.join(differing)}{_how_to_repeat(made)}", err=True)
     return scenario, provenance.home(path, made), made["runs"]
+
+
+def _how_to_repeat(made: "Mapping[str, Any]") -> str:
+    """Return how to get the packages of a recorded environment, as the end of a message; "" if they are the same."""
+    from desim.results.environment import NUMERICS, environment
+
+    now, then = environment()["versions"], made["versions"]
+    changed = [f"{name}=={then[name]}" for name in NUMERICS if then.get(name) and then[name] != now.get(name)]
+    return f"; for those packages: pip install {shlex.join(changed)}" if changed else ""

@@ -45,6 +45,15 @@ SHAPE: Mapping[str, tuple[type, ...]] = {
     "argv": (list,),
 }
 """The keys of every run.json, and the types of their values."""
+PARTS: Mapping[str, str] = {
+    "python": "Python",
+    "desim": "desim",
+    "system": "the operating system",
+    "machine": "the processor",
+    "libc": "the C library",
+    "implementation": "the implementation of Python",
+}
+"""The parts of an environment in messages, by their keys in `versions` and `platform`; all others are packages."""
 WORDS: Mapping[type, str] = {
     str: "a string",
     int: "an integer",
@@ -181,9 +190,10 @@ def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_i
 
 
 def differences(then: Document, now: Document) -> list[str]:
-    """Return the reasons why results may differ: changed versions, platform or code, and unrecorded parameters."""
+    """Return the reasons why results may differ: the parts of the environment that changed, unrecorded parameters."""
     reasons = [
-        f"{name} was {then[key].get(name) or 'unknown'} and is {now[key].get(name) or 'unknown'}"
+        f"{PARTS.get(name, f'the package {name}')} was {then[key].get(name) or 'unknown'}"
+        f" and is {now[key].get(name) or 'unknown'}"
         for key in ("versions", "platform")
         for name in sorted({*then[key], *now[key]})
         if then[key].get(name) != now[key].get(name)

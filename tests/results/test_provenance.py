@@ -530,13 +530,21 @@ def test_nothing_has_changed_at_once(made):
             {"code": "2", "dirty": True},
             ["the code of desim was of no commit, 1 and is c with changes, 2"],
         ),
-        ({"versions": {"numpy": "1", "a": "2"}}, {"versions": {"numpy": "2", "a": "2"}}, ["numpy was 1 and is 2"]),
+        (
+            {"versions": {"numpy": "1", "a": "2"}},
+            {"versions": {"numpy": "2", "a": "2"}},
+            ["the package numpy was 1 and is 2"],
+        ),
         (
             {"versions": {"numpy": "1"}},
             {"versions": {"simpy": "4", "a": "1"}},
-            ["a was unknown and is 1", "numpy was 1 and is unknown", "simpy was unknown and is 4"],
+            [
+                "the package a was unknown and is 1",
+                "the package numpy was 1 and is unknown",
+                "the package simpy was unknown and is 4",
+            ],
         ),
-        ({"platform": {"libc": "x"}}, {"platform": {"libc": "y"}}, ["libc was x and is y"]),
+        ({"platform": {"libc": "x"}}, {"platform": {"libc": "y"}}, ["the C library was x and is y"]),
         ({"argv": ["a"], "seed": 3}, {}, []),
     ],
 )
@@ -748,7 +756,7 @@ def test_changes_since_the_record_give_a_warning_on_stderr(kept, made):
     path = kept(made | {"commit": "abc", "code": "00", "versions": made["versions"] | {"numpy": "1.0"}})
     result = accepted("run", "--from", path, "--json")
     code = f"the code of desim was abc, 00 and is {COMMIT}, {made['code']}"
-    changes = f"numpy was 1.0 and is {np.__version__}; {code}"
+    changes = f"the package numpy was 1.0 and is {np.__version__}; {code}; for those packages: pip install numpy==1.0"
     assert result.stderr == f"warning: {path}: results may differ: {changes}\n"
     strict_json(result.stdout)
 
