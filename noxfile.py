@@ -4,6 +4,11 @@
 # ///
 """The checks of the project, each in an environment of its own: `nox -l` lists them, `nox -s lint` runs one."""
 
+import re
+import shutil
+import tarfile
+from pathlib import Path
+
 import nox
 
 nox.needs_version = ">=2025.2.9"
@@ -70,6 +75,48 @@ def build(session: nox.Session) -> None:
     session.install("build", "twine")
     session.run("python", "-m", "build")
     session.run("twine", "check", "--strict", "dist/*")
+
+
+@nox.session(python=PYTHONS, venv_backend="uv", default=False)
+@nox.parametrize("resolution", ["lowest-direct", "highest"])
+def wheel(session: nox.Session, resolution: str) -> None:
+    """Install the built wheel in a clean environment, with the oldest or the newest dependencies, and use it there."""
+    folder, here = _empty(session), Path.cwd()
+    session.run("uv", "build", "-q", "--wheel", "--out-dir", str(folder))
+    (file,) = folder.glob("*.whl")
+    session.install(f"--resolution={resolution}", f"{file}[plot]")
+    shutil.copy(here / "tests" / "wheel" / "right.py", folder)
+    session.chdir(folder)
+    session.run("desim", "--version")
+    session.run("desim", "examples", "relay")
+    session.run("desim", "run", "relay.toml", "-o", "out/run")
+    session.run("desim", "replay", "out/run", "-o", "replay.html")
+    session.run("desim", "sweep", "relay.toml", "-g", "network.latency.value=0,0.2", "-n", "2", "-o", "out/sweep")
+    session.run("python", "right.py")
+
+
+@nox.session(python=PYTHONS[:1], venv_backend="uv", default=False)
+def sdist(session: nox.Session) -> None:
+    """Unpack the source distribution, and run both commands of its README there; arguments go to its pytest."""
+    folder = _empty(session)
+    session.run("uv", "build", "-q", "--sdist", "--out-dir", str(folder))
+    (file,) = folder.glob("*.tar.gz")
+    for place in ("user", "developer"):
+        with tarfile.open(file) as archive:
+            archive.extractall(folder / place, filter="data")
+    readme = next(folder.glob("user/*/README.md")).read_text(encoding="utf-8")
+    first, second = re.findall("^    (python3 -m venv .venv.*)$", readme, re.MULTILINE)
+    for place, command in (("user", first), ("developer", " ".join([second, *session.posargs]))):
+        session.chdir(next(folder.glob(f"{place}/*")))
+        session.run("bash", "-euo", "pipefail", "-c", command, external=True)
+
+
+def _empty(session: nox.Session) -> Path:
+    """Return an empty folder of a session."""
+    folder = Path(session.create_tmp()).absolute() / "files"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    return folder
 
 
 if __name__ == "__main__":

@@ -33,7 +33,7 @@ extensions = [
     "sphinx_design",
     "sphinxcontrib.bibtex",
 ]
-exclude_patterns = ["_build", notebooks.FOLDER, dark.FOLDER, "jupyter_execute", "**.ipynb_checkpoints"]
+exclude_patterns = ["_build", notebooks.FOLDER, dark.FOLDER, "jupyter_execute", "**.ipynb_checkpoints", "paper"]
 
 html_theme = "pydata_sphinx_theme"
 html_title = "desim"

@@ -40,7 +40,7 @@ def test_the_workflows_call_sessions_that_nox_has():
     sessions = set(re.findall(r"^def (\w+)\(session", text("noxfile.py"), re.MULTILINE))
     workflows = "".join(path.read_text(encoding="utf-8") for path in (ROOT / ".github/workflows").glob("*.yml"))
     called = re.findall(r"nox -s (\w+)", workflows) + re.findall(r"session: \[?(\w+)", workflows)
-    assert set(called) == {"tests", "oldest", "digests", "docs", "build"} <= sessions
+    assert set(called) == {"tests", "oldest", "digests", "docs", "build", "wheel"} <= sessions
 
 
 def test_the_hook_of_ruff_has_the_locked_version():
@@ -147,3 +147,29 @@ def test_the_container_has_all_that_the_wheel_is_built_from():
     assert all((ROOT / name).exists() for name in copied)
     build = tomllib.loads(text("pyproject.toml"))["tool"]["hatch"]["build"]["targets"]["wheel"]
     assert {*build["packages"], PROJECT["readme"], *PROJECT["license-files"], "pyproject.toml"} <= copied
+
+
+# The paper about desim.
+
+PAPER = text("docs/paper/paper.md")
+
+
+def test_the_paper_has_the_sections_that_its_journal_asks_for_and_cites_what_is_in_its_bibliography():
+    assert {"Summary", "Statement of need", "State of the field", "References"} <= set(
+        re.findall(r"^# (.*)$", PAPER, re.MULTILINE)
+    )
+    keys = re.findall(r"^@\w+\{(\w+),", text("docs/paper/paper.bib"), re.MULTILINE)
+    assert sorted(set(re.findall(r"@(\w+\d\w*|simpy)\b", PAPER))) == sorted(keys)
+    assert 250 <= len(PAPER.split()) <= 1750
+
+
+def test_the_paper_and_the_citation_name_no_author_that_the_package_does_not_name():
+    (authors,) = re.findall(r"^authors:\n((?:  .*\n)+)", PAPER, re.MULTILINE)
+    assert re.findall("name: (.*)", authors) == [author["name"] for author in PROJECT["authors"]]
+
+
+def test_the_changelog_has_a_part_for_what_comes_or_the_version_and_its_date():
+    titles = re.findall(r"^## \[(.*)\](.*)$", text("CHANGELOG.md"), re.MULTILINE)
+    assert titles[0] == ("Unreleased", "")
+    assert all(re.fullmatch(r" - \d{4}-\d\d-\d\d", date) for _, date in titles[1:])
+    assert len(titles) == 1 or titles[1][0] == PROJECT["version"]
