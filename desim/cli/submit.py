@@ -154,11 +154,8 @@ def _missing(job: "ArrayJob", plan: "SweepPlan", folder: Path, metrics: Sequence
             with Store(path, read_only=True) as store:
                 done[part] = plan.done(store, {"captured", *metrics})
     if job.claim:
-        whole = {(configuration.key, k) for configuration, k in plan.shard(1, 1)}
-        if whole <= set().union(*done.values()):
-            return []
         claims = Claims(folder / CLAIMS, plan)
-        claims.retry()
+        claims.settle(set().union(*done.values()))
         return list(range(1, min(job.parts, len(claims.lots) - len(claims.done())) + 1))
     return [
         part

@@ -41,7 +41,7 @@ def work(claims, taken):
     """Take lots until there are none."""
     for number, lock in claims:
         taken.append(number)
-        claims.finish(number, 0)
+        claims.finish(number)
         lock.release()
 
 
@@ -102,16 +102,18 @@ def carry_out_one(whole, store, workers, claims, number):
     from desim.study.sweeps.sweep import perform_jobs
 
     perform_jobs(claims.lots[number], whole, store, workers, fail_fast=False, timeout=None)
-    claims.finish(number, 0)
+    claims.finish(number)
     return len(store)
 
 
-def test_a_lot_with_a_failed_run_is_claimed_again_when_that_is_asked_for(tmp_path):
+def test_just_the_lots_are_claimed_again_of_which_a_run_is_missing(tmp_path):
+    """A run of lot 2 failed, and the runs of lot 0 are known from another sweep."""
     claims = Claims(tmp_path, plan())
     for number, lock in claims:
-        claims.finish(number, failed=int(number == 2))
+        if number:
+            claims.finish(number)
         lock.release()
-    claims.retry()
+    claims.settle({run_of_grid for number, lot in enumerate(claims.lots) if number != 2 for run_of_grid in runs([lot])})
     assert set(range(len(claims.lots))) - set(claims.done()) == {2}
 
 

@@ -7,7 +7,7 @@ is done, another file says so. The lot of a worker that died is claimed again as
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -65,9 +65,9 @@ class Claims:
                     got += 1
                     yield number, lock
 
-    def finish(self, number: int, failed: int) -> None:
-        """Record that the runs of a lot have ended, and how many of them failed."""
-        write_whole(self._done(number), f"{json.dumps({'failed': failed})}\n".encode())
+    def finish(self, number: int) -> None:
+        """Record that the runs of a lot have ended."""
+        write_whole(self._done(number), b"")
 
     def held(self) -> list[int]:
         """Return the numbers of the lots that a process has claimed and not ended."""
@@ -77,11 +77,17 @@ class Claims:
         """Return the numbers of the lots whose runs have ended."""
         return [number for number in range(len(self.lots)) if self._done(number).exists()]
 
-    def retry(self) -> None:
-        """Let the lots be claimed again in which a run failed."""
-        for number in self.done():
-            if json.loads(self._done(number).read_text())["failed"]:
-                self._done(number).unlink()
+    def settle(self, done: Set[tuple[str, int]]) -> None:
+        """Let just the lots be claimed of which a run is not done: it failed, its store was lost, or it is new.
+
+        Args:
+            done: the runs that succeeded, as pairs (hash of the configuration, replication).
+        """
+        for number, lot in enumerate(self.lots):
+            if all((configuration.key, k) in done for configuration, k in lot):
+                self.finish(number)
+            else:
+                self._done(number).unlink(missing_ok=True)
 
     def _done(self, number: int) -> Path:
         return self.folder / f"{number}.done"
@@ -131,7 +137,7 @@ def carry_out_claimed(
                 (configuration, k) for configuration, k in claims.lots[number] if (configuration.key, k) not in done
             ]
             failures = perform_jobs(jobs, plan, store, workers, fail_fast=fail_fast, timeout=timeout) if jobs else {}
-            claims.finish(number, len(failures))
+            claims.finish(number)
             failed |= failures
         finally:
             lock.release()
