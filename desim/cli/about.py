@@ -35,10 +35,10 @@ def check(file: Path, draws: bool, out: Path | None, overrides: tuple[str, ...])
     source, scenario = source_of(file, overrides)
     if scenario.sweep.grid:
         from desim.scenario.overrides import ScenarioError
-        from desim.study.plan.configurations import configurations
+        from desim.study.plan.configurations import check_grid
 
         try:
-            configurations(source)
+            check_grid(source)
         except ScenarioError as error:
             fail(str(error))
     if draws:

@@ -46,6 +46,7 @@ from scenarios.studies.claims_runs import (
     over_before_the_second,
     per_handover,
     price,
+    raced,
     share,
     survives,
     transported,
@@ -105,6 +106,7 @@ def words_of(page: str) -> str:
 README, FINDINGS, NEGOTIATION = "README.md", "docs/explanation/findings.md", "docs/explanation/negotiation.md"
 VALIDATION, GAME = "docs/explanation/validation.md", "docs/explanation/game.md"
 HOWTO, FIRST, OWN = "docs/howto/protocols.md", "docs/tutorials/first_pursuit.md", "docs/tutorials/own_protocol.md"
+RACE = "docs/howto/race.md"
 COMMANDS = MappingProxyType(
     {
         "worth": "--worth",
@@ -114,11 +116,18 @@ COMMANDS = MappingProxyType(
         "noisy": "python -m scenarios.check_pages --only noisy --seed 0",
         "howto": "Team(speeds=2.5), protocol=nearest_only",
         "tutorials": "sweep(",
+        "race": "desim race scenarios/relay.toml",
     }
 )
 """What a page names beside a number that no study of this name measured."""
 CLOCKS = SpatialAdaptivePlay(schedule=Poisson(rate=5.0))
 SIMPLE, RELIABLE = bodies_runs.SIMPLE, transport_runs.RELIABLE
+
+
+def row_of_race(rate: float, row: str) -> Claim:
+    """Return the claim that is a row of the table of a race: the mean, and the difference from the best."""
+    numbers = [average(active_time, raced(rate)), difference(active_time, raced(rate), raced(8.0))]
+    return Claim("race", RACE, row, numbers)
 
 
 def row_of_start(team: str, start: Start, *cells: str) -> Claim:
@@ -479,5 +488,10 @@ CLAIMS = (
             for latency in (0.0, 0.5)
         ],
     ),
+    Claim("race", RACE, "1 8 {6.859 +- 1.161} 15", [average(active_time, raced(8.0))]),
+    row_of_race(1.0, "2 1 {13.320 +- 1.651} {+6.462 +- 1.370} 15"),
+    row_of_race(5.0, "3 5 {7.445 +- 1.625} {+0.833 +- 0.351} 10"),
+    row_of_race(3.0, "4 3 {8.639 +- 1.611} {+2.027 +- 0.841} 10"),
+    row_of_race(2.0, "5 2 {10.207 +- 1.643} {+3.595 +- 1.121} 10"),
 )
 """The claims that are checked."""

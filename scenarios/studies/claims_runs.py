@@ -128,6 +128,12 @@ def explained(metric: Callable[[Any], float], part: str | None = None, scale: fl
     return difference(metric, game, reduce(lambda so_far, remove: remove(so_far), removed, game), scale)
 
 
+def raced(rate: float) -> Scenario:
+    """Return the relay of a race, with pursuers that decide at a rate, 1/s."""
+    changes = {"team.count": 8, "network.latency": 0.3, "horizon": 20.0, "protocol.schedule.rate": rate}
+    return load(SCENARIOS / "relay.toml").with_(changes)
+
+
 def unsettled(team: str, distance: float) -> Number:
     """Return what measures the share of games without an equilibrium if pursuers count their neighbours only."""
 

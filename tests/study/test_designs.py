@@ -9,8 +9,11 @@ import pytest
 from desim import Scenario, load, sweep
 from desim.analysis.metrics import Summary
 from desim.scenario.checks import warnings
-from desim.scenario.overrides import ScenarioError
+from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.sweep_table import Design
+from desim.scenario.value_ranges import KeyRange
+from desim.study.breaking.features import of_grid
+from desim.study.plan.configurations import check_grid
 from desim.study.plan.designs import unit_points
 from desim.study.results.runs import Group, SweepRuns
 from desim.study.store.run_table import Row
@@ -115,6 +118,20 @@ def test_a_sobol_sequence_of_another_size_is_warned_of():
     texts = [why for key, why in warnings(SHORT.with_({"sweep.design": "sobol:100"})) if key == "sweep.design.size"]
     assert texts == ["100 points of a Sobol sequence are less even than a power of 2, such as 64 or 128"]
     assert not [key for key, _ in warnings(SHORT.with_({"sweep.design": "random:100"})) if key == "sweep.design.size"]
+
+
+def test_ranges_without_a_design_are_valid_for_an_analysis_and_in_a_search():
+    source = Source.of(SHORT.with_({"sweep.grid": {"network.loss.p": "0:0.5", "prune": ["inf", "none"]}}))
+    check_grid(source)
+    with pytest.raises(ScenarioError, match="less than or equal to 1"):
+        check_grid(Source.of(SHORT.with_({"sweep.grid": {"network.loss.p": "0:2"}})))
+    with pytest.raises(ScenarioError, match="prune: should be 'none'"):
+        check_grid(Source.of(SHORT.with_({"sweep.grid": {"network.loss.p": "0:1", "prune": ["inf", "non"]}})))
+    grid = {"network.loss.p": (KeyRange(0.0, 0.5),), "team.count": (KeyRange(2.0, 5.0),)}
+    draws, rng = of_grid(grid, SHORT), np.random.default_rng(1)
+    drawn = [{key: draw(rng, SHORT)[key] for key, draw in draws.items()} for _ in range(50)]
+    assert {one["team.count"] for one in drawn} == {2, 3, 4, 5}
+    assert all(0.0 <= one["network.loss.p"] <= 0.5 for one in drawn)
 
 
 def runs_at(points, keys=("x", "y", "kind")):

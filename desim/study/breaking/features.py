@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from desim.config.errors import problems_of
-from desim.scenario.overrides import ScenarioError
+from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.value_ranges import ends, is_range, setting_at
+from desim.study.plan.configurations import checked_ranges
 
 NewValues = dict[str, Any]
 """New values by dotted key, as for `Scenario.with_`; under "fault", the table of one fault to add."""
@@ -85,6 +86,8 @@ def of_grid(grid: Mapping[str, Sequence[Any]], scenario: Scenario) -> Mapping[st
             return lambda rng, _: {key: setting_at(values, rng.random())}
         return lambda rng, _: {key: values[int(rng.integers(len(values)))]}
 
+    ranges = {key: values for key, values in grid.items() if is_range(values)}
+    grid = {**grid, **checked_ranges(Source.of(scenario), ranges)}
     for key, values in grid.items():
         for value in ends(values):
             try:

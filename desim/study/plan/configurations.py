@@ -16,7 +16,7 @@ from desim.config.suggestion import did_you_mean
 from desim.config.traits import kind_of
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Scenario
-from desim.scenario.sweep_table import Design
+from desim.scenario.sweep_table import Design, Sweep
 from desim.scenario.toml import validate
 from desim.scenario.value_ranges import ends, is_range
 from desim.study.plan.config_hash import UNSWEPT, Identity, identify
@@ -73,8 +73,8 @@ def configurations(
             two are the same or have the same name, an object in one has no stable hash, or the grid has ranges and no
             design, or a design and no ranges.
     """
-    source, own = grid_of(source, grid, design)
-    sweep, grid = validate(source).sweep, checked_ranges(source, own)
+    source, sweep = sweep_of(source, grid, design)
+    grid = checked_ranges(source, sweep.grid)
     _check_design(source, grid, sweep.design)
     drawn = drawn_keys(grid, sweep.design) if sweep.design else []
     size = prod(len(values) for key, values in grid.items() if key not in drawn)
@@ -87,8 +87,8 @@ def configurations(
     return valid_configurations(source, grid, combinations)
 
 
-def grid_of(source: Source, grid: SweepGrid | None, design: Design | str | None = None) -> tuple[Source, SweepGrid]:
-    """Return a source with another grid or design, and its validated grid.
+def sweep_of(source: Source, grid: SweepGrid | None, design: Design | str | None = None) -> tuple[Source, Sweep]:
+    """Return a source with another grid or design, and its table `sweep`; None: that of the source.
 
     Raises:
         ScenarioError: if the scenario is invalid, or the grid is empty.
@@ -100,14 +100,33 @@ def grid_of(source: Source, grid: SweepGrid | None, design: Design | str | None 
         raise TypeError(f"the grid should be lists of values by key, {form} for instance (got {grid!r})")
     if grid is not None or design is not None:
         source = _with_grid(source, grid, design)
-    own = validate(source).sweep.grid
-    if not own:
+    sweep = validate(source).sweep  # once, as a grid of Python may hold generators
+    if not sweep.grid:
         why = (
             "should have at least one key of the scenario, and a list of values for it,"
             ' "network.latency.value" = [0.0, 0.1] for instance'
         )
         raise ScenarioError(_about_grid(source, why))
-    return source, own
+    return source, sweep
+
+
+def check_grid(source: Source) -> None:
+    """Raise ScenarioError if the grid of a scenario cannot be run.
+
+    Ranges without a design are valid: those of a sensitivity analysis.
+    """
+    sweep = validate(source).sweep
+    grid = checked_ranges(source, sweep.grid)
+    if sweep.design is None and any(map(is_range, grid.values())):
+        lists = ({key: value} for key, values in grid.items() if not is_range(values) for value in values)
+        first = {key: ends(values)[0] for key, values in grid.items()}
+        valid_configurations(source, grid, _distinct(first | changed for changed in [{}, *lists]))
+    else:
+        configurations(source)
+
+
+def _distinct(chosen_settings: Iterable[Settings]) -> Iterable[Settings]:
+    return {repr(settings): settings for settings in chosen_settings}.values()
 
 
 def checked_ranges(source: Source, grid: SweepGrid) -> SweepGrid:

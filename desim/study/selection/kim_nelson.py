@@ -84,8 +84,8 @@ def check_zone(zone: float, unit: str = "") -> float:
     """
     zone = real(zone, "zone")
     if not 0.0 < zone < inf:
-        what = f"the smallest difference of means that matters{f', {unit}' if unit else ''}"
-        raise ValueError(f"zone should be positive: it is {what} (got {zone:g})")
+        meaning = f"the smallest difference of means that matters{f', {unit}' if unit else ''}"
+        raise ValueError(f"zone should be positive: it is {meaning} (got {zone:g})")
     return zone
 
 
@@ -114,7 +114,7 @@ def kim_nelson(
         systems: the number of systems, k.
         zone: the indifference zone, the smallest difference of means that matters, in the unit of the samples.
         confidence: the probability of a correct selection, in (1/k, 1).
-        first: the number of first samples, from which variances are estimated; at least 2. If in doubt, 20: few make
+        first: the number of first samples, from which variances are estimated; at least 2; if in doubt, 20: few make
             the procedure cautious, and many are too many for systems that are far behind.
         maximise: whether the greatest mean is the best, instead of the least.
         most: the largest number of samples of a system; None = as many as the guarantee needs.

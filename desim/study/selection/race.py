@@ -67,12 +67,12 @@ def race(
         grid: as in `sweep`; None = the grid of `scenario.sweep`.
         metric: the name of the metric; every run needs a value.
         zone: the indifference zone: the smallest difference of means that matters, in the unit of the metric. The
-            number of runs grows with 1 / zone^2, or with 1 / zone where means differ by much more. If in doubt, take a
+            number of runs grows with 1 / zone^2, or with 1 / zone where means differ by much more; if in doubt, take a
             tenth of the mean.
         confidence: the probability with which the best is found if it is better than every other by `zone`; between 1/k
             for k configurations and 1.
         maximise: whether the greatest mean is the best; None = as the metric says (`desim metrics`).
-        first: the number of first runs of each configuration, at least 2, from which variances are estimated. If in
+        first: the number of first runs of each configuration, at least 2, from which variances are estimated; if in
             doubt, 20.
         most: the largest number of runs of a configuration; the result then says that it is not decided.
         executor: as in `sweep`; the result does not depend on it.

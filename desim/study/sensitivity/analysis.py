@@ -26,8 +26,8 @@ from desim.simulation.watchdog import checked_limit
 from desim.study.plan.configurations import (
     SweepGrid,
     checked_ranges,
-    grid_of,
     label,
+    sweep_of,
     valid_configurations,
     without_metrics,
 )
@@ -74,11 +74,11 @@ def sensitivity(
             probable; None = the grid of `scenario.sweep`. A design in it has no effect.
         metric: the name of the metric; every run needs a value.
         points: the number of rows of a Sobol matrix, a power of 2; 0 = screening only. There are (keys + 2) times as
-            many points. If in doubt, 64, and four times as many if intervals are too wide: this halves them.
+            many points; if in doubt, 64, and four times as many if intervals are too wide, which halves them.
         trajectories: the number of trajectories of the screening, each with keys + 1 points; 0 = none, so that all keys
-            have indices. If in doubt, 10.
+            have indices; if in doubt, 10.
         runs: the number of runs at each point, with the same seeds at all. With 1, chance counts as an effect of the
-            keys. If in doubt, 4, and more if the result says that most of the variance of a run is chance.
+            keys; if in doubt, 4, and more if the result says that most of the variance of a run is chance.
         executor: as in `sweep`.
         seed: the root seed of the runs; None = that of the scenario.
         store: the file in which runs are kept; finished runs in it are not repeated.
@@ -130,8 +130,10 @@ class Analysis:
         """Return the analysis; for the arguments and the errors see `sensitivity`."""
         if not isinstance(scenario, Source):
             scenario_argument(Scenario).check(scenario, "sensitivity")
-        source, chosen = grid_of(scenario if isinstance(scenario, Source) else Source.of(scenario), grid)
+        source = scenario if isinstance(scenario, Source) else Source.of(scenario)
         base = validate(source)
+        source, sweep = sweep_of(source, grid)
+        chosen = sweep.grid
         if few := [key for key, values in chosen.items() if len(values) < 2 and not is_range(values)]:
             raise ValueError(f"{few[0]}: has one value, {label(chosen[few[0]][0])}: give a range or several values")
         if len(chosen) == 1:

@@ -108,8 +108,8 @@ class SensitivityResult:
         order = sorted(self.total, key=lambda key: -self.total[key].value)
         deciding = [key for key in order if self.total[key].value >= DECIDES and self.total[key].low > 0.0]
         idle = [key for key in order if self.total[key].has_0]
-        said = [f"{key} ({_in_percent(self.total[key])})" for key in deciding]
-        text = f"{metric} is decided by {_listed(said)}" if said else f"{metric}: no key is told apart from chance"
+        listed = [f"{key} ({_in_percent(self.total[key])})" for key in deciding]
+        text = f"{metric} is decided by {_listed(listed)}" if listed else f"{metric}: no key is told apart from chance"
         return f"{text}; not told apart from 0: {', '.join(idle)}" if idle else text
 
     def _what_changes(self) -> str:
@@ -119,8 +119,8 @@ class SensitivityResult:
         sizes = self.effects.mean_absolute
         order = sorted(self.kept, key=lambda k: -sizes[k].value)
         unit = f" {self.unit}".rstrip()
-        said = [f"{self.keys[k]} ({sizes[k].value:.3g}{unit} over its range)" for k in order]
-        return f"{metric} changes most with {_listed(said)}"
+        listed = [f"{self.keys[k]} ({sizes[k].value:.3g}{unit} over its range)" for k in order]
+        return f"{metric} changes most with {_listed(listed)}"
 
     def tables(self) -> list[Table]:
         """Return the table as its title and rows of text; the first row is the header."""
