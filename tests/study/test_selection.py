@@ -261,6 +261,21 @@ def test_what_is_no_race_is_refused(call, why):
         call()
 
 
+def test_a_race_with_independent_seeds_says_so():
+    result = race(
+        SHORT.with_({"sweep.seeds": "independent"}),
+        COUNTS,
+        "score",
+        zone=0.5,
+        first=5,
+        maximise=False,
+        metrics={"score": size_and_luck},
+    )
+    assert not result.common
+    assert result.tables()[0][0].startswith("unnamed: a race of 3 configurations, independent seeds")
+    assert "with the same seeds" not in result.sentences()[2]
+
+
 def test_a_run_that_fails_ends_the_race():
     with pytest.raises(RunError, match=r"the run of team.count = 2 with seed 0 failed"):
         raced(metrics={"score": failing})
