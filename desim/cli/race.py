@@ -1,6 +1,5 @@
 """`desim race`: which configuration of a grid is best, with a guarantee."""
 
-import json
 import sys
 from pathlib import Path
 
@@ -27,8 +26,8 @@ from desim.cli.options import (
     storing,
     working,
 )
+from desim.cli.result_files import present
 from desim.config.file_names import STORE
-from desim.config.trust import write_whole
 
 
 @click.command()
@@ -88,7 +87,6 @@ def race(
     repeated, so the same command resumes.
     """
     from desim.results import provenance
-    from desim.results.run_folder import can_plot
     from desim.study.selection.race import carry_out_race, check_race
     from desim.study.store.store import Store
     from desim.study.sweeps.sweep import SweepPlan
@@ -122,13 +120,5 @@ def race(
             fail(str(error))
         made = provenance.document("race", scenario, seed=plan.root, runs=result.runs, folder=file.parent)
         provenance.write(folder, made)
-        text = json.dumps(result.document(), indent=2)
-        write_whole(folder / "race.json", f"{text}\n".encode())
-        write_whole(folder / "race.txt", f"{result.table()}\n".encode())
-        echo(text if as_json else result.table())
         echo(f"{store.added} runs were performed, {before} were already stored; store: {folder / STORE}", err=True)
-        if can_plot():
-            from desim.analysis.drawing.plots import save
-
-            for picture in save(result.plot(), folder / "race"):
-                echo(f"wrote {picture}", err=True)
+        present(result, folder, "race", as_json=as_json)

@@ -1,6 +1,5 @@
 """`desim sensitivity`: which keys decide a metric."""
 
-import json
 import sys
 from pathlib import Path
 
@@ -26,8 +25,8 @@ from desim.cli.options import (
     storing,
     working,
 )
+from desim.cli.result_files import present
 from desim.config.file_names import STORE
-from desim.config.trust import write_whole
 
 
 @click.command()
@@ -82,7 +81,6 @@ def sensitivity(
     Keys without effect are screened out first (Morris 1991); the others have Sobol indices. Resumes.
     """
     from desim.results import provenance
-    from desim.results.run_folder import can_plot
     from desim.study.sensitivity.analysis import Analysis
     from desim.study.store.store import Store
 
@@ -104,13 +102,5 @@ def sensitivity(
         provenance.write(
             folder, provenance.document("sensitivity", scenario, seed=root, runs=len(store), folder=file.parent)
         )
-        text = json.dumps(result.document(), indent=2)
-        write_whole(folder / "sensitivity.json", f"{text}\n".encode())
-        write_whole(folder / "sensitivity.txt", f"{result.table()}\n".encode())
-        echo(text if as_json else result.table())
         echo(f"{store.added} runs were performed, {before} were already stored; store: {folder / STORE}", err=True)
-        if can_plot():
-            from desim.analysis.drawing.plots import save
-
-            for picture in save(result.plot(), folder / "sensitivity"):
-                echo(f"wrote {picture}", err=True)
+        present(result, folder, "sensitivity", as_json=as_json)

@@ -122,13 +122,8 @@ def kim_nelson(
     Raises:
         ValueError: if there are fewer than two systems, a number is out of its range, or a sample is not finite.
     """
-    if (systems := whole(systems, "systems")) < 2:
-        raise ValueError(f"a selection needs at least two systems, there is {systems}")
-    if (first := whole(first, "first")) < 2:
-        raise ValueError(f"first should be at least 2, to estimate a variance (got {first})")
+    systems, first = _checked_counts(systems, first, most)
     zone, confidence = check_zone(zone), check_confidence(confidence, systems)
-    if most is not None and most < first:
-        raise ValueError(f"most should be at least first, {first} (got {most})")
     sign = 1.0 if maximise else -1.0
     kept: list[list[float]] = [[] for _ in range(systems)]
 
@@ -145,13 +140,13 @@ def kim_nelson(
     variances = _variances(start)
     _, square = constants(systems, first, confidence)
     limits = square * variances / zone**2
-    last = max(floor(limits.max()), first - 1) + 1
+    last = end = _last(limits, left, first)
     sums, dropped, count = start.sum(axis=1), list[Dropped](), first
     while len(left) > 1 and count < last:
         losers = _losers(sums, left, count, limits, zone)
         dropped += [Dropped(loser, count, winner) for loser, winner in losers]
         left = [system for system in left if system not in {loser for loser, _ in losers}]
-        last = max(floor(max(limits[i, j] for i in left for j in left)), first - 1) + 1
+        last = _last(limits, left, first)
         if len(left) == 1 or count >= last or count == most:
             break
         take(left, count)
@@ -165,9 +160,29 @@ def kim_nelson(
         tuple(dropped),
         len(left) == 1 or count >= last,
         tuple(np.array(numbers) for numbers in kept),
-        max(floor(limits.max()), first - 1) + 1,
+        end,
         variances,
     )
+
+
+def _checked_counts(systems: int, first: int, most: int | None) -> tuple[int, int]:
+    """Return the number of systems and of first samples.
+
+    Raises:
+        ValueError: if a number is too small.
+    """
+    if (systems := whole(systems, "systems")) < 2:
+        raise ValueError(f"a selection needs at least two systems, there is {systems}")
+    if (first := whole(first, "first")) < 2:
+        raise ValueError(f"first should be at least 2, to estimate a variance (got {first})")
+    if most is not None and most < first:
+        raise ValueError(f"most should be at least first, {first} (got {most})")
+    return systems, first
+
+
+def _last(limits: Floats, left: Sequence[int], first: int) -> int:
+    """Return the number of samples at which all margins between systems that are left are 0: means then decide."""
+    return max(floor(float(limits[np.ix_(left, left)].max())), first - 1) + 1
 
 
 def _variances(start: Floats) -> Floats:
