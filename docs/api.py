@@ -149,6 +149,46 @@ PAGES: Mapping[str, Page] = MappingProxyType(
                 Section("Disseminations", "How announcements spread.", ("protocols.dissemination",)),
             ),
         ),
+        "live": Page(
+            "Live",
+            "A scenario in real time, between processes; see [Live](../../howto/live.md).",
+            (
+                Section(
+                    "Runs",
+                    "One process per pursuer, over UDP.",
+                    names=(
+                        "desim.live.runs.run",
+                        "desim.live.runs.runs",
+                        "desim.live.result.LiveResult",
+                        "desim.live.result.Conduct",
+                        "desim.live.wall_clock.Lateness",
+                    ),
+                ),
+                Section(
+                    "Agreement",
+                    "Live and simulated runs of the same seeds.",
+                    names=(
+                        "desim.live.agreement.compare",
+                        "desim.live.agreement.Agreement",
+                        "desim.live.agreement.Row",
+                    ),
+                ),
+                Section(
+                    "Your own robot",
+                    "A pursuer in an asyncio program.",
+                    names=("desim.live.node.Node",),
+                ),
+                Section(
+                    "Errors",
+                    "Why a run cannot begin.",
+                    names=(
+                        "desim.live.refusals.NotLiveError",
+                        "desim.live.lobby.LiveError",
+                        "desim.live.namespaces.NamespaceError",
+                    ),
+                ),
+            ),
+        ),
         "learning": Page(
             "Learning",
             "Environments of PettingZoo, and what pursuers observe in them; see [Learning](../../howto/learning.md).",

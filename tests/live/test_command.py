@@ -1,0 +1,84 @@
+"""The command `desim live`: what it refuses, and the tables that it prints."""
+
+import pytest
+from click.testing import CliRunner
+
+from desim.cli import main
+from desim.kernel.core.events import MessageCounts
+from desim.live import agreement as agreement_module
+from desim.live.agreement import Agreement, compare
+from desim.live.figure import agreement_figure
+from desim.live.result import Conduct, LiveResult
+from desim.live.start import PursuerStart, digest
+from desim.simulation.run import run
+from scenarios.studies.study import SCENARIOS
+from tests.live.test_runs import game, scenario
+
+RELAY = str(SCENARIOS / "relay.toml")
+
+
+def refused(*words):
+    done = CliRunner().invoke(main, ["live", *words])
+    assert done.exit_code == 2, done.output
+    return done.stderr
+
+
+def test_wrong_input_is_refused_with_a_sentence(tmp_path):
+    assert "protocol.kind cannot run live: an omniscient protocol" in refused(RELAY, "--set", "protocol=centralised")
+    assert "--compare needs several runs, such as -n 20" in refused(RELAY, "--compare")
+    assert "--join: should be the word that `desim live --hosts` prints (got 'x')" in refused(RELAY, "--join", "x")
+    hosts = tmp_path / "hosts.txt"
+    hosts.write_text("127.0.0.1\n# another\n127.0.0.2  # mine\n")
+    assert "hosts should be one for each of the 20 pursuers (got 2)" in refused(RELAY, "--hosts", str(hosts))
+    assert "hosts.txt" in refused(RELAY, "--hosts", str(tmp_path / "no" / "hosts.txt"))
+
+
+def test_an_invitation_is_one_word():
+    start = PursuerStart(("192.168.0.2", 41235), "2f6c", 4, 3, "192.168.0.7")
+    assert start.invitation() == "192.168.0.2:41235/4/3/192.168.0.7/2f6c"
+    assert PursuerStart.invited(start.invitation(), scenario()) == start._replace(scenario=digest(scenario()))
+    assert digest(scenario()) != digest(scenario(latency=0.2))
+
+
+def pretended(result, timers=(1_000_000,)) -> LiveResult:
+    conduct = Conduct()
+    conduct.note(0, list(timers), [])
+    return LiveResult(result.scenario, result.seed, result.trace, conduct)
+
+
+@pytest.fixture
+def simulated():
+    return [run(game("sap"), seed) for seed in range(4)]
+
+
+def test_runs_that_are_equal_agree_and_late_timers_give_no_verdict(simulated):
+    same = Agreement(game("sap"), [pretended(result) for result in simulated], simulated)
+    assert same.agrees is True
+    assert "live and simulated agree" in same.table()
+    assert same.document()["agrees"] is True
+    late = Agreement(game("sap"), [pretended(result, [30_000_000] * 100) for result in simulated], simulated)
+    assert late.agrees is None
+    assert "no verdict: timers were late by more than 20 ms" in late.table()
+
+
+def test_other_runs_differ_beyond_their_errors_and_the_margin(simulated):
+    slow = [pretended(run(game("sap"), seed + 100)) for seed in range(4)]
+    rows = {row.metric: row for row in Agreement(game("sap"), slow, simulated).rows}
+    assert rows["messages_sent"].difference.mean != 0.0
+    row = rows["active_time"]._replace(margin=abs(rows["active_time"].difference.mean))
+    assert row.errors == 0.0
+    assert row.agrees
+
+
+def test_a_comparison_simulates_what_it_runs_live_with_the_same_seeds(monkeypatch):
+    monkeypatch.setattr(
+        agreement_module, "runs", lambda scenario, seeds, **_: [pretended(run(scenario, seed)) for seed in seeds]
+    )
+    agreement = compare(game("sap"), 3, 2)
+    assert [result.seed for result in agreement.simulated] == [2_000_000, 2_000_001, 2_000_002]
+    assert agreement.agrees
+    pytest.importorskip("matplotlib")
+    left, right = agreement_figure(agreement).axes
+    assert left.get_ylabel() == "pursuers that chase"
+    assert right.get_xlabel() == "active time, simulated (s)"
+    assert agreement.live[0].trace.of(MessageCounts)
