@@ -17,13 +17,14 @@ Prediction: if a round trip lasts m periods, the reports do not yet show the eff
     lost time is added to its capture time phi. With constant latency and no loss the server acts as an omniscient
     planner whose orders are delayed by L. At L = 0 it acts as the centralised benchmark, deciding at the instants of
     the reports.
-Assumes: links in both directions between the host and every other pursuer, and without `takeover` no crashes. While the
-    host is down, each pursuer continues with its last order. A host that has lost its memory has lost its orders, too,
-    and extrapolates the reported actions until it sends new ones. Reports are extrapolated from their time stamps, so
-    differences between the clocks cause errors of the predicted positions.
+Assumes: links in both directions between the host and every other pursuer, and without `takeover` no crashes. While
+    the host is down, each pursuer continues with its last order. A host that has lost its memory has lost its orders,
+    too, and extrapolates the reported actions until it sends new ones. Reports are extrapolated from their time stamps,
+    so differences between the clocks cause errors of the predicted positions.
 Takeover: with `takeover`, a pursuer that has had no order for 3 periods and a round trip reports to the next pursuer by
-    id, and the one whose turn it is becomes the server. All obey the first server in turn, counted from the host, that is
-    not silent, and a server follows another one before it; so the host is the server again as soon as it is up. Each side of a partition has a server of its own.
+    id, and the one whose turn it is becomes the server. All obey the first server in turn, counted from the host, that
+    is not silent, and a server follows another one before it. So the host is the server again as soon as it is up. Each
+    side of a partition has a server of its own.
 Messages: a first report of each pursuer but the host; per period, N - 1 reports of 72 bytes and N - 1 orders of 24
     bytes plus 8 for each evader that is chased; N - 1 orders per change.
 Robust to loss: yes. Reports and orders are repeated every period, and an order older than the newest received is

@@ -14,8 +14,8 @@ LIBRARIES = ("desim", "protocols")
 """The packages whose public names are unique; a script in `scenarios` is a program with a `main`."""
 SHARED_NAMES = {
     "a command is called like the function that it runs, and completes the words that it lists": (
-        "bench compare examples explain export fates keys ls play plot protocols race replay report run sensitivity status"
-        " summary sweep"
+        "bench compare examples explain export fates keys ls play plot protocols race replay report run"
+        " sensitivity status summary sweep"
     ),
     "a module of one file format or folder is used by its name, as in pcapng.write": "document read tables write",
     "one thing in two forms: in the records of a trace, and in a scenario": "Actions Evader Speeds",

@@ -23,7 +23,7 @@ from desim.study.selection.race_result import RaceResult
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.metric_values import metric_value
-from desim.study.sweeps.sweep import MAX_RUNS, SweepPlan, check_ok, perform_jobs
+from desim.study.sweeps.sweep import MAX_RUNS, SweepPlan, check_ok, job_batches
 from desim.study.workers.progress import advance, progress
 from desim.study.workers.workers import Workers, workers_for
 
@@ -213,7 +213,7 @@ class _Samples:
             if (system, k) not in self._rows
         ]
         self._bar.set_postfix_str(f"{len(systems)} of {len(self._places)} left", refresh=False)
-        with closing(perform_jobs(jobs, self._plan, self._store, self._workers, self._timeout)) as batches:
+        with closing(job_batches(jobs, self._plan, self._store, self._workers, self._timeout)) as batches:
             for batch in batches:
                 advance(self._bar, len(batch))
                 for configuration, row in batch:

@@ -339,7 +339,7 @@ def perform_jobs(
     failed: dict[tuple[str, int], Row] = {}
     with (
         progress(len(jobs), plan.base.name, "run") as bar,
-        closing(perform_jobs(jobs, plan, store, workers, timeout)) as batches,
+        closing(job_batches(jobs, plan, store, workers, timeout)) as batches,
     ):
         for batch in batches:
             advance(bar, len(batch))
@@ -351,7 +351,7 @@ def perform_jobs(
     return failed
 
 
-def perform_jobs(
+def job_batches(
     jobs: Sequence[Job], plan: SweepPlan, store: Store, workers: Workers, timeout: float | None
 ) -> Generator[list[tuple[Configuration, Row]], None, None]:
     """Perform some runs, add each batch to the store as it ends, and yield it."""
