@@ -191,13 +191,13 @@ def test_at_most_as_many_runs_as_are_asked_for_are_done():
 @pytest.mark.slow
 def test_a_sweep_of_several_rounds_calls_on_start_once(monkeypatch):
     """The first round has 100 runs, the second three more."""
-    rounds, calls, perform = [], [], module._run
+    rounds, calls, perform = [], [], module.perform_jobs
 
-    def performed(jobs, *args):
+    def performed(jobs, *args, **options):
         rounds.append(len(jobs))
-        return perform(jobs, *args)
+        return perform(jobs, *args, **options)
 
-    monkeypatch.setattr(module, "_run", performed)
+    monkeypatch.setattr(module, "perform_jobs", performed)
     short = BASE.model_copy(update={"horizon": 0.1, "record": Recording(trajectory=0.0)})
     plan = SweepPlan.of(short, {"capture.radius": [0.2]}, 103)
     with Store() as store, workers_for(1) as workers:
