@@ -58,7 +58,7 @@ class ControlledEstimate(Estimate):
     def worth(self) -> float:
         """The number of runs without a control that would have the same standard error; inf if this one is 0.
 
-        It is n (1 - 2/n) / (1 - R^2 + n R^2 / (m - n)) or close to it, with n pairs among m runs of the control.
+        It is about n / (1 - R^2 + n R^2 / (m - n)) with n pairs among m runs of the control, and less for few pairs.
         """
         if not self.standard_error:
             return inf
