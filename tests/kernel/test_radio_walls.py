@@ -19,7 +19,7 @@ from desim.kernel.models.medium import Bitrate, LoRa
 from desim.kernel.models.reception import RECEPTION_MODELS, Disk, LogDistance, Nakagami, QuasiUnitDisk, Rice
 from desim.kernel.network import Network
 from desim.kernel.stepped_network import SteppedNetwork
-from desim.kernel.topology.radio_walls import RadioWalls, range_factor, stretched
+from desim.kernel.topology.radio_walls import RadioWalls, range_factor
 from desim.kernel.topology.topology import Topology
 from desim.kernel.walls.wall import Wall
 
@@ -80,7 +80,7 @@ def test_a_lossy_wall_stands_for_a_longer_distance_in_every_model(name):
 
 def test_every_kind_of_reception_has_an_exponent_for_walls():
     assert set(RECEPTION_MODELS.choices()) == {model.kind for model in MODELS.values()}
-    assert all(Topology(nx.complete_graph(2), 1.0, Places(line(0, 1)), model, walls=[wall()]).exponent == 3.0
+    assert all(Topology(nx.complete_graph(2), 1.0, Places(line(0, 1)), model, walls=[wall()])._received.exponent == 3.0
                for model in MODELS.values())  # fmt: skip
 
 
@@ -131,30 +131,51 @@ def test_walls_that_do_not_block_radio_change_nothing():
 
 def test_each_face_of_a_solid_block_counts():
     block = Wall(polygon=[[1, -1], [2, -1], [2, 1], [1, 1]], loss=3.0)
-    walls = RadioWalls([block, wall(1.0, at=5.0)], Places(line(0, 3)), 2)
+    walls = RadioWalls([block, wall(1.0, at=5.0)], 2, 3.0)
     ends = np.array([[0.5, 0.0], [1.5, 0.0], [3.0, 0.0], [6.0, 0.0], [3.0, 5.0]])
     assert walls.decibels(np.zeros((1, 2)), ends).tolist() == [0.0, 3.0, 6.0, 7.0, 0.0]
 
 
 def test_a_large_loss_is_a_large_distance_and_an_opaque_wall_an_infinite_one():
-    apart, losses = np.array([1.0, 1.0, 1.0, 0.0]), np.array([0.0, 30.0, 1e6, 0.0])
-    longer = stretched(apart, losses, 3.0)
-    assert longer[:2].tolist() == [1.0, pytest.approx(10.0)]
-    assert 1e200 < longer[2] < inf
-    assert stretched(apart, np.array([inf, 0, 0, 0]), 3.0).tolist() == [inf, 1.0, 1.0, 0.0]
+    walls = RadioWalls([wall(30.0), wall(1e6, at=2.0), wall(at=3.0)], 5, 3.0)
+    ends = np.array(line(0.5, 1.5, 2.5, 3.5, 0.0))
+    apart = walls.stretched(0, np.arange(5), np.zeros((1, 2)), ends, ends[:, 0])
+    assert apart[:2].tolist() == [0.5, pytest.approx(15.0)]
+    assert 1e200 < apart[2] < inf
+    assert apart[3:].tolist() == [inf, 0.0]
+    assert walls.with_exponent(2.0).stretched(0, np.array([1]), np.zeros((1, 2)), ends[1:2], ends[1:2, 0]) == [
+        pytest.approx(1.5 * 10.0**1.5)
+    ]
 
 
-def test_losses_between_nodes_that_never_move_are_computed_once():
+@pytest.mark.parametrize("graph", [nx.complete_graph(12), nx.gnp_random_graph(12, 0.5, seed=2, directed=True)])
+def test_losses_are_kept_until_an_end_moves(graph):
     rng = np.random.default_rng(4)
-    places, walls = rng.uniform(-9.0, 9.0, size=(12, 2)), [wall(2.0), Wall(line=[[-9, -9], [9, 9]], loss=4.0)]
-    kept, fresh = Places(places, max_speed=0.0), Places(places)
-    model = LogDistance()
-    for graph in (nx.complete_graph(12), nx.gnp_random_graph(12, 0.5, seed=2, directed=True)):
-        first, second = (Topology(graph, 6.0, source, model, walls=walls) for source in (kept, fresh))
-        for _ in range(2):
-            assert [first.hearers(k, 3) for k in range(12)] == [second.hearers(k, 3) for k in range(12)]
-        assert len(first.walls._kept) == 12
-        assert not second.walls._kept
+    source, walls = Places(rng.uniform(-9.0, 9.0, size=(12, 2))), [wall(2.0), Wall(line=[[-9, -9], [9, 9]], loss=4.0)]
+    kept = Topology(graph, 6.0, source, LogDistance(), walls=walls)
+    for step in range(40):
+        fresh = Topology(graph, 6.0, source, LogDistance(), walls=walls)
+        node = step % 12
+        assert kept.hearers(node, 3) == fresh.hearers(node, 3)
+        assert kept.reaches(node, [k for k in range(12) if k != node]) == fresh.reaches(
+            node, [k for k in range(12) if k != node]
+        )
+        source.places = source.places.copy()
+        source.places[rng.integers(12, size=2)] += rng.uniform(-3.0, 3.0, size=2)
+
+
+def test_a_loss_is_not_computed_again_if_nobody_has_moved(monkeypatch):
+    source = Places(np.random.default_rng(4).uniform(-9.0, 9.0, size=(12, 2)))
+    topology = Topology(nx.complete_graph(12), 60.0, source, walls=[wall(2.0)])
+    computed = []
+    plain = RadioWalls.decibels
+    monkeypatch.setattr(RadioWalls, "decibels", lambda walls, a, b: computed.append(len(b)) or plain(walls, a, b))
+    for moved in (None, None, 3, None, 0):
+        if moved is not None:
+            source.places = source.places.copy()
+            source.places[moved] += 0.5
+        topology.hearers(0)
+    assert computed == [12, 1, 12]
 
 
 @pytest.mark.parametrize("message", [5, None])

@@ -18,7 +18,6 @@ from desim.kernel.models.interference import Frame, LoRaSignal, Overlap
 from desim.kernel.models.medium import LoRa, Radio
 from desim.kernel.models.traits import InterferenceTraits
 from desim.kernel.topology.correlated_channel import Ends, uncorrelated
-from desim.kernel.topology.radio_walls import stretched
 from desim.kernel.topology.topology import Topology
 
 FAR = 1e150
@@ -47,7 +46,7 @@ class Air:
         self._interference = medium.reception
         traits = InterferenceTraits.of(medium.reception)
         self._locks, self._has_noise, self._cause = traits.lock, traits.has_noise, traits.cause
-        self._exponent = traits.exponent
+        self._walls = None if topology.walls is None else topology.walls.with_exponent(traits.exponent)
         self._all = np.arange(topology.size)
         self.hears = None
         if isinstance(medium, LoRa) and (medium.is_tuned or type(medium).hears is not LoRa.hears):
@@ -156,10 +155,9 @@ class Air:
             raise _no_positions()
         places = self._positions.of(np.append(frame.src, nodes))
         apart = distances(places, 0)[1:]
-        if (walls := self._topology.walls) is None:
+        if self._walls is None:
             return apart
-        decibels = walls.between(frame.src, nodes, places[:1], places[1:])
-        return np.asarray(np.minimum(stretched(apart, decibels, self._exponent), FAR))
+        return np.asarray(np.minimum(self._walls.stretched(frame.src, nodes, places[:1], places[1:], apart), FAR))
 
 
 def _no_positions() -> KeyedError:

@@ -13,7 +13,6 @@ from desim.kernel.core.seeds import ROOM
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.access import Access, CarrierSensing
 from desim.kernel.models.interference import Frame
-from desim.kernel.topology.radio_walls import stretched
 from desim.kernel.topology.topology import Topology
 
 
@@ -80,8 +79,8 @@ class CarrierSense:
         places = self._positions()
         apart = distances(places, node)
         if (walls := self._topology.walls) is not None:
-            decibels = walls.between(node, np.arange(len(places)), places[node : node + 1], places)
-            apart = stretched(apart, decibels, self._topology.exponent)
+            everyone = np.arange(len(places))
+            apart = walls.stretched(node, everyone, places[node : node + 1], places, apart)
         near = apart <= self._range
         near[node] = False
         return near.nonzero()[0]

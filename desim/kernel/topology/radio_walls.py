@@ -8,38 +8,51 @@ them, as those of ITU-R P.1238, would count them twice.
 """
 
 from collections.abc import Sequence
-from math import exp, inf, log
+from math import exp, inf, log, nan
+from typing import NamedTuple
 
 import numpy as np
 
-from desim.config.arrays import Floats
-from desim.kernel.core.positions import Nodes, PositionSource
+from desim.config.arrays import Floats, Points
+from desim.kernel.core.positions import Nodes
 from desim.kernel.core.seeds import ROOM
 from desim.kernel.walls.crossings import crossed_by
 from desim.kernel.walls.wall import Wall, blocking
 
+NOWHERE = complex(nan, nan)
+"""Stands for the position of a node to which no loss has been computed; it equals none."""
 LARGEST = 600.0
 """Largest natural logarithm of a factor: a distance that is e^600 times as long is out of every range."""
 
 
 class RadioWalls:
-    """The walls that block radio, and the losses between nodes.
+    """The walls that block radio, and the factors by which they stretch distances between nodes.
+
+    Factors are kept as long as neither end has moved: most pursuers stand still most of the time.
+
+    Kept equal to factors that are computed at each use by
+    `tests/kernel/test_radio_walls.py::test_losses_are_kept_until_an_end_moves`.
 
     Args:
         walls: all walls.
-        positions: the current positions of the nodes.
         size: number of nodes.
+        exponent: the path loss exponent n.
     """
 
-    def __init__(self, walls: Sequence[Wall], positions: PositionSource, size: int):
-        segments, self._positions = blocking(walls, "radio"), positions
-        self._corners = segments.corners
+    def __init__(self, walls: Sequence[Wall], size: int, exponent: float):
+        segments = blocking(walls, "radio")
+        self._walls, self._size, self._corners = walls, size, segments.corners
         self._losses = np.zeros((len(segments.corners) - 1, 1))
         """The loss from each corner to the next, dB; 0 where there is no wall between them."""
         self._losses[segments.firsts, 0] = np.array([wall.decibels for wall in walls])[segments.owners]
-        self._keeps = positions.max_speed == 0.0 and size * size <= ROOM
-        self._kept: dict[int, Floats] = {}
-        """If no node moves: by sender, the losses between it and all nodes, dB."""
+        self._per_decibel = log(10.0) / (10.0 * exponent)
+        self._keeps = size * size <= ROOM
+        self._kept: dict[int, _Row] = {}
+        """By sender, the factors that were computed since it is where it is."""
+
+    def with_exponent(self, exponent: float) -> "RadioWalls":
+        """Return the walls for another path loss exponent."""
+        return RadioWalls(self._walls, self._size, exponent)
 
     def decibels(self, starts: Floats, ends: Floats) -> Floats:
         """Return the (k,) losses, dB, on the straight lines between (k, 2) or (1, 2) positions, m; inf if opaque."""
@@ -47,30 +60,53 @@ class RadioWalls:
         total: Floats = np.add.reduce(np.where(crossed, self._losses, 0.0), axis=0)  # wall by wall
         return total
 
-    def between(self, src: int | Nodes, dst: Nodes, starts: Floats, ends: Floats) -> Floats:
-        """Return the (k,) losses, dB, between nodes: (1, 2) or (k, 2) and (k, 2) are their positions, m."""
+    def stretched(
+        self, src: int | Nodes, dst: Nodes, starts: Floats, ends: Floats, apart: Floats, farthest: float = inf
+    ) -> Floats:
+        """Return the (k,) distances, m, at which nodes without walls would receive as much power; inf if opaque.
+
+        Args:
+            src: the sender, one for all or (k,).
+            dst: (k,) the receivers, each once, ascending if they are all nodes.
+            starts: (1, 2) or (k, 2) positions of the senders, m.
+            ends: (k, 2) positions of the receivers, m.
+            apart: (k,) their distances, m.
+            farthest: a distance, m; greater ones may be returned as any that are greater.
+        """
         if not self._keeps or not isinstance(src, int):
-            return self.decibels(starts, ends)
-        row = self._kept.get(src)
-        if row is None:
-            places = self._positions()
-            row = self._kept[src] = self.decibels(places[src : src + 1], places)
-        return row[dst]
+            return apart * self._factors(starts, ends)
+        row, place = self._kept.get(src), complex(*starts[0].tolist())
+        if row is None or row.place != place:
+            row = self._kept[src] = _Row(place, np.full(self._size, NOWHERE), np.ones(self._size))
+        places = np.ascontiguousarray(ends).view(np.complex128)[:, 0]
+        is_all = len(dst) == self._size  # the nodes are in ascending order
+        moved = (((row.places if is_all else row.places[dst]) != places) & (apart <= farthest)).nonzero()[0]
+        if len(moved):
+            nodes = dst[moved]
+            row.factors[nodes] = self._factors(starts, ends[moved])
+            row.places[nodes] = places[moved]
+        return apart * (row.factors if is_all else row.factors[dst])
+
+    def _factors(self, starts: Floats, ends: Floats) -> Floats:
+        """Return the (k,) factors by which the walls between positions stretch their distances."""
+        return np.array([self._factor(loss) for loss in self.decibels(starts, ends).tolist()])
+
+    def _factor(self, loss: float) -> float:
+        """Return the factor of a loss, dB."""
+        if not loss:
+            return 1.0
+        return exp(min(loss * self._per_decibel, LARGEST)) if loss < inf else inf
 
 
-def stretched(apart: Floats, decibels: Floats, exponent: float) -> Floats:
-    """Return the (k,) distances, m, at which nodes without walls would receive as much power; inf if opaque.
+class _Row(NamedTuple):
+    """The factors between one node and the others."""
 
-    Args:
-        apart: (k,) their distances, m.
-        decibels: (k,) the losses of the walls between them, dB.
-        exponent: the path loss exponent n.
-    """
-    if not decibels.any():
-        return apart
-    per_decibel = log(10.0) / (10.0 * exponent)
-    factors = [exp(min(loss * per_decibel, LARGEST)) if loss < inf else inf for loss in decibels.tolist()]
-    return apart * np.array(factors)
+    place: complex
+    """The position of the node, m."""
+    places: Points
+    """(n,) the positions of the others for which the factors hold, m."""
+    factors: Floats
+    """(n,)"""
 
 
 def range_factor(decibels: float, exponent: float) -> float:

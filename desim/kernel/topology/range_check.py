@@ -113,9 +113,11 @@ class WalledRangeCheck(RangeCheck):
 
     def __call__(self, src: int | Nodes, dst: Nodes, apart: Floats, message: int | Integers | None) -> Bools:
         """Return (k,) booleans: which of the nodes `dst` receive a message."""
+        if self._is_certain and self._range < inf:
+            return apart <= self._range
         audible: Bools = apart < inf
-        if self._range == inf or self._is_certain:
-            return audible & (apart <= self._range)
+        if self._range == inf:
+            return audible
         received = np.zeros(len(dst), dtype=bool)
         if audible.any():
             of_pairs = [

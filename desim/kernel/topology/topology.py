@@ -16,7 +16,7 @@ from desim.kernel.models.graphs import node_names
 from desim.kernel.models.implicit_complete import complete_digraph, is_complete, is_implicit
 from desim.kernel.models.reception import ReceptionModel
 from desim.kernel.topology.correlated_channel import CorrelatedChannel, Ends
-from desim.kernel.topology.radio_walls import RadioWalls, stretched
+from desim.kernel.topology.radio_walls import RadioWalls
 from desim.kernel.topology.range_check import RangeCheck, WalledRangeCheck
 from desim.kernel.topology.spatial_hash import CellList
 from desim.kernel.walls.wall import Wall
@@ -50,7 +50,6 @@ class Topology:
 
     Attributes:
         walls: the walls that block radio; None if there are none.
-        exponent: with walls, the path loss exponent n by which they stretch distances.
 
     Raises:
         ValueError: if the nodes are not 0 .. n - 1, a node has a self-loop, or the range is finite, or a wall blocks
@@ -90,9 +89,8 @@ class Topology:
             as_position_source(positions) if positions is not None and (range < inf or has_walls) else None
         )
         if has_walls and self._positions is not None:
-            self.walls = RadioWalls(walls, self._positions, size)
             self._received = WalledRangeCheck(reception, range, per_link, seed, size)
-            self.exponent, self._bound = self._received.exponent, self._received.bound
+            self.walls, self._bound = RadioWalls(walls, size, self._received.exponent), self._received.bound
         if self._positions is not None:
             self._candidates = _candidates(self._lists, size, self._positions, self._received.bound, now)
 
@@ -165,7 +163,7 @@ class Topology:
             x, y = (ends - starts).T
             apart = np.hypot(x, y)
         if self.walls is not None:
-            apart = stretched(apart, self.walls.between(src, receivers, starts, ends), self.exponent)
+            apart = self.walls.stretched(src, receivers, starts, ends, apart, self._bound)
         if self.channel is None:
             received: list[bool] = self._received(src, receivers, apart, message).tolist()
         else:
@@ -265,9 +263,7 @@ class Topology:
         apart = distances(places, index)
         apart[index] = self._range  # not the distance to itself, 0: a model may divide by distances
         if self.walls is not None:
-            near = (apart <= self._bound).nonzero()[0]  # walls only make distances longer
-            decibels = self.walls.between(node, candidates[near], places[index : index + 1], places[near])
-            apart[near] = stretched(apart[near], decibels, self.exponent)
+            apart = self.walls.stretched(node, candidates, places[index : index + 1], places, apart, self._bound)
         if self.channel is None or message is None:
             received = self._received(node, candidates, apart, message)
         else:
