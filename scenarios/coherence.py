@@ -15,7 +15,7 @@ from desim.analysis.statistics import Estimate
 from desim.analysis.tables import aligned
 from scenarios.studies.coherence_runs import CHANNELS, WAYS, Cell, measure
 from scenarios.studies.study import Options, study
-from scenarios.studies.transport_runs import HEARTBEATS, N_REST, ONCE, N
+from scenarios.studies.transport_runs import N_REST, ONCE, N
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,21 +24,21 @@ if TYPE_CHECKING:
 def table(cells: Sequence[Cell], runs: int) -> str:
     """Return all results as text."""
     of = {(cell.channel, cell.way): cell for cell in cells}
-    compared = [way for way in WAYS if way != HEARTBEATS]
-    pursuits: list[tuple[str, ...]] = [("Doppler (Hz)", HEARTBEATS, *compared, *(f"bytes/s, {way}" for way in WAYS))]
+    compared = [way for way in WAYS if way != ONCE]
+    pursuits: list[tuple[str, ...]] = [("Doppler (Hz)", ONCE, *compared, *(f"bytes/s, {way}" for way in WAYS))]
     ages: list[tuple[str, ...]] = [("Doppler (Hz)", *WAYS)]
     for channel in CHANNELS:
         pursuits.append(
             (
                 channel,
-                text(of[channel, HEARTBEATS].active_time),
-                *(text(of[channel, way].difference) for way in compared),
+                text(of[channel, ONCE].active_time),
+                *(text(of[channel, way].saving) for way in compared),
                 *(f"{of[channel, way].rate:,.0f}" for way in WAYS),
             )
         )
         ages.append((channel, *(text(of[channel, way].age) for way in WAYS)))
     return (
-        f"sum of active times, s: {HEARTBEATS}, and differences from it: {N} pursuers, {runs} runs, 95 % intervals\n"
+        f"sum of active times, s: {ONCE}, and what the others save: {N} pursuers, {runs} runs, 95 % intervals\n"
         f"{aligned(pursuits)}\n\nmean age of information in a game at rest, s: {N_REST} pursuers\n{aligned(ages)}"
     )
 
@@ -49,7 +49,7 @@ def text(value: Estimate) -> str:
 
 
 def picture(cells: Sequence[Cell]) -> "Figure":
-    """Draw the differences of the active time and the ages of information over the channels, a line per way."""
+    """Draw the savings of active time and the ages of information over the channels, a line per way."""
     from desim.analysis.drawing import palette, plots
 
     with plots.styled(figsize=(9.0, 3.2)) as figure:
@@ -58,7 +58,7 @@ def picture(cells: Sequence[Cell]) -> "Figure":
             here = [cell for cell in cells if cell.way == way]
             places = [place + 0.05 * (k - 1.5) for place in range(len(here))]  # shifted, so that error bars are seen
             style = {"color": colour, "ms": 3, "lw": 1.0, "elinewidth": 0.7, "label": way}
-            for axes, values in ((left, [cell.difference for cell in here]), (right, [cell.age for cell in here])):
+            for axes, values in ((left, [cell.saving for cell in here]), (right, [cell.age for cell in here])):
                 if axes is left and way == ONCE:
                     continue
                 means, widths = [value.mean for value in values], [value.half_width for value in values]
@@ -67,9 +67,9 @@ def picture(cells: Sequence[Cell]) -> "Figure":
         for axes in (left, right):
             axes.set_xticks(range(len(CHANNELS)), CHANNELS)
             axes.set_xlabel("Doppler frequency of the channel (Hz)")
-        left.set_ylabel("active time minus that\nwith heartbeats (s)")
+        left.set_ylabel("active time saved against\nannouncing once (s)")
         right.set_ylabel("mean age of information (s)")
-        right.set_yscale("log")
+        right.set_ylim(bottom=0.0)
         right.legend(fontsize=8)
     return figure
 

@@ -18,7 +18,7 @@ from desim.kernel.models.links import Links
 from desim.kernel.models.medium import LoRa, Radio, contends
 from desim.kernel.models.presets import PRESETS
 from desim.kernel.models.reception import Disk, QuasiUnitDisk
-from desim.kernel.models.traits import ReceptionTraits
+from desim.kernel.models.traits import InterferenceTraits, ReceptionTraits
 from desim.kernel.models.transport import BestEffort, Coded, Reliable
 from desim.kernel.walls.materials import MATERIALS
 from desim.scenario.scenario import Scenario
@@ -40,6 +40,7 @@ def network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
                 yield f"network.{key}", f"it overrides the value of the preset {network.preset!r}"
     if network.range == inf and network.reception != Disk():
         yield "network.reception", "it has no effect while the range is inf"
+    yield from _coherence_warnings(scenario)
     is_mute = announce.trigger == "never" and not announces_start(scenario)
     if is_mute and sends_announcements(scenario) and is_built_in(scenario):
         yield "announce.dissemination", "it has no effect, because nothing is ever announced"
@@ -65,6 +66,20 @@ def network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             f"heartbeats of {size} bytes alone need {load:.1f} times the capacity of the channel: queues grow without"
             f" bound, or messages {'collide or ' if contend else ''}are dropped",
         )
+
+
+def _coherence_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield a warning about correlated fading with which each message meets the same channel, or of which none asks."""
+    network = scenario.network
+    if network.fading != "correlated":
+        return
+    varies = set(ReceptionTraits.of(network.reception).varies) if network.range < inf else set()
+    if contends(network.medium):
+        varies |= set(InterferenceTraits.of(network.medium.reception).varies)
+    if not varies:
+        yield "network.fading", "it has no effect: the power of no message varies (`reception`)"
+    elif scenario.motion.static and (network.coherence.doppler is None or "fading" not in varies):
+        yield "network.fading", "the channel never changes: nobody moves, and nothing around them does (`doppler`)"
 
 
 def _graph_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:

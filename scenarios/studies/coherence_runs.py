@@ -36,8 +36,8 @@ class Cell:
     """Doppler frequency, Hz, or `NONE`."""
     way: str
     active_time: Estimate
-    difference: Estimate
-    """Paired difference of the active time from that of heartbeats on the same channel, s."""
+    saving: Estimate
+    """Paired difference: the active time of announcing once on the same channel minus that of this way, s."""
     age: Estimate
     """Mean age of information in a game at rest, s."""
     rate: float
@@ -78,7 +78,7 @@ def measure(options: Options) -> list[Cell]:
     pursued = _with_equal_bytes(options, pursuit, "pursuits", transport_runs.run_of_pursuit)
     rested = _with_equal_bytes(options, at_rest, "ages", transport_runs.run_at_rest)
     return [
-        _cell(channel, way, pursued[channel, way], pursued[channel, HEARTBEATS], rested[channel, way])
+        _cell(channel, way, pursued[channel, way], pursued[channel, ONCE], rested[channel, way])
         for channel in CHANNELS
         for way in WAYS
     ]
@@ -87,7 +87,7 @@ def measure(options: Options) -> list[Cell]:
 def _cell(channel: str, way: str, runs: list[Run], reference: list[Run], ages: list[Run]) -> Cell:
     times, of_reference = (np.array([run.value for run in run_list]) for run_list in (runs, reference))
     age = estimate([run.value for run in ages])
-    return Cell(channel, way, estimate(times), estimate(times - of_reference), age, budget_of(runs).bytes)
+    return Cell(channel, way, estimate(times), estimate(of_reference - times), age, budget_of(runs).bytes)
 
 
 def _with_equal_bytes(

@@ -10,12 +10,13 @@ from desim import Scenario, run
 from desim.kernel.clock_sync import TwoWay
 from desim.kernel.core.events import Broadcast
 from desim.kernel.models.access import Aloha, Csma, SlottedAloha, Tdma
+from desim.kernel.models.coherence import Coherence
 from desim.kernel.models.faults import ClockSkew, Crash, RandomCrashes
 from desim.kernel.models.graphs import Ring
 from desim.kernel.models.interference import CaptureEffect
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
-from desim.kernel.models.reception import QuasiUnitDisk
+from desim.kernel.models.reception import QuasiUnitDisk, Rice
 from desim.kernel.models.transport import Reliable
 from desim.pursuit.byzantine.lies import Liar, ReplayAttack, Selective, Silent, Slander
 from desim.pursuit.evaders.evasion import ConstantHeading
@@ -151,6 +152,18 @@ def test_of_several_players_the_fastest_counts(speeds):
         ({"sensing": Sensing(estimate="hold")}, "sensing.estimate", "no effect while the radius is inf"),
         ({"sensing": Sensing(radius=0.1)}, "sensing.radius", "no pursuer sees an evader before it captures it"),
         ({"network": Links(reception=QuasiUnitDisk())}, "network.reception", "no effect while the range is inf"),
+        ({"network": Links(coherence=Coherence(doppler=1.0))}, "network.coherence", "no effect with fading 'per_link'"),
+        ({"network": Links(range=9.0, fading="correlated")}, "network.fading", "the power of no message varies"),
+        (
+            {
+                "network": Links(
+                    range=9.0, reception=Rice(), fading="correlated", coherence=Coherence(frequency=2.4e9)
+                ),
+                "motion": Motion(static=True),
+            },
+            "network.fading",
+            "the channel never changes",
+        ),
         (
             {"network": Links(preset="lte", latency={"kind": "constant"})},
             "network.latency",
@@ -411,6 +424,11 @@ def test_probably_unintended_values_are_named_with_key_and_reason(given, key, wh
         {"motion": Motion(step=1.0), "horizon": 1.0},
         {"motion": Motion(step=0.1), "capture": Capture(test="sample")},
         {"motion": Motion(step=0.11)},
+        {
+            "network": Links(range=99.0, reception=Rice(), fading="correlated", coherence=Coherence(doppler=1.0)),
+            "motion": Motion(static=True),
+            "announce": Announcements(heartbeat=0.3),
+        },
     ],
 )
 def test_barely_compatible_values_give_no_warning(given):
