@@ -179,7 +179,7 @@ def test_every_command_with_keys_has_the_option():
             yield from every(each) if isinstance(each, click.Group) else [each]
 
     found = [{option for param in each.params for option in param.opts} for each in every(main)]
-    assert len([each for each in found if "--set" in each]) == 11
+    assert len([each for each in found if "--set" in each]) == 12
     assert not [each for each in found if "--set" in each and "--allow-import" not in each]
 
 
@@ -374,6 +374,8 @@ ALLOWED = {
     "desim/config/choice.py": {"import_module", "load", "each.load"},  # `_imported`, entry points
     "desim/config/fresh.py": {"reader.load"},  # what it has just pickled
     "desim/learning/make.py": {"load"},  # of a scenario file
+    "desim/live/__init__.py": {"import_module"},  # of its own modules
+    "desim/live/nursery.py": {"pickle.loads"},  # what the process that has started it sent over a pipe
     "desim/testing/__init__.py": {"import_module"},  # of its own modules
     "desim/testing/judging.py": {"cloudpickle.loads"},  # what it has just pickled
     "desim/view/pages/replay_columns.py": {"np.frombuffer"},  # numbers alone

@@ -116,6 +116,36 @@ def test_an_exception_of_a_process_is_raised_unchanged():
     assert raised.value.__notes__ == ["a note"]
 
 
+def test_a_clock_that_follows_another_one_processes_what_is_due_and_leaves_no_event_behind():
+    env, seen = Clock(), []
+    for when in (3, 5, 5, 9):
+        Instant(env, when, 0).callbacks.append(lambda _, when=when: seen.append((when, env.now)))
+    env.advance(2)
+    assert (env.now, seen) == (2, [])
+    env.advance(7)
+    assert (env.now, seen) == (7, [(3, 3), (5, 5), (5, 5)])
+    assert env.peek() == 9
+    env.advance(6)  # the other clock has gone back: time does not
+    assert env.now == 7
+    over = Instant(env, 8, 0)
+    env.advance(20, over)
+    assert (env.now, env.peek()) == (8, 9)
+
+
+def test_an_exception_is_raised_unchanged_while_a_clock_follows_another_one():
+    def process():
+        yield Instant(env, 5, 0)
+        error = ValueError("why")
+        error.add_note("a note")
+        raise error
+
+    env = Clock()
+    env.process(process())
+    with pytest.raises(ValueError, match="why") as raised:
+        env.advance(6)
+    assert raised.value.__notes__ == ["a note"]
+
+
 def test_an_exception_is_not_replaced_by_its_cause():
     def process():
         yield Instant(env, 5, 0)

@@ -48,7 +48,7 @@ def pretended(result, timers=(1_000_000,)) -> LiveResult:
 
 @pytest.fixture
 def simulated():
-    return [run(game("sap"), seed) for seed in range(4)]
+    return [run(game("sap"), seed) for seed in range(2)]
 
 
 def test_runs_that_are_equal_agree_and_late_timers_give_no_verdict(simulated):
@@ -62,7 +62,7 @@ def test_runs_that_are_equal_agree_and_late_timers_give_no_verdict(simulated):
 
 
 def test_other_runs_differ_beyond_their_errors_and_the_margin(simulated):
-    slow = [pretended(run(game("sap"), seed + 100)) for seed in range(4)]
+    slow = [pretended(run(game("sap"), seed + 100)) for seed in range(2)]
     rows = {row.metric: row for row in Agreement(game("sap"), slow, simulated).rows}
     assert rows["messages_sent"].difference.mean != 0.0
     row = rows["active_time"]._replace(margin=abs(rows["active_time"].difference.mean))
@@ -70,6 +70,7 @@ def test_other_runs_differ_beyond_their_errors_and_the_margin(simulated):
     assert row.agrees
 
 
+@pytest.mark.slow
 def test_a_comparison_simulates_what_it_runs_live_with_the_same_seeds(monkeypatch):
     monkeypatch.setattr(
         agreement_module, "runs", lambda scenario, seeds, **_: [pretended(run(scenario, seed)) for seed in seeds]

@@ -16,7 +16,9 @@ from desim.pursuit.core.events import Ended
 from desim.pursuit.core.state import lengths
 from desim.pursuit.evaders import evader
 from desim.pursuit.evaders.evasion import Still
+from desim.pursuit.motion.dynamics import Acceleration
 from desim.pursuit.motion.guidance import ConstantBearing, PurePursuit
+from desim.pursuit.motion.inertia import InertialKinematics
 from desim.pursuit.motion.kinematics import Kinematics
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
@@ -56,6 +58,33 @@ def test_one_some_and_all_are_at_the_same_places(start, moments, data):
         if heading is not None:
             players.command(heading)
             places, since, velocities = expected, now, heading
+
+
+@pytest.mark.parametrize("limit", [None, 2.0])
+def test_players_that_are_observed_go_on_as_those_observed(limit):
+    """Frames of a live run: the motion of others, and curves of players with inertia, are continued from a moment ago."""
+    rng = np.random.default_rng(3)
+    starts, commands, drifts = (rng.normal(size=4) + 1j * rng.normal(size=4) for _ in range(3))
+
+    def players_at(env):
+        if limit is None:
+            return Kinematics(env, starts.copy())
+        dynamics = [Acceleration(limit=limit)] * 4
+        return InertialKinematics(env, starts.copy(), dynamics, np.ones(4, dtype=complex))
+
+    there, here = Clock(), Clock()
+    players, mirror = players_at(there), players_at(here)
+    there.advance(SECOND // 10)
+    players.command(commands, drifts)
+    there.advance(SECOND // 5)
+    seen = there.now, players.positions().copy(), players.courses(range(4)), players.commands, players.drifts
+    here.advance(there.now + 7)  # it learns of it later
+    mirror.observe(*seen)
+    for env in (there, here):
+        env.advance(SECOND)
+    np.testing.assert_allclose(mirror.positions(), players.positions(), rtol=0.0, atol=1e-9)
+    assert mirror.position(2) == pytest.approx(players.position(2), abs=1e-9)
+    assert mirror.velocity(1) == pytest.approx(players.velocity(1), abs=1e-9)
 
 
 def test_players_of_a_static_game_stay_and_positions_are_read_only():
