@@ -38,7 +38,6 @@ from collections.abc import Generator, Iterable, Iterator, Sequence
 from math import inf
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
-import simpy
 from pydantic import Field
 
 from desim.config.model import Period, Value
@@ -102,7 +101,7 @@ class Server(Value):
         while True:
             server = yield from self._lead(me) if me.id == server else self._follow(me, server)
 
-    def _follow(self, me: Agent, server: int) -> Generator[simpy.Event, Any, int]:
+    def _follow(self, me: Agent, server: int) -> Generator[Any, Any, int]:
         """Report at every tick, obey the newest order received, and return when its turn as the server has come."""
         newest = -1
         last_order = me.now
@@ -124,7 +123,7 @@ class Server(Value):
             me.send(server, Forwarded((me.record(me.located()),)), PORT)
         return server
 
-    def _lead(self, me: Agent) -> Generator[simpy.Event, Any, int]:
+    def _lead(self, me: Agent) -> Generator[Any, Any, int]:
         """Decide when reports have arrived, obey the decision, and send it to the others.
 
         Return the pursuer to follow, if an order of one comes whose turn as the server is before its own.

@@ -40,7 +40,7 @@ def test_the_workflows_call_sessions_that_nox_has():
     sessions = set(re.findall(r"^def (\w+)\(session", text("noxfile.py"), re.MULTILINE))
     workflows = "".join(path.read_text(encoding="utf-8") for path in (ROOT / ".github/workflows").glob("*.yml"))
     called = re.findall(r"nox -s (\w+)", workflows) + re.findall(r"session: \[?(\w+)", workflows)
-    assert set(called) == {"tests", "oldest", "digests", "docs", "build", "wheel"} <= sessions
+    assert set(called) == {"tests", "oldest", "digests", "docs", "slow", "build", "wheel"} <= sessions
 
 
 def test_the_hook_of_ruff_has_the_locked_version():
