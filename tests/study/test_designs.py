@@ -160,6 +160,7 @@ def test_differences_of_a_design_are_along_the_key_that_is_combined():
     runs = runs_at(SCATTERED)
     assert runs.compared_by == "kind"
     assert [runs.groups[k].settings["kind"] for k in runs.references()] == ["a"] * 32
+    assert runs_at(SCATTERED[::2]).compared_by is None
 
 
 @pytest.mark.slow

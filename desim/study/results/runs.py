@@ -201,8 +201,12 @@ class SweepRuns:
 
     @property
     def compared_by(self) -> str | None:
-        """The first key that has several values, all else equal; None if there is none."""
-        return next((key for key in self.keys if self.first_along(key) != list(range(len(self.groups)))), None)
+        """The first key that has several values, all else equal if there is such a key; None for a design without."""
+        alone = list(range(len(self.groups)))
+        paired_key = next((key for key in self.keys if self.first_along(key) != alone), None)
+        if paired_key is not None or self.drawn_keys:
+            return paired_key
+        return next((key for key in self.keys if len(self.values(key)) > 1), None)
 
     @property
     def drawn_keys(self) -> list[str]:
