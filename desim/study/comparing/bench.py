@@ -73,7 +73,7 @@ def bench(
     suite = Suite.of(version)
     count = suite.runs if runs is None else whole(runs, "runs")
     if not 2 <= count <= suite.runs:
-        raise ValueError(f"runs should be 2 to {suite.runs}, the number of version {version} (got {count})")
+        raise ValueError(f"runs should be 2 to {suite.runs}, those of version {version} (got {count})")
     entrants = Entrants(suite, _by_name(protocols, suite), again=again)
     with workers_for(executor, entrants.runs(count)) as workers:
         return entrants.carry_out(
