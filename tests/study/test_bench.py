@@ -265,3 +265,7 @@ def test_a_protocol_in_a_file_is_entered_by_one_argument(tmp_path, monkeypatch):
     assert {"bench.txt", "bench.json", "bench.svg"} <= {path.name for path in (tmp_path / "out/bench/v1").iterdir()}
     before = (tmp_path / "out/bench/v1/bench.txt").read_text()
     assert command("--protocol", "rules/my.py:nearest", "-n", 8, "--allow-import").stdout == before
+
+
+def test_the_committed_table_is_that_of_the_version():
+    assert (SUITE.folder / "table.txt").read_text(encoding="utf-8") == f"{bench()}\n"
