@@ -36,6 +36,7 @@ from scenarios import (
     table1,
     transport,
     two_clocks,
+    walls,
 )
 from scenarios import range as ranges
 from scenarios.benchmarks import __main__ as benchmarks
@@ -73,6 +74,7 @@ STUDIES = (
     table1,
     transport,
     two_clocks,
+    walls,
 )
 
 
