@@ -70,10 +70,10 @@ def measure(options: Options) -> list[Cost]:
     costs = []
     for protocol, blocked in cases:
         for k, metric in enumerate(METRICS):
-            ours = [run[k] for run in values[protocol, blocked]]
+            among = [run[k] for run in values[protocol, blocked]]
             free = [run[k] for run in values[protocol, "nothing"]]
-            mean = estimate(ours).mean
-            paired = estimate([own - other for own, other in zip(ours, free, strict=True)])
+            mean = estimate(among).mean
+            paired = estimate([walled - plain for walled, plain in zip(among, free, strict=True)])
             costs.append(Cost(protocol, blocked, metric, mean, paired.mean, paired.half_width))
     return costs
 

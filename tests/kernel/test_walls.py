@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from desim.config.errors import KeyedError
 from desim.kernel.walls.crossings import (
     Segments,
-    Shape,
+    WallShape,
     crossings,
     first_contact,
     first_crossings,
@@ -273,7 +273,7 @@ def test_crossings_are_those_of_exact_arithmetic_and_do_not_depend_on_the_direct
 
 @given(st.lists(GRID, min_size=3, max_size=7, unique=True), GRID, GRID)
 def test_a_ray_that_leaves_a_polygon_crosses_its_edges_an_odd_number_of_times(corners, start, end):
-    ring = Shape(np.array(corners, dtype=float), closed=True)
+    ring = WallShape(np.array(corners, dtype=float), closed=True)
     edges = segments_of([(0, ring)])
     ends = np.array([start, end]) + np.array([0.31, 0.17])  # not on an edge
     odd = crossings(ends[:1], ends[1:], edges).sum() % 2 == 1
@@ -305,12 +305,12 @@ def test_edges_that_touch_are_found_among_many():
     rng = np.random.default_rng(3)
     places = rng.permutation(144)
     rings = [
-        (k, Shape(np.array(SQUARE) * 0.25 + [3.0 * (place % 12), 3.0 * (place // 12)], closed=True))
+        (k, WallShape(np.array(SQUARE) * 0.25 + [3.0 * (place % 12), 3.0 * (place // 12)], closed=True))
         for k, place in enumerate(places.tolist())
     ]
     assert first_contact(rings) is None
     moved = rings[70][1].corners + rings[110][1].corners[0] - rings[70][1].corners[2]
-    contact = first_contact([*rings[:70], (70, Shape(moved, closed=True)), *rings[71:]])
+    contact = first_contact([*rings[:70], (70, WallShape(moved, closed=True)), *rings[71:]])
     assert (contact.first, contact.second) == (70, 110)
 
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.kernel.walls.crossings import Shape, crossings, segments_of
+from desim.kernel.walls.crossings import WallShape, crossings, segments_of
 from desim.kernel.walls.wall import Wall
 from desim.pursuit.core.state import complex_points, coordinates
 from desim.pursuit.paths.obstacles import Obstacles
@@ -23,11 +23,11 @@ ORACLE = json.loads((Path(__file__).parent / "shortest_paths.json").read_text())
 
 
 def lines(*corners):
-    return [[Shape(np.array(line, dtype=float), closed=False)] for line in corners]
+    return [[WallShape(np.array(line, dtype=float), closed=False)] for line in corners]
 
 
 def polygons(*corners):
-    return [[Shape(np.array(polygon, dtype=float), closed=True)] for polygon in corners]
+    return [[WallShape(np.array(polygon, dtype=float), closed=True)] for polygon in corners]
 
 
 def paths(walls):
@@ -117,7 +117,7 @@ def test_paths_touch_and_slide_and_never_cross(walls, source, target, expected):
 def test_a_hole_is_free_and_closed():
     """A room: the hole of a polygon, which no path leaves; and a place in the wall itself."""
     outer, inner = [[0, 0], [9, 0], [9, 9], [0, 9]], [[1, 1], [8, 1], [8, 8], [1, 8]]
-    obstacles = Obstacles([[Shape(np.array(ring, dtype=float), closed=True) for ring in (outer, inner)]])
+    obstacles = Obstacles([[WallShape(np.array(ring, dtype=float), closed=True) for ring in (outer, inner)]])
     assert obstacles.are_free(np.array([5 + 5j, 0.5 + 5j, 1 + 5j, -1 + 5j])).tolist() == [True, False, False, True]
     shortest = ShortestPaths(obstacles)
     assert shortest.distance(2 + 2j, 7 + 7j) == pytest.approx(5 * sqrt(2))

@@ -10,7 +10,7 @@ from matplotlib.path import Path
 
 from desim.analysis.drawing.palette import GREY
 from desim.config.arrays import Floats
-from desim.kernel.walls.crossings import Shape, inside
+from desim.kernel.walls.crossings import WallShape, inside
 from desim.kernel.walls.wall import Wall
 
 SOLID = "#333333"
@@ -33,7 +33,7 @@ def draw_walls(axes: Axes, walls: Sequence[Wall]) -> None:
             axes.add_patch(PathPatch(area, fc=colour, ec="none", alpha=0.25, zorder=1.5))
 
 
-def _oriented(ring: Shape, rings: Sequence[Shape]) -> Path:
+def _oriented(ring: WallShape, rings: Sequence[WallShape]) -> Path:
     """Return a ring that runs to the left, or to the right around a hole, so that holes are not filled."""
     others = [other for other in rings if other is not ring]
     is_hole = bool(others) and bool(inside(ring.corners[:1], others)[0])

@@ -18,7 +18,7 @@ import numpy as np
 from desim.config.arrays import Bools, Floats, Integers
 
 
-class Shape(NamedTuple):
+class WallShape(NamedTuple):
     """One line or polygon of a wall."""
 
     corners: Floats
@@ -59,7 +59,7 @@ class Segments(NamedTuple):
         return len(self.owners) > 0
 
 
-def segments_of(shapes: Iterable[tuple[int, Shape]]) -> Segments:
+def segments_of(shapes: Iterable[tuple[int, WallShape]]) -> Segments:
     """Return the edges of some shapes, each with the index of its owner."""
     corners, firsts, owners, count = [np.empty((0, 2))], list[int](), list[int](), 0
     for owner, shape in shapes:
@@ -152,7 +152,7 @@ def _apart(first: Floats, second: Floats, least: Floats) -> Bools:
     return apart
 
 
-def inside(points: Floats, shapes: Sequence[Shape]) -> Bools:
+def inside(points: Floats, shapes: Sequence[WallShape]) -> Bools:
     """Return which of (m, 2) points, m, are inside the polygons of one wall, (m,): those in a hole are not.
 
     The rings of the wall must not cross each other. A point on the boundary may count as inside or not.
@@ -195,7 +195,7 @@ ROWS = 256
 """Number of edges that are compared with all others at once."""
 
 
-def first_contact(shapes: Iterable[tuple[int, Shape]]) -> Contact | None:
+def first_contact(shapes: Iterable[tuple[int, WallShape]]) -> Contact | None:
     """Return two edges of polygons, each with an index, that touch or cross; None if there are none.
 
     Edges that follow each other in a polygon touch only if the second goes back on the first.

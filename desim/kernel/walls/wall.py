@@ -10,7 +10,7 @@ from pydantic import AfterValidator, ValidationInfo, model_validator
 
 from desim.config.model import MAX_COORDINATE, Coordinate, FirstError, Length, Limit, NotEmpty, Positive, Value
 from desim.config.trust import resolve_path
-from desim.kernel.walls.crossings import Segments, Shape, first_contact, repeated_corner, segments_of
+from desim.kernel.walls.crossings import Segments, WallShape, first_contact, repeated_corner, segments_of
 from desim.kernel.walls.materials import Material, slab_loss
 from desim.kernel.walls.outlines import Outline, file_text, svg_outlines, wkt_outlines
 
@@ -108,7 +108,7 @@ class Wall(Value):
         return wkt_outlines(self.wkt) if self.wkt is not None else svg_outlines(self.svg or "")
 
     @property
-    def shapes(self) -> tuple[Shape, ...]:
+    def shapes(self) -> tuple[WallShape, ...]:
         """The shapes, in m; a hole of a polygon is a polygon of its own."""
         return _shapes_of(self)
 
@@ -133,9 +133,9 @@ class Wall(Value):
 
 
 @lru_cache(maxsize=256)  # not in the wall itself: arrays cannot be compared as the fields of a value are
-def _shapes_of(wall: Wall) -> tuple[Shape, ...]:
+def _shapes_of(wall: Wall) -> tuple[WallShape, ...]:
     offset = np.array(wall.offset)
-    shapes = tuple(Shape(np.array(corners) * wall.scale + offset, closed) for corners, closed in wall._outlines)
+    shapes = tuple(WallShape(np.array(corners) * wall.scale + offset, closed) for corners, closed in wall._outlines)
     for shape in shapes:
         shape.corners.setflags(write=False)
     return shapes
@@ -156,12 +156,12 @@ def _check(outline: Outline, which: str) -> None:
         raise ValueError(f"{which}an edge should have a length: the corner [{x:g}, {y:g}] comes twice{first}")
 
 
-def blocking(walls: Sequence[Wall], what: What) -> Segments:
+def blocking(walls: Sequence[Wall], use: What) -> Segments:
     """Return the edges of the walls that block something; their owners are the indices of the walls."""
-    return segments_of(_shapes(walls, what))
+    return segments_of(_shapes(walls, use))
 
 
-def _shapes(walls: Sequence[Wall], what: What) -> Iterable[tuple[int, Shape]]:
+def _shapes(walls: Sequence[Wall], use: What) -> Iterable[tuple[int, WallShape]]:
     for index, wall in enumerate(walls):
-        if what in wall.blocks:
+        if use in wall.blocks:
             yield from ((index, shape) for shape in wall.shapes)

@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from desim.config.arrays import Bools, Floats, Points
-from desim.kernel.walls.crossings import Shape, inside
+from desim.kernel.walls.crossings import WallShape, inside
 from desim.pursuit.core.state import complex_points, coordinates, lengths
 
 TOUCH = 1e-12
@@ -117,7 +117,7 @@ class Arrangement:
         corners: (V,) the directions around each corner.
     """
 
-    def __init__(self, walls: Sequence[Sequence[Shape]]):
+    def __init__(self, walls: Sequence[Sequence[WallShape]]):
         extent = max((float(abs(shape.corners).max()) for wall in walls for shape in wall), default=1.0)
         self.touch, self.clearance = TOUCH * max(extent, 1.0), CLEARANCE * max(extent, 1.0)
         self.places: Points = np.zeros(0, dtype=complex)
@@ -150,7 +150,7 @@ class Arrangement:
             solid = _mirrored(solid)
         return None if solid is None else BOTH - solid
 
-    def _numbers(self, shape: Shape) -> list[int]:
+    def _numbers(self, shape: WallShape) -> list[int]:
         """Return the numbers of the corners of a shape, in order and closed; corners that coincide have one number."""
         numbers: list[int] = []
         for place in complex_points(shape.corners).tolist():
@@ -184,7 +184,7 @@ class Arrangement:
             self.pieces[key] = self.pieces.get(key, frozenset()) | (solid if begin < end else _mirrored(solid))
 
 
-def is_within(places: Floats, wall: Sequence[Shape]) -> Bools:
+def is_within(places: Floats, wall: Sequence[WallShape]) -> Bools:
     """Return which of (k, 2) places, m, are inside the polygons of a wall, (k,); on an outline, either is possible."""
     return inside(places, wall) if any(shape.closed for shape in wall) else np.zeros(len(places), dtype=bool)
 
@@ -194,7 +194,7 @@ def _mirrored(sides: frozenset[Side]) -> frozenset[Side]:
     return frozenset({"left": "right", "right": "left"}[side] for side in sides)  # type: ignore[misc]
 
 
-def _solid_side(shape: Shape, wall: Sequence[Shape]) -> Side:
+def _solid_side(shape: WallShape, wall: Sequence[WallShape]) -> Side:
     """Return the side of a polygon, in the order of its corners, on which its wall is solid; of a hole, the outside."""
     x, y = shape.corners.T
     area = float(np.add.reduce(x * np.roll(y, -1) - y * np.roll(x, -1)))

@@ -10,7 +10,7 @@ from math import atan2, inf
 import numpy as np
 
 from desim.config.arrays import Bools, Floats, Points
-from desim.kernel.walls.crossings import Shape, segments_of
+from desim.kernel.walls.crossings import WallShape, segments_of
 from desim.pursuit.core.geometry import SMALLEST
 from desim.pursuit.core.state import lengths
 from desim.pursuit.paths.corners import BOTH, Arrangement, Side
@@ -26,7 +26,7 @@ class Rings:
         walls: the lines and polygons of each wall.
     """
 
-    def __init__(self, walls: Sequence[Sequence[Shape]]):
+    def __init__(self, walls: Sequence[Sequence[WallShape]]):
         rings = [segments_of((0, shape) for shape in wall if shape.closed) for wall in walls]
         rings = [edges for edges in rings if edges]
         self._first = np.cumsum([0, *(len(edges.owners) for edges in rings)])[:-1]
@@ -60,7 +60,7 @@ class Obstacles:
         bends: (C,) the corners at which a shortest path can bend, m.
     """
 
-    def __init__(self, walls: Sequence[Sequence[Shape]]):
+    def __init__(self, walls: Sequence[Sequence[WallShape]]):
         self._plan = Arrangement(walls)
         self._touch, self.clearance = self._plan.touch, self._plan.clearance
         self._places = self._plan.places

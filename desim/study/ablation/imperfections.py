@@ -189,11 +189,11 @@ def without_flow(scenario: Scenario) -> Scenario:
     return scenario.model_copy(update={"environment": Environment()})
 
 
-def without_walls(what: What) -> Callable[[Scenario], Scenario]:
+def without_walls(use: What) -> Callable[[Scenario], Scenario]:
     """Return a function that returns a scenario in which no wall blocks radio, sight or motion."""
 
     def without(scenario: Scenario) -> Scenario:
-        kept = [(wall, tuple(name for name in wall.blocks if name != what)) for wall in scenario.wall]
+        kept = [(wall, tuple(name for name in wall.blocks if name != use)) for wall in scenario.wall]
         walls = tuple(wall.model_copy(update={"blocks": blocks}) for wall, blocks in kept if blocks)
         return scenario if walls == scenario.wall else scenario.model_copy(update={"wall": walls})
 
