@@ -15,7 +15,9 @@ from desim.pursuit.evaders.evasion import (
     STRATEGIES,
     ConstantHeading,
     Diffusion,
+    Hide,
     Listener,
+    MaxGeodesic,
     MaxMin,
     PureEvasion,
     Still,
@@ -29,7 +31,10 @@ from desim.scenario.players import Evader
 from desim.scenario.toml import load
 
 ARENA = (-10.0, 10.0)
-FLEEING = [PureEvasion(), WeightedFlee(), MaxMin(), Zigzag(), VoronoiVertex(arena=ARENA)]
+FLEEING = [
+    *(PureEvasion(), WeightedFlee(), MaxMin(), MaxGeodesic(), Hide(), Zigzag()),
+    VoronoiVertex(arena=ARENA),
+]
 WANDERING = [Diffusion(), ConstantHeading(), ConstantHeading(angle=1.0)]
 ALL = [*FLEEING, *WANDERING, Still(), Listener(), Listener(during_handover=WeightedFlee(), normally=Diffusion())]
 WITH = {"flees_from": "active"}
