@@ -115,5 +115,5 @@ class ShortestPaths:
             beyond = (self._apart[:, bends] + distances).min(axis=1) if len(bends) else np.full(len(self._apart), inf)
             sight = self._sights[place] = Sight(bends, distances, beyond)
             if len(self._sights) > MAX_KEPT:
-                del self._sights[next(iter(self._sights))]
+                self._sights.pop(next(iter(self._sights)), None)
         return sight

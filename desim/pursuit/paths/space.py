@@ -276,7 +276,7 @@ def space_among(walls: Sequence[Wall]) -> Plane:
     if space is None:
         space = _spaces[key] = Walled(motion, sight) if motion else Plane(sight)
         if len(_spaces) > MAX_SPACES:
-            del _spaces[next(iter(_spaces))]
+            _spaces.pop(next(iter(_spaces)), None)
     return space
 
 
