@@ -13,6 +13,7 @@ from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson
 from scenarios.studies import (
     bodies_runs,
+    coherence_runs,
     contention_runs,
     evaders_runs,
     liars_runs,
@@ -47,6 +48,7 @@ from scenarios.studies.claims_runs import (
     per_handover,
     price,
     raced,
+    retransmitting_saves,
     share,
     survives,
     transported,
@@ -332,6 +334,20 @@ CLAIMS = (
         FINDINGS,
         "in every cell, {0.09} s against {0.37} s at 30 % loss",
         (age(transport_runs.HEARTBEATS), age(RELIABLE)),
+    ),
+    Claim(
+        "coherence",
+        FINDINGS,
+        "Where each message fades anew, retransmitting a change of action saves {2.7 +- 1.3} s of {14} s; on a channel"
+        " of the same loss with a Doppler frequency of 10 Hz, as at 1.25 m/s and 2.4 GHz, it saves {2.3 +- 1.7} s, at"
+        " 1 Hz {1.8 +- 1.6} s, and at 0.1 Hz {0.4 +- 0.9} s",
+        (
+            retransmitting_saves(coherence_runs.NONE),
+            average(active_time, coherence_runs.pursuit(coherence_runs.NONE, transport_runs.ONCE)),
+            retransmitting_saves("10"),
+            retransmitting_saves("1"),
+            retransmitting_saves("0.1"),
+        ),
     ),
     Claim(
         "liars",

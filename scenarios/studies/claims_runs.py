@@ -20,6 +20,7 @@ from desim.study.ablation.imperfections import IMPERFECTIONS
 from protocols.best_response import BestResponse
 from scenarios.studies import (
     bodies_runs,
+    coherence_runs,
     contention_runs,
     delay_runs,
     evaders_runs,
@@ -184,6 +185,12 @@ def transported(way: str | None, scale: float = 1.0, **setting: Any) -> Number:
         return of(mean(reference) if way is None else paired(some, reference), scale)
 
     return number
+
+
+def retransmitting_saves(channel: str) -> Number:
+    """Return what measures the active time that retransmitting saves on a channel, against announcing once."""
+    once, again = (coherence_runs.pursuit(channel, way) for way in (transport_runs.ONCE, transport_runs.RELIABLE))
+    return difference(active_time, once, again)
 
 
 def age(way: str) -> Number:
