@@ -7,6 +7,7 @@ from desim.kernel.models.latency import Constant
 from desim.kernel.models.loss import Bernoulli
 from desim.kernel.models.medium import Unlimited
 from desim.kernel.models.transport import Coded, Reliable
+from desim.live.wire import MAX_NODES
 from desim.pursuit.byzantine.lies import is_lie
 from desim.scenario.scenario import Scenario
 
@@ -45,7 +46,9 @@ def _of_protocol(scenario: Scenario) -> Iterator[tuple[str, str]]:
     traits = scenario.protocol_traits
     if traits.omniscient or not traits.embodied:
         yield "protocol.kind", "an omniscient protocol decides for all pursuers in one place; it is the benchmark"
-    if not scenario.sight_is_perfect:
+    if scenario.team.count > MAX_NODES:
+        yield "team.count", f"a datagram can name {MAX_NODES} pursuers"
+    if not scenario.sensing.is_perfect:
         yield "sensing", "the referee moves a pursuer that sees no evader, and does not know where it searches"
 
 

@@ -62,7 +62,7 @@ def test_one_some_and_all_are_at_the_same_places(start, moments, data):
 
 @pytest.mark.parametrize("limit", [None, 2.0])
 def test_players_that_are_observed_go_on_as_those_observed(limit):
-    """Frames of a live run: the motion of others, and curves of players with inertia, are continued from a moment ago."""
+    """Frames of a live run: motions, and curves of players with inertia, are continued from a moment ago."""
     rng = np.random.default_rng(3)
     starts, commands, drifts = (rng.normal(size=4) + 1j * rng.normal(size=4) for _ in range(3))
 
