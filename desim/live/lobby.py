@@ -12,9 +12,9 @@ from signal import Signals
 from time import monotonic_ns
 from typing import Any
 
-from desim.live.node import udp_socket
 from desim.live.nursery import Nursery
 from desim.live.pursuer import LINE
+from desim.live.sockets import udp_socket
 from desim.live.start import PursuerStart, digest
 from desim.scenario.scenario import Scenario
 

@@ -38,6 +38,7 @@ from desim.live.frames import Mirror, WorldFrame, pairs_of, points_of
 from desim.live.link import SocketLinkLayer
 from desim.live.own_bodies import OwnBodies
 from desim.live.refusals import check_live
+from desim.live.sockets import Receiver, udp_socket
 from desim.live.start import Address
 from desim.live.wall_clock import Lateness, WallClock
 from desim.live.wire import Wire, WireError
@@ -55,8 +56,6 @@ from protocols.dissemination import PORT as ANNOUNCEMENTS
 
 DRAIN = 0.02
 """Time for which a node reads its socket after the end, so that the fates of what was on the way are known, s."""
-RECEIVE_BUFFER = 1 << 21
-"""Bytes of the receive buffer of a socket, as far as the system allows it."""
 
 
 class Node:
@@ -217,7 +216,7 @@ class Node:
         """Listen at an address, or on a socket that is bound already; return the address."""
         loop = asyncio.get_running_loop()
         bound = bound or udp_socket(address)
-        self._transport, _ = await loop.create_datagram_endpoint(lambda: _Receiver(self), sock=bound)
+        self._transport, _ = await loop.create_datagram_endpoint(lambda: Receiver(self.arrived), sock=bound)
         host, port, *_ = self._transport.get_extra_info("sockname")
         return str(host), int(port)
 
@@ -402,34 +401,6 @@ class _Body:
 
     def recover(self, pursuer: int) -> None:
         self._node._state.broken[pursuer] = False
-
-
-class _Receiver(asyncio.DatagramProtocol):
-    """Hands datagrams to a node."""
-
-    def __init__(self, node: Node):
-        self._node = node
-
-    def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
-        self._node.arrived(data, (addr[0], addr[1]))
-
-    def error_received(self, exc: Exception) -> None:
-        """Ignore that nobody listens at the address of a node that has crashed."""
-
-
-def udp_socket(address: Address) -> socket.socket:
-    """Return a UDP socket that is bound to an address."""
-    family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
-    bound = socket.socket(family, socket.SOCK_DGRAM)
-    bound.setblocking(False)
-    with suppress(OSError):
-        bound.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
-    try:
-        bound.bind(address)
-    except OSError:
-        bound.close()
-        raise
-    return bound
 
 
 def _points(name: str, pairs: Any, count: int) -> Any:

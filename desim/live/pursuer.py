@@ -15,7 +15,8 @@ from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.faults import FaultEnded, FaultStarted
 from desim.live.frames import WorldFrame
 from desim.live.namespaces import inside
-from desim.live.node import Node, udp_socket
+from desim.live.node import Node
+from desim.live.sockets import udp_socket
 from desim.live.start import PursuerStart
 from desim.scenario.scenario import Scenario
 
