@@ -35,13 +35,14 @@ from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.kernel.wandering_clock import node_clocks
 from desim.live.frames import Mirror, WorldFrame, pairs_of, points_of
+from desim.live.layouts import WireError
 from desim.live.link import SocketLinkLayer
 from desim.live.own_bodies import OwnBodies
 from desim.live.refusals import check_live
 from desim.live.sockets import Receiver, udp_socket
 from desim.live.start import Address
 from desim.live.wall_clock import Lateness, WallClock
-from desim.live.wire import Wire, WireError
+from desim.live.wire import Wire
 from desim.pursuit.byzantine.evidence import Witness
 from desim.pursuit.motion.guidance import guided_velocity
 from desim.pursuit.sensing.views import GlobalState, View

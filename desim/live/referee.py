@@ -16,6 +16,7 @@ from desim.kernel.models.links import Links
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.live.frames import frame_of
+from desim.live.layouts import WireError
 from desim.live.link import Drops
 from desim.live.lobby import LOCAL, LiveError, Lobby
 from desim.live.merge import Logs
@@ -24,7 +25,7 @@ from desim.live.own_bodies import OwnBodies
 from desim.live.refusals import check_live
 from desim.live.result import REFEREE, Conduct, LiveResult
 from desim.live.wall_clock import WallClock
-from desim.live.wire import Wire, WireError
+from desim.live.wire import Wire
 from desim.pursuit.sensing.views import View
 from desim.scenario.scenario import Scenario
 from desim.simulation.pursuer_positions import PursuerPositions

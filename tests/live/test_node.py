@@ -14,9 +14,10 @@ from desim.kernel.core.events import LOST
 from desim.kernel.core.records import Record
 from desim.kernel.state.inbox import Message
 from desim.live import Node, NotLiveError
+from desim.live.layouts import WireError
 from desim.live.own_bodies import OwnBodies
 from desim.live.refusals import reasons
-from desim.live.wire import Wire, WireError
+from desim.live.wire import Wire
 from desim.pursuit.team.announcements import Assignment
 from scenarios.studies.study import SCENARIOS
 from tests.live.test_runs import scenario

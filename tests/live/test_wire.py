@@ -25,8 +25,9 @@ from desim.kernel.transport.frames import (
 )
 from desim.kernel.transport.layer import PORT as FRAMES
 from desim.live import wire as wire_module
+from desim.live.layouts import WireError
 from desim.live.own_bodies import OwnBodies
-from desim.live.wire import ADMITTED, ANNOUNCED, BODIES, PORTS, Wire, WireError
+from desim.live.wire import ADMITTED, ANNOUNCED, BODIES, PORTS, Wire
 from desim.pursuit.team import announcements
 from desim.pursuit.team.announcements import Assignment, Forwarded, LocatedAssignment, MovingAssignment, TimedAssignment
 from desim.pursuit.team.trust import Accusation
