@@ -16,7 +16,8 @@ from desim.kernel.link_layer.propagation import LinkSampler
 from desim.kernel.models.links import Links
 from desim.kernel.state.network_state import NetworkState
 from desim.kernel.state.transmission import Transmission
-from desim.live.wire import Parcel, Wire, WireError
+from desim.live.layouts import WireError
+from desim.live.wire import Parcel, Wire
 
 REMEMBERED = 4096
 """Number of datagrams of a sender whose numbers a node remembers, to recognise a replay."""
