@@ -46,15 +46,16 @@ class Claims:
         self.folder.mkdir(parents=True, exist_ok=True)
 
     def __iter__(self) -> Iterator[tuple[int, LockFile]]:
-        """Yield the number and the lock of each lot that this process gets; it must release the lock.
+        """Yield the number and the lock of each lot that this process gets, once; it must release the lock.
 
         After the last lot, those are tried again that another process had claimed and did not end.
         """
-        is_first, got = True, 0
-        while is_first or got:
-            is_first, got = False, 0
+        got: set[int] = set()
+        before = -1
+        while len(got) > before:  # until nothing was got in a whole round
+            before = len(got)
             for number in range(len(self.lots)):
-                if self._done(number).exists():
+                if number in got or self._done(number).exists():
                     continue
                 lock = LockFile(self.folder / f"{number}.claim")
                 if lock.try_acquire() is not None:
@@ -62,7 +63,7 @@ class Claims:
                 if self._done(number).exists():  # the one before has just ended it
                     lock.release()
                 else:
-                    got += 1
+                    got.add(number)
                     yield number, lock
 
     def finish(self, number: int) -> None:
