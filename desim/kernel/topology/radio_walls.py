@@ -111,4 +111,4 @@ class _Row(NamedTuple):
 
 def range_factor(decibels: float, exponent: float) -> float:
     """Return the factor by which a wall shortens a range: 10^(-A / (10 n)), A in dB, n the path loss exponent."""
-    return 10.0 ** (-decibels / (10.0 * exponent))
+    return float(10.0 ** (-decibels / (10.0 * exponent)))

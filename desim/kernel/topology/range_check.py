@@ -120,10 +120,9 @@ class WalledRangeCheck(RangeCheck):
             return audible
         received = np.zeros(len(dst), dtype=bool)
         if audible.any():
-            of_pairs = [
-                value if value is None or isinstance(value, int) else value[audible] for value in (src, message)
-            ]
-            received[audible] = super().__call__(of_pairs[0], dst[audible], apart[audible], of_pairs[1])
+            senders = src if isinstance(src, int) else src[audible]
+            numbers = message if message is None or isinstance(message, int) else message[audible]
+            received[audible] = super().__call__(senders, dst[audible], apart[audible], numbers)
         return received
 
     def through(self, channel: ChannelState, apart: Floats) -> Bools:

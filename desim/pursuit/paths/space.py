@@ -53,7 +53,9 @@ class Plane:
 
     def visible(self, places: Points, watcher: complex) -> Bools:
         """Return which of (k,) places are seen from a place, or see it: no wall is between them, (k,)."""
-        return ~crossings(coordinates(np.array([watcher])), coordinates(places), self._sight).any(axis=1)
+        crossed = crossings(coordinates(np.array([watcher])), coordinates(places), self._sight)
+        seen: Bools = ~np.logical_or.reduce(crossed, axis=1)
+        return seen
 
     def distance(self, source: complex, target: complex) -> float:
         """Return the distance of two places, m; inf if there is no path between them."""
