@@ -419,7 +419,7 @@ def working(jobs: int, cluster: str | None, store: "Store", runs: int) -> Iterat
     A KeyboardInterrupt receives a note on how to resume. A RunError, such as that of --fail-fast, ends the program.
     """
     from desim.study.sweeps.sweep import RunError
-    from desim.study.workers.workers import workers_for
+    from desim.study.workers.executors import workers_for
 
     try:
         try:

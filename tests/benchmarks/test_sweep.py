@@ -8,7 +8,7 @@ from desim.analysis.metrics import summary
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording, Scenario
 from desim.study.workers.dispatch import drive
-from desim.study.workers.workers import workers_for
+from desim.study.workers.executors import workers_for
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson
 

@@ -4,7 +4,7 @@ import pytest
 
 from desim import Scenario, Team, sweep
 from desim.study.workers.batch_system import JobWorkers
-from desim.study.workers.workers import workers_for
+from desim.study.workers.executors import workers_for
 
 SMALL = Scenario(team=Team(count=2), horizon=0.5)
 GRID = {"network.latency.value": [0.0, 0.1]}

@@ -13,7 +13,7 @@ from desim.study.comparing.bench import Entrants, frozen_matches
 from desim.study.comparing.scores import APART, OMNISCIENT, Benchmark, Ratio
 from desim.study.comparing.suite import AS_IT_IS, PERFECT, REFERENCE, SILENT, Suite, cost_of_runs, frozen_text
 from desim.study.sweeps.sweep import RunError
-from desim.study.workers.workers import workers_for
+from desim.study.workers.executors import workers_for
 from scenarios.freeze import differences
 
 SUITE = Suite.of()

@@ -17,7 +17,8 @@ from desim.simulation.watchdog import OUT_OF_MEMORY
 from desim.study.store.run_table import Row
 from desim.study.workers import dispatch
 from desim.study.workers.dispatch import CRASHED, INNERMOST, drive
-from desim.study.workers.workers import InProcess, Workers, workers_for
+from desim.study.workers.executors import workers_for
+from desim.study.workers.workers import InProcess, Workers
 from tests.study import sweeps
 from tests.study.test_workers import command
 

@@ -45,7 +45,7 @@ from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep import RunError, sweep
 from desim.study.workers.batch import seeds_from
-from desim.study.workers.workers import workers_for
+from desim.study.workers.executors import workers_for
 from protocols.cbba import CBBA
 from protocols.dissemination import CodedOneHop
 from protocols.local_min import LocalMin

@@ -34,7 +34,7 @@ from desim.study.store.store import Store
 from desim.study.sweeps import sweep as module
 from desim.study.sweeps.sweep import MAX_RUNS, RunError, SweepPlan, sweep
 from desim.study.workers.batch import run_many, seeds_from
-from desim.study.workers.workers import workers_for
+from desim.study.workers.executors import workers_for
 from protocols.rule import Rule
 
 # Chance in positions, slots and decisions; about 3 ms each.

@@ -21,8 +21,9 @@ import desim
 from desim.cli import main
 from desim.scenario.toml import load
 from desim.study.workers import workers as places
+from desim.study.workers.executors import workers_for
 from desim.study.workers.serialization import called, packed
-from desim.study.workers.workers import InProcess, Processes, workers_for
+from desim.study.workers.workers import InProcess, Processes
 from tests.digests import LONG
 from tests.study import sweeps
 

@@ -43,7 +43,8 @@ from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep import RunError, SweepPlan, carry_out
 from desim.study.workers.batch_system import JobExecutor
-from desim.study.workers.workers import Workers, workers_for
+from desim.study.workers.executors import workers_for
+from desim.study.workers.workers import Workers
 
 RUNS = 100
 """The default number of runs of each variant. If the variants differ for a few seeds only, more runs are needed; see

@@ -26,8 +26,9 @@ from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.simulation.run import Result
 from desim.study.breaking.copies import MessageCopy, copies, looks, read_in_time
 from desim.study.breaking.search import GENERATION, checked_property, in_order
+from desim.study.workers.executors import workers_for
 from desim.study.workers.progress import advance, progress
-from desim.study.workers.workers import Workers, workers_for
+from desim.study.workers.workers import Workers
 
 LIMIT = 5000
 """The greatest number of runs of a table."""

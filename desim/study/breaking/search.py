@@ -20,8 +20,9 @@ from desim.study.breaking.features import FEATURES, Case, Draw, applied, changed
 from desim.study.breaking.shrinking import SHRINKING, Tried, shrunk
 from desim.study.breaking.sightings import SIGHTINGS, seen_in
 from desim.study.workers.dispatch import Measurement, Task, drive
+from desim.study.workers.executors import workers_for
 from desim.study.workers.progress import advance, progress
-from desim.study.workers.workers import Workers, workers_for
+from desim.study.workers.workers import Workers
 
 GENERATION = 16
 """The number of cases that are run together, whatever the number of workers; of several violations the first counts."""

@@ -28,7 +28,8 @@ from desim.study.comparing.suite import (
 from desim.study.plan.configurations import Configuration
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep import RunError, SweepPlan, carry_out
-from desim.study.workers.workers import Workers, workers_for
+from desim.study.workers.executors import workers_for
+from desim.study.workers.workers import Workers
 
 METRICS = ("active_time", "idle_time")
 """The metrics of which a cost consists."""

@@ -27,7 +27,8 @@ from desim.study.results.result import SweepResult
 from desim.study.results.runs import Group, text
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep import SweepPlan, carry_out
-from desim.study.workers.workers import Workers, workers_for
+from desim.study.workers.executors import workers_for
+from desim.study.workers.workers import Workers
 
 CONTROL = "centralised"
 """The usual control: it knows everything, needs no messages, and is cheap."""

@@ -24,8 +24,9 @@ from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.metric_values import metric_value
 from desim.study.sweeps.sweep import MAX_RUNS, SweepPlan, check_ok, job_batches
+from desim.study.workers.executors import workers_for
 from desim.study.workers.progress import advance, progress
-from desim.study.workers.workers import Workers, workers_for
+from desim.study.workers.workers import Workers
 
 if TYPE_CHECKING:
     from tqdm import tqdm

@@ -1,5 +1,6 @@
 """The figure of a race: running means, with a cross where a configuration was dropped, and the number of those left."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -8,26 +9,50 @@ from desim.analysis.drawing.palette import GREY
 from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, as_it_is, figure_of, in_style, size_of, styled
 from desim.analysis.metrics import with_unit, words
 from desim.config.trust import escaped
-from desim.study.plan.configurations import in_words
 from desim.study.results.figures import height_of_legend, look_of
-from desim.study.selection.race_result import RaceResult
+from desim.study.selection.kim_nelson import Selection
 
 NAMED = 10
 """The largest number of configurations that a legend names: the best ones."""
 
 
-def draw_race(result: RaceResult, *, size: str | None = None, style: Style = None, ax: Axes | None = None) -> Figure:
-    """Draw a race; for the arguments see `RaceResult.plot`.
+def draw_race(
+    selection: Selection,
+    order: Sequence[int],
+    names: Sequence[str],
+    *,
+    title: str,
+    metric: str,
+    unit: str,
+    first: int,
+    size: str | None = None,
+    style: Style = None,
+    ax: Axes | None = None,
+) -> Figure:
+    """Draw a race; for size, style and axes see `RaceResult.plot`.
+
+    Args:
+        selection: what the procedure selected, and the samples.
+        order: the numbers of the configurations, the best first.
+        names: their names in this order.
+        title: the name of the scenario.
+        metric: the name of the metric.
+        unit: its unit.
+        first: the number of first runs of each configuration.
+        size: see `RaceResult.plot`.
+        style: see `RaceResult.plot`.
+        ax: see `RaceResult.plot`.
 
     Raises:
         ValueError: if the size or the style is invalid.
         TypeError: if `ax` is not one pair of axes of matplotlib.
     """
-    names = [in_words(result.settings[system]) for system in result.order]
+    label = with_unit(words(metric), unit)
     if ax is not None:
         figure = figure_of(ax, size=size)
         with in_style(style):
-            _draw_means(ax, result, names)
+            _draw_means(ax, selection, order, names, first)
+            ax.set_ylabel(label)
             ax.set_xlabel("runs of each configuration")
         return figure
     usual = (6.4, 4.4 + height_of_legend(names[:NAMED], 6.4))
@@ -35,22 +60,23 @@ def draw_race(result: RaceResult, *, size: str | None = None, style: Style = Non
     font = 9.0 if width >= NARROW else 8.0
     with styled(figsize=(width, height or width * usual[1] / usual[0]), font=font, style=style) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
-        _draw_means(upper, result, names)
-        _draw_survivors(lower, result)
+        _draw_means(upper, selection, order, names, first)
+        upper.set_ylabel(label)
+        _draw_survivors(lower, selection)
         handles, labels = upper.get_legend_handles_labels()
         look: dict[str, Any] = {"fontsize": 7, "loc": "outside lower center", "ncols": 1 if len(max(names)) > 40 else 2}
         figure.legend(handles, labels, **look)
         if size is None:
-            upper.set_title(escaped(f"{result.name}: a race"), fontsize=9, **as_it_is(result.name))
+            upper.set_title(escaped(f"{title}: a race"), fontsize=9, **as_it_is(title))
     return figure
 
 
-def _draw_means(axes: Axes, result: RaceResult, names: list[str]) -> None:
+def _draw_means(axes: Axes, selection: Selection, order: Sequence[int], names: Sequence[str], first: int) -> None:
     """Draw the running means from the second run on, and a line at the last of the first runs."""
-    axes.axvline(result.first, color=GREY, lw=0.8, ls=":", zorder=0)
-    lost = {dropped.system for dropped in result.selection.dropped}
-    for rank, (system, name) in enumerate(zip(result.order, names, strict=True)):
-        numbers = result.selection.samples[system]
+    axes.axvline(first, color=GREY, lw=0.8, ls=":", zorder=0)
+    lost = {dropped.system for dropped in selection.dropped}
+    for rank, (system, name) in enumerate(zip(order, names, strict=True)):
+        numbers = selection.samples[system]
         counts = np.arange(1, len(numbers) + 1)
         means = np.cumsum(numbers) / counts
         look = look_of(rank) | {"marker": ""}
@@ -58,14 +84,13 @@ def _draw_means(axes: Axes, result: RaceResult, names: list[str]) -> None:
         axes.plot(counts[1:], means[1:], label=label, **look)
         mark = "X" if system in lost else "o"
         axes.plot(counts[-1:], means[-1:], marker=mark, ls="none", color=look["color"], ms=5, zorder=3)
-    axes.set_ylabel(with_unit(words(result.metric), result.unit))
 
 
-def _draw_survivors(axes: Axes, result: RaceResult) -> None:
+def _draw_survivors(axes: Axes, selection: Selection) -> None:
     """Draw the number of configurations that are left, over the number of runs of each."""
-    count, last = len(result.settings), max(map(len, result.selection.samples))
-    times = [1, *(dropped.after for dropped in result.selection.dropped), last]
-    left = [count - k for k in range(len(result.selection.dropped) + 1)]
+    count, last = len(selection.samples), max(map(len, selection.samples))
+    times = [1, *(dropped.after for dropped in selection.dropped), last]
+    left = [count - k for k in range(len(selection.dropped) + 1)]
     axes.step(times, [*left, left[-1]], where="post", color="#555555", lw=1.2)
     axes.set(xlabel="runs of each configuration", ylabel="left", ylim=(0.0, count + 0.5))
     axes.set_yticks(sorted({1, count}))

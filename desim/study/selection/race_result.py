@@ -157,7 +157,19 @@ class RaceResult:
         """
         from desim.study.selection.race_figure import draw_race
 
-        return draw_race(self, size=size, style=style, ax=ax)
+        names = [in_words(self.settings[system]) for system in self.order]
+        return draw_race(
+            self.selection,
+            self.order,
+            names,
+            title=self.name,
+            metric=self.metric,
+            unit=self.unit,
+            first=self.first,
+            size=size,
+            style=style,
+            ax=ax,
+        )
 
     def document(self) -> dict[str, Any]:
         """Return the race as JSON-compatible values; None where undefined."""

@@ -37,7 +37,8 @@ from desim.study.sensitivity.sobol_indices import SobolIndices, saltelli_points,
 from desim.study.store.store import Store
 from desim.study.sweeps.metric_values import metric_values
 from desim.study.sweeps.sweep import SweepPlan, carry_out
-from desim.study.workers.workers import Workers, workers_for
+from desim.study.workers.executors import workers_for
+from desim.study.workers.workers import Workers
 
 POINTS, TRAJECTORIES, RUNS = 64, 10, 4
 """The default numbers of points of a matrix, of trajectories, and of runs at each point."""

@@ -7,44 +7,66 @@ from desim.analysis.drawing.palette import BLUE, GREY, SKY
 from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, as_it_is, size_of, styled
 from desim.analysis.metrics import with_unit, words
 from desim.config.trust import escaped
-from desim.study.sensitivity.sensitivity_result import SensitivityResult
-from desim.study.sensitivity.sobol_indices import IndexEstimate
+from desim.study.sensitivity.morris import ElementaryEffects
+from desim.study.sensitivity.sobol_indices import IndexEstimate, SobolIndices
 
 HEIGHT = 0.36
 """The height of a bar, as a share of the distance of two keys."""
 
 
-def draw_sensitivity(result: SensitivityResult, *, size: str | None = None, style: Style = None) -> Figure:
-    """Draw the effects and the indices that a result has, a panel each; keys are in the order of the grid.
+def draw_sensitivity(
+    keys: Sequence[str],
+    effects: ElementaryEffects | None,
+    indices: SobolIndices | None,
+    kept: Sequence[int],
+    *,
+    title: str,
+    metric: str,
+    unit: str,
+    size: str | None = None,
+    style: Style = None,
+) -> Figure:
+    """Draw the effects and the indices, if any, a panel each; keys are in the order of the grid.
+
+    Args:
+        keys: the keys.
+        effects: their effects, if they were screened.
+        indices: the indices of the kept keys, if any were kept.
+        kept: the numbers of the kept keys.
+        title: the name of the scenario.
+        metric: the name of the metric.
+        unit: its unit.
+        size: see `SensitivityResult.plot`.
+        style: see `SensitivityResult.plot`.
 
     Raises:
         ValueError: if the size or the style is invalid.
     """
     panels = [
-        *(["effects"] if result.effects is not None else []),
-        *(["indices"] if result.indices is not None else []),
+        *(["effects"] if effects is not None else []),
+        *(["indices"] if indices is not None else []),
     ]
-    usual = (1.6 + 3.2 * len(panels), 1.3 + 0.42 * len(result.keys))
+    usual = (1.6 + 3.2 * len(panels), 1.3 + 0.42 * len(keys))
     width, height = usual if size is None else size_of(size)
     font = 9.0 if width >= NARROW else 8.0
     with styled(figsize=(width, height or width * usual[1] / usual[0]), font=font, style=style) as figure:
         for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False, sharey=True)[0], panels, strict=True):
-            if panel == "effects" and result.effects is not None:
-                _draw_bars(axes, result.effects.mean_absolute, range(len(result.keys)), 0.0, GREY)
-                axes.set_xlabel(with_unit(f"effect on {words(result.metric)}", result.unit))
-            elif result.indices is not None:
-                _draw_bars(axes, result.indices.total, result.kept, HEIGHT / 2, BLUE, "total index")
-                _draw_bars(axes, result.indices.first, result.kept, -HEIGHT / 2, SKY, "first-order index")
-                axes.set_xlabel(f"share of the variance of {words(result.metric)}")
-                if result.indices.is_varied:
+            if panel == "effects" and effects is not None:
+                _draw_bars(axes, effects.mean_absolute, range(len(keys)), 0.0, GREY)
+                axes.set_xlabel(with_unit(f"effect on {words(metric)}", unit))
+            elif indices is not None:
+                _draw_bars(axes, indices.total, kept, HEIGHT / 2, BLUE, "total index")
+                _draw_bars(axes, indices.first, kept, -HEIGHT / 2, SKY, "first-order index")
+                axes.set_xlabel(f"share of the variance of {words(metric)}")
+                if indices.is_varied:
                     figure.legend(loc="outside lower center", ncols=2, fontsize=7)
             axes.axvline(0.0, color=GREY, lw=0.8)
         axes = figure.axes[0]
-        axes.set_yticks(range(len(result.keys)), [escaped(key).replace("$", r"\$") for key in result.keys])
-        axes.set_ylim(len(result.keys) - 0.5, -0.5)
+        axes.set_yticks(range(len(keys)), [escaped(key).replace("$", r"\$") for key in keys])
+        axes.set_ylim(len(keys) - 0.5, -0.5)
         if size is None:
-            title = f"{result.name}: what decides {words(result.metric)}"
-            figure.suptitle(escaped(title), fontsize=9, **as_it_is(result.name))
+            heading = f"{title}: what decides {words(metric)}"
+            figure.suptitle(escaped(heading), fontsize=9, **as_it_is(title))
     return figure
 
 

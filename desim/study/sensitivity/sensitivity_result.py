@@ -160,7 +160,17 @@ class SensitivityResult:
         """
         from desim.study.sensitivity.sensitivity_figure import draw_sensitivity
 
-        return draw_sensitivity(self, size=size, style=style)
+        return draw_sensitivity(
+            self.keys,
+            self.effects,
+            self.indices,
+            self.kept,
+            title=self.name,
+            metric=self.metric,
+            unit=self.unit,
+            size=size,
+            style=style,
+        )
 
     def document(self) -> dict[str, Any]:
         """Return the analysis as JSON-compatible values; None where undefined."""

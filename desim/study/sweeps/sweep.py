@@ -33,8 +33,9 @@ from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.workers.batch_system import JobExecutor
 from desim.study.workers.dispatch import drive_batches, simulation
+from desim.study.workers.executors import workers_for
 from desim.study.workers.progress import advance, progress
-from desim.study.workers.workers import Workers, workers_for
+from desim.study.workers.workers import Workers
 
 Job = tuple[Configuration, int]
 """A configuration and the number (replication) of one of its runs, from 0 on."""

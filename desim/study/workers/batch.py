@@ -8,8 +8,8 @@ from desim.analysis.metrics import summary
 from desim.kernel.core.seeds import run_seed
 from desim.simulation.run import Result, run
 from desim.study.workers.dispatch import Simulate, Task, drive
+from desim.study.workers.executors import workers_for
 from desim.study.workers.progress import advance, progress
-from desim.study.workers.workers import workers_for
 
 Measured = TypeVar("Measured")
 

@@ -13,17 +13,13 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 from desim.config.extras import missing
 from desim.config.interrupts import SIGNALS, deferred
-from desim.config.python_numbers import whole
 from desim.config.trust import NO_CWD_IMPORT
 from desim.kernel.core.portable_math import portable_sum
 from desim.study.workers.serialization import Call, called, packed
-
-if TYPE_CHECKING:
-    from desim.study.workers.batch_system import JobExecutor
 
 Returned = TypeVar("Returned")
 START_TIMEOUT = 10.0
@@ -202,44 +198,6 @@ class Cluster(Workers):
 
     def __exit__(self, *_: object) -> None:
         self._client.close()
-
-
-def workers_for(executor: "Executor | JobExecutor | Workers | int | str", calls: int | None = None) -> Workers:
-    """Return the workers for an executor, the address of a Dask scheduler, or a number of processes.
-
-    An executor whose `submit` returns jobs instead of futures is one of a batch system, such as submitit's. The number
-    0 stands for the number of cores. There are no more processes than `calls`, the largest number of calls, if it is
-    known. With the number 1, calls are made in this process.
-
-    Raises:
-        ConnectionError: if Dask is not installed, or a scheduler does not answer or has no workers.
-        ValueError: if a number is negative, or the executor is of another type.
-    """
-    if isinstance(executor, str) and executor.isdecimal():
-        raise ValueError(f"executor should be the number {executor} instead of the text {executor!r}")
-    if isinstance(executor, str) and ":" in executor:
-        return Cluster(executor, START_TIMEOUT)
-    if isinstance(executor, Workers):
-        return executor
-    if isinstance(executor, Executor):
-        return Workers(executor)
-    if hasattr(executor, "submit"):
-        from desim.study.workers.batch_system import JobWorkers
-
-        return JobWorkers(executor)
-    try:
-        number = whole(executor, "the number of workers")
-    except ValueError:
-        raise ValueError(
-            "executor should be a number of processes, the address of a Dask scheduler or an executor of"
-            f" concurrent.futures, such as ProcessPoolExecutor (got {executor!r})"
-        ) from None
-    if number < 0:
-        raise ValueError(f"the number of workers should be at least 0, got {number}")
-    count = number or os.cpu_count() or 1
-    if calls is not None:
-        count = max(min(count, calls), 1)
-    return InProcess() if count == 1 else Processes(count)
 
 
 def _pool(count: int, *, kept: bool) -> Executor:

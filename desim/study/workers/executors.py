@@ -1,0 +1,44 @@
+"""The workers for whatever a caller gives to perform runs: a number, an address, or an executor."""
+
+import os
+from concurrent.futures import Executor
+
+from desim.config.python_numbers import whole
+from desim.study.workers.batch_system import JobExecutor, JobWorkers
+from desim.study.workers.workers import START_TIMEOUT, Cluster, InProcess, Processes, Workers
+
+
+def workers_for(executor: Executor | JobExecutor | Workers | int | str, calls: int | None = None) -> Workers:
+    """Return the workers for an executor, the address of a Dask scheduler, or a number of processes.
+
+    An executor whose `submit` returns jobs instead of futures is one of a batch system, such as submitit's. The number
+    0 stands for the number of cores. There are no more processes than `calls`, the largest number of calls, if it is
+    known. With the number 1, calls are made in this process.
+
+    Raises:
+        ConnectionError: if Dask is not installed, or a scheduler does not answer or has no workers.
+        ValueError: if a number is negative, or the executor is of another type.
+    """
+    if isinstance(executor, str) and executor.isdecimal():
+        raise ValueError(f"executor should be the number {executor} instead of the text {executor!r}")
+    if isinstance(executor, str) and ":" in executor:
+        return Cluster(executor, START_TIMEOUT)
+    if isinstance(executor, Workers):
+        return executor
+    if isinstance(executor, Executor):
+        return Workers(executor)
+    if hasattr(executor, "submit"):
+        return JobWorkers(executor)
+    try:
+        number = whole(executor, "the number of workers")
+    except ValueError:
+        raise ValueError(
+            "executor should be a number of processes, the address of a Dask scheduler or an executor of"
+            f" concurrent.futures, such as ProcessPoolExecutor (got {executor!r})"
+        ) from None
+    if number < 0:
+        raise ValueError(f"the number of workers should be at least 0, got {number}")
+    count = number or os.cpu_count() or 1
+    if calls is not None:
+        count = max(min(count, calls), 1)
+    return InProcess() if count == 1 else Processes(count)
