@@ -10,10 +10,29 @@ Variates"), and the mean of the control is that of runs that are not paired. So 
 multiplies, and the estimate is unbiased for any distribution; with one slope for all runs it is not.
 
 `python -m scenarios.coverage --control` measured how often 95 % intervals cover the mean, in %, with n pairs and 10 n
-runs of the control. The last columns are the bias of the estimate, in its standard deviations, with the slopes of other
-runs and with one slope; `plain` is the mean of the n values.
+runs of the control, from 2,000 studies (s.e. at most 0.5 % near 95 %, and 0.022 for the bias). `plain` is the mean of the
+n values. The next column takes the mean of the control for known. The bias of the estimate, in its standard deviations,
+is that with the slopes of other runs, and that with one slope; it is worth so many runs without a control.
 
-{table}
+    pairs                n  plain  control  mean taken for known    bias  with one slope  worth
+    normal              10   95.8     94.9                  91.1  -0.015          -0.009  3.2 n
+    normal              30   94.7     95.3                  89.8  +0.014          +0.015  3.6 n
+    normal             100   95.0     94.5                  89.0  +0.032          +0.032  3.4 n
+    lognormal           10   85.0     86.8                  77.0  -0.034          +0.040  1.4 n
+    lognormal           30   88.7     89.2                  82.5  -0.002          +0.048  2.1 n
+    lognormal          100   91.7     92.2                  86.9  +0.013          +0.055  2.4 n
+    parabola            10   90.1     86.8                  85.0  +0.015          -0.331  0.8 n
+    parabola            30   91.1     90.4                  89.4  +0.008          -0.192  1.2 n
+    parabola           100   93.8     92.7                  91.9  -0.029          -0.140  1.3 n
+    runs of local_min   10   95.7     94.5                  84.8  +0.005          +0.031  4.2 n
+    runs of local_min   30   94.8     94.0                  82.2  -0.026          -0.015  4.5 n
+    runs of local_min  100   94.8     95.1                  84.7  -0.013          -0.005  4.8 n
+    runs of sap         10   96.2     94.0                  90.7  +0.010          +0.100  2.4 n
+    runs of sap         30   94.0     94.5                  90.3  -0.025          +0.021  2.8 n
+    runs of sap        100   94.9     95.3                  91.0  -0.006          +0.020  2.8 n
+
+The runs are active times, resampled from 200 seeds of eight pursuers; where values are skewed, the intervals cover as
+often as those without a control. If no straight line fits and there are few pairs, a control does harm.
 """
 
 from collections.abc import Sequence
