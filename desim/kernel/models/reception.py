@@ -25,7 +25,7 @@ from desim.kernel.models.fading import (
 )
 from desim.kernel.models.traits import ReceptionTraits
 
-Exponent = Annotated[float, Field(gt=0, le=20, strict=True)]
+PathLossExponent = Annotated[float, Field(gt=0, le=20, strict=True)]
 
 
 class ReceptionModel(Protocol):
@@ -41,7 +41,7 @@ class Disk(Value):
     """Reception is certain within the range and impossible beyond it."""
 
     kind: Literal["disk"] = "disk"
-    exponent: Exponent = 3.0
+    exponent: PathLossExponent = 3.0
     """Path loss exponent n, by which walls shorten the range: a wall of A dB by the factor 10^(-A / (10 n)). It has no
     other effect."""
 
@@ -72,7 +72,7 @@ class QuasiUnitDisk(Value):
     """
     p: Probability = 0.5
     """Probability of reception between q times the range and the range, in [0, 1]."""
-    exponent: Exponent = 3.0
+    exponent: PathLossExponent = 3.0
     """Path loss exponent n, by which walls shorten the range, as that of `disk`."""
 
     def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
@@ -104,7 +104,7 @@ class LogDistance(Value):
 
     varies: ClassVar[tuple[Variation, ...]] = ("shadowing",)
     kind: Literal["log_distance"] = "log_distance"
-    exponent: Exponent = 3.0
+    exponent: PathLossExponent = 3.0
     """Path loss exponent n: 2 in free space, 3 to 4 over ground.
 
     If in doubt, 3: a smaller one blurs the edge of the range, a larger one makes it sharp.
@@ -173,7 +173,7 @@ class Nakagami(Value):
 
     If in doubt, 1 without, and 3 with a line of sight.
     """
-    exponent: Exponent = 3.0
+    exponent: PathLossExponent = 3.0
     """Path loss exponent n: 2 in free space, 3 to 4 over ground."""
 
     def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
@@ -204,7 +204,7 @@ class Rice(Value):
 
     If in doubt, 3; about 10 between aircraft in sight of each other.
     """
-    exponent: Exponent = 3.0
+    exponent: PathLossExponent = 3.0
     """Path loss exponent n: 2 in free space, 3 to 4 over ground."""
 
     def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002

@@ -25,7 +25,7 @@ class Outline(NamedTuple):
     """Whether it is a ring."""
 
 
-FORMS = ("LINESTRING", "POLYGON", "MULTILINESTRING", "MULTIPOLYGON", "GEOMETRYCOLLECTION")
+WKT_FORMS = ("LINESTRING", "POLYGON", "MULTILINESTRING", "MULTIPOLYGON", "GEOMETRYCOLLECTION")
 """The types of WKT that are read."""
 _WKT_TOKEN = re.compile(r"\s*([A-Za-z]+|[(),]|[^\s(),]+)")
 _SVG_TOKEN = re.compile(r"[\s,]*(?:([A-Za-z])|([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?))")
@@ -42,7 +42,7 @@ def wkt_outlines(text: str) -> list[Outline]:
     while reader.token is not None:
         outlines += reader.geometry()
     if not outlines:
-        raise ValueError(f"WKT should have at least one of {', '.join(FORMS[:4])}")
+        raise ValueError(f"WKT should have at least one of {', '.join(WKT_FORMS[:4])}")
     return outlines
 
 
@@ -61,8 +61,8 @@ class _Wkt:
     def geometry(self) -> Iterator[Outline]:
         """Yield the outlines of the next geometry."""
         name = (self._take() or "").upper()
-        if name not in FORMS:
-            raise self._error(f"{name or 'the end'} is no line or polygon{did_you_mean(name, FORMS)}")
+        if name not in WKT_FORMS:
+            raise self._error(f"{name or 'the end'} is no line or polygon{did_you_mean(name, WKT_FORMS)}")
         if self.token is not None and self.token.upper() in {"Z", "M", "ZM"}:
             raise self._error(f"{name} {self.token.upper()} has more than two coordinates: the plane has x and y")
         if self.token is not None and self.token.upper() == "EMPTY":

@@ -18,7 +18,7 @@ Corner = tuple[Coordinate, Coordinate]
 """The position [x, y] of a corner, m."""
 What = Literal["radio", "sight", "motion"]
 """What a wall may block."""
-FORMS = ("line", "polygon", "wkt", "svg", "file")
+SHAPE_KEYS = ("line", "polygon", "wkt", "svg", "file")
 """The keys one of which describes the shapes of a wall."""
 
 
@@ -71,10 +71,10 @@ class Wall(Value):
         """Replace a file by the text in it."""
         if not isinstance(data, dict):
             return data
-        forms = [key for key in FORMS if data.get(key) is not None]
+        forms = [key for key in SHAPE_KEYS if data.get(key) is not None]
         if len(forms) != 1:
             has = f" (has {' and '.join(forms)})" if forms else ""
-            raise ValueError(f"should have exactly one of {', '.join(FORMS)}{has}")
+            raise ValueError(f"should have exactly one of {', '.join(SHAPE_KEYS)}{has}")
         if data.get("material") is not None and data.get("loss", inf) not in {inf, "Infinity"}:
             raise ValueError("should have a loss or a material, not both")
         if forms != ["file"]:
