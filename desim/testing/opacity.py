@@ -113,9 +113,8 @@ class OpacityWatcher:
             return []
         when, places = nearest
         margin = self._speeds[[player, *others]].max() * seconds(abs(t - when)) + ROUNDING
-        crossed = crossings(places[[player]], places[others], segments, margin)
-        behind = np.logical_or.reduce(crossed, axis=1)
-        return [others[k] for k in behind.nonzero()[0].tolist()]
+        behind = np.asarray(crossings(places[[player]], places[others], segments, margin).any(axis=1))
+        return [other for other, is_behind in zip(others, behind.tolist(), strict=True) if is_behind]
 
     def _nearest(self, t: int) -> tuple[int, Floats] | None:
         """Return the last sample up to a time, ns; None if it is no longer kept."""

@@ -120,9 +120,9 @@ class WalledRangeCheck(RangeCheck):
             return audible
         received = np.zeros(len(dst), dtype=bool)
         if audible.any():
-            senders = src if isinstance(src, int) else src[audible]
+            sources = src if isinstance(src, int) else src[audible]
             numbers = message if message is None or isinstance(message, int) else message[audible]
-            received[audible] = super().__call__(senders, dst[audible], apart[audible], numbers)
+            received[audible] = super().__call__(sources, dst[audible], apart[audible], numbers)
         return received
 
     def through(self, channel: ChannelState, apart: Floats) -> Bools:

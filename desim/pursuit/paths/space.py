@@ -53,9 +53,8 @@ class Plane:
 
     def visible(self, places: Points, watcher: complex) -> Bools:
         """Return which of (k,) places are seen from a place, or see it: no wall is between them, (k,)."""
-        crossed = crossings(coordinates(np.array([watcher])), coordinates(places), self._sight)
-        seen: Bools = ~np.logical_or.reduce(crossed, axis=1)
-        return seen
+        hidden = crossings(coordinates(np.array([watcher])), coordinates(places), self._sight).any(axis=1)
+        return np.asarray(~hidden)
 
     def distance(self, source: complex, target: complex) -> float:
         """Return the distance of two places, m; inf if there is no path between them."""
@@ -270,7 +269,7 @@ _spaces: dict[tuple[bytes, ...], Plane] = {}
 
 def space_among(walls: Sequence[Wall]) -> Plane:
     """Return the space among some walls; the distances of corners are computed once."""
-    motion, sight = ([wall for wall in walls if blocked in wall.blocks] for blocked in ("motion", "sight"))
+    motion, sight = ([wall for wall in walls if what in wall.blocks] for what in ("motion", "sight"))
     if not motion and not sight:
         return PLANE
     key = tuple(text for wall in walls for text in _content(wall))
@@ -278,7 +277,7 @@ def space_among(walls: Sequence[Wall]) -> Plane:
     if space is None:
         space = _spaces[key] = Walled(motion, sight) if motion else Plane(sight)
         if len(_spaces) > MAX_SPACES:
-            _spaces.pop(next(iter(_spaces)), None)
+            del _spaces[next(iter(_spaces))]
     return space
 
 
