@@ -40,7 +40,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
-from desim.config.model import Period, Value
+from desim.config.model import Flag, Period, Value
 from desim.kernel.core.ports import ReservedPort
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.state.inbox import Message
@@ -84,7 +84,7 @@ class Server(Value):
 
     If in doubt, use 0.1 for speeds of about 1 m/s.
     """
-    takeover: bool = False
+    takeover: Flag = False
     """Whether another pursuer becomes the server when no order has come for 3 periods and a round trip.
 
     If in doubt, use true where pursuers may crash.

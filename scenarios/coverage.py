@@ -181,8 +181,8 @@ def controlled_coverage(draw: Draw, mean: float, size: int, studies: int) -> Con
         made = control_variate(values, paired, others)
         offset = float(np.mean(paired) - np.mean(others))
         means[k] = made.plain.mean, made.mean, made.plain.mean - made.slope * offset
-        known = made.standard_error**2 - (made.slope * estimate(others).standard_error) ** 2
-        widths = made.plain.half_width, made.half_width, float(stdtrit(size - 2, 0.975)) * sqrt(max(known, 0.0))
+        squared = made.standard_error**2 - (made.slope * estimate(others).standard_error) ** 2
+        widths = made.plain.half_width, made.half_width, float(stdtrit(size - 2, 0.975)) * sqrt(max(squared, 0.0))
         covered[k] = np.abs(means[k][[0, 1, 1]] - mean) <= widths
     bias = (means.mean(axis=0) - mean) / means.std(axis=0)
     plain, controlled, ignoring = covered.mean(axis=0).tolist()

@@ -34,7 +34,7 @@ class Places(NamedTuple):
 
 
 @contextmanager
-def inside(namespace: str) -> Iterator[None]:
+def within_namespace(namespace: str) -> Iterator[None]:
     """Create sockets in a network namespace; the empty one is that of the process.
 
     A socket stays in its namespace, so that one process can have sockets in two.

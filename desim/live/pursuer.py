@@ -14,7 +14,7 @@ from desim.kernel.core.trace_file import line_of
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.faults import FaultEnded, FaultStarted
 from desim.live.frames import WorldFrame
-from desim.live.namespaces import inside
+from desim.live.namespaces import within_namespace
 from desim.live.node import Node
 from desim.live.sockets import udp_socket
 from desim.live.start import PursuerStart
@@ -59,7 +59,7 @@ class _Pursuer:
         except OSError as error:
             print(f"pursuer {start.pursuer}: no referee at {start.referee[0]}: {error}", file=sys.stderr)
             return ALONE
-        with inside(start.namespace):
+        with within_namespace(start.namespace):
             bound = udp_socket((start.host, 0))
         address = await self._node.bind((start.host, 0), bound)
         self._tell("hello", start.pursuer, start.token, start.scenario, list(address))

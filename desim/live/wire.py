@@ -188,7 +188,7 @@ class Wire:
     def _pack(
         self, src: int, kind: Kind, attempt: int, seq: int, stamp: int, head: bytes, body: Any, port: str, size: int
     ) -> bytes:
-        place = next((k for k, known in enumerate(PORTS) if known is port or (not k and port == "")), None)
+        place = next((k for k, other in enumerate(PORTS) if other is port or (not k and port == "")), None)
         packed = None if place is None else self._body_of(body)
         if packed is not None and packed[0] != NOTHING:
             admitted = ANNOUNCED if kind is Kind.RECORD or kind in OF_RECORD else ADMITTED[place or 0]

@@ -1,5 +1,6 @@
 """Networks with a broken part, to see that a test notices it."""
 
+from functools import partial
 from unittest.mock import patch
 
 from desim.kernel.link_layer.arrival_losses import ArrivalLosses
@@ -15,12 +16,13 @@ def network_over(layer):
     Args:
         layer: a subclass of `ArrivalLosses`, `Arrivals`, `MessageDelivery`, `MessageLog` or `LinkLayer`.
     """
+    if issubclass(layer, LinkLayer):
+        return partial(Network, link_layer=layer)
     places = {
         ArrivalLosses: "link_layer.arrivals.ArrivalLosses",
         Arrivals: "link_layer.delivery.Arrivals",
         MessageDelivery: "link_layer.link_layer.MessageDelivery",
         MessageLog: "link_layer.link_layer.MessageLog",
-        LinkLayer: "network.LinkLayer",
     }
     (place,) = (place for base, place in places.items() if issubclass(layer, base))
 

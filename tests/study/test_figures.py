@@ -289,6 +289,7 @@ def test_a_waterfall_has_a_bar_and_a_name_for_each_step_between_both_ends():
         as_it_is=whole,
         parts={"loss": SimpleNamespace(mean=loss), "range": SimpleNamespace(mean=near)},
         interaction=SimpleNamespace(mean=both),
+        bounds=None,
         more_is="worse",
     )
     axes = Figure().subplots()

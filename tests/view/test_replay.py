@@ -638,7 +638,7 @@ def test_a_page_lists_what_was_not_recorded():
         (
             {"network": Links(range=8.0, reception=QuasiUnitDisk(), graph=Ring(), latency=Lognormal())},
             "latency lognormal (mean 0.05, cv 0.5), loss 0 %, range 8 m, heartbeat 5.5 s, "
-            "reception quasi unit disk (certain 0.5, p 0.5), graph ring",
+            "reception quasi unit disk (certain 0.5, p 0.5, exponent 3), graph ring",
         ),
         (
             {

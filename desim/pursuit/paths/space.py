@@ -269,7 +269,7 @@ _spaces: dict[tuple[bytes, ...], Plane] = {}
 
 def space_among(walls: Sequence[Wall]) -> Plane:
     """Return the space among some walls; the distances of corners are computed once."""
-    motion, sight = ([wall for wall in walls if what in wall.blocks] for what in ("motion", "sight"))
+    motion, sight = ([wall for wall in walls if way in wall.blocks] for way in ("motion", "sight"))
     if not motion and not sight:
         return PLANE
     key = tuple(text for wall in walls for text in _content(wall))
