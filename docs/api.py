@@ -81,12 +81,22 @@ PAGES: Mapping[str, Page] = MappingProxyType(
             (
                 Section("Links", "The table `network`.", ("desim.kernel.models.links",)),
                 Section(
+                    "Coherence",
+                    "How long, and how far, fading and shadows of links last.",
+                    ("desim.kernel.models.coherence",),
+                ),
+                Section(
                     "Latency",
                     "One-way times of messages.",
                     ("desim.kernel.models.latency", "desim.kernel.models.latency_by_link"),
                 ),
-                Section("Loss", "Which messages are lost.", ("desim.kernel.models.loss",)),
+                Section(
+                    "Loss",
+                    "Which messages are lost.",
+                    ("desim.kernel.models.loss", "desim.kernel.models.common_losses"),
+                ),
                 Section("Range and reception", "Who hears whom by distance.", ("desim.kernel.models.reception",)),
+                Section("Walls", "What blocks radio, sight and motion, and how much.", ("desim.kernel.walls",)),
                 Section("Graphs", "Which pairs have a link.", ("desim.kernel.models.graphs",)),
                 Section(
                     "Channel",

@@ -24,9 +24,13 @@ from desim.analysis.drawing.palette import (
 )
 from desim.analysis.drawing.plots import Axes, Figure, draw_trajectory, styled
 from desim.analysis.trace_index import ended, sampled, started
+from desim.config.arrays import Floats
 from desim.kernel.core.events import Broadcast, Sent
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.faults import Jamming
+from desim.kernel.topology.radio_walls import RadioWalls
+from desim.kernel.walls.crossings import crossings
+from desim.kernel.walls.wall import blocking
 from desim.pursuit.core.events import Estimated
 from desim.pursuit.core.state import coordinates
 from desim.pursuit.team.announcements import action_in_game
@@ -103,6 +107,33 @@ def _cells(axes: Axes, result: Result) -> None:
     places = np.array(sampled(result)[0].pursuers)
     nearest = np.hypot(x[..., None] - places[:, 0], y[..., None] - places[:, 1]).argmin(axis=-1)
     axes.contour(x, y, nearest, levels=np.arange(len(places)) + 0.5, colors=GREY, linewidths=0.7, zorder=0)
+
+
+def _unseen(axes: Axes, result: Result) -> None:
+    """Shade the places that pursuer 0 did not see at the start, because walls are in the way."""
+    segments = blocking(result.scenario.wall, "sight")
+
+    def is_unseen(places: Floats, pursuer: Floats) -> Floats:
+        return np.where(crossings(places, pursuer, segments).any(axis=1), 1.0, np.nan)
+
+    _shade(axes, result, is_unseen, ListedColormap([GREY]), alpha=0.35)
+
+
+def _wall_losses(axes: Axes, result: Result) -> None:
+    """Shade how much walls weaken radio between a place and pursuer 0 at the start, up to 30 dB."""
+    walls = RadioWalls(result.scenario.wall, 1, 2.0)
+    _shade(axes, result, lambda places, pursuer: walls.decibels(pursuer, places), "Reds", vmin=0.0, vmax=30.0)
+
+
+def _shade(axes: Axes, result: Result, of: Callable[[Floats, Floats], Floats], colours: Any, **options: Any) -> None:
+    """Shade the plane by a function of places, (n, 2) m, and of the position of pursuer 0 at the start."""
+    pursuers = np.array(sampled(result)[0].pursuers)
+    corners = np.vstack([pursuers, *(shape.corners for wall in result.scenario.wall for shape in wall.shapes)])
+    (left, low), (right, high) = corners.min(axis=0), corners.max(axis=0)
+    x, y = np.meshgrid(np.linspace(left, right, 160), np.linspace(low, high, 120))
+    values = of(np.column_stack([x.ravel(), y.ravel()]), pursuers[:1]).reshape(x.shape)
+    axes.pcolormesh(x, y, values, cmap=colours, zorder=0, rasterized=True, **options)
+    axes.plot(*pursuers[0], "o", color=ACTIVE, ms=6)
 
 
 def _estimates(axes: Axes, result: Result) -> None:
@@ -210,9 +241,13 @@ PICTURES: Mapping[str, tuple[Draw, str]] = MappingProxyType(
         "bursts": (_fates, "messages to pursuer 0"),
         "contention": (partial(_air, end=0.25), "who transmits when"),
         "cooling": (_chases, "who chases when"),
+        "cornered": (_plane, "paths around walls"),
         "evasive": (_plane, "paths"),
+        "fading": (_fates, "messages to pursuer 0"),
         "faults": (partial(_plane, decorate=_jamming), "paths and jammed disc"),
         "flooding": (partial(_plane, decorate=_links), "links"),
+        "forest": (partial(_plane, decorate=_links), "links among walls"),
+        "hiding": (partial(_plane, decorate=_unseen), "what pursuer 0 does not see"),
         "imperfect": (_latencies, "latency of each message"),
         "learning": (_chases, "who chases when"),
         "liars": (partial(_beliefs, t=1.0), "beliefs, red where wrong"),
@@ -221,8 +256,11 @@ PICTURES: Mapping[str, tuple[Draw, str]] = MappingProxyType(
         "named": (partial(_plane, decorate=_links), "links"),
         "netem": (_latencies, "latency of each message"),
         "noisy": (partial(_plane, decorate=_estimates), "paths and estimates"),
+        "office": (partial(_plane, decorate=_wall_losses), "radio loss by walls to pursuer 0"),
         "radio": (partial(_air, end=1.0), "who transmits when"),
+        "rooms": (partial(_plane, decorate=_links), "links among walls"),
         "search": (partial(_plane, decorate=_sight), "what pursuers see"),
+        "shadowing": (partial(_plane, decorate=_links), "links in the first second"),
         "soak": (_chases, "who chases when, and what is broken"),
         "voronoi": (partial(_plane, decorate=_cells), "Voronoi cells at the start"),
         "wind": (partial(_plane, decorate=_flow), "paths in the wind"),

@@ -1,4 +1,5 @@
-"""Walls: their shapes, what they block, the loss of radio through them, and which lines cross them.
+"""Walls: their shapes, in numbers, WKT or SVG, what they block, the loss of radio through materials, and which straight
+lines cross them.
 
-The crossings are shared by radio, sight and motion. A new way to write shapes is one reader here.
+Radio, sight and motion share the crossings. A new way to write shapes is one reader in `outlines`.
 """
