@@ -94,6 +94,16 @@ def test_a_file_is_read_once_and_its_shapes_become_part_of_the_wall(tmp_path, co
     assert Wall(**wall.plain()) == wall
 
 
+def test_each_drawn_path_of_a_file_starts_at_the_origin_and_others_are_no_walls(tmp_path):
+    """A second path that begins with m, as editors write it, is not displaced by the first."""
+    (tmp_path / "a.svg").write_text(
+        '<svg><defs id="empty"/><defs><path d="M 9 9 h 1"/></defs><!-- <path d="M 7 7 h 1"/> -->'
+        '<path d="m 1,-1 2,0"/>\r\n<path d=" m 10,-10 0,5"/></svg>'
+    )
+    shapes = Wall(file=str(tmp_path / "a.svg")).shapes
+    assert [shape.corners.tolist() for shape in shapes] == [[[1, 1], [3, 1]], [[10, 10], [10, 5]]]
+
+
 BAD = {
     "no shape": ({}, "exactly one of line, polygon, wkt, svg, file"),
     "two shapes": ({"line": SQUARE, "svg": "M0 0H1"}, "has line and svg"),
@@ -109,6 +119,12 @@ BAD = {
         "polygons 0 and 1 touch each other.*give each a wall of its own",
     ),
     "too far": ({"wkt": "LINESTRING (0 0, 1e10 0)"}, "from -1e\\+09 to 1e\\+09"),
+    "scaled too far": ({"line": SQUARE, "scale": 1e9}, "scaled and displaced: a coordinate should be from"),
+    "displaced to a point": (
+        {"line": [[0, 0], [1e-12, 0]], "offset": [1e5, 0]},
+        r"scaled and displaced: .*\[100000, 0\] comes twice",
+    ),
+    "a list of losses": ({"line": SQUARE, "material": "brick", "loss": [3.0]}, "a loss or a material, not both"),
     "not finite": ({"line": [[0, 0], [nan, 0]]}, "line"),
     "a misspelt type": ({"wkt": "POLYGN ((0 0))"}, "did you mean 'POLYGON'"),
     "a point in WKT": ({"wkt": "POINT (0 0)"}, "POINT is no line or polygon"),

@@ -220,6 +220,11 @@ def _svg_outline(corners: list[complex], *, closed: bool) -> list[Outline]:
 
 
 _PATH = re.compile(r"<\s*path\b[^>]*>", re.IGNORECASE)
+_UNDRAWN = re.compile(
+    r"<!--.*?-->|<\s*(defs|symbol|marker|pattern|mask|clipPath)\b[^>]*(?<!/)>.*?<\s*/\s*\1\s*>",
+    re.IGNORECASE | re.DOTALL,
+)
+"""Comments, and elements that are not drawn where they stand."""
 _DATA = re.compile(r"""\sd\s*=\s*("[^"]*"|'[^']*')""")
 _OTHERS = re.compile(r"<\s*(rect|circle|ellipse|line|polyline|polygon|use|image|text)\b", re.IGNORECASE)
 
@@ -244,7 +249,11 @@ def file_text(file: Path) -> tuple[str, str]:
 
 
 def _svg_text(text: str, file: Path) -> str:
-    """Return the data of all paths of an SVG file."""
+    """Return the data of all paths of an SVG file that are drawn.
+
+    Each path starts at the origin: a relative `m` at its beginning does not follow the path before it.
+    """
+    text = _UNDRAWN.sub("", text)
     if "transform" in text:
         raise ValueError(f"{file}: the attribute transform is not read: apply transformations in the editor")
     if other := _OTHERS.search(text):
@@ -252,7 +261,7 @@ def _svg_text(text: str, file: Path) -> str:
     data = [match[1][1:-1] for path in _PATH.findall(text) if (match := _DATA.search(path))]
     if not data:
         raise ValueError(f"{file} has no <path d=...>")
-    return " ".join(data)
+    return " ".join(f"M 0 0 {path}" if path.lstrip().startswith("m") else path for path in data)
 
 
 def _wkt_of_numbers(lines: list[str], file: Path) -> str:

@@ -75,7 +75,10 @@ class Wall(Value):
         if len(forms) != 1:
             has = f" (has {' and '.join(forms)})" if forms else ""
             raise ValueError(f"should have exactly one of {', '.join(SHAPE_KEYS)}{has}")
-        if data.get("material") is not None and data.get("loss", inf) not in {inf, "Infinity"}:
+        if data.get("material") is not None and data.get("loss", inf) not in (
+            inf,
+            "Infinity",
+        ):  # no set: a list has no hash
             raise ValueError("should have a loss or a material, not both")
         if forms != ["file"]:
             return data
@@ -86,6 +89,10 @@ class Wall(Value):
     def _is_valid(self) -> Self:
         for k, outline in enumerate(self._outlines):
             _check(outline, f"shape {k}: " if len(self._outlines) > 1 else "")
+        if self.scale != 1.0 or self.offset != (0.0, 0.0):
+            for k, shape in enumerate(self.shapes):
+                placed = Outline(tuple(map(tuple, shape.corners.tolist())), shape.closed)
+                _check(placed, f"shape {k}, scaled and displaced: ")
         self._check_rings()
         if self.material is not None:
             slab_loss(self.material, self.thickness, self.frequency)
