@@ -119,6 +119,17 @@ class _Elsewhere(SphinxPostTransform):
                 node.replace_self(node[0])
 
 
+class _WithoutBars(SphinxPostTransform):
+    """Remove the progress bars of the runs in notebooks: a page shows what they have computed."""
+
+    default_priority = 6  # after the kind of each output is chosen
+
+    def run(self, **_: Any) -> None:
+        for node in list(self.document.findall(nodes.raw)):
+            if "application/vnd.jupyter.widget-view+json" in node.astext():
+                node.parent.remove(node)
+
+
 class _Dark(SphinxTransform):
     """Show the figures of the studies in their dark variants, too; the theme chooses."""
 
@@ -151,4 +162,5 @@ def setup(app: Sphinx) -> None:
     app.add_transform(_Dark)
     app.connect("doctree-read", _note_keys)
     app.add_post_transform(_Elsewhere)
+    app.add_post_transform(_WithoutBars)
     app.connect("autodoc-process-docstring", _docstring, priority=400)
