@@ -31,7 +31,8 @@ from desim.view.pages.replay import replay_page
 
 SCENARIOS = Path(scenarios.__file__).parent
 STUDIES = (
-    *("rivals", "delay", "range", "liars", "walls", "coherence", "bodies", "evaders", "many", "boids"),
+    *("rivals", "delay", "range", "liars", "breaking", "contention", "transport", "coherence", "walls"),
+    *("bodies", "evaders", "many", "boids"),
     *("table1", "two_clocks", "first_picture", "figures"),
 )
 """The studies of the gallery, in its order."""

@@ -38,6 +38,7 @@ from scenarios.studies.claims_runs import (
     finds_best,
     increase,
     inferring,
+    late,
     lost_by,
     nearest_at_random,
     nearest_only,
@@ -108,7 +109,7 @@ def words_of(page: str) -> str:
 README, FINDINGS, NEGOTIATION = "README.md", "docs/explanation/findings.md", "docs/explanation/negotiation.md"
 VALIDATION, GAME = "docs/explanation/validation.md", "docs/explanation/game.md"
 HOWTO, FIRST, OWN = "docs/howto/protocols.md", "docs/tutorials/first_pursuit.md", "docs/tutorials/own_protocol.md"
-RACE = "docs/howto/race.md"
+RACE, BEST = "docs/howto/race.md", "docs/howto/which_is_best.md"
 COMMANDS = MappingProxyType(
     {
         "worth": "--worth",
@@ -119,6 +120,7 @@ COMMANDS = MappingProxyType(
         "howto": "Team(speeds=2.5), protocol=nearest_only",
         "tutorials": "sweep(",
         "race": "desim race scenarios/relay.toml",
+        "decides": "desim sensitivity scenarios/bench/v1/latency.toml",
     }
 )
 """What a page names beside a number that no study of this name measured."""
@@ -503,6 +505,12 @@ CLAIMS = (
             difference(active_time, fast(CLOCKS, latency, 12), fast(nearest_at_random, latency, 12))
             for latency in (0.0, 0.5)
         ],
+    ),
+    Claim(
+        "decides",
+        BEST,
+        "once a second costs {15} s of active time here, ten times a second {8.5} s",
+        [average(active_time, late(rate)) for rate in (1.0, 10.0)],
     ),
     Claim("race", RACE, "1 8 {6.859 +- 1.161} 15", [average(active_time, raced(8.0))]),
     row_of_race(1.0, "2 1 {13.320 +- 1.651} {+6.462 +- 1.370} 15"),
