@@ -280,6 +280,7 @@ export function start(root, transport, options) {
     const isInvalid = Boolean(answer.errors);
     element.classList.toggle("outdated", isInvalid);
     if (isInvalid) {
+      markWanted();
       status.textContent = "not run";
       old.textContent = runs ? "Not run: the metrics and the replay are those of the last valid run." : "Not run.";
       setDisabled(many, "Correct the values that are marked first.");
@@ -307,9 +308,11 @@ export function start(root, transport, options) {
       other === null ? "No run is pinned." : isPinned() ? "This run is the pinned one: change a key, and the next run is compared with it."
         : own === other ? `Differences are from the pinned run, drawn faint. Both have seed ${own} and so the same random numbers: they are effects of the changed keys.`
           : `Differences are from the pinned run, drawn faint. The seeds ${own} and ${other} differ, so they are also due to chance: compare over 30 seeds.`,
+      ...(hasWalls() ? ["Walls can be dragged."] : []),
       ...answer.warnings.map(each => `Warning: ${each}.`),
     ].join(" "));
   }
+  const hasWalls = () => controls.some(each => each.key.startsWith("wall."));
   const judged = row => !row.more_is || !row.sign ? "" : (row.sign > 0) === (row.more_is === "better") ? "better" : "worse";
 
   // The replay: a new page is loaded behind the present one, which it replaces at the same instant.
@@ -319,7 +322,8 @@ export function start(root, transport, options) {
   function remember() {
     const last = replay();
     if (!last) return;
-    Object.assign(shown, { time: last.time, playing: last.playing, speed: last.speed, chosen: last.chosen });
+    const wall = element.getRootNode().activeElement === frame ? last.markedWall : -1;
+    Object.assign(shown, { time: last.time, playing: last.playing, speed: last.speed, chosen: last.chosen, wall });
     shown.boxes = BOXES.filter(id => frame.contentDocument.getElementById(id)?.checked === false);
   }
   function showReplay(page, own) {
@@ -327,7 +331,8 @@ export function start(root, transport, options) {
     const next = waiting = make("iframe", { title: "Replay of this run", className: "waiting", srcdoc: page });
     stage.append(next);
     return new Promise(done => {
-      next.onload = () => {
+      next.onload = async () => {
+        await replay()?.whenReleased();  // the frame in which a wall is held stays
         if (own !== running) { next.remove(); return done(); }
         const made = next.contentWindow.replay;
         remember();
@@ -343,11 +348,26 @@ export function start(root, transport, options) {
         frame?.remove();
         frame = next;
         waiting = null;
+        made.moveWalls((k, offset) => change(offsetKey(k), inFile(offset)));
+        if (shown.wall >= 0) { next.contentWindow.focus(); made.markWall(shown.wall); }
         frame.classList.remove("waiting");
         new ResizeObserver(fit).observe(next.contentDocument.body);
         fit();
         requestAnimationFrame(() => done());
       };
+    });
+  }
+
+  // Walls: moved in the replay, as a change of their offset.
+
+  const offsetKey = k => `wall.${k}.offset`;
+  const inFile = offset => `[${offset.map(each => Number.isInteger(each) ? each.toFixed(1) : `${each}`).join(", ")}]`;
+  /** Show in the last valid run where the walls are asked for. */
+  function markWanted() {
+    const shownRun = replay();
+    shownRun?.wantedWalls.forEach((_, k) => {
+      const pair = /^\s*\[\s*([-+.\de]+)\s*,\s*([-+.\de]+)\s*\]\s*$/i.exec(now.get(offsetKey(k)) ?? "")?.slice(1).map(Number);
+      shownRun.wantWall(k, pair?.every(Number.isFinite) ? pair : null);
     });
   }
 

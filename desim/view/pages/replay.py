@@ -21,7 +21,7 @@ LARGE_TEAM = 1000
 """The number of pursuers from which on a replay is announced as large."""
 SAMPLES = 0.05
 """Time between samples of positions, s, in a run for a replay if the scenario does not record positions."""
-SCRIPTS = ("run", "walls", "state", "plane", "beliefs", "axis", "page")
+SCRIPTS = ("run", "walls", "state", "plane", "beliefs", "axis", "drag", "page")
 """The parts of the script in their order: they share one scope, and each uses those before it as the page begins."""
 HEIGHT = 760
 """The height of a replay in a notebook, in pixels of CSS."""

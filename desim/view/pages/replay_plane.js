@@ -82,6 +82,7 @@ function drawArena() {
   if ($("flow")?.checked) drawFlow(c, w, h);
   if ($("other")?.checked) drawGhost(c);
   if ($("trails").checked) drawTrails(c);
+  if (putWall) drawWanted(c);
   if (M > 1) drawTargets(c);
   if ($("ellipses")?.checked) drawEstimates(c);
   drawMessages(c);

@@ -196,7 +196,7 @@ def flow_data(result: Result, ticks: Ticks) -> ReplayData | None:
 
 
 def walls_data(result: Result) -> list[ReplayData] | None:
-    """Return the walls: what each blocks, its shapes (m), and the factor by which it stretches distances for radio.
+    """Return the walls: what each blocks, its offset and shapes (m), and the factor by which it stretches distances for radio.
 
     The factor is None where radio does not pass. Without walls, the result is None.
     """
@@ -204,6 +204,7 @@ def walls_data(result: Result) -> list[ReplayData] | None:
     return [
         {
             "blocks": list(wall.blocks),
+            "offset": list(wall.offset),
             "shapes": [{"closed": shape.closed, "corners": shape.corners.tolist()} for shape in wall.shapes],
             "factor": None if isinf(wall.decibels) else 1.0 / range_factor(min(wall.decibels, FAINT), exponent),
         }
