@@ -702,6 +702,121 @@ def test_while_a_value_is_not_valid_the_last_run_is_marked_as_such(played):
     assert not played.value(marked.format("numbers"))
 
 
+WALLS = """
+horizon = 1.0
+team = { positions = [[1, 1], [9, 1]], speeds = 2.0 }
+evader = { position = [5, 8], speed = 0.5 }
+[[wall]]
+line = [[0, 0], [0, 9]]
+[[wall]]
+polygon = [[4, 4], [6, 4], [6, 5], [4, 5]]
+offset = [0.0, 0.5]
+"""
+
+
+@pytest.fixture
+def among_walls(browser, tmp_path):
+    """Yield the page of a scenario with walls after its first run; nothing was logged."""
+    file = tmp_path / "walls.toml"
+    file.write_text(WALLS)
+    with PlayServer(Session(Playground(read_source(file), file), InProcess())) as server:
+        Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
+        browser.visit(server.address)
+        browser.until("window.play && play.runs === 1")
+        yield browser
+        assert browser.errors == []
+        browser.visit("about:blank")
+        server.shutdown()
+
+
+PIXEL = """(([x, y]) => {{
+  const frame = document.querySelector('iframe'), outer = frame.getBoundingClientRect();
+  const inner = frame.contentDocument.getElementById('arena').getBoundingClientRect();
+  const [u, v] = play.replay.pixel(x, y);
+  return [outer.left + inner.left + u, outer.top + inner.top + v];
+}})({})"""
+"""Where a place, [x, y] m, is on the page, px."""
+
+
+def drag(page, start, end, *, drops=True):
+    """Press the button of the mouse at a place (m), move to another one, and let it go."""
+    pixels = [page.value(PIXEL.format(list(place))) for place in (start, end)]
+    for kind, (x, y) in [("mousePressed", pixels[0]), *(("mouseMoved", each) for each in pixels)]:
+        page.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
+    if drops:
+        x, y = pixels[1]
+        page.send("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=y, button="left", clickCount=1)
+
+
+def offset_of(page):
+    """Return the changed offset of the wall that is moved, m; None if it is not changed."""
+    changes = dict(each.split("=", 1) for each in page.value("play.changes"))
+    assert changes.keys() <= {"wall.1.offset"}
+    return json.loads(changes["wall.1.offset"]) if changes else None
+
+
+FIRST_CORNERS = """JSON.parse(document.querySelector('iframe').contentDocument.getElementById('run').textContent)
+.walls.map(each => each.shapes[0].corners[0])"""
+"""The first corner of each wall of the replay, m."""
+
+
+@in_chromium
+@pytest.mark.whole
+def test_a_wall_is_dragged_and_the_run_follows(among_walls):
+    page = among_walls
+    assert page.value(FIRST_CORNERS) == [[0, 0], [4, 4.5]]
+    drag(page, (5, 5), (7, 3))
+    page.until("play.runs === 2")
+    assert offset_of(page) == pytest.approx([2.0, -1.5], abs=0.05)
+    (x, y) = offset_of(page)
+    assert page.value(FIRST_CORNERS)[1] == pytest.approx([4 + x, 4 + y])
+    assert page.value("play.replay.chosen") == -1
+    drag(page, (2, 6), (3, 6))  # the plane is no wall
+    drag(page, (7, 3), (3, 3), drops=False)
+    assert page.value("play.replay.wantedWalls[1][0]") == pytest.approx(-2.0, abs=0.05)
+    page.press("Escape")
+    assert page.value("play.replay.wantedWalls[1]") == [x, y]
+    assert page.value("play.runs") == 2
+    page.value("history.back()")
+    page.until("play.runs === 3")
+    assert offset_of(page) is None
+
+
+@in_chromium
+@pytest.mark.whole
+def test_a_wall_that_is_dropped_on_a_player_is_refused_and_can_be_dragged_on(among_walls):
+    page = among_walls
+    drag(page, (5, 5), (8.8, 0.8))
+    page.until("document.querySelector('.play').classList.contains('outdated')")
+    assert "team.positions.1: [9, 1] is inside a wall" in page.value("document.querySelector('.wrong').textContent")
+    assert "those of the last valid run" in page.value("document.querySelector('.old').textContent")
+    assert page.value(FIRST_CORNERS) == [[0, 0], [4, 4.5]]
+    assert page.value("play.replay.wantedWalls[1]") == offset_of(page)
+    drag(page, (8.2, 0.6), (6, 6))
+    page.until("play.runs === 2")
+    assert not page.value("document.querySelector('.play').classList.contains('outdated')")
+    assert page.value("document.querySelector('.wrong').textContent") == ""
+
+
+@in_chromium
+@pytest.mark.whole
+def test_a_wall_is_moved_by_the_keyboard_which_keeps_the_focus(among_walls):
+    page = among_walls
+    for _ in range(60):
+        page.press("Tab")
+        if page.value("play.replay.markedWall") == 1:
+            break
+    step = page.value("10 ** Math.ceil(Math.log10(1 / play.replay.scale))")
+    for k, (arrow, expected) in enumerate([("ArrowRight", [step, 0.5]), ("ArrowUp", [step, 0.5 + step])], start=2):
+        page.press(arrow)
+        page.until(f"play.runs === {k}")
+        assert offset_of(page) == pytest.approx(expected)
+        assert page.value("play.replay.markedWall") == 1
+    page.press("ArrowLeft")
+    page.press("ArrowDown")
+    page.until(f"!play.changes.length && {FIRST_CORNERS}[1].join() === '4,4.5'")
+
+
 @in_chromium
 @pytest.mark.slow
 def test_a_kind_that_needs_a_file_cannot_be_chosen_and_says_why(played):

@@ -328,6 +328,7 @@ function drawGhost(c) {
     drawTips(c, ghost.path, groups, last, i => places[i][0], i => places[i][1], 1);
   }
   c.globalAlpha = .8; c.lineWidth = 1.2; c.strokeStyle = colour.soft;
+  drawOtherWalls(c);
   c.beginPath();
   places.forEach(([x, y], i) => {
     const [u, v, r] = [px(x), py(y), i < ghost.pursuers ? 4.5 : 7];

@@ -59,6 +59,16 @@ function drawWalls(c) {
   }
   c.globalAlpha = 1; c.setLineDash([]); c.lineJoin = "miter";
 }
+/** The walls of the other run that are not walls of this one. */
+function drawOtherWalls(c) {
+  const own = new Set(walls.map(({ shapes }) => JSON.stringify(shapes)));
+  c.beginPath();
+  for (const { shapes } of run.ghost.walls ?? []) if (!own.has(JSON.stringify(shapes))) for (const { closed, corners } of shapes) {
+    corners.forEach(([x, y], k) => k ? c.lineTo(px(x), py(y)) : c.moveTo(px(x), py(y)));
+    if (closed) c.closePath();
+  }
+  c.stroke();
+}
 /** What is out of radio contact with the selected pursuer, or with the first that is active. */
 function drawShadows(c, w, h) {
   const [from] = rangesShown().length ? rangesShown() : all.filter(i => !down[i]);
