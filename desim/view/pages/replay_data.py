@@ -187,7 +187,7 @@ def _distrust(result: Result, ticks: Ticks) -> ReplayData | None:
 
 
 def _ghost(result: Result, ticks: Ticks) -> ReplayData:
-    """Return the part of another run that is shown: its positions and walls, and its number of active pursuers over time."""
+    """Return the part of another run that is shown: its positions, walls, and number of active pursuers over time."""
     count = sum(map(bool, started(result).active))
     times, counts = [0], [count]
     for change, before in changes_with_previous(result):

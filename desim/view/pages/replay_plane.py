@@ -196,9 +196,9 @@ def flow_data(result: Result, ticks: Ticks) -> ReplayData | None:
 
 
 def walls_data(result: Result) -> list[ReplayData] | None:
-    """Return the walls: what each blocks, its offset and shapes (m), and the factor by which it stretches distances for radio.
+    """Return the walls: what each blocks, its offset and shapes (m), and the factor by which it stretches distances.
 
-    The factor is None where radio does not pass. Without walls, the result is None.
+    The factor is that of radio, or None where radio does not pass. Without walls, the result is None.
     """
     exponent = ReceptionTraits.of(result.scenario.network.reception).exponent
     return [
