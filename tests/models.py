@@ -61,6 +61,7 @@ NEEDED: dict[str, dict[str, Any]] = {
     "TargetedFault": {"start": 1.0},
     "VoronoiVertex": {"arena": [0.0, 5.0]},
     "Window": {"start": 1.0},
+    "Wall": {"line": [[0.0, 0.0], [1.0, 0.0]]},
 }
 """The arguments without which a class has no valid object, by its name."""
 

@@ -20,6 +20,7 @@ from desim import (
     SignalTrace,
 )
 from desim.config.model import Value
+from desim.kernel.walls.wall import Wall
 from desim.pursuit.evaders.recorded import RecordedPositions
 
 
@@ -45,7 +46,11 @@ READERS = {
 }
 """The model, a file with a place for a number, and what is read, of each reader of files of numbers."""
 NUMBER = {"table of netem": "7"}
-OTHERS = {Edges: "graphs, in other formats", RecordedPositions: "reads as RecordedMotion does"}
+OTHERS = {
+    Edges: "graphs, in other formats",
+    RecordedPositions: "reads as RecordedMotion does",
+    Wall: "shapes, in other formats",
+}
 """Models that read other files, and why they are not here."""
 MODULES = {
     "desim/config/data_files.py": "opens bytes for models of users, and hashes files",

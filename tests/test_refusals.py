@@ -23,6 +23,7 @@ from desim.kernel.models.graphs import Edges
 from desim.kernel.models.latency import Empirical
 from desim.kernel.models.latency_by_link import LatencyMatrix
 from desim.kernel.models.netem import Netem
+from desim.kernel.walls.wall import Wall
 from desim.pursuit.evaders.recorded import RecordedMotion, RecordedPositions
 from desim.pursuit.motion.flow import RecordedFlow
 from desim.scenario import toml
@@ -172,7 +173,9 @@ def _headers(table: Table) -> list[str]:
 
 TABLES = list(tables())
 BY_HAND = {(each.model, "kind") for each in TABLES}
-BY_HAND |= {(each, "file") for each in (Empirical, Edges, LatencyMatrix, Netem, Policy, RecordedFlow, RecordedMotion)}
+BY_HAND |= {
+    (each, "file") for each in (Empirical, Edges, LatencyMatrix, Netem, Policy, RecordedFlow, RecordedMotion, Wall)
+}
 BY_HAND.add((LatencyMatrix, "values"))  # nan stands for a link that does not exist
 BY_HAND |= {(RecordedMotion, "node"), (RecordedPositions, "nodes")}
 """Keys whose refusals are written out below or in `tests/pursuit/test_recorded.py`.

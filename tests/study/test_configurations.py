@@ -308,6 +308,7 @@ OTHERS = {
     "network": {"network": Links(range=3.0)},
     "fault": {"fault": ({"kind": "crash", "node": 0, "start": 1.0},)},
     "record": {"record": {"messages": True}},
+    "wall": {"wall": [{"line": [[-9.0, 0.0], [-9.0, 1.0]]}]},
     "properties": {"properties": ("idle never longer than 2",)},
 }
 

@@ -21,6 +21,7 @@ from desim.kernel.models.loss import Bernoulli, GilbertElliott
 from desim.kernel.models.medium import Bitrate, LoRa, Unlimited
 from desim.kernel.models.reception import Disk, QuasiUnitDisk, Rice
 from desim.kernel.models.transport import Coded
+from desim.kernel.walls.wall import Wall
 from desim.pursuit.byzantine.lies import Silent
 from desim.pursuit.core.events import Started
 from desim.pursuit.game.utility import Component
@@ -131,6 +132,7 @@ WORST = Scenario(
         radius=3.0, estimate="hold", track_timeout=1.0, noise=PositionNoise(deviation=0.2), estimator=Kalman()
     ),
     record=Recording(trajectory=0.0, messages=True),
+    wall=(Wall(line=((-9.0, 0.0), (-9.0, 9.0)), blocks=("radio", "sight")),),  # players with inertia pass walls
     sweep=Sweep(reps=5),
 )
 GONE = "gone"
@@ -190,7 +192,7 @@ CHANGES = {
         "network.preset": None,
         "network.range": "Infinity",
         "network.reception.kind": "disk",
-        **below("network.reception", "k", "exponent"),
+        **below("network.reception", "k"),
     },
     "channel memory": {
         "network.preset": None,
@@ -215,7 +217,7 @@ CHANGES = {
         "announce.trigger": "both",
         "announce.belief_timeout": "auto",
     },
-    "limited sight": {"sensing.radius": "Infinity", "sensing.track_timeout": 5.0},
+    "limited sight": {"sensing.radius": "Infinity"},
     "noise": {
         "sensing.noise.kind": "none",
         "sensing.noise.deviation": GONE,
@@ -229,6 +231,9 @@ CHANGES = {
         **below("evader.0.dynamics", "limit"),
     },
     "flow": {"environment.flow.kind": "none", **below("environment.flow", "velocity.0", "velocity.1")},
+    "walls (radio)": {"wall.0.blocks.0": "sight", "wall.0.blocks.1": GONE},
+    "walls (sight)": {"wall.0.blocks.1": GONE},
+    "walls (motion)": {},
 }
 """What each removal makes of the worst scenario: every key that changes, and what it is then."""
 
@@ -243,6 +248,17 @@ def changes(before, after):
     """Return each key in which two scenarios differ, and what it is in the second."""
     old, new = flat(before.plain()), flat(after.plain())
     return {key: new.get(key, GONE) for key in old.keys() | new.keys() if old.get(key, GONE) != new.get(key, GONE)}
+
+
+def test_walls_that_block_nothing_any_longer_are_removed():
+    """So are those that block only motion, which the worst scenario cannot have beside inertia and a flow."""
+    both, motion = (
+        Wall(line=((-9.0, 0.0), (-9.0, 9.0)), blocks=blocks) for blocks in (("sight", "motion"), ("motion",))
+    )
+    among = Scenario(wall=(both, motion), sensing=Sensing(track_timeout=1.0))
+    sighted = Wall(line=both.line, blocks=("sight",))
+    assert removed(among, ["walls (motion)"]) == Scenario(wall=(sighted,), sensing=Sensing(track_timeout=1.0))
+    assert removed(among, ["walls (motion)", "walls (sight)"]) == Scenario()
 
 
 @pytest.mark.parametrize("name", IMPERFECTIONS)
@@ -282,9 +298,10 @@ THERE = {
     "evasive": "latency",
     "fading": "latency, loss, transport, range limit, channel memory",
     "flooding": "latency, range limit, stale knowledge",
+    "forest": "latency, range limit, limited sight, walls (radio), walls (sight), walls (motion)",
     "recorded": "latency, range limit, stale knowledge",
     "inertia": "latency, stale knowledge, inertia",
-    "hiding": "latency, serial decisions, walls (sight), walls (motion)",
+    "hiding": "latency, walls (sight), walls (motion)",
     "imperfect": "latency, loss, range limit, faults, serial decisions, stale knowledge",
     "learning": "latency, loss",
     "liars": "latency, loss, lies, stale knowledge",
@@ -295,11 +312,13 @@ THERE = {
     "netem": "latency, loss, duplicates",
     "noisy": "latency, noise",
     "news": "latency, faults, lies, serial decisions, stale knowledge",
+    "office": "latency, range limit, walls (radio), walls (sight), walls (motion)",
     "properties": "latency, loss, faults",
     "radio": "latency, range limit",
     "reckoning": "latency, stale knowledge",
     "relay": "latency, loss",
     "reliable": "latency, loss, transport, faults, stale knowledge, limited sight",
+    "rooms": "latency, range limit, walls (radio), walls (sight), walls (motion)",
     "search": "latency, limited sight",
     "server": "latency",
     "shadowing": "contention, loss, channel memory",
@@ -361,7 +380,7 @@ def test_on_a_perfect_network_all_arrives_at_once_and_without_messages_nothing(p
     assert unideal(run(perfect)) == (0, 0, 0) or robots_down
     (tally,) = run(silent).trace.of(MessageCounts)
     assert tally.delivered == 0
-    assert {key.partition(".")[0] for key in changes(scenario, perfect)} <= {"network", "fault", "announce"}
+    assert {key.partition(".")[0] for key in changes(scenario, perfect)} <= {"network", "fault", "announce", "wall"}
     assert {key.partition(".")[0] for key in changes(scenario, silent)} <= {"network", "announce"}
     same = {"dissemination": scenario.announce.dissemination}
     assert perfect.announce.model_copy(update=same) == silent.announce.model_copy(update=same) == scenario.announce

@@ -68,25 +68,20 @@ class Wall(Value):
     @model_validator(mode="before")
     @classmethod
     def _read(cls, data: Any, info: ValidationInfo) -> Any:
-        """Replace a file by the text in it."""
-        if not isinstance(data, dict):
-            return data
-        forms = [key for key in SHAPE_KEYS if data.get(key) is not None]
-        if len(forms) != 1:
-            has = f" (has {' and '.join(forms)})" if forms else ""
-            raise ValueError(f"should have exactly one of {', '.join(SHAPE_KEYS)}{has}")
-        if data.get("material") is not None and data.get("loss", inf) not in (
-            inf,
-            "Infinity",
-        ):  # no set: a list has no hash
-            raise ValueError("should have a loss or a material, not both")
-        if forms != ["file"]:
+        """Replace a file by the text in it, if it is the only description of the shapes."""
+        if not isinstance(data, dict) or [key for key in SHAPE_KEYS if data.get(key) is not None] != ["file"]:
             return data
         key, text = file_text(resolve_path(data["file"], info))
         return {name: value for name, value in data.items() if name != "file"} | {key: text}
 
     @model_validator(mode="after")
     def _is_valid(self) -> Self:
+        forms = [key for key in SHAPE_KEYS if getattr(self, key) is not None]
+        if len(forms) != 1:
+            has = f" (has {' and '.join(forms)})" if forms else ""
+            raise ValueError(f"should have exactly one of {', '.join(SHAPE_KEYS)}{has}")
+        if self.material is not None and self.loss != inf:
+            raise ValueError("should have a loss or a material, not both")
         for k, outline in enumerate(self._outlines):
             _check(outline, f"shape {k}: " if len(self._outlines) > 1 else "")
         if self.scale != 1.0 or self.offset != (0.0, 0.0):

@@ -154,14 +154,17 @@ def without_unknown_start(scenario: Scenario) -> Scenario:
 
 def without_sensing_limit(scenario: Scenario) -> Scenario:
     """Return the scenario in which pursuers sense the evaders at any distance; noise and its filter are kept."""
-    if not scenario.sensing.limited:
-        return scenario
-    kept = ("noise", "interval", "estimator", "fusion", "period", "relay", "estimate")
     sensing = scenario.sensing
-    if scenario.space.blocks_sight:
-        return scenario.model_copy(update={"sensing": sensing.model_copy(update={"radius": inf})})
-    perfect = Sensing() if not sensing.is_noisy else Sensing(**{key: dict(sensing)[key] for key in kept})
-    return scenario.model_copy(update={"sensing": perfect})
+    if not sensing.limited:
+        return scenario
+    sees_all = sensing.model_copy(update={"radius": inf}) if scenario.space.blocks_sight else _unlimited(sensing)
+    return scenario.model_copy(update={"sensing": sees_all})
+
+
+def _unlimited(sensing: Sensing) -> Sensing:
+    """Return sensing at any distance and past no wall; what becomes of lost evaders is that of the default."""
+    kept = ("noise", "interval", "estimator", "fusion", "period", "relay", "estimate")
+    return Sensing() if not sensing.is_noisy else Sensing(**{key: dict(sensing)[key] for key in kept})
 
 
 def without_noise(scenario: Scenario) -> Scenario:
@@ -195,7 +198,11 @@ def without_walls(use: What) -> Callable[[Scenario], Scenario]:
     def without(scenario: Scenario) -> Scenario:
         kept = [(wall, tuple(name for name in wall.blocks if name != use)) for wall in scenario.wall]
         walls = tuple(wall.model_copy(update={"blocks": blocks}) for wall, blocks in kept if blocks)
-        return scenario if walls == scenario.wall else scenario.model_copy(update={"wall": walls})
+        if walls == scenario.wall:
+            return scenario
+        sees_all = use == "sight" and not scenario.sensing.limited
+        sensing = {"sensing": _unlimited(scenario.sensing)} if sees_all else {}
+        return scenario.model_copy(update={"wall": walls, **sensing})
 
     return without
 
