@@ -83,6 +83,18 @@ def test_scores_are_between_the_bounds_and_a_bad_protocol_does_not_look_robust()
     assert (made.best, made.is_behind("good"), made.is_behind(REFERENCE)) == (REFERENCE, True, False)
 
 
+@pytest.mark.slow
+def test_equal_protocols_are_seldom_said_to_be_behind_the_one_that_looks_best():
+    """In at most 5 % of all benchmarks, within 3 standard errors; a bound for pairs with a known best has 20 %."""
+    rng, count = np.random.default_rng(5), 150
+    wrong = 0
+    for _ in range(count):
+        pairs = {f"p{k}": ((costs := rng.normal(20.0, 1.0, 16)), costs) for k in range(12)}
+        made = benchmark_of(perfect=[30.0] * 16, silent=[60.0] * 16, **pairs)
+        wrong += any(made.is_behind(name) for name in pairs)
+    assert wrong / count <= 0.05 + 3.0 * (0.05 * 0.95 / count) ** 0.5
+
+
 def test_without_a_difference_of_the_bounds_nothing_is_scored():
     """The control of the rule: here the network cannot matter, by as much as a run varies."""
     made = benchmark_of(perfect=[10.0, 12.0, 11.0], silent=[10.1, 11.9, 11.0], good=([9.0] * 3, [9.0] * 3))
