@@ -4,12 +4,13 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from math import exp, log
+from math import exp, isfinite, log
 from typing import Any
 
 _NUMBER = r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*"
 _RANGE = re.compile(":".join([_NUMBER] * 3), re.IGNORECASE)
-_INTERVAL = re.compile(rf"\s*(log:)?{_NUMBER}:{_NUMBER}", re.IGNORECASE)
+_END = r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?|[+-]?inf(?:inity)?|nan)\s*"
+_INTERVAL = re.compile(rf"\s*(log:)?{_END}:{_END}", re.IGNORECASE)
 _LOG = re.compile(rf"\s*log:{_NUMBER}:{_NUMBER}:\s*(\d+)\s*", re.IGNORECASE)
 MAX_VALUES = 100_000
 """Maximum number of values of a range."""
@@ -29,6 +30,8 @@ class KeyRange:
     """Whether only whole numbers are meant."""
 
     def __post_init__(self) -> None:
+        if not isfinite(self.high - self.low):
+            raise ValueError(f"the range {self} should have finite ends: all numbers between them are equally probable")
         if self.is_log and not self.low > 0.0:
             raise ValueError(f"the range {self} should begin above 0: it is logarithmic")
         if not self.low < self.high:
@@ -78,7 +81,7 @@ def interval_of(text: str) -> KeyRange | None:
     """Return the range "LOW:HIGH" or "log:LOW:HIGH"; None if a text is neither.
 
     Raises:
-        ValueError: if the higher end is first, or a logarithmic range begins at 0 or below.
+        ValueError: if an end is not finite, the higher end is first, or a logarithmic range begins at 0 or below.
     """
     match = _INTERVAL.fullmatch(text)
     return None if match is None else KeyRange(float(match[2]), float(match[3]), bool(match[1]))
