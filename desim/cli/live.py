@@ -26,6 +26,7 @@ from desim.cli.options import (
     shown_metrics,
     source_of,
 )
+from desim.config.file_names import LIVE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -141,6 +142,8 @@ def _run(
     for result in results:
         for note in result.conduct.notes:
             echo(f"warning: seed {result.seed}: {note}", err=True)
+    if note := overload(results):
+        echo(f"warning: {note}", err=True)
     if out is not None:
         echo(f"wrote {out}", err=True)
     if any(result.conduct.ends for result in results):
@@ -153,9 +156,24 @@ def _write(result: "LiveResult", folder: Path) -> None:
 
     try:
         run_folder.write(result, folder)
-        (folder / "live.json").write_text(json.dumps(result.conduct.document(), indent=2) + "\n", encoding="utf-8")
+        (folder / LIVE).write_text(json.dumps(result.conduct.document(), indent=2) + "\n", encoding="utf-8")
     except OSError as error:
         fail(f"--out {error.filename or folder}: cannot be written: {error.strerror}")
+
+
+def overload(results: "Sequence[LiveResult]") -> str:
+    """Return a sentence if timers or deliveries were so late that a run depends on the machine; "" if not."""
+    from desim.live.agreement import GATE
+    from desim.live.wall_clock import Lateness
+
+    late = [
+        f"{name} by more than {1e3 * p99:.0f} ms"
+        for name in ("timers", "deliveries")
+        if (p99 := Lateness.of([time for result in results for time in getattr(result.conduct, name)]).p99) > GATE
+    ]
+    if not late:
+        return ""
+    return f"late: 1 % of the {' and of the '.join(late)}: results depend on this machine; try again while it is idle"
 
 
 def conduct_lines(results: "Sequence[LiveResult]") -> str:

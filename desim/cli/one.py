@@ -242,6 +242,7 @@ def _recorded(path: Path, overrides: tuple[str, ...], metrics: tuple[str, ...]) 
 
     Print a warning if the results may differ from the recorded ones. End the program if the file is invalid.
     """
+    from desim.config.file_names import LIVE
     from desim.results import provenance
     from desim.results.environment import environment
     from desim.scenario.overrides import ScenarioError
@@ -257,6 +258,8 @@ def _recorded(path: Path, overrides: tuple[str, ...], metrics: tuple[str, ...]) 
     scenario = valid(source)
     if differing := provenance.differences(made, environment()):
         echo(f"warning: {path}: results may differ: {'; '.join(differing)}{_how_to_repeat(made)}", err=True)
+    if path.with_name(LIVE).exists():
+        echo(f"warning: {path}: was recorded live, by desim live: this repeats it in simulation", err=True)
     return scenario, provenance.home(path, made), made["runs"]
 
 

@@ -12,8 +12,10 @@ STORE_PARTS = "sweep.*-of-*.sqlite"
 """Matches the stores of the shards of a sweep."""
 PICTURE_SUFFIXES = (".svg", ".png", ".pdf")
 """Suffixes of diagrams; by default, files with the first two are written."""
+LIVE = "live.json"
+"""How a live run went; only the folder of a live run has it."""
 RUN_FILES = (
-    *(TRACE, "summary.json", "scenario.toml", "run.json", "live.json"),
+    *(TRACE, "summary.json", "scenario.toml", "run.json", LIVE),
     *("trajectory.svg", "trajectory.png", "replay.html"),
     *("spacetime.svg", "spacetime.png", "trace.perfetto.json", "film.gif"),
 )

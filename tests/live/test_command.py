@@ -4,12 +4,15 @@ import pytest
 from click.testing import CliRunner
 
 from desim.cli import main
+from desim.cli.live import overload
+from desim.config.file_names import LIVE
 from desim.kernel.core.events import MessageCounts
 from desim.live import agreement as agreement_module
 from desim.live.agreement import Agreement, compare
 from desim.live.figure import agreement_figure
 from desim.live.result import Conduct, LiveResult
 from desim.live.start import PursuerStart, digest
+from desim.results.run_folder import write as write_run
 from desim.simulation.run import run
 from scenarios.studies.study import SCENARIOS
 from tests.live.test_runs import game, scenario
@@ -44,6 +47,21 @@ def pretended(result, timers=(1_000_000,)) -> LiveResult:
     conduct = Conduct()
     conduct.note(0, list(timers), [])
     return LiveResult(result.scenario, result.seed, result.trace, conduct)
+
+
+def test_a_run_with_late_timers_is_warned_of(simulated):
+    early, late = pretended(simulated[0]), pretended(simulated[0], [30_000_000] * 100)
+    assert not overload([early])
+    assert "late: 1 % of the timers by more than 30 ms: results depend on this machine" in overload([late])
+
+
+def test_the_simulation_of_a_live_run_says_that_it_is_one(tmp_path):
+    result = run(scenario(), 3)
+    write_run(result, tmp_path)
+    repeat = ["run", "--from", str(tmp_path / "run.json")]
+    assert "recorded live" not in CliRunner().invoke(main, repeat).stderr
+    (tmp_path / LIVE).write_text("{}")
+    assert "was recorded live" in CliRunner().invoke(main, repeat).stderr
 
 
 @pytest.fixture
