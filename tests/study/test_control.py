@@ -67,6 +67,21 @@ def test_what_is_not_corrected_has_a_reason():
         made.estimates("nonsense")
 
 
+def fails_at_times(result):
+    if result.seed % 3 == 0:
+        raise KeyError(result.seed)
+    return float(result.seed)
+
+
+def test_failed_runs_are_told():
+    short = SCENARIO.with_({"horizon": 0.2})
+    failing = {"fragile": fails_at_times}
+    made = controlled(short, {"network.latency": [0.1]}, reps=4, control_runs=6, metrics=failing, shown=["fragile"])
+    failed = len(made.result.failed), sum(len(group.failed) for group in made.controls)
+    assert min(failed) > 0
+    assert f"warning: {sum(failed)} runs failed, {failed[1]} of them of the control" in made.table()
+
+
 def test_a_control_that_explains_nothing_is_said_to_be_worth_little():
     rng = np.random.default_rng(0)
     made = control_variate(rng.normal(size=30), rng.normal(size=30), rng.normal(size=300))

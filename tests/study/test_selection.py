@@ -248,6 +248,7 @@ def failing(_):
         (lambda: race(SHORT, COUNTS, "capturers", zone=0.1), "no numeric metric 'capturers'"),
         (lambda: race(SHORT, COUNTS, zone=0.0), "zone should be positive: it is the smallest difference .* s "),
         (lambda: race(SHORT, COUNTS, zone=0.1, confidence=0.3), "between 1/3"),
+        (lambda: race(SHORT, COUNTS, size_and_luck, zone=0.2), 'metric should be a name: "size_and_luck", with'),
         (lambda: raced(maximise=None), "score: whether more of it is better is not known"),
         (lambda: race(SHORT, COUNTS, "capture_time", zone=0.1), "with seed 0 has no value, .*; end_time counts"),
         (lambda: raced(metrics={"score": nothing}), "the run of team.count = 2 with seed 2 has no value"),

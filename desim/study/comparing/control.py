@@ -182,6 +182,12 @@ class Controlled:
             "explained: the share of the variance that the control explains; worth: as many runs without it have the"
             f" same interval; the control took {counted(self.all_runs, 'run')} for all configurations"
         )
+        failed = sum(len(group.failed) for group in self.controls if group is not None)
+        if missing := len(self.result.failed) + failed:
+            yield (
+                f"warning: {counted(missing, 'run')} failed, {failed} of them of the control: the means are over the"
+                " seeds of the others"
+            )
         for metric in self.metrics:
             made = [estimate for estimate in self.estimates(metric) if isinstance(estimate, ControlledEstimate)]
             useless = sum(not estimate.helps for estimate in made)
