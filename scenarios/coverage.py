@@ -23,6 +23,7 @@ from desim import Links, Motion, Recording, Scenario, Team, sweep
 from desim.analysis.control_variates import control_variate
 from desim.analysis.statistics import FIRST_LOOK, NORMAL_975, estimate, runs_needed, wilson
 from desim.analysis.tables import aligned
+from desim.kernel.core import portable_math
 
 SIZES = (30, 300)
 """The numbers of values that give the targets."""
@@ -126,7 +127,7 @@ def normal_pairs(rng: np.random.Generator, size: int) -> Pair:
 def lognormal_pairs(rng: np.random.Generator, size: int) -> Pair:
     """Return the exponentials of such values."""
     values, control = normal_pairs(rng, size)
-    return np.exp(values), np.exp(control)
+    return portable_math.exp(values), portable_math.exp(control)
 
 
 def curved_pairs(rng: np.random.Generator, size: int) -> Pair:

@@ -39,7 +39,11 @@ ALLOWED = {
     },
     "a transport is of a closed family; a dissemination derives from two of its kinds": {
         "desim.kernel.transport.layer": "Reliable",
+        "desim.live.node": "Coded Reliable",
         "desim.kernel.transport.sender": "Coded",
+    },
+    "what cannot run live, of one built-in kind; a kind of a user is refused as such": {
+        "desim.live.refusals": "Coded RandomFaults Reliable",
     },
     "parameters of one built-in kind, which other tables name": {
         "desim.kernel.models.links": "Edges LinkTrace",
@@ -50,7 +54,7 @@ ALLOWED = {
     "warnings about the parameters of one built-in kind; a kind of a user has none": {
         "desim.scenario.liar_warnings": "ByzantineFault FalseAnnouncements Liar RandomLies Reputation Selective Silent"
         " Slander Trimmed",
-        "desim.scenario.link_warnings": "Coded Edges LinkTrace LoRa Radio Reliable Window",
+        "desim.scenario.link_warnings": "Coded Disk Edges LinkTrace LoRa QuasiUnitDisk Radio Reliable Window",
         "desim.scenario.telling": "Coded Reliable",
     },
     "a figure of link traces, one for each unit": {

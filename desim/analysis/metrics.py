@@ -497,8 +497,9 @@ def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType
 
 def check_numeric(metric: str, added: Iterable[str] = ()) -> None:
     """Raise ValueError unless a name is that of a built-in metric with `is_number`, or one of the names in `own`."""
-    if not isinstance(metric, str):
-        name = getattr(metric, "__name__", "mine")
+    asked: Any = metric
+    if not isinstance(asked, str):
+        name = getattr(asked, "__name__", "mine")
         raise ValueError(f'metric should be a name: "{name}", with metrics={{"{name}": ...}} (got {metric!r})')
     numeric = [*(name for name, metric in METRICS.items() if metric.is_number), *added]
     if metric not in numeric:

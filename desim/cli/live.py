@@ -178,13 +178,14 @@ def overload(results: "Sequence[LiveResult]") -> str:
 
 def conduct_lines(results: "Sequence[LiveResult]") -> str:
     """Return how late timers and deliveries were, and what was dropped, as text."""
+    from desim.kernel.core.portable_math import portable_sum
     from desim.live.wall_clock import Lateness
 
     timers, deliveries, orders = (
         Lateness.of([late for result in results for late in getattr(result.conduct, name)])
         for name in ("timers", "deliveries", "orders")
     )
-    drops = [sum(counts) for counts in zip(*(result.conduct.dropped for result in results), strict=True)]
+    drops = [int(portable_sum(counts)) for counts in zip(*(result.conduct.dropped for result in results), strict=True)]
     return (
         f"live: late by at most, in 50 %, 99 % and 100 %: timers {timers}, deliveries {deliveries}, actions {orders}\n"
         f"datagrams dropped: {drops[0]} malformed, {drops[1]} foreign, {drops[2]} replayed"

@@ -28,7 +28,7 @@ def cluster(scheduler, monkeypatch):
 
     Of those that died in an earlier test, one at least has been replaced; replacing takes long on a busy machine.
     """
-    monkeypatch.setattr("desim.study.workers.workers.START_TIMEOUT", 900.0)
+    monkeypatch.setattr("desim.study.workers.executors.START_TIMEOUT", 900.0)
     await_workers(scheduler, 1)
     return scheduler
 

@@ -20,6 +20,7 @@ from click.testing import CliRunner
 import desim
 from desim.cli import main
 from desim.scenario.toml import load
+from desim.study.workers import executors
 from desim.study.workers import workers as places
 from desim.study.workers.executors import workers_for
 from desim.study.workers.serialization import called, packed
@@ -218,7 +219,7 @@ def closed_port(silent_port):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["silent_port", "closed_port"])
 def test_an_unresponsive_scheduler_is_reported_in_time(request, tmp_path, monkeypatch, name):
-    monkeypatch.setattr(places, "START_TIMEOUT", 1.0)
+    monkeypatch.setattr(executors, "START_TIMEOUT", 1.0)
     address = f"tcp://127.0.0.1:{request.getfixturevalue(name)}"
     begin = time.monotonic()
     made = command("sweep", sweeps.write(tmp_path), "--allow-import", "-o", tmp_path / "out", "--cluster", address)
@@ -232,7 +233,7 @@ def test_an_unresponsive_scheduler_is_reported_in_time(request, tmp_path, monkey
 @pytest.mark.slow
 @pytest.mark.parametrize("address", ["nonsense", "tcp://", "ftp://127.0.0.1:1", "tcp://127.0.0.1:port", ""])
 def test_a_malformed_address_is_reported(tmp_path, monkeypatch, address):
-    monkeypatch.setattr(places, "START_TIMEOUT", 0.2)
+    monkeypatch.setattr(executors, "START_TIMEOUT", 0.2)
     made = command("sweep", sweeps.write(tmp_path), "--allow-import", "-o", tmp_path / "out", "--cluster", address)
     assert made.exit_code == 2
     (line,) = made.stderr.splitlines()
@@ -279,7 +280,7 @@ def test_a_cluster_whose_workers_or_scheduler_have_gone_is_reported():
 @pytest.mark.whole
 def test_a_cluster_without_workers_and_the_loss_of_its_scheduler_are_reported(tmp_path, monkeypatch, scheduler_alone):
     """Never had, or left with exit code 0, so that no other is started. What was done by then is kept."""
-    monkeypatch.setattr(places, "START_TIMEOUT", 2.0)
+    monkeypatch.setattr(executors, "START_TIMEOUT", 2.0)
     scheduler, address = scheduler_alone
 
     def swept(name, **given):

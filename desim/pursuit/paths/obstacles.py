@@ -5,7 +5,7 @@ A line may touch a corner and slide along a wall, but never cross one. All tests
 """
 
 from collections.abc import Sequence
-from math import atan2, inf
+from math import atan2, cos, inf, sin
 
 import numpy as np
 
@@ -82,7 +82,7 @@ class Obstacles:
         )
         """(C,) the directions between which it is not free, counter-clockwise, of length 1."""
         outward = [self._plan.corners[k].outward() or 0.0 for k in at]
-        self.turns: Points = self.bends + self.clearance * np.array([complex(np.cos(a), np.sin(a)) for a in outward])
+        self.turns: Points = self.bends + self.clearance * np.array([complex(cos(a), sin(a)) for a in outward])
         """(C,) where a player turns that goes around a corner, m."""
         self._sides_of_bends = self._sides(self.bends)
 

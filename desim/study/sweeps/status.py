@@ -51,7 +51,7 @@ class SweepStatus:
     def __str__(self) -> str:
         of = "" if self.planned is None else f" of {self.planned:,}"
         failed = f", {counted(self.failed, 'run')} failed" if self.failed else ""
-        count = sum(part.state.startswith("RUNNING") for part in self.parts)
+        count = len([part for part in self.parts if part.state.startswith("RUNNING")])
         running = f", {counted(count, 'part')} running" if count else ""
         head = f"{self.name}: {self.done:,}{of} runs are done{failed}{running}"
         rows = [

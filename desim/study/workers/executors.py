@@ -5,7 +5,10 @@ from concurrent.futures import Executor
 
 from desim.config.python_numbers import whole
 from desim.study.workers.batch_system import JobExecutor, JobWorkers
-from desim.study.workers.workers import START_TIMEOUT, Cluster, InProcess, Processes, Workers
+from desim.study.workers.workers import Cluster, InProcess, Processes, Workers
+
+START_TIMEOUT = 10.0
+"""The time-out, s of wall time, for answers of a cluster."""
 
 
 def workers_for(executor: Executor | JobExecutor | Workers | int | str, calls: int | None = None) -> Workers:

@@ -22,8 +22,6 @@ from desim.kernel.core.portable_math import portable_sum
 from desim.study.workers.serialization import Call, called, packed
 
 Returned = TypeVar("Returned")
-START_TIMEOUT = 10.0
-"""The time-out, s of wall time, for answers of a cluster."""
 WATCH = 0.5
 """The interval, s of wall time, at which a worker checks that its driver is alive."""
 
