@@ -12,11 +12,11 @@ from desim.config.errors import KeyedError
 from desim.kernel.walls.crossings import (
     Segments,
     WallShape,
+    are_inside,
     crossings,
     first_contact,
     first_crossings,
     gaps,
-    inside,
     segments_of,
 )
 from desim.kernel.walls.materials import MATERIALS, slab_loss
@@ -67,7 +67,7 @@ def test_a_text_may_have_several_lines_and_polygons_with_holes():
     shapes = Wall(wkt=wkt).shapes
     assert [(len(shape.corners), shape.closed) for shape in shapes] == [(2, False), (3, False), (4, True), (3, True)]
     points = np.array([[1.0, 1.0], [5.0, 4.0], [3.1, 5.0], [10.0, 1.0]])
-    assert inside(points, shapes).tolist() == [True, False, True, False]
+    assert are_inside(points, shapes).tolist() == [True, False, True, False]
     lines = Wall(svg="M 1 -1 l 1 0 0 -1 m 5 0 h 2 M 0 0 h 1 v 1 z l 3 3").shapes
     assert [shape.corners.tolist() for shape in lines] == [
         [[1, 1], [2, 1], [2, 2]],
@@ -293,7 +293,7 @@ def test_a_ray_that_leaves_a_polygon_crosses_its_edges_an_odd_number_of_times(co
     edges = segments_of([(0, ring)])
     ends = np.array([start, end]) + np.array([0.31, 0.17])  # not on an edge
     odd = crossings(ends[:1], ends[1:], edges).sum() % 2 == 1
-    first, second = inside(ends, [ring])
+    first, second = are_inside(ends, [ring])
     assert odd == (first != second)
 
 

@@ -10,7 +10,7 @@ from matplotlib.path import Path
 
 from desim.analysis.drawing.palette import GREY
 from desim.config.arrays import Floats
-from desim.kernel.walls.crossings import WallShape, inside
+from desim.kernel.walls.crossings import WallShape, are_inside
 from desim.kernel.walls.wall import Wall
 
 SOLID = "#333333"
@@ -36,7 +36,7 @@ def draw_walls(axes: Axes, walls: Sequence[Wall]) -> None:
 def _oriented(ring: WallShape, rings: Sequence[WallShape]) -> Path:
     """Return a ring that runs to the left, or to the right around a hole, so that holes are not filled."""
     others = [other for other in rings if other is not ring]
-    is_hole = bool(others) and bool(inside(ring.corners[:1], others)[0])
+    is_hole = bool(others) and bool(are_inside(ring.corners[:1], others)[0])
     is_left = _turn(ring.corners) > 0.0
     corners = ring.corners if is_left != is_hole else ring.corners[::-1]
     return Path(np.vstack([corners, corners[:1]]), closed=True)

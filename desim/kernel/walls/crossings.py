@@ -152,7 +152,7 @@ def _apart(first: Floats, second: Floats, least: Floats) -> Bools:
     return apart
 
 
-def inside(points: Floats, shapes: Sequence[WallShape]) -> Bools:
+def are_inside(points: Floats, shapes: Sequence[WallShape]) -> Bools:
     """Return which of (m, 2) points, m, are inside the polygons of one wall, (m,): those in a hole are not.
 
     The rings of the wall must not cross each other. A point on the boundary may count as inside or not.

@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from desim.config.arrays import Bools, Floats, Points
-from desim.kernel.walls.crossings import WallShape, inside
+from desim.kernel.walls.crossings import WallShape, are_inside
 from desim.pursuit.core.state import complex_points, coordinates, lengths
 
 TOUCH = 1e-12
@@ -186,7 +186,7 @@ class Arrangement:
 
 def is_within(places: Floats, wall: Sequence[WallShape]) -> Bools:
     """Return which of (k, 2) places, m, are inside the polygons of a wall, (k,); on an outline, either is possible."""
-    return inside(places, wall) if any(shape.closed for shape in wall) else np.zeros(len(places), dtype=bool)
+    return are_inside(places, wall) if any(shape.closed for shape in wall) else np.zeros(len(places), dtype=bool)
 
 
 def _mirrored(sides: frozenset[Side]) -> frozenset[Side]:
