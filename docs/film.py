@@ -22,20 +22,44 @@ SIZE = (1280, 800)
 """The size of the window, pixels."""
 SHRUNK = (960, 600)
 """The size of the film, pixels."""
+ATTEMPTS = 5
+"""Pictures that are taken of an instant at most: on a busy machine some are taken before the plane is drawn."""
+DRAWN = 0.002
+"""Share of dark pixels in the plane from which on it counts as drawn; an empty one has none below its buttons."""
 
 
 def frame(page: Path, t: float) -> Image.Image:
-    """Return the replay at an instant, s."""
-    picture = page.with_suffix(".png")
+    """Return the replay at an instant, s.
+
+    Raises:
+        RuntimeError: if no picture shows the plane.
+    """
+    for _ in range(ATTEMPTS):
+        taken = picture(page, t)
+        if is_drawn(taken):
+            return taken
+    raise RuntimeError(f"{ATTEMPTS} pictures at {t:.2f} s do not show the plane")
+
+
+def is_drawn(taken: Image.Image) -> bool:
+    """Return whether a picture of the replay shows the players: their plane is in its upper left quarter."""
+    width, height = taken.size
+    plane = np.asarray(taken.convert("L"))[height // 6 : height // 2, : width // 2]
+    return float((plane < 200).mean()) > DRAWN
+
+
+def picture(page: Path, t: float) -> Image.Image:
+    """Return what a browser shows of the replay at an instant, s."""
+    file = page.with_suffix(".png")
     options = ("--headless", "--no-sandbox", "--hide-scrollbars", "--virtual-time-budget=2000")
     window = f"--window-size={SIZE[0]},{SIZE[1]}"
     address = f"{page.as_uri()}#t={t:.3f}"
     subprocess.run(
-        [shutil.which("chromium") or "chromium", *options, window, f"--screenshot={picture}", address],
+        [shutil.which("chromium") or "chromium", *options, window, f"--screenshot={file}", address],
         check=True,
         capture_output=True,
     )
-    return Image.open(BytesIO(picture.read_bytes())).convert("RGB").resize(SHRUNK, Image.Resampling.LANCZOS)
+    return Image.open(BytesIO(file.read_bytes())).convert("RGB").resize(SHRUNK, Image.Resampling.LANCZOS)
 
 
 def main() -> None:
