@@ -96,6 +96,7 @@ def submit(
     folder = folder_for(scenario, out).absolute()
     job = _job(folder, plan, parts, claim)
     with storing(folder):
+        _check_stores(job, plan, folder, mix_versions=mix_versions)
         missing = _missing(job, plan, folder, shown_metrics(scenario, metrics, SHOWN))
         live = array_job.states(job.jobs)
         numbers = [part for part in missing if part not in live]
@@ -140,6 +141,17 @@ def _job(folder: Path, plan: "SweepPlan", parts: int, claim: bool) -> "ArrayJob"
         how = f"--array {before.parts}{' --claim' if before.claim else ''}"
         fail(f"{folder}: was submitted with {how}, whose parts have other runs: give that, or another folder (-o)")
     return ArrayJob(name=wanted.name, runs=wanted.runs, parts=max(parts, before.parts), claim=claim, jobs=before.jobs)
+
+
+def _check_stores(job: "ArrayJob", plan: "SweepPlan", folder: Path, *, mix_versions: bool) -> None:
+    """Raise StoreError if the stores in a folder are of another sweep, before its parts wait in a queue to say so."""
+    from desim.config.file_names import STORE
+    from desim.study.store.store import Store
+
+    for path in (folder / STORE, *(job.store(folder, part) for part in range(1, job.parts + 1))):
+        if path.exists():
+            with Store(path, read_only=True) as store:
+                plan.check(store, mix_versions=mix_versions)
 
 
 def _missing(job: "ArrayJob", plan: "SweepPlan", folder: Path, metrics: Sequence[str]) -> list[int]:

@@ -71,6 +71,7 @@ def test_bad_input_of_submit_and_status_is_refused(place):
     assert "sbatch: there is no Slurm on this machine" in refused("submit", *WORDS, "--array", 2, "--run")
     assert "was submitted with --array 2, whose parts have other runs" in refused("submit", *WORDS, "--array", 3)
     assert "has no sweep: neither sweep.sqlite nor parts of one" in refused("status", place)
+    assert "relay.toml: is no folder" in refused("status", "relay.toml")
     record = place / "out" / "relay" / "submit.json"
     record.write_text('{"name": "a", "runs": "many", "parts": 2}')
     assert "submit.json: is damaged: runs cannot be read; remove the file" in refused("status", record.parent)
@@ -82,6 +83,14 @@ def run_part(place, part, **options):
     script = place / "out" / "relay" / "parts.sbatch"
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     return subprocess.Popen(["bash", script], env=os.environ | variables, start_new_session=True, **pipes)
+
+
+@pytest.mark.slow
+def test_a_folder_with_parts_of_another_sweep_is_refused_before_they_wait_in_a_queue(place):
+    accepted("submit", *WORDS, "--array", 3)
+    accepted("sweep", *WORDS, "--shard", "1/3", "-o", "out/relay/part-1")
+    other = refused("submit", *WORDS, "--set", "name=other", "-o", "out/relay", "--array", 3)
+    assert "sweep.1-of-3.sqlite: was made by another sweep" in other
 
 
 @pytest.mark.slow

@@ -83,6 +83,8 @@ def status(folder: str | Path) -> SweepStatus:
         OSError: if it cannot be read.
     """
     folder = Path(folder)
+    if folder.is_file():
+        raise ValueError(f"{folder}: is no folder")
     job = ArrayJob.read(folder)
     stores = dict(_stores(folder, job))
     if job is None and not stores:
