@@ -124,7 +124,7 @@ BAD = {
         {"line": [[0, 0], [1e-12, 0]], "offset": [1e5, 0]},
         r"scaled and displaced: .*\[100000, 0\] comes twice",
     ),
-    "a list of losses": ({"line": SQUARE, "material": "brick", "loss": [3.0]}, "a loss or a material, not both"),
+    "a list of losses": ({"line": SQUARE, "material": "brick", "loss": [3.0]}, "loss.*should be a number"),
     "not finite": ({"line": [[0, 0], [nan, 0]]}, "line"),
     "a misspelt type": ({"wkt": "POLYGN ((0 0))"}, "did you mean 'POLYGON'"),
     "a point in WKT": ({"wkt": "POINT (0 0)"}, "POINT is no line or polygon"),
