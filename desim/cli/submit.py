@@ -217,7 +217,7 @@ def status(folder: Path, as_json: bool) -> None:
 
     with storing(folder):
         try:
-            found = status_of(folder)
+            progress = status_of(folder)
         except ValueError as error:
             fail(str(error))
-    echo(json.dumps(found.document(), indent=2) if as_json else str(found))
+    echo(json.dumps(progress.document(), indent=2) if as_json else str(progress))

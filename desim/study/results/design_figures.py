@@ -13,8 +13,8 @@ from desim.config.trust import escaped
 from desim.study.plan.configurations import in_words
 from desim.study.results.figures import (
     MAX_ABREAST,
-    add_colour_bar,
     add_legend,
+    draw_panels,
     height_of_legend,
     is_wide,
     key_with_unit,
@@ -125,28 +125,23 @@ def contour(
         raise ValueError(f"{metric}: no configuration has a value")
     means = [estimate.mean for panel in panels.values() for _, estimate in panel]
     colours = ScalarMappable(Normalize(min(means), max(means)), "cividis")
-    title = metric_with_unit(metric, result)
-    if ax is not None:
-        figure = figure_of(ax, panels=list(panels), size=size)
-        with in_style(style):
-            _draw_bands(ax, keys, next(iter(panels.values())), points, colours)
-            add_colour_bar(figure, colours, [ax], title)
-        return figure
+
+    def draw(axes: Axes, panel: list[Point]) -> None:
+        _draw_bands(axes, keys, panel, points, colours)
+
     columns = min(MAX_ABREAST, len(panels))
-    rows = -(-len(panels) // columns)
-    usual = (1.6 + 3.0 * columns, 0.8 + 2.4 * rows)
-    width, height = usual if size is None else size_of(size)
-    with styled(figsize=(width, height or width * usual[1] / usual[0]), font=8.0, style=style) as figure:
-        shared = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-        for axes, (settings, panel) in zip(shared.flat, panels.items(), strict=False):
-            _draw_bands(axes, keys, panel, points, colours)
-            axes.set_title(escaped(settings), fontsize=8, parse_math=False)
-        for axes in shared.flat[len(panels) :]:
-            axes.set_axis_off()
-        for axes in shared.flat:
-            axes.label_outer()
-        add_colour_bar(figure, colours, shared.ravel().tolist(), title)
-    return figure
+    usual = (1.6 + 3.0 * columns, 0.8 + 2.4 * -(-len(panels) // columns))
+    return draw_panels(
+        panels,
+        draw,
+        colours,
+        metric_with_unit(metric, result),
+        columns=columns,
+        usual=usual,
+        size=size,
+        style=style,
+        ax=ax,
+    )
 
 
 def _draw_bands(

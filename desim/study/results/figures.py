@@ -1,10 +1,10 @@
 """Figures of sweeps and explanations."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import floor, inf, isfinite, log10, nan
 from textwrap import fill
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from matplotlib.cm import ScalarMappable
@@ -34,6 +34,7 @@ from desim.study.plan.configurations import in_words
 from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT, Cost, CostByMetric
 from desim.study.results.runs import SHOWN, Group, SweepRuns, is_number, labels_of_values, text
 
+Panel = TypeVar("Panel")
 APART = 0.012
 """The horizontal offset between points with the same abscissa, as a share of the range of the abscissa; it keeps their
 error bars apart."""
@@ -358,14 +359,56 @@ def phase(
         axes.set_yticks(range(len(over[y])), map(text, over[y]))
         _label(axes, xlabel, ylabel)
 
-    title = metric_with_unit(metric, result)
+    usual = (1.6 + columns * across, 0.8 + rows * (0.4 + CELL[1] * len(over[y])))
+    return draw_panels(
+        panels,
+        draw,
+        colours,
+        metric_with_unit(metric, result),
+        columns=columns,
+        usual=usual,
+        size=size,
+        style=style,
+        ax=ax,
+    )
+
+
+def draw_panels(
+    panels: Mapping[str, Panel],
+    draw: Callable[[Axes, Panel], None],
+    colours: ScalarMappable,
+    title: str,
+    *,
+    columns: int,
+    usual: tuple[float, float],
+    size: str | None,
+    style: Style,
+    ax: Axes | None,
+) -> Figure:
+    """Draw panels with one colour scale: side by side on a figure of their own, or a single one on given axes.
+
+    Args:
+        panels: what each panel shows, by its title.
+        draw: draws a panel on axes.
+        colours: the colour scale.
+        title: what the colours show.
+        columns: the number of panels abreast.
+        usual: the usual width and height of the figure, inches.
+        size: as in `SweepResult.plot`.
+        style: as in `SweepResult.plot`.
+        ax: as in `SweepResult.plot`.
+
+    Raises:
+        ValueError: if the size is invalid, or several panels do not fit into `ax`.
+        TypeError: if `ax` is not one pair of axes of matplotlib.
+    """
     if ax is not None:
         figure = figure_of(ax, panels=list(panels), size=size)
         with in_style(style):
             draw(ax, next(iter(panels.values())))
             add_colour_bar(figure, colours, [ax], title)
         return figure
-    usual = (1.6 + columns * across, 0.8 + rows * (0.4 + CELL[1] * len(over[y])))
+    rows = -(-len(panels) // columns)
     width, height = usual if size is None else size_of(size)
     with styled(figsize=(width, height or width * usual[1] / usual[0]), font=8.0, style=style) as figure:
         shared = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)

@@ -89,15 +89,15 @@ class RaceResult:
         return paired(samples[system][:both], samples[self.selection.selected][:both])
 
     def sentences(self) -> list[str]:
-        """Return what the race found, with what guarantee, and what it cost."""
+        """Return the result of the race, its guarantee, and its cost."""
         best, side = in_words(self.best), "greatest" if self.maximise else "least"
         amount = f"{self.zone:g} {self.unit}".rstrip()
         count = len(self.settings)
         if len({self.mean_of(system).mean for system in self.selection.left}) == 1 < len(self.selection.left):
             tied = " and ".join(in_words(self.settings[system]) for system in self.order[: len(self.selection.left)])
-            found = f"{words(self.metric)}: the means of {tied} are equal in {counted(self.first, 'run')}"
+            verdict = f"{words(self.metric)}: the means of {tied} are equal in {counted(self.first, 'run')}"
         else:
-            found = f"{best} has the {side} {words(self.metric)} of {count} configurations"
+            verdict = f"{best} has the {side} {words(self.metric)} of {count} configurations"
         if self.is_decided:
             how = (
                 f"the best of {count} is found with a probability of at least {self.confidence:g} if it is better than"
@@ -113,9 +113,9 @@ class RaceResult:
             )
         runs = f"{counted(self.runs, 'run')}; a two-stage design with the same guarantee, which drops none, takes"
         if not self.common:
-            return [found, how, f"{runs} {self.plain_runs:,} (Clark & Yang 1986)"]
+            return [verdict, how, f"{runs} {self.plain_runs:,} (Clark & Yang 1986)"]
         seeds = f"{self.plain_runs:,} with the same seeds, and {self.independent_runs:,} if each run has its own"
-        return [found, how, f"{runs} {seeds} (Clark & Yang 1986)"]
+        return [verdict, how, f"{runs} {seeds} (Clark & Yang 1986)"]
 
     def tables(self) -> list[Table]:
         """Return the table as its title and rows of text; the first row is the header."""

@@ -32,7 +32,7 @@ class SweepPart:
 
 @dataclass(frozen=True)
 class SweepStatus:
-    """How far a sweep is."""
+    """The progress of a sweep."""
 
     name: str
     """The name of the scenario."""
