@@ -37,12 +37,15 @@ from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli, ByDistance, GilbertElliott
 from desim.kernel.models.medium import Bitrate
+from desim.kernel.models.reception import LogDistance
 from desim.kernel.network import Network
+from desim.kernel.walls.wall import Wall
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
+from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules.periodic import SharedSeed
+from protocols.schedules.periodic import Periodic, SharedSeed
 from scenarios.benchmarks.measuring import Cost, apart, command, memory, per_unit
 from scenarios.benchmarks.pages import replays
 from scenarios.benchmarks.peers.bare_loop import bare_loop
@@ -276,6 +279,39 @@ def contention(options: Options) -> list[Cost]:
     ]
 
 
+# Walls.
+
+
+def among_walls(blocks: int) -> Scenario:
+    """Return a scenario of 40 moving pursuers with log-distance reception; square blocks weaken radio.
+
+    The evader is too far away to be captured, so that equally many messages are sent with and without walls.
+    """
+    corners = ((0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0))
+    places = [(10.0 + 25.0 * (block // 3), 10.0 + 25.0 * (block % 3)) for block in range(blocks)]
+    return Scenario(
+        name="among_walls",
+        horizon=40.0,
+        team=Team(count=40, box=(0.0, 100.0), speeds=2.0),
+        evader=Evader(position=(500.0, 500.0), speed=3.0),
+        motion=Motion(step=0.05),
+        protocol=LocalMin(schedule=Periodic(period=0.1)),
+        announce=Announcements(heartbeat=0.1),
+        network=Links(latency=Constant(value=0.02), range=80.0, reception=LogDistance(exponent=2.5, shadowing=4.0)),
+        wall=tuple(
+            Wall(polygon=tuple((left + x, below + y) for x, y in corners), loss=6.0, blocks=("radio",))
+            for left, below in places
+        ),
+    )
+
+
+def walls(options: Options) -> list[Cost]:
+    """Measure the cost of a run with 48 corners that weaken radio, relative to the same run without walls."""
+    variants = {name: partial(_one_run, among_walls(blocks)) for name, blocks in {"walls": 12, "none": 0}.items()}
+    took = per_unit(variants, range(options.runs))
+    return [Cost("40 moving nodes, 48 corners / no walls", took["walls"] / took["none"], "", 1.5)]
+
+
 # Whole runs.
 
 
@@ -420,6 +456,7 @@ PARTS: Mapping[str, Callable[[Options], list[Cost]]] = MappingProxyType(
         "losses": losses,
         "arrivals": arrivals,
         "contention": contention,
+        "walls": walls,
         "table1": table_1,
         "loop": loop,
         "examples": examples,
