@@ -2,6 +2,7 @@
 
 from fractions import Fraction
 from math import exp, inf, nan, pi, sqrt
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -44,6 +45,8 @@ def crossed(start, end, *walls, margin=0.0):
     "keys",
     [
         {"polygon": [[0, 0], [4, 0], [4, 4], [0, 4]]},
+        {"polygon": [[0, 0], [4, 0], [4, 4], [0, 4], [0, 0]]},
+        {"wkt": SimpleNamespace(wkt="POLYGON ((0 0, 4 0, 4 4, 0 4, 0 0))")},
         {"wkt": "POLYGON ((0 0, 4 0, 4 4, 0 4, 0 0))"},
         {"wkt": "polygon((0 0,4 0,4 4,0 4,0 0))"},
         {"wkt": "MULTIPOLYGON (((0 0, 4 0, 4 4, 0 4, 0 0)))"},
@@ -82,6 +85,7 @@ def test_a_text_may_have_several_lines_and_polygons_with_holes():
     [
         ("LINESTRING (0 0, 1 1)\n# a comment\nPOLYGON ((0 0, 1 0, 1 1, 0 0))\n", "a.wkt", [(2, False), (3, True)]),
         ("# corners\n0 0\n1,0\n1 1\n0 0\n\n\n2 2\n3 3\n", "a.txt", [(3, True), (2, False)]),
+        ('"X","Y"\n0,0\n1,0\n', "a.csv", [(2, False)]),
         ('<svg><path id="a" d="M0 0H1"/><path d=\'M0 0H1V1z\' style="x"/></svg>', "a.svg", [(2, False), (3, True)]),
     ],
 )
@@ -110,7 +114,7 @@ BAD = {
     "a point": ({"line": [[0, 0]]}, "at least 2 corners"),
     "two corners": ({"polygon": SQUARE[:2]}, "at least 3 corners"),
     "a corner twice": ({"line": [[0, 0], [1, 1], [1, 1]]}, r"\[1, 1\] comes twice"),
-    "a ring": ({"polygon": [*SQUARE, SQUARE[0]]}, "a polygon does not repeat its first corner"),
+    "a ring that ends twice": ({"polygon": [*SQUARE, SQUARE[0], SQUARE[0]]}, r"\[0, 0\] comes twice"),
     "crossing itself": ({"polygon": [[0, 0], [4, 4], [4, 0], [0, 4]]}, r"from \[0, 0\] to \[4, 4\] meets that"),
     "touching itself": ({"polygon": [[0, 0], [4, 0], [2, 3], [2, 0], [0, 3]]}, "should not cross or touch itself"),
     "no area": ({"polygon": [[0, 0], [2, 0], [1, 0]]}, "should not cross or touch itself"),
@@ -152,7 +156,7 @@ BAD = {
     "loss and material": ({"line": SQUARE, "material": "brick", "loss": 3.0}, "a loss or a material, not both"),
     "no thickness": ({"line": SQUARE, "material": "brick", "thickness": 0.0}, "thickness: should be greater than 0"),
     "too low": ({"line": SQUARE, "material": "glass", "frequency": 50e6}, "glass is known from 0.1 to 100 GHz"),
-    "too high": ({"line": SQUARE, "material": "brick", "frequency": 60e9}, "brick is known from 0.4 to 40 GHz"),
+    "too high": ({"line": SQUARE, "material": "brick", "frequency": 60e9}, r"brick is known from 0.4 to 40 GHz .got 6e.10 Hz"),
 }
 
 
@@ -169,6 +173,7 @@ def test_a_wall_that_is_none_is_refused_with_what_is_allowed(case):
         ("0 0\n1\n", "a.txt", "line 2: a corner should have two numbers, x y .has 1"),
         ("0 0\n1 1,5x\n", "a.txt", "line 2"),
         ("\n", "a.txt", "has no shape"),
+        ('{"type": "LineString", "coordinates": [[0, 0], [1, 1]]}', "a.geojson", "degrees.*: save it as WKT in m"),
         ('<svg><rect width="4"/></svg>', "a.svg", "<rect> is not read: convert objects to paths"),
         ('<svg><path transform="scale(2)" d="M0 0H1"/></svg>', "a.svg", "transform is not read"),
         ("<svg></svg>", "a.svg", "has no <path"),

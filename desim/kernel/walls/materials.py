@@ -80,7 +80,7 @@ def slab_loss(material: str, thickness: float, frequency: float) -> float:
     properties = MATERIALS[material]
     if not properties.lowest <= frequency <= properties.high:
         span = f"{properties.lowest / 1e9:g} to {properties.high / 1e9:g} GHz"
-        raise ValueError(f"{material} is known from {span} (got {frequency / 1e9:g} GHz)")
+        raise ValueError(f"frequency: {material} is known from {span} (got {frequency:g} Hz)")
     in_ghz = frequency / 1e9
     root = sqrt(
         complex(properties.permittivity, -17.98 * properties.conductivity * in_ghz**properties.exponent / in_ghz)

@@ -25,6 +25,11 @@ class Outline(NamedTuple):
     """Whether it is a ring."""
 
 
+def without_repeat(corners: Corners) -> Corners:
+    """Return the corners of a ring without a last one that is the first again."""
+    return corners[:-1] if len(corners) > 1 and corners[0] == corners[-1] else corners
+
+
 WKT_FORMS = ("LINESTRING", "POLYGON", "MULTILINESTRING", "MULTIPOLYGON", "GEOMETRYCOLLECTION")
 """The types of WKT that are read."""
 _WKT_TOKEN = re.compile(r"\s*([A-Za-z]+|[(),]|[^\s(),]+)")
@@ -229,11 +234,16 @@ _DATA = re.compile(r"""\sd\s*=\s*("[^"]*"|'[^']*')""")
 _OTHERS = re.compile(r"<\s*(rect|circle|ellipse|line|polyline|polygon|use|image|text)\b", re.IGNORECASE)
 
 
+_COLUMNS = re.compile(r"""["']?x["']?[\s,]+["']?y["']?""", re.IGNORECASE)
+"""A line that names the columns of a file of numbers."""
+
+
 def file_text(file: Path) -> tuple[str, str]:
     """Return the shapes in a file as a text, and the key whose value it can be: "svg" or "wkt".
 
     A file of SVG has elements `path`. A file of numbers has one corner x y in a line, and an empty line before each
-    further shape; a shape whose last corner is its first is a polygon. Any other file is WKT.
+    further shape; a shape whose last corner is its first is a polygon, and a first line `x,y` names the columns. Any
+    other file is WKT.
 
     Raises:
         ValueError: if the file cannot be read; the message names the file.
@@ -245,7 +255,13 @@ def file_text(file: Path) -> tuple[str, str]:
     first = next((line.strip() for line in lines if line.strip()), "")
     if not first:
         raise ValueError(f"{file} has no shape")
-    return "wkt", "\n".join(lines).strip() if first[0].isalpha() else _wkt_of_numbers(lines, file)
+    if first[0] in "{[":
+        raise ValueError(f"{file}: GeoJSON is not read, as its coordinates are degrees (RFC 7946): save it as WKT in m")
+    if _COLUMNS.fullmatch(first):
+        lines[next(k for k, line in enumerate(lines) if line.strip())] = ""
+    elif first[0].isalpha():
+        return "wkt", "\n".join(lines).strip()
+    return "wkt", _wkt_of_numbers(lines, file)
 
 
 def _svg_text(text: str, file: Path) -> str:

@@ -12,7 +12,7 @@ from desim.config.model import MAX_COORDINATE, Coordinate, FirstError, Length, L
 from desim.config.trust import resolve_path
 from desim.kernel.walls.crossings import Segments, WallShape, first_contact, repeated_corner, segments_of
 from desim.kernel.walls.materials import Material, slab_loss
-from desim.kernel.walls.outlines import Outline, file_text, svg_outlines, wkt_outlines
+from desim.kernel.walls.outlines import Outline, file_text, svg_outlines, without_repeat, wkt_outlines
 
 Corner = tuple[Coordinate, Coordinate]
 """The position [x, y] of a corner, m."""
@@ -37,9 +37,10 @@ class Wall(Value):
     line: Annotated[tuple[Corner, ...], FirstError()] | None = None
     """Corners [x, y] of a line, m; a line has no thickness, and both of its sides can be reached."""
     polygon: Annotated[tuple[Corner, ...], FirstError()] | None = None
-    """Corners [x, y] of a polygon, m; its inside is solid. The last corner is joined to the first."""
+    """Corners [x, y] of a polygon, m; its inside is solid. The last corner is joined to the first, or is the same."""
     wkt: str | None = None
-    """Shapes as WKT: LINESTRING, POLYGON, MULTILINESTRING, MULTIPOLYGON or GEOMETRYCOLLECTION."""
+    """Shapes as WKT: LINESTRING, POLYGON, MULTILINESTRING, MULTIPOLYGON or GEOMETRYCOLLECTION. In Python also an object
+    that has its WKT as `wkt`, such as a geometry of shapely."""
     svg: str | None = None
     """Shapes as the data of an SVG path, with the commands M, L, H, V and Z; a closed part is a polygon. The y axis of
     SVG points down, so y changes its sign."""
@@ -68,8 +69,12 @@ class Wall(Value):
     @model_validator(mode="before")
     @classmethod
     def _read(cls, data: Any, info: ValidationInfo) -> Any:
-        """Replace a file by the text in it, if it is the only description of the shapes."""
-        if not isinstance(data, dict) or [key for key in SHAPE_KEYS if data.get(key) is not None] != ["file"]:
+        """Replace a geometry by its WKT, and a file by the text in it, if it is the only description of the shapes."""
+        if not isinstance(data, dict):
+            return data
+        if isinstance(text := getattr(data.get("wkt"), "wkt", None), str):
+            data = data | {"wkt": text}
+        if [key for key in SHAPE_KEYS if data.get(key) is not None] != ["file"]:
             return data
         key, text = file_text(resolve_path(data["file"], info))
         return {name: value for name, value in data.items() if name != "file"} | {key: text}
@@ -106,7 +111,7 @@ class Wall(Value):
         if self.line is not None:
             return [Outline(self.line, closed=False)]
         if self.polygon is not None:
-            return [Outline(self.polygon, closed=True)]
+            return [Outline(without_repeat(self.polygon), closed=True)]
         return wkt_outlines(self.wkt) if self.wkt is not None else svg_outlines(self.svg or "")
 
     @property
@@ -154,8 +159,7 @@ def _check(outline: Outline, which: str) -> None:
             raise ValueError(f"{which}a coordinate should be from {-MAX_COORDINATE:g} to {MAX_COORDINATE:g} m")
     if (k := repeated_corner(corners, closed=closed)) is not None:
         x, y = corners[k % len(corners)]
-        first = " (a polygon does not repeat its first corner)" if k == len(corners) else ""
-        raise ValueError(f"{which}an edge should have a length: the corner [{x:g}, {y:g}] comes twice{first}")
+        raise ValueError(f"{which}an edge should have a length: the corner [{x:g}, {y:g}] comes twice")
 
 
 def blocking(walls: Sequence[Wall], use: What) -> Segments:
