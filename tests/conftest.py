@@ -163,6 +163,6 @@ def undraw(patch):
     """Let a run and a sweep draw and write no pictures, and a report have none, which takes a second each."""
     for name in ("analysis.drawing.plots.save", "analysis.drawing.plots.trajectory", "study.results.figures.means"):
         patch.setattr(f"desim.{name}", lambda *_, **__: [])
-    for name in ("legend", "multiples", "phase", "waterfall"):
-        patch.setattr(f"desim.study.results.figures.{name}", lambda *_, **__: None)
+    for name in ("figures.legend", "figures.multiples", "heat_maps.phase", "waterfalls.waterfall"):
+        patch.setattr(f"desim.study.results.{name}", lambda *_, **__: None)
     patch.setattr("desim.view.pages.report._inline", lambda *_: "")

@@ -24,7 +24,7 @@ from desim.scenario.overrides import ScenarioError
 from desim.scenario.toml import read_source
 from desim.simulation.run import run
 from desim.study.ablation.explain import explain
-from desim.study.results.figures import waterfall
+from desim.study.results.waterfalls import waterfall
 from desim.study.sweeps.sweep import sweep
 from tests.command import accepted, refused
 from tests.command import desim as call

@@ -87,7 +87,7 @@ def explain(
         write_whole(folder / "explain.txt", f"{explanation.table()}\n".encode())
         if can_plot():
             from desim.analysis.drawing.plots import save
-            from desim.study.results.figures import waterfall
+            from desim.study.results.waterfalls import waterfall
 
             for picture in save(waterfall(explanation), folder / "explain"):
                 echo(f"wrote {picture}", err=True)

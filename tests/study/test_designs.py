@@ -166,7 +166,7 @@ def test_differences_of_a_design_are_along_the_key_that_is_combined():
 @pytest.mark.slow
 def test_the_figures_of_a_design_have_its_points():
     from desim.study.results.design_figures import contour, scatter
-    from desim.study.results.figures import phase
+    from desim.study.results.heat_maps import phase
 
     runs = runs_at(SCATTERED)
     panels = scatter(runs, "active_time").axes

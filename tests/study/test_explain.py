@@ -39,7 +39,7 @@ from desim.study.ablation.explain import Variants
 from desim.study.ablation.imperfections import IMPERFECTIONS
 from desim.study.results.costs import AS_IT_IS, IDEAL, INTERACTION_RISK, PERFECT, SILENT, Cost, Saving
 from desim.study.results.explanation import EXPLAINED, Explanation
-from desim.study.results.figures import draw_waterfall, waterfall
+from desim.study.results.waterfalls import draw_waterfall, waterfall
 from desim.study.store.file import StoreError
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store

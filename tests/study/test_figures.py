@@ -16,22 +16,12 @@ from desim.analysis.statistics import estimate
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import run
-from desim.study.results.figures import (
-    AS_IT_IS,
-    IDEAL,
-    INK,
-    _cell_format,
-    _cell_text,
-    _label_outer,
-    _mark_flat,
-    draw_waterfall,
-    legend,
-    means,
-    multiples,
-    phase,
-)
+from desim.study.results.costs import AS_IT_IS, IDEAL
+from desim.study.results.figures import _label_outer, _mark_flat, legend, means, multiples
+from desim.study.results.heat_maps import INK, _cell_format, _cell_text, phase
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import Group
+from desim.study.results.waterfalls import draw_waterfall
 from desim.study.store.run_table import Row
 from tests.summaries import changed
 

@@ -11,12 +11,10 @@ from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, as_it_is, 
 from desim.analysis.statistics import Estimate
 from desim.config.trust import escaped
 from desim.study.plan.configurations import in_words
-from desim.study.results.figures import (
+from desim.study.results.figure_labels import (
     MAX_ABREAST,
     add_legend,
-    draw_panels,
     height_of_legend,
-    is_wide,
     key_with_unit,
     line_name,
     look_of,
@@ -24,6 +22,8 @@ from desim.study.results.figures import (
     swept_numbers,
     title_of_legend,
 )
+from desim.study.results.figures import is_wide
+from desim.study.results.heat_maps import draw_panels
 from desim.study.results.runs import Group, SweepRuns
 
 LEVELS = 9

@@ -92,7 +92,7 @@ class Explanation:
                 not fit into `ax`.
             TypeError: if `ax` is not one pair of axes of matplotlib.
         """
-        from desim.study.results.figures import waterfall
+        from desim.study.results.waterfalls import waterfall
 
         if metric is not None and metric not in self.costs:
             raise ValueError(f"there are no costs in {metric}: the metrics are {', '.join(self.costs)}")

@@ -136,10 +136,11 @@ class SweepResult(SweepRuns, HintedAttributes):
             TypeError: if `ax` is not one pair of axes of matplotlib.
             ModuleNotFoundError: if matplotlib is not installed; the message names the extra.
         """
-        from desim.study.results import figures
         from desim.study.results.design_figures import contour, scatter
+        from desim.study.results.figures import means
+        from desim.study.results.heat_maps import phase
 
-        kinds = {"means": figures.means, "phase": figures.phase, "scatter": scatter, "contour": contour}
+        kinds = {"means": means, "phase": phase, "scatter": scatter, "contour": contour}
         chosen = self.usual_kind if kind is None and not (x or by or against or labels) else kind or "means"
         if chosen not in kinds:
             raise ValueError(f"kind should be {', '.join(list(kinds)[:-1])} or contour, got {kind!r}")
@@ -147,7 +148,7 @@ class SweepResult(SweepRuns, HintedAttributes):
         of_means = {"x": x, "by": by, "against": against, "labels": labels}
         options: dict[str, Any] = {"size": size, "style": style, "ax": ax}
         if chosen == "means":
-            return figures.means(self, y, **of_means, **labelled, **options)  # type: ignore[arg-type]
+            return means(self, y, **of_means, **labelled, **options)  # type: ignore[arg-type]
         others = of_means if chosen == "phase" else of_means | labelled
         if unfit := [name for name, value in others.items() if value is not None and len(value)]:
             raise ValueError(f"a figure of {chosen} has no option {unfit[0]!r}: it is one of means")

@@ -9,7 +9,7 @@ from desim.analysis.drawing.palette import GREY
 from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, as_it_is, figure_of, in_style, size_of, styled
 from desim.analysis.metrics import with_unit, words
 from desim.config.trust import escaped
-from desim.study.results.figures import height_of_legend, look_of
+from desim.study.results.figure_labels import height_of_legend, look_of
 from desim.study.selection.kim_nelson import Selection
 
 NAMED = 10

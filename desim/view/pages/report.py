@@ -113,7 +113,9 @@ def report(study: Study) -> str:
     from jinja2 import Environment
 
     from desim.study.results.design_figures import contour, scatter
-    from desim.study.results.figures import legend, multiples, phase, swept_numbers
+    from desim.study.results.figure_labels import swept_numbers
+    from desim.study.results.figures import legend, multiples
+    from desim.study.results.heat_maps import phase
 
     result, measured = study.result, study.measured
     panels = [metric for metric in (*PANELS, *result.units) if metric in measured]
@@ -159,7 +161,7 @@ def report(study: Study) -> str:
 
 def _waterfalls(explanation: Explanation) -> Iterator["Markup"]:
     """Yield a figure for each metric of an explanation: the cost of each imperfection in this metric."""
-    from desim.study.results.figures import waterfall
+    from desim.study.results.waterfalls import waterfall
 
     for name, cost in explanation.costs.items():
         yield _inline(waterfall(replace(explanation, costs={name: cost})), f"waterfall-{name}", f"{words(name)}, costs")

@@ -1,0 +1,151 @@
+"""Names in figures of sweeps: of axes, of lines and in legends."""
+
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from textwrap import fill
+from types import MappingProxyType
+from typing import Any
+
+from desim.analysis.drawing.palette import MARKERS, SERIES
+from desim.analysis.drawing.plots import (
+    Axes,
+    Figure,
+)
+from desim.analysis.metrics import unit_of as unit_of_metric
+from desim.analysis.metrics import words
+from desim.config.key_index import unit_of_key
+from desim.config.trust import escaped
+from desim.scenario.scenario import Scenario
+from desim.study.plan.configurations import in_words
+from desim.study.results.runs import Group, SweepRuns, is_number, text
+
+MAX_ABREAST = 3
+"""The largest number of panels side by side."""
+LETTER = 0.075
+"""The approximate width of a letter of 8 points, inches."""
+LEGEND_LETTER = 0.062
+"""The approximate width of a letter in a legend, inches."""
+
+
+def swept_numbers(result: SweepRuns) -> list[str]:
+    """Return the keys of the grid that take several numbers, at least one of them finite."""
+    return [key for key in result.keys if is_swept_number(result, key)]
+
+
+def is_swept_number(result: SweepRuns, key: str) -> bool:
+    """Return whether a key takes several numbers, at least one of them finite."""
+    values = {group.settings[key] for group in result.groups}
+    numbers = all(map(is_number, values))
+    return numbers and len(values) > 1 and any(map(isfinite, values))
+
+
+def metric_with_unit(
+    metric: str,
+    result: SweepRuns,
+    against: Mapping[str, Any] | None = None,
+    labels: Mapping[str, str] = MappingProxyType({}),
+) -> str:
+    """Return the name and the unit of a metric, or of its difference from a reference, whose label is its name."""
+    unit = f" ({unit_name})" if (unit_name := unit_of_metric(metric, result.units)) else ""
+    if against is None:
+        return literal(f"{words(metric)}{unit}")
+    reference = {key: text(result.setting(key, value)) for key, value in against.items()}
+    if len(reference) > 1:  # values alone do not say of which keys they are
+        names = ", ".join(
+            f"{_label_or_text(key, labels)}{literal(' = ')}{_label_or_text(value, labels)}"
+            for key, value in reference.items()
+        )
+    elif any(value in labels for value in reference.values()):
+        names = ", ".join(_label_or_text(value, labels) for value in reference.values())
+    else:
+        names = literal(in_words(reference))
+    return f"{literal(f'difference in {words(metric)} from ')}{names}{literal(unit)}"
+
+
+def _label_or_text(name: str, labels: Mapping[str, str]) -> str:
+    return escaped(labels[name]) if name in labels else literal(name)
+
+
+def key_with_unit(key: str) -> str:
+    """Return a key and its unit as the label of an axis."""
+    unit = unit_of_key(key, Scenario)
+    return literal(f"{key} ({unit})" if unit else key)
+
+
+def literal(name: str) -> str:
+    """Return a text escaped for matplotlib, which reads "$" as mathematics and hides labels that begin with "_"."""
+    return escaped(name).replace("$", r"\$").replace("_", " _", name.startswith("_"))
+
+
+def label_axes(axes: Axes, xlabel: str | None, ylabel: str | None) -> None:
+    """Set the labels that are given, and let all labels wrap where the figure is too small for them."""
+    if xlabel is not None:
+        axes.set_xlabel(escaped(xlabel))
+    if ylabel is not None:
+        axes.set_ylabel(escaped(ylabel))
+    axes.xaxis.label.set_wrap(True)
+    axes.yaxis.label.set_wrap(True)
+
+
+def look_of(k: int) -> dict[str, Any]:
+    """Return the colour and the mark of line k of a diagram."""
+    return {"color": SERIES[k % len(SERIES)], "marker": MARKERS[k % len(MARKERS)], "ms": 3.5, "lw": 1.2}
+
+
+def line_name(group: Group, by: Sequence[str], labels: Mapping[str, str] = MappingProxyType({})) -> str:
+    """Return the name of the line of a configuration: its values of the keys `by`."""
+    return ", ".join(setting_name(key, group, labels, len(by) > 1) for key in by)
+
+
+def setting_name(key: str, group: Group, labels: Mapping[str, str], is_one_of_several: bool) -> str:
+    """Return the label of a setting; if it has none, its value, preceded by the key if several keys name a line."""
+    value = text(group.settings[key])
+    if value in labels:
+        return escaped(labels[value])
+    return literal(f"{key} = {value}" if is_one_of_several else value)
+
+
+def title_of_legend(by: Sequence[str]) -> str | None:
+    """Return the key whose values name the lines; None if there is no key, or if the names include several keys."""
+    return key_with_unit(by[0]) if len(by) == 1 else None
+
+
+def add_legend(figure: Figure, title: str | None) -> None:
+    """Add a legend below all panels, outside of their axes, if the lines have names; a single line is named, too."""
+    width = figure.get_figwidth()
+    if handles := _handles(figure.axes):
+        names = [_wrapped(name, width) for name in handles]
+        look: dict[str, Any] = {"fontsize": 7, "title": title, "title_fontsize": 7}
+        figure.legend(list(handles.values()), names, loc="outside lower center", ncols=_abreast(names, width), **look)
+
+
+def add_legend_above(axes: Axes, title: str | None) -> None:
+    """Add a legend above axes of a figure that is not ours: only there it lies neither on data nor on labels."""
+    if handles := _handles([axes]):
+        place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.01), "borderaxespad": 0.0}
+        columns = _abreast(list(handles), axes.get_window_extent().width / axes.figure.dpi)
+        look: dict[str, Any] = {"fontsize": 7, "title": title, "title_fontsize": 7, "frameon": False}
+        axes.legend(list(handles.values()), list(handles), ncols=columns, **place, **look)
+
+
+def _handles(panels: Sequence[Axes]) -> dict[str, Any]:
+    """Return the marks of the lines of several panels by name."""
+    return {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+
+
+def _wrapped(name: str, width: float) -> str:
+    """Return the name of a line in as many lines as a legend of a width, inches, takes; mathematics is not divided."""
+    return name if "$" in name else fill(name, max(12, int((width - 0.6) / LEGEND_LETTER)), break_long_words=False)
+
+
+def _abreast(names: Sequence[str], width: float) -> int:
+    """Return the number of columns of a legend."""
+    longest = max((len(line) for name in names for line in name.split("\n")), default=0)
+    return max(1, min(len(names), int(width / (0.6 + LEGEND_LETTER * longest))))
+
+
+def height_of_legend(names: Sequence[str], width: float) -> float:
+    """Return the height, inches, of a legend with a title below a figure; 0 without names."""
+    shown = [_wrapped(name, width) for name in names if name]
+    lines = max((name.count("\n") + 1 for name in shown), default=0)
+    return 0.3 + 0.15 * lines * -(-len(shown) // _abreast(shown, width)) if shown else 0.0

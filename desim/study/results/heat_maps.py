@@ -1,0 +1,194 @@
+"""Heat maps of sweeps: a metric over two keys, as coloured cells with printed values."""
+
+from collections.abc import Callable, Mapping, Sequence
+from math import floor, isfinite, log10, nan
+from typing import TypeVar
+
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from desim.analysis.drawing.plots import (
+    Axes,
+    Figure,
+    Style,
+    figure_of,
+    in_style,
+    size_of,
+    styled,
+)
+from desim.config.trust import escaped
+from desim.study.results.figure_labels import (
+    LETTER,
+    MAX_ABREAST,
+    key_with_unit,
+    label_axes,
+    metric_with_unit,
+    swept_numbers,
+)
+from desim.study.results.runs import SweepRuns, text
+
+Panel = TypeVar("Panel")
+PAGE = 9.4
+"""The maximum width, inches, of a figure with several heat maps side by side."""
+CELL = 0.68, 0.45
+"""The minimum width and the height of a cell of a heat map, inches."""
+MAX_DECIMALS = 3
+"""The largest number of decimals in a cell of a heat map."""
+INK = "#111111"
+"""The colour of text on light cells. It is not black, because the report replaces black with the page's text colour."""
+
+
+def phase(
+    result: SweepRuns,
+    metric: str,
+    *,
+    xlabel: str | None = None,
+    ylabel: str | None = None,
+    size: str | None = None,
+    style: Style = None,
+    ax: Axes | None = None,
+) -> Figure:
+    """Draw the mean of a metric over the first two keys that take several numbers, as a heat map with printed values.
+
+    The values of a key are equally spaced. Each combination of values of the other keys has a panel; all panels share
+    one colour scale, and one number of decimals. For the arguments see `means`.
+
+    Raises:
+        ValueError: if fewer than two keys take several numbers, or a design drew them, the sweep has no such metric,
+            the size is invalid, or several panels do not fit into `ax`.
+        TypeError: if `ax` is not one pair of axes of matplotlib.
+    """
+    keys = swept_numbers(result)
+    if len(keys) < 2:
+        raise ValueError(f"a heat map needs two keys that take several numbers, there are {len(keys)}")
+    if result.drawn_keys:
+        raise ValueError("a heat map needs a grid; the points of a design have `contour` and `scatter`")
+    x, y = keys[:2]
+    over = {key: sorted({group.settings[key] for group in result.groups}) for key in (x, y)}
+    panels: dict[str, NDArray[np.float64]] = {}
+    for group, estimate in zip(result.groups, result.estimates(metric), strict=True):
+        panel = panels.setdefault(group.in_words(without=(x, y)), np.full((len(over[y]), len(over[x])), nan))
+        panel[over[y].index(group.settings[y]), over[x].index(group.settings[x])] = estimate.mean
+    finite = np.concatenate([panel[np.isfinite(panel)] for panel in panels.values()])
+    low, high = (finite.min(), finite.max()) if finite.size else (0.0, 1.0)
+    colours = ScalarMappable(Normalize(low, high), "cividis")
+    form = _cell_format(finite.tolist())
+    longest = max(map(len, [*(_cell_text(value, form) for value in finite.tolist()), *map(text, over[x])]), default=0)
+    across = 0.4 + max(CELL[0], LETTER * (longest + 2)) * len(over[x])
+    columns = max(1, min(len(panels), MAX_ABREAST, int((PAGE - 0.8) / across)))
+    rows = -(-len(panels) // columns)
+
+    def draw(axes: Axes, panel: NDArray[np.float64]) -> None:
+        _draw_map(axes, panel, colours, form)
+        axes.set(xlabel=key_with_unit(x), ylabel=key_with_unit(y))
+        axes.set_xticks(range(len(over[x])), map(text, over[x]))
+        axes.set_yticks(range(len(over[y])), map(text, over[y]))
+        label_axes(axes, xlabel, ylabel)
+
+    usual = (1.6 + columns * across, 0.8 + rows * (0.4 + CELL[1] * len(over[y])))
+    return draw_panels(
+        panels,
+        draw,
+        colours,
+        metric_with_unit(metric, result),
+        columns=columns,
+        usual=usual,
+        size=size,
+        style=style,
+        ax=ax,
+    )
+
+
+def draw_panels(
+    panels: Mapping[str, Panel],
+    draw: Callable[[Axes, Panel], None],
+    colours: ScalarMappable,
+    title: str,
+    *,
+    columns: int,
+    usual: tuple[float, float],
+    size: str | None,
+    style: Style,
+    ax: Axes | None,
+) -> Figure:
+    """Draw panels with one colour scale: side by side on a figure of their own, or a single one on given axes.
+
+    Args:
+        panels: what each panel shows, by its title.
+        draw: draws a panel on axes.
+        colours: the colour scale.
+        title: what the colours show.
+        columns: the number of panels abreast.
+        usual: the usual width and height of the figure, inches.
+        size: as in `SweepResult.plot`.
+        style: as in `SweepResult.plot`.
+        ax: as in `SweepResult.plot`.
+
+    Raises:
+        ValueError: if the size is invalid, or several panels do not fit into `ax`.
+        TypeError: if `ax` is not one pair of axes of matplotlib.
+    """
+    if ax is not None:
+        figure = figure_of(ax, panels=list(panels), size=size)
+        with in_style(style):
+            draw(ax, next(iter(panels.values())))
+            add_colour_bar(figure, colours, [ax], title)
+        return figure
+    rows = -(-len(panels) // columns)
+    width, height = usual if size is None else size_of(size)
+    with styled(figsize=(width, height or width * usual[1] / usual[0]), font=8.0, style=style) as figure:
+        shared = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+        for axes, (settings, panel) in zip(shared.flat, panels.items(), strict=False):
+            draw(axes, panel)
+            axes.set_title(escaped(settings), fontsize=8, parse_math=False)
+        for axes in shared.flat[len(panels) :]:
+            axes.set_axis_off()
+        for axes in shared.flat:
+            axes.label_outer()
+        add_colour_bar(figure, colours, shared.ravel().tolist(), title)
+    return figure
+
+
+def add_colour_bar(figure: Figure, colours: ScalarMappable, axes: Sequence[Axes], title: str) -> None:
+    """Add the colour scale of several panels to a figure, as vector graphics."""
+    bar = figure.colorbar(colours, ax=axes, label=title, fraction=0.05, pad=0.03)
+    bar.outline.set_visible(False)
+    if bar.solids is not None:
+        bar.solids.set_rasterized(False)  # an image would have pixels even in an SVG
+
+
+def _draw_map(axes: Axes, values: NDArray[np.float64], colours: ScalarMappable, form: str) -> None:
+    """Draw values (rows, columns), first row at the bottom, as coloured cells with their text; "-" if not finite."""
+    # Rectangles, because an image has pixels even in an SVG.
+    faces = np.asarray(colours.to_rgba(values))  # (rows, columns, 4)
+    for (row, column), value in np.ndenumerate(values):
+        there = isfinite(value)
+        red, green, blue, _ = faces[row, column].tolist()
+        face = (red, green, blue) if there else "none"
+        axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, facecolor=face, edgecolor="none"))
+        dark = there and 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
+        axes.text(column, row, _cell_text(value, form), ha="center", va="center", color="white" if dark else INK)
+    axes.set(xlim=(-0.5, values.shape[1] - 0.5), ylim=(-0.5, values.shape[0] - 0.5))
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+
+
+def _cell_format(values: Sequence[float]) -> str:
+    """Return the common format of the cells of a heat map.
+
+    The largest value has three significant digits, or all its integer digits, and the smallest value that is not 0 has
+    one at least; beyond three decimals, all values are in scientific notation.
+    """
+    sizes = [abs(value) for value in values if value]
+    if not sizes:
+        return ".0f"
+    decimals = max(0, 2 - floor(log10(max(sizes))), -floor(log10(min(sizes))))
+    return f",.{decimals}f" if decimals <= MAX_DECIMALS else ".2e"
+
+
+def _cell_text(value: float, form: str) -> str:
+    """Return a mean as the text of a cell; a dash if it is not finite."""
+    return f"{value:{form}}" if isfinite(value) else "-"

@@ -1,0 +1,91 @@
+"""Waterfall charts of explanations: what each imperfection costs."""
+
+from desim.analysis.drawing.palette import BLUE, GREEN, GREY, ORANGE, SKY, VERMILION
+from desim.analysis.drawing.plots import (
+    NARROW,
+    Axes,
+    Figure,
+    Style,
+    figure_of,
+    in_style,
+    size_of,
+    styled,
+)
+from desim.analysis.statistics import Estimate
+from desim.config.trust import escaped
+from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT, Cost, CostByMetric
+from desim.study.results.figure_labels import literal
+
+
+def waterfall(
+    explanation: CostByMetric, *, size: str | None = None, style: Style = None, ax: Axes | None = None
+) -> Figure:
+    """Draw the cost of each imperfection in each metric as a waterfall chart, with 95 % intervals.
+
+    For the arguments see `means`; each metric has a panel.
+
+    Raises:
+        ValueError: if the size or the style is invalid, or several metrics do not fit into `ax`.
+        TypeError: if `ax` is not one pair of axes of matplotlib.
+    """
+    if ax is not None:
+        figure = figure_of(ax, panels=list(explanation.costs), size=size)
+        with in_style(style):
+            (cost,) = explanation.costs.values()
+            draw_waterfall(ax, cost)
+            ax.set_ylabel(literal(f"{cost.label} ({cost.unit})" if cost.unit else cost.label))
+        return figure
+    width, height = (4.4 * len(explanation.costs), None) if size is None else size_of(size)
+    with styled(figsize=(width, height or 4.0), font=9.0 if width >= NARROW else 8.0, style=style) as figure:
+        for axes, cost in zip(
+            figure.subplots(1, len(explanation.costs), squeeze=False)[0], explanation.costs.values(), strict=True
+        ):
+            draw_waterfall(axes, cost)
+            axes.set_ylabel(literal(f"{cost.label} ({cost.unit})" if cost.unit else cost.label))
+        title = f"{escaped(explanation.name)}: what imperfections cost, {explanation.runs} runs of equal seeds"
+        if size is None:
+            figure.suptitle(title, fontsize=9, parse_math=False)
+    return figure
+
+
+def draw_waterfall(axes: Axes, cost: Cost) -> None:
+    """Draw the waterfall chart of one metric on given axes, and beside it the bounds of the network.
+
+    An imperfection is red if it makes the metric worse, green if it makes it better, and orange if `cost.more_is` is
+    None. The interaction is grey.
+    """
+    steps = dict(cost.parts) | ({"interaction": cost.interaction} if len(cost.parts) > 1 else {})
+    names = [IDEAL, *steps, AS_IT_IS]
+    last = len(names) - 1
+    axes.bar([0, last], [cost.ideal.mean, cost.as_it_is.mean], color=[GREY, BLUE], width=0.6)
+    _mark(axes, 0, 0.0, cost.ideal, ".2f")
+    level = cost.ideal.mean
+    for at, (name, step) in enumerate(steps.items(), start=1):
+        is_interaction = name == "interaction"
+        signs = {"worse": (VERMILION, GREEN), "better": (GREEN, VERMILION), None: (ORANGE, ORANGE)}
+        colour = GREY if is_interaction else signs[cost.more_is][step.mean.mean <= 0.0]
+        axes.bar(at, step.mean.mean, bottom=level, color=colour, width=0.6, hatch="//" if is_interaction else None)
+        axes.plot([at - 0.7, at + 0.3], [level, level], color=GREY, lw=0.7)
+        _mark(axes, at, level, step.mean, "+.2f")
+        level += step.mean.mean
+    _mark(axes, last, 0.0, cost.as_it_is, ".2f")
+    places = list(range(len(names)))
+    if cost.bounds is not None:
+        bounds = {PERFECT: cost.bounds.perfect, SILENT: cost.bounds.silent}
+        for place, (name, bound) in enumerate(bounds.items(), start=last + 2):
+            axes.bar(place, bound.mean, color=SKY, width=0.6)
+            _mark(axes, place, 0.0, bound, ".2f")
+            places.append(place)
+            names.append(name)
+    axes.set_xticks(places, list(map(literal, names)), fontsize=8, rotation=35, ha="right", rotation_mode="anchor")
+    axes.margins(y=0.08)
+
+
+def _mark(axes: Axes, at: int, base: float, estimate: Estimate, form: str) -> None:
+    """Draw the 95 % interval at the end of a bar that starts at `base`, and write the height of the bar above it."""
+    end = base + estimate.mean
+    axes.errorbar(at, end, estimate.half_width, color="black", elinewidth=0.8, capsize=2)
+    top = max(base, end + estimate.half_width)
+    axes.annotate(
+        f"{estimate.mean:{form}}", (at, top), textcoords="offset points", xytext=(0, 3), ha="center", fontsize=7
+    )
