@@ -101,9 +101,8 @@ class SocketLinkLayer(LinkLayer):
         self._node, self._wire, self._post, self._draws = node, wire, post, draws
         self._inboxes, self._copies, self._duplicates = state.inboxes, sampler.duplicates_messages, False
         self._log.loss_watchers = [self._note_loss]
+        state.records.expect_any_order()  # between two sockets, one datagram may overtake another
         self._seen: dict[int, dict[int, None]] = {}
-        self._newest: dict[int, int] = {}
-        """The greatest sequence number of the records of each source."""
         self.departures: list[SentDatagram] = []
         self.outcomes: list[DatagramFate] = []
         self.errors: list[int] = []
@@ -209,12 +208,6 @@ class SocketLinkLayer(LinkLayer):
         self.errors.append(max(now - arrival, 0))
         arrival = max(arrival, now)
         self.outcomes.append(DatagramFate(number, src, self._node, arrival, "", is_copy))
-        content = parcel.content
-        if isinstance(content, Record) and content.seq < self._newest.get(src, 0):  # overtaken between the sockets
-            self._records.receive(me, [arrival], [content])
-            return False
-        if isinstance(content, Record):
-            self._newest[src] = content.seq
         self.delivery.schedule(transmission, me, [arrival], {}, 0)
         return False
 

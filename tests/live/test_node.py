@@ -9,7 +9,7 @@ from random import Random
 
 import pytest
 
-from desim import Bernoulli, Scenario, Uniform, load
+from desim import Bernoulli, Partition, Scenario, Uniform, load
 from desim.kernel.core.events import LOST
 from desim.kernel.core.records import Record
 from desim.kernel.state.inbox import Message
@@ -86,6 +86,25 @@ def test_foreign_replayed_and_malformed_datagrams_are_dropped_and_counted():
     node.link.receive(late, 0)  # from the future
     assert node.link.drops == (2, 3, 1)
     assert len(node.link.outcomes) == 1
+
+
+def test_a_record_that_another_has_overtaken_does_not_cross_a_partition():
+    cut = Partition(start=0.05, end=0.5, groups=((0,), (1, 2)))
+    node = Node(scenario(fault=[cut]), 1, 5)
+    for seq in (2, 1):
+        node.link.receive(announcement(seq), 0)  # transmitted at 0 s, to arrive at 0.1 s
+    node._env.advance(200_000_000)
+    assert 0 not in node._network.latest_records(1)
+    fates = {outcome.number: outcome for outcome in node.link.outcomes}
+    assert [(fate.arrival, fate.cause) for fate in fates.values()] == [(100_000_000, "partition")] * 2
+
+
+def test_the_newest_record_counts_whatever_the_order_in_which_datagrams_arrive():
+    node = node_with()
+    for seq in (2, 1, 3):
+        node.link.receive(announcement(seq), 0)
+    node._env.advance(200_000_000)
+    assert node._network.latest_records(1)[0][1].seq == 3
 
 
 @pytest.mark.slow

@@ -35,10 +35,15 @@ class Records:
         self._env, self._size = env, size
         self._shared = SharedTable(predicate)
         self._own = OwnTables(size, predicate, self._shared.known_by)
-        if repeats:
-            self._own.relayed.update(range(size))
-        self._all_but_one = -1 if repeats else size - 1  # number of receivers of a record that may be shared
+        self._all_but_one = size - 1  # number of receivers of a record that may be shared
         self._scheduled, self._merge_interval = 0, max(4096, size)
+        if repeats:
+            self.expect_any_order()
+
+    def expect_any_order(self) -> None:
+        """From now on, take records that are scheduled twice, or after a newer one of their source."""
+        self._own.relayed.update(range(self._size))
+        self._all_but_one = -1
 
     def set_initial_belief(self, record: Record) -> None:
         """Give all nodes an initial record now, unless they already have a record of the same source."""
@@ -50,7 +55,7 @@ class Records:
         The cost is O(unreached nodes) if the record is shared (`share`), else O(receivers).
 
         Args:
-            record: newer than every record of its source that was scheduled before.
+            record: newer than every record of its source that was scheduled before; see also `expect_any_order`.
             receivers: the nodes that the record reaches.
             arrival: the arrival times, ns.
             unreached: the nodes that the record does not reach.
