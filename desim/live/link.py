@@ -116,7 +116,7 @@ class SocketLinkLayer(LinkLayer):
         self._log.start(transmission)
         for hear in self._listeners:
             hear(content, LOST)
-        datagram = self._wire.encode(content, port, size, to_one=to_one)
+        datagram = self._wire.encode(content, port, size, to_one=to_one, now=self._env.now)
         causes: dict[int, Cause] = {} if reachable else dict.fromkeys(receivers, "out_of_range")
         apart = None if self._fault_state is None else self._fault_state.separated(src, receivers)
         causes |= {node: cause for node, cause in zip(receivers, apart or (), strict=bool(apart)) if cause}
@@ -145,19 +145,18 @@ class SocketLinkLayer(LinkLayer):
         except WireError:
             self.drops = drops._replace(malformed=drops.malformed + 1)
             return
-        stamp = parcel.content.stamp
         if parcel.src != sender:
             self.drops = drops._replace(foreign=drops.foreign + 1)
-        elif self._is_early(parcel, stamp):
+        elif self._is_early(parcel):
             self.drops = drops._replace(malformed=drops.malformed + 1)
         elif self._is_replay(parcel):
             self.drops = drops._replace(replayed=drops.replayed + 1)
         else:
             self._arrive(parcel, len(datagram))
 
-    def _is_early(self, parcel: Parcel, stamp: int) -> bool:
-        """Return whether the stamp of a message, which is not of a skewed clock, is far in the future."""
-        return not isinstance(parcel.content, Record) and stamp > self._env.now + MAX_AHEAD
+    def _is_early(self, parcel: Parcel) -> bool:
+        """Return whether a message, whose stamp is not of a skewed clock, was transmitted far in the future."""
+        return not isinstance(parcel.content, Record) and parcel.start > self._env.now + MAX_AHEAD
 
     def _is_replay(self, parcel: Parcel) -> bool:
         """Return whether a datagram has arrived before; note that it has arrived now."""
@@ -179,9 +178,9 @@ class SocketLinkLayer(LinkLayer):
             self._deliver(parcel, size, start, parcel.number, is_copy=True)
 
     def _start_of(self, parcel: Parcel) -> int:
-        """Return when a transmission started, ns: at its stamp, if the clock of its sender shows the true time."""
-        now, stamp = self._env.now, parcel.content.stamp
-        return min(stamp, now) if self.trusts_stamps or not isinstance(parcel.content, Record) else now
+        """Return when a transmission started, ns: as it says, if the clock of its sender shows the true time."""
+        now = self._env.now
+        return min(parcel.start, now) if self.trusts_stamps or not isinstance(parcel.content, Record) else now
 
     trusts_stamps = True
     """Whether the stamps of records, which are by the clocks of their sources, show the true time."""

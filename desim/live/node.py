@@ -35,9 +35,7 @@ from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.kernel.wandering_clock import node_clocks
 from desim.live.frames import Mirror, WorldFrame, pairs_of, points_of
-from desim.live.layouts import WireError
 from desim.live.link import SocketLinkLayer
-from desim.live.own_bodies import OwnBodies
 from desim.live.refusals import check_live
 from desim.live.sockets import Receiver, udp_socket
 from desim.live.start import Address
@@ -108,7 +106,7 @@ class Node:
         self._transport: asyncio.DatagramTransport | None = None
         self._peers: list[Address] = []
         self._number_of: dict[Address, int] = {}
-        self._wire = Wire(state.size, state.evader_count, OwnBodies(scenario.protocol, WireError))
+        self._wire = Wire.of(scenario)
         self._network, clocks = self._make_network(draws=draws)
         self._agent = self._make_agent(clocks)
         self.clock: WallClock | None = None

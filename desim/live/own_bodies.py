@@ -5,13 +5,13 @@ an instance of no other class.
 """
 
 import sys
-from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from struct import Struct
 from typing import Any
 
 from desim.config.extras import naming_extras
 from desim.kernel.core.records import Record
+from desim.live.layouts import WireError
 from desim.pursuit.team.announcements import Forwarded
 
 _LENGTH = Struct(">I")
@@ -23,14 +23,12 @@ class OwnBodies:
 
     Args:
         protocol: the protocol.
-        wrong: creates the error about a body that cannot be sent, or a malformed one.
     """
 
-    def __init__(self, protocol: Any, wrong: Callable[[str], Exception] = ValueError):
+    def __init__(self, protocol: Any):
         module = sys.modules.get(getattr(protocol, "__module__", type(protocol).__module__))
         defined = vars(module).values() if module is not None and not module.__name__.startswith("protocols") else ()
         self._classes: list[type[Any]] = [Record, Forwarded, *filter(_is_body, defined)]
-        self._wrong = wrong
 
     def pack(self, port: str, body: Any) -> bytes:
         """Return a port and a body as bytes, which begin with their number."""
@@ -67,7 +65,7 @@ class OwnBodies:
             return ["d", *([self._tagged(key), self._tagged(item)] for key, item in value.items())]
         if type(value) is complex:
             return ["c", value.real, value.imag]
-        raise self._wrong(
+        raise WireError(
             f"a body of type {type(value).__name__} cannot be sent live: send numbers, texts, tuples, lists, dicts, or"
             " named tuples and dataclasses of the module of the protocol"
         )

@@ -16,12 +16,10 @@ from desim.kernel.models.links import Links
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.live.frames import frame_of
-from desim.live.layouts import WireError
 from desim.live.link import Drops
 from desim.live.lobby import LOCAL, LiveError, Lobby
 from desim.live.merge import Logs
 from desim.live.nursery import Nursery
-from desim.live.own_bodies import OwnBodies
 from desim.live.refusals import check_live
 from desim.live.result import REFEREE, Conduct, LiveResult
 from desim.live.wall_clock import WallClock
@@ -73,7 +71,7 @@ class Referee:
         self._scenario, self._seed = scenario, scenario.seed if seed is None else seed_of(seed)
         self._namespaces, self._draws, self._tell = namespaces or [""] * size, draws, tell
         self._conduct = Conduct()
-        self._logs = Logs(Wire(size, len(scenario.evaders), OwnBodies(scenario.protocol, WireError)))
+        self._logs = Logs(Wire.of(scenario))
         self._lobby = Lobby(scenario, hosts or [LOCAL] * size, self._hear, self._lose)
         self._orders: deque[tuple[int, int, int]] = deque()
         self._gone: deque[tuple[int, str]] = deque()

@@ -1,15 +1,19 @@
 """Datagrams: messages as the bytes that `desim.kernel.core.message_size` counts, no more and no fewer.
 
-    4  sender: a set bit, then the node (9 bits), the port (5), the kind (4), the body (5) and the attempt (8)
+    4  sender: a set bit, then the node (9 bits), the port (5), whether it is to one node (1), the kind (3), the body
+       (5) and the attempt (8)
     4  sequence number
     8  time, ns
-    8  session and base of a segment, session and expected number of an acknowledgement (4 bytes each), else nothing
+    8  of a frame of a transport: how long after this time it was transmitted, us; and the base of a segment or a skip,
+       the number of a piece, or the expected number of an acknowledgement (4 bytes each)
     n  the body: 8 bytes a number, in the order of its fields; the lists whose length varies come last
 
 All numbers are big-endian. Integers have a sign, and booleans are 0 or 1. A record inside a body has a header of its
 own, which begins with a set bit, and so cannot be taken for a number of the list before it. An item of a list that may
-be missing has its place in the upper 16 bits of its number. The kind tells a record from a message, a broadcast from a
-message to one node, and the frames of a transport; see `Kind`.
+be missing has its place in the upper 16 bits of its number.
+
+A frame repeats a message, whose time it keeps. The 4 bytes of its session, which is always 0 live, therefore hold how
+much later it was transmitted: the receiver adds the latency to that time.
 
 Bodies of users have no such layout (`desim.live.own_bodies`). Nothing of a datagram is executed: it names an entry of
 the tables below, or is malformed.
@@ -19,15 +23,15 @@ from collections.abc import Container, Iterator
 from enum import IntEnum
 from itertools import count
 from struct import Struct, error
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 from desim.kernel.clock_sync import PORT as CLOCKS
 from desim.kernel.clock_sync import TimeAnswer, TimeRequest
 from desim.kernel.core.message_size import HEADER, NUMBER
 from desim.kernel.core.records import Record
 from desim.kernel.state.inbox import Message
-from desim.kernel.transport.frames import Acknowledgement, CodedPiece, Segment, Skip
-from desim.kernel.transport.layer import PORT as FRAMES_PORT
+from desim.kernel.transport.frames import Acknowledgement, CodedPiece, Segment, Skip, TransportFrame
+from desim.kernel.transport.layer import PORT as FRAMES
 from desim.live.layouts import MAX_COUNT, Layout, WireError
 from desim.live.own_bodies import OwnBodies
 from desim.pursuit.team.announcements import (
@@ -39,6 +43,7 @@ from desim.pursuit.team.announcements import (
 )
 from desim.pursuit.team.trust import PORT as ACCUSATIONS
 from desim.pursuit.team.trust import Accusation
+from desim.scenario.scenario import Scenario
 from protocols.cbaa import Claim
 from protocols.cbba import StampedClaim
 from protocols.dissemination import PORT as ANNOUNCEMENTS
@@ -75,34 +80,30 @@ MAX_NODES = 1 << 9
 MARK = 1 << 31
 """The set bit with which a header begins."""
 MAX_INTEGER = 1 << 62
+MICROSECOND = 1_000
+MAX_ANSWERED = 4096
+"""Number of answers of clock synchronisation whose t3 is remembered until they are delivered."""
 _HEADER, _PAIR = Struct(">IIq"), Struct(">II")
+_PLACES = {port: place for place, port in enumerate(PORTS)}
+_NUMBERS = {body: number for number, body in enumerate(BODIES)}
 
 
 class Kind(IntEnum):
     """The kind of a datagram."""
 
     RECORD = 0
-    TO_ALL = 1
-    TO_ONE = 2
-    SEGMENT_TO_ALL = 3
-    SEGMENT_TO_ONE = 4
-    SEGMENT_OF_RECORD = 5
+    MESSAGE = 1
+    SEGMENT = 2
+    PIECE = 3
+    SKIP = 4
+    ACKNOWLEDGEMENT = 5
+    SEGMENT_OF_RECORD = 6
     """A segment whose body is one record of its sender, with the header of the segment for its own."""
-    SKIP_TO_ALL = 6
-    SKIP_TO_ONE = 7
-    ACKNOWLEDGEMENT_TO_ALL = 8
-    """Of a segment to all."""
-    ACKNOWLEDGEMENT_TO_ONE = 9
-    PIECE_TO_ALL = 10
-    PIECE_TO_ONE = 11
-    PIECE_OF_RECORD = 12
+    PIECE_OF_RECORD = 7
 
 
-FRAMES = frozenset(Kind) - {Kind.RECORD, Kind.TO_ALL, Kind.TO_ONE}
-OF_SEGMENT = {Kind.SEGMENT_TO_ALL, Kind.SEGMENT_TO_ONE, Kind.SEGMENT_OF_RECORD}
-OF_PIECE = {Kind.PIECE_TO_ALL, Kind.PIECE_TO_ONE, Kind.PIECE_OF_RECORD}
-OF_RECORD = {Kind.SEGMENT_OF_RECORD, Kind.PIECE_OF_RECORD}
-ONE = {Kind.TO_ONE, Kind.SEGMENT_TO_ONE, Kind.SKIP_TO_ONE, Kind.ACKNOWLEDGEMENT_TO_ONE, Kind.PIECE_TO_ONE}
+KINDS = tuple(Kind)
+OF_RECORD = frozenset({Kind.RECORD, Kind.SEGMENT_OF_RECORD, Kind.PIECE_OF_RECORD})
 
 
 class Parcel(NamedTuple):
@@ -111,6 +112,8 @@ class Parcel(NamedTuple):
     number: int
     """The first eight bytes: unique for the sender, its receiver and the run."""
     src: int
+    start: int
+    """When it was transmitted, ns."""
     content: Record | Message
     port: str
     to_one: bool
@@ -136,79 +139,81 @@ class Wire:
         limits |= dict.fromkeys(("absent", "accused", "chasers"), (0, nodes - 1))
         lengths = {"winners": evaders, "amounts": evaders, "chasers": evaders, "stamps": nodes, "visits": nodes}
         self._layouts = [Layout(body, lengths, limits, nodes) for body in BODIES]
-        self._number_of = {body: number for number, body in enumerate(BODIES)}
         self._sent = count(1)
         self.answered: dict[int, int] = {}
         """t3 of the answers of clock synchronisation, ns, by number; see `desim.kernel.clock_sync.Synchroniser`."""
 
-    def encode(self, content: Record | Message, port: str, size: int, *, to_one: bool) -> bytes:
-        """Return the datagram of a record or a message, which has `size` bytes.
+    @classmethod
+    def of(cls, scenario: Scenario) -> Self:
+        """Return the datagrams of a scenario."""
+        return cls(scenario.team.count, len(scenario.evaders), OwnBodies(scenario.protocol))
+
+    def encode(self, content: Record | Message, port: str, size: int, *, to_one: bool, now: int = 0) -> bytes:
+        """Return the datagram of a record or a message, which has `size` bytes and is transmitted now, ns.
 
         Only the datagram of a body of a user has another number of bytes.
 
         Raises:
             WireError: if its body has no layout, or not the layout that was counted.
         """
-        src, body = content.src, content.body
+        body, head, attempt = content.body, b"", 0
         if isinstance(content, Record):
-            return self._pack(src, Kind.RECORD, 0, content.seq, content.stamp, b"", body, "", size)
-        stamp = content.stamp
-        if port is not FRAMES_PORT:
-            kind = Kind.TO_ONE if to_one else Kind.TO_ALL
-            return self._pack(src, kind, 0, next(self._sent), stamp, b"", body, port, size)
-        to_all = int(not body.to_all)  # the kinds of one frame follow each other
-        if isinstance(body, Segment):
-            head = _PAIR.pack(_session(body.session), body.base)
-            return self._carry(Kind.SEGMENT_TO_ALL + to_all, content, body, body.attempt, head, size)
-        if isinstance(body, CodedPiece):
-            head = _PAIR.pack(_session(body.session), body.part)
-            return self._carry(Kind.PIECE_TO_ALL + to_all, content, body, body.part, head, size)
-        if isinstance(body, Skip):
-            head = _PAIR.pack(_session(body.session), body.base)
-            kind = Kind(Kind.SKIP_TO_ALL + to_all)
-            return self._pack(src, kind, 0, next(self._sent), stamp, head, None, body.port, size)
-        head = _PAIR.pack(_session(body.session), body.expected) + _bits(body, size - HEADER - NUMBER)
-        kind = Kind(Kind.ACKNOWLEDGEMENT_TO_ALL + to_all)
-        return self._pack(src, kind, 0, next(self._sent), stamp, head, None, body.port, size)
-
-    def _carry(
-        self, kind: int, content: Message, frame: Segment | CodedPiece, attempt: int, head: bytes, size: int
-    ) -> bytes:
-        """Return the datagram of a frame with a body."""
-        body = frame.body
-        if isinstance(body, Forwarded) and len(body.records) == 1:
-            (record,) = body.records
-            packed = self._body_of(record.body)
-            if packed is not None and HEADER + len(head) + len(packed[1]) == size:
-                if (record.src, record.seq, record.stamp) != (content.src, frame.seq, content.stamp):
-                    raise WireError("a record whose number or time is not that of its message cannot be sent live")
-                kind, body = (Kind.SEGMENT_OF_RECORD if kind < Kind.PIECE_TO_ALL else Kind.PIECE_OF_RECORD), record.body
-        return self._pack(content.src, Kind(kind), attempt, frame.seq, content.stamp, head, body, frame.port, size)
-
-    def _pack(
-        self, src: int, kind: Kind, attempt: int, seq: int, stamp: int, head: bytes, body: Any, port: str, size: int
-    ) -> bytes:
-        place = next((k for k, other in enumerate(PORTS) if other is port or (not k and port == "")), None)
-        packed = None if place is None else self._body_of(body)
-        if packed is not None and packed[0] != NOTHING:
-            admitted = ANNOUNCED if kind is Kind.RECORD or kind in OF_RECORD else ADMITTED[place or 0]
-            packed = packed if type(body) in admitted else None
-        if packed is None:
+            kind, seq = Kind.RECORD, content.seq
+        elif port is not FRAMES:
+            kind, seq = Kind.MESSAGE, next(self._sent)
+        else:
+            frame: TransportFrame = body
+            if frame.session:
+                raise WireError("a node that has lost its memory cannot number its messages anew live")
+            kind, seq, attempt, second, body = self._carried(frame, content, size)
+            head = _PAIR.pack((now - content.stamp + MICROSECOND - 1) // MICROSECOND, second)
+            if isinstance(frame, Acknowledgement):
+                head += _bits(frame, size - HEADER - NUMBER)
+            port, to_one = frame.port, not frame.to_all
+        place, packed = _PLACES.get(port), self._body_of(body)
+        admitted = ANNOUNCED if kind in OF_RECORD else ADMITTED[place or 0]
+        if place is None or packed is None or (body is not None and type(body) not in admitted):
             number, data = OWN, self._own.pack(port, body)
             size = max(size, HEADER + len(head) + len(data))
         else:
             number, data = packed
-        word = MARK | src << 22 | (place or 0) << 17 | kind << 13 | number << 8 | attempt & 0xFF
-        datagram = _HEADER.pack(word, seq, stamp) + head + data
+        word = MARK | content.src << 22 | (place or 0) << 17 | to_one << 16 | kind << 13 | number << 8 | attempt & 0xFF
+        datagram = _HEADER.pack(word, seq, content.stamp) + head + data
         if len(datagram) > size or (len(datagram) < size and number != OWN):
             raise WireError(f"{type(body).__name__} counts {size} bytes, and has {len(datagram)}")
         return datagram.ljust(size, b"\0")
+
+    def _carried(self, frame: TransportFrame, content: Message, size: int) -> tuple[Kind, int, int, int, Any]:
+        """Return the kind, the sequence number, the attempt, the second number and the body of a frame."""
+        if isinstance(frame, Acknowledgement):
+            return Kind.ACKNOWLEDGEMENT, next(self._sent), 0, frame.expected, None
+        if isinstance(frame, Skip):
+            return Kind.SKIP, next(self._sent), 0, frame.base, None
+        kinds, attempt, second = (Kind.SEGMENT, Kind.SEGMENT_OF_RECORD), 0, 0
+        if isinstance(frame, Segment):
+            attempt, second = frame.attempt, frame.base
+        else:
+            kinds, attempt, second = (Kind.PIECE, Kind.PIECE_OF_RECORD), frame.part, frame.part
+        record = self._only_record(frame.body, size - HEADER - NUMBER)
+        if record is None:
+            return kinds[0], frame.seq, attempt, second, frame.body
+        if (record.src, record.seq, record.stamp) != (content.src, frame.seq, content.stamp):
+            raise WireError("a record whose number or time is not that of its message cannot be sent live")
+        return kinds[1], frame.seq, attempt, second, record.body
+
+    def _only_record(self, body: Any, size: int) -> Record | None:
+        """Return the record that a body consists of, if its own body is counted to have `size` bytes; else None."""
+        if isinstance(body, Forwarded) and len(body.records) == 1:
+            packed = self._body_of(body.records[0].body)
+            if packed is not None and len(packed[1]) == size:
+                return body.records[0]
+        return None
 
     def _body_of(self, body: Any) -> tuple[int, bytes] | None:
         """Return the number and the bytes of a body; None if it has no layout."""
         if body is None:
             return NOTHING, b""
-        number = self._number_of.get(type(body))
+        number = _NUMBERS.get(type(body))
         if number is None:
             return None
         numbers, records = self._layouts[number].flat(body)
@@ -237,54 +242,42 @@ class Wire:
 
     def _decode(self, datagram: bytes) -> Parcel:
         word, seq, stamp = _HEADER.unpack_from(datagram)
-        src, place, kind = word >> 22 & 0x1FF, word >> 17 & 0x1F, Kind(word >> 13 & 0xF)
+        src, place, to_one, kind = word >> 22 & 0x1FF, word >> 17 & 0x1F, bool(word >> 16 & 1), KINDS[word >> 13 & 7]
         if not word & MARK or src >= self._nodes or abs(stamp) > MAX_INTEGER:
             raise ValueError("not a header")
-        number, attempt, port, at = word >> 8 & 0x1F, word & 0xFF, PORTS[place], HEADER
-        admitted = ANNOUNCED if kind is Kind.RECORD or kind in OF_RECORD else ADMITTED[place]
+        number, port, start, at = word >> 8 & 0x1F, PORTS[place], stamp, HEADER
+        admitted = ANNOUNCED if kind in OF_RECORD else ADMITTED[place]
         if number < NOTHING and BODIES[number] not in admitted:
             raise ValueError("a body at a wrong port")
-        first = second = 0
-        if kind in FRAMES:
-            first, second = _PAIR.unpack_from(datagram, at)
-            at += NUMBER
-        if kind in {Kind.ACKNOWLEDGEMENT_TO_ALL, Kind.ACKNOWLEDGEMENT_TO_ONE}:
-            frame: Any = Acknowledgement(port, kind not in ONE, _ns(first), second, _received(second, datagram[at:]))
-            return Parcel(word << 32 | seq, src, Message(src, stamp, frame), FRAMES_PORT, to_one=True)
+        second = 0
+        if kind > Kind.MESSAGE:
+            delay, second = _PAIR.unpack_from(datagram, at)
+            start, at = start + delay * MICROSECOND, at + NUMBER
+        body: Any = None
         if number == OWN:
             port, body = self._own.unpack(datagram[at:])
-        else:
+        elif kind is not Kind.ACKNOWLEDGEMENT:
             body = self._read(number, datagram[at:])
-        return self._parcel(word << 32 | seq, src, kind, seq, stamp, port, body, attempt, first, second)
-
-    def _parcel(
-        self,
-        number: int,
-        src: int,
-        kind: Kind,
-        seq: int,
-        stamp: int,
-        port: str,
-        body: Any,
-        attempt: int,
-        first: int,
-        second: int,
-    ) -> Parcel:
+        content: Record | Message
         if kind is Kind.RECORD:
-            return Parcel(number, src, Record(src, seq, stamp, body), "", to_one=False)
-        to_one = kind in ONE
-        if kind not in FRAMES:
-            return Parcel(number, src, Message(src, stamp, body), port, to_one)
-        if kind in OF_RECORD:
-            body = Forwarded((Record(src, seq, stamp, body),))
-        frame: Any = Skip(port, not to_one, _ns(first), second)
-        if kind in OF_SEGMENT:
-            frame = Segment(port, not to_one, _ns(first), seq, second, attempt, body)
-        elif kind in OF_PIECE:
-            frame = CodedPiece(port, not to_one, _ns(first), seq, second, body)
-        return Parcel(number, src, Message(src, stamp, frame), FRAMES_PORT, to_one)
+            content, port = Record(src, seq, stamp, body), ""
+        elif kind is Kind.MESSAGE:
+            content = Message(src, stamp, body)
+        else:
+            if kind in OF_RECORD:
+                body = Forwarded((Record(src, seq, stamp, body),))
+            frame: TransportFrame = Skip(port, not to_one, 0, second)
+            if kind in {Kind.SEGMENT, Kind.SEGMENT_OF_RECORD}:
+                frame = Segment(port, not to_one, 0, seq, second, word & 0xFF, body)
+            elif kind in {Kind.PIECE, Kind.PIECE_OF_RECORD}:
+                frame = CodedPiece(port, not to_one, 0, seq, second, body)
+            elif kind is Kind.ACKNOWLEDGEMENT:
+                frame = Acknowledgement(port, not to_one, 0, second, _received(second, datagram[at:]))
+            content, port = Message(src, stamp, frame), FRAMES
+        return Parcel(word << 32 | seq, src, start, content, port, to_one)
 
     def _read(self, number: int, data: bytes) -> Any:
+        """Return the body with a number in a header, from its bytes."""
         if number == NOTHING:
             if data:
                 raise ValueError("bytes after the end")
@@ -295,6 +288,8 @@ class Wire:
             if layout.body is TimeRequest:
                 return TimeRequest(first)
             self.answered[first] = third
+            if len(self.answered) > MAX_ANSWERED:
+                del self.answered[next(iter(self.answered))]
             return TimeAnswer(first, second)
         return layout.read(data, self._records)
 
@@ -313,19 +308,6 @@ class Wire:
             data = data[end:]
 
 
-def _session(session: int) -> int:
-    """Return the number of a session in a header: 0, the only one that a live node has."""
-    if session:
-        raise WireError("a node that has lost its memory cannot number its messages anew live")
-    return 0
-
-
-def _ns(session: int) -> int:
-    if session:
-        raise ValueError("not a session")
-    return 0
-
-
 def _bits(frame: Acknowledgement, size: int) -> bytes:
     """Return the numbers that an acknowledgement lists, as a bit each beyond the expected number."""
     field = 0
@@ -335,5 +317,6 @@ def _bits(frame: Acknowledgement, size: int) -> bytes:
 
 
 def _received(expected: int, data: bytes) -> tuple[int, ...]:
+    """Return the inverse of `_bits`."""
     field = int.from_bytes(data, "big")
     return tuple(expected + k for k in range(field.bit_length()) if field >> k & 1)

@@ -13,19 +13,21 @@ from desim import Bernoulli, Partition, Scenario, Uniform, load
 from desim.kernel.core.events import LOST
 from desim.kernel.core.records import Record
 from desim.kernel.state.inbox import Message
+from desim.kernel.transport.frames import Segment
+from desim.kernel.transport.layer import PORT as FRAMES
 from desim.live import Node, NotLiveError
-from desim.live.layouts import WireError
 from desim.live.own_bodies import OwnBodies
 from desim.live.refusals import reasons
 from desim.live.wire import Wire
-from desim.pursuit.team.announcements import Assignment
+from desim.pursuit.team.announcements import Assignment, Forwarded
+from protocols.dissemination import PORT as ANNOUNCEMENTS
 from scenarios.studies.study import SCENARIOS
 from tests.live.test_runs import scenario
 
 LOCAL = "127.0.0.1"
 
 
-WIRE = Wire(3, 1, OwnBodies(None, WireError))
+WIRE = Wire(3, 1, OwnBodies(None))
 
 
 def node_with(**links) -> Node:
@@ -82,7 +84,7 @@ def test_foreign_replayed_and_malformed_datagrams_are_dropped_and_counted():
     node.link.receive(announcement(2, src=1), 1)  # its own
     assert node.link.drops == (0, 3, 1)
     node.link.receive(b"\x80", 0)
-    late = Wire(3, 1, OwnBodies(None, WireError)).encode(Message(0, 10**11, None), "", 16, to_one=True)
+    late = Wire(3, 1, OwnBodies(None)).encode(Message(0, 10**11, None), "", 16, to_one=True)
     node.link.receive(late, 0)  # from the future
     assert node.link.drops == (2, 3, 1)
     assert len(node.link.outcomes) == 1
@@ -105,6 +107,16 @@ def test_the_newest_record_counts_whatever_the_order_in_which_datagrams_arrive()
         node.link.receive(announcement(seq), 0)
     node._env.advance(200_000_000)
     assert node._network.latest_records(1)[0][1].seq == 3
+
+
+def test_a_repetition_arrives_at_its_own_transmission_plus_the_latency():
+    node = node_with()
+    segment = Segment(ANNOUNCEMENTS, True, 0, 1, 1, 2, Forwarded((Record(0, 1, 0, Assignment(1)),)))
+    repeated = WIRE.encode(Message(0, 0, segment), FRAMES, 32, to_one=False, now=200_000_000)
+    node._env.advance(200_000_000)
+    node.link.receive(repeated, 0)
+    assert [outcome.arrival for outcome in node.link.outcomes] == [300_000_000]
+    assert node.link.errors == [0]
 
 
 @pytest.mark.slow

@@ -70,7 +70,7 @@ EXAMPLES = [
 
 @pytest.fixture
 def wire():
-    return Wire(NODES, EVADERS, OwnBodies(None, WireError))
+    return Wire(NODES, EVADERS, OwnBodies(None))
 
 
 def port_of(body):
@@ -111,7 +111,7 @@ def test_every_body_of_desim_that_is_sent_has_a_layout():
     st.integers(-(2**62), 2**62),
 )
 def test_any_announcement_arrives_as_it_was_sent(active, phi, src, seq, stamp):
-    wire = Wire(NODES, EVADERS, OwnBodies(None, WireError))
+    wire = Wire(NODES, EVADERS, OwnBodies(None))
     sent = Record(src, seq, stamp, TimedAssignment(active, phi))
     assert wire.decode(wire.encode(sent, "", 32, to_one=False)).content == sent
 
@@ -144,8 +144,17 @@ def test_two_attempts_are_two_datagrams(wire):
     assert wire.decode(first).number != wire.decode(second).number
 
 
+@pytest.mark.parametrize(("frame", "size"), FRAME_EXAMPLES, ids=lambda frame: type(frame).__name__)
+def test_a_frame_says_when_it_was_transmitted_and_not_only_when_its_message_was_sent(wire, frame, size):
+    message, later = Message(4, 77, frame), 300_000_500
+    datagram = wire.encode(message, FRAMES, size or size_of(frame.body) + 8, to_one=not frame.to_all, now=later)
+    parcel = wire.decode(datagram)
+    assert parcel.content == message
+    assert 0 <= parcel.start - later < 1000  # never before it was transmitted
+
+
 def test_an_answer_about_the_time_carries_the_clock_at_its_transmission():
-    asking, answering = (Wire(NODES, EVADERS, OwnBodies(None, WireError)) for _ in range(2))
+    asking, answering = (Wire(NODES, EVADERS, OwnBodies(None)) for _ in range(2))
     answering.answered[6] = 1234
     datagram = answering.encode(Message(0, 5, TimeAnswer(6, 99)), wire_module.CLOCKS, SIZE, to_one=True)
     assert len(datagram) == SIZE
@@ -181,7 +190,7 @@ OWN = [Plan(1, ((1.0, 2.0),), "x"), Load(2.5, {"a": [1, None], 3: (True, 1j)}), 
 @pytest.mark.parametrize("body", OWN, ids=repr)
 def test_a_body_of_a_user_arrives_as_it_was_sent(body):
     pytest.importorskip("msgspec")
-    wire = Wire(NODES, EVADERS, OwnBodies(protocol, WireError))
+    wire = Wire(NODES, EVADERS, OwnBodies(protocol))
     message = Message(2, 5, body)
     datagram = wire.encode(message, "plans", size_of(body), to_one=False)
     parcel = wire.decode(datagram)
@@ -192,14 +201,14 @@ def test_a_body_of_a_user_arrives_as_it_was_sent(body):
 
 def test_a_body_of_an_unknown_class_is_refused_when_it_is_sent():
     pytest.importorskip("msgspec")
-    wire = Wire(NODES, EVADERS, OwnBodies(protocol, WireError))
+    wire = Wire(NODES, EVADERS, OwnBodies(protocol))
     with pytest.raises(WireError, match=r"of type Random cannot be sent live: send numbers, texts"):
         wire.encode(Message(2, 5, Random(3)), "", 100, to_one=False)
 
 
 def test_without_msgspec_a_body_of_a_user_names_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "msgspec", None)
-    wire = Wire(NODES, EVADERS, OwnBodies(protocol, WireError))
+    wire = Wire(NODES, EVADERS, OwnBodies(protocol))
     with pytest.raises(ModuleNotFoundError, match=r"pip install 'pursuit-desim\[live\]'"):
         wire.encode(Message(2, 5, Plan(1, ())), "", 100, to_one=False)
 
@@ -242,4 +251,4 @@ def test_a_wrong_datagram_is_malformed(wire, change):
 
 def test_more_nodes_than_a_header_can_name_are_refused():
     with pytest.raises(WireError, match=r"at most 512 nodes can run live \(got 513\)"):
-        Wire(513, 1, OwnBodies(None, WireError))
+        Wire(513, 1, OwnBodies(None))
