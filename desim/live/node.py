@@ -252,9 +252,15 @@ class Node:
             if self._transport is not None:
                 self._transport.close()
 
-    def stop(self) -> None:
-        """End the run of this node."""
-        if not self._over.triggered:
+    def stop(self, at: int | None = None) -> None:
+        """End the run of this node.
+
+        Args:
+            at: the time of its last events, ns, also if it is late and has yet to perform them; None: it performs none.
+        """
+        if at is not None and at > self._env.now:
+            Instant(self._env, at, Phase.SAMPLE + 1).callbacks.append(lambda _: self.stop())
+        elif not self._over.triggered:
             self._over.succeed()
         if self.clock is not None:
             self.clock.wake()

@@ -86,9 +86,9 @@ class _Pursuer:
         code = 0
         try:
             await asyncio.wait({running, listening}, return_when=asyncio.FIRST_COMPLETED)
-            if not running.done() and not node.is_over:  # the referee has gone
+            if listening.done() and listening.exception():  # the referee has gone
                 code = LOST_REFEREE
-            node.stop()
+                node.stop()
             await running
         except BaseException as error:
             self._tell("error", "".join(format_exception_only(error)).strip(), getattr(error, "__notes__", []))
@@ -129,7 +129,7 @@ class _Pursuer:
             if word == "frame":
                 self._node.show(WorldFrame(*values))
             elif word == "over":
-                self._node.stop()
+                self._node.stop(*values)
                 return
 
     async def _watch(self) -> None:
