@@ -207,7 +207,10 @@ class SocketLinkLayer(LinkLayer):
         self.errors.append(max(now - arrival, 0))
         arrival = max(arrival, now)
         self.outcomes.append(DatagramFate(number, src, self._node, arrival, "", is_copy))
-        self.delivery.schedule(transmission, me, [arrival], {}, 0)
+        if self._fault_state is None:
+            self.delivery.schedule(transmission, me, [arrival], {}, 0)
+        else:  # a fault may have begun since the transmission: that is decided on arrival
+            self.delivery.arrivals.schedule(transmission, me, [arrival], 0)
         return False
 
     def _note_loss(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:

@@ -71,9 +71,9 @@ class _Pursuer:
             word, *values = await self._hear()
         addresses, shares_clock = values
         self._offset = 0 if shares_clock else await self._measured_offset()
+        self._node.connect([(host, port) for host, port in addresses])  # before others may send
         self._tell("ready")
         word, self._begin = await self._hear()
-        self._node.connect([(host, port) for host, port in addresses])
         return await self._run()
 
     async def _run(self) -> int:

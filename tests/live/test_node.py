@@ -101,6 +101,16 @@ def test_a_record_that_another_has_overtaken_does_not_cross_a_partition():
     assert [(fate.arrival, fate.cause) for fate in fates.values()] == [(100_000_000, "partition")] * 2
 
 
+def test_a_datagram_that_is_read_late_meets_the_faults_that_began_since_it_was_sent():
+    cut = Partition(start=0.05, end=0.5, groups=((0,), (1, 2)))
+    node = Node(scenario(fault=[cut]), 1, 5)
+    node._env.advance(120_000_000)
+    node.link.receive(announcement(1), 0)
+    node._env.advance(200_000_000)
+    assert 0 not in node._network.latest_records(1)
+    assert node.link.outcomes[-1].cause == "partition"
+
+
 def test_the_newest_record_counts_whatever_the_order_in_which_datagrams_arrive():
     node = node_with()
     for seq in (2, 1, 3):
