@@ -15,25 +15,23 @@ import socket
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import ExitStack, asynccontextmanager, suppress
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from desim.config.fresh import fresh_copy
 from desim.kernel.clock_sync import synchronise
-from desim.kernel.core.clock import Clock, Instant, NodeClock, Phase
+from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.events import Trace, TransportCounts
 from desim.kernel.core.message_body import as_sent
 from desim.kernel.core.seeds import seed_of
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.fault_injection import inject
 from desim.kernel.link_layer.propagation import LinkSampler
-from desim.kernel.models.faults import draw_faults, is_skewed
+from desim.kernel.models.faults import is_skewed
+from desim.kernel.models.links import Links
 from desim.kernel.models.transport import Coded, Reliable
-from desim.kernel.network import Network
-from desim.kernel.state.fault_state import FaultState
-from desim.kernel.wandering_clock import node_clocks
+from desim.kernel.state.network_state import NetworkState
 from desim.live.frames import Mirror, WorldFrame, pairs_of, points_of
 from desim.live.link import SocketLinkLayer
 from desim.live.refusals import check_live
@@ -41,15 +39,12 @@ from desim.live.sockets import Receiver, udp_socket
 from desim.live.start import Address
 from desim.live.wall_clock import Lateness, WallClock
 from desim.live.wire import Wire
-from desim.pursuit.byzantine.evidence import Witness
 from desim.pursuit.motion.guidance import guided_velocity
 from desim.pursuit.sensing.views import GlobalState, View
 from desim.pursuit.team.agent import Agent
-from desim.pursuit.team.announcements import announced_action
-from desim.pursuit.team.trust import judge_of
 from desim.scenario.scenario import Scenario
-from desim.simulation.pursuer_positions import PursuerPositions
 from desim.simulation.team_processes import TeamProcesses
+from desim.simulation.wiring import make_agents, make_network
 from desim.simulation.world import initial_state, possible_action
 from protocols.dissemination import PORT as ANNOUNCEMENTS
 
@@ -107,71 +102,38 @@ class Node:
         self._peers: list[Address] = []
         self._number_of: dict[Address, int] = {}
         self._wire = Wire.of(scenario)
-        self._network, clocks = self._make_network(draws=draws)
-        self._agent = self._make_agent(clocks)
+        self._agent = self._make_agent(draws=draws)
         self.clock: WallClock | None = None
         self._over = env.event()
         Instant(env, self._horizon, Phase.SAMPLE + 1).callbacks.append(lambda _: self.stop())
 
-    # Wiring, as in `desim.simulation.run`.
+    def _make_agent(self, *, draws: bool) -> Agent:
+        """Create the network and the agent of the pursuer, as `desim.simulation.run` does, and start its processes."""
+        scenario, state, env, seed, me = self._scenario, self._state, self._env, self._seed, self.pursuer
 
-    def _make_network(self, *, draws: bool) -> tuple[Network, list[NodeClock]]:
-        """Create the network of this node, and the clocks of all nodes."""
-        scenario, state, env, seed = self._scenario, self._state, self._env, self._seed
-        faults = draw_faults(scenario.network_faults, state.size, scenario.horizon, seed)
-        positions = PursuerPositions(state, scenario.team.top_speed + scenario.environment.top_speed)
-        clocks = node_clocks(env, scenario.network_faults, state.size, seed, self._horizon)
-        graph = scenario.network.make_graph(state.size)
-        sampler = LinkSampler(scenario.network, graph, seed, positions, f"live {self.pursuer} ")
-
-        def link_layer(net: Any, links: Any, _: LinkSampler, trace: Trace | None, seed: int) -> SocketLinkLayer:
-            options: Any = {"node": self.pursuer, "wire": self._wire, "post": self._post, "draws": draws}
-            self.link = SocketLinkLayer(net, links, sampler, trace, seed, **options)
+        def link_layer(net: NetworkState, links: Links, sampler: LinkSampler, *rest: Any) -> SocketLinkLayer:
+            own = sampler.renamed(f"live {me} ")
+            self.link = SocketLinkLayer(net, links, own, *rest, node=me, wire=self._wire, post=self._post, draws=draws)
             return self.link
 
-        network = Network(
-            env,
-            graph,
-            scenario.network,
-            seed=seed,
-            positions=positions,
-            trace=self.trace,
-            fault_state=FaultState(positions) if faults else None,
-            predicate=announced_action,
-            clocks=clocks,
-            link_layer=link_layer,
-        )
+        built = make_network(env, scenario, state, seed, self.trace, link_layer)
+        network, clocks, faults = self._network, _, _ = built
         spreads = scenario.announce.dissemination
         network.listen({ANNOUNCEMENTS: spreads} if isinstance(spreads, Reliable | Coded) else {})
         self.link.trusts_stamps = not is_skewed(scenario.network_faults)
-        self._faults = faults
-        return network, clocks
-
-    def _make_agent(self, clocks: list[NodeClock]) -> Agent:
-        """Create the agent of the pursuer and its processes."""
-        scenario, state, env, network, me = self._scenario, self._state, self._env, self._network, self.pursuer
-        sync = synchronise(env, network, clocks, scenario.clocks.sync, self._seed, self.trace, nodes=[me])
+        sync = synchronise(env, network, clocks, scenario.clocks.sync, seed, self.trace, nodes=[me])
         if sync is not None:
             sync.answered = self._wire.answered
-        self._view = view = View(state, scenario.prune)
+        self._view = View(state, scenario.prune)
         global_state = GlobalState(state, scenario.prune, self._set_action)
-        step, clock = nanoseconds(scenario.motion.step), clocks[me]
-        witness = Witness(me, view, clock, network, network, step, self.trace)
-        judge = judge_of(scenario.announce.trust, witness)
-        agent = Agent(me, env, view, global_state, network, self._seed, scenario.announce, clock, network, judge)
-        if scenario.announce.start == "known":
-            for other, clock in enumerate(clocks):
-                body = Agent(other, env, view, global_state, network, self._seed, scenario.announce, clock)
-                network.set_initial_belief(other, body.announcement(), clock.stamp)
-        judges = [judge if pursuer == me else None for pursuer in range(state.size)]
-        team = TeamProcesses(env, scenario, _Body(self), {me: agent}, judges, None, None)
-        targets = partial(tuple, ())
-        inject(self._faults, env, network, crashed=team.crashed, recovered=team.recovered, targets=targets)
+        agents, judges = make_agents(env, scenario, seed, built, [self._view] * state.size, global_state, self.trace)
+        team = TeamProcesses(env, scenario, _Body(self), {me: agents[me]}, judges, None, None)
+        inject(faults, env, network, crashed=team.crashed, recovered=team.recovered)
         team.begin()
         # Computed, and imported, at the first use, which would be a late one.
-        _, _ = agent.latency, agent.mean_degree
-        as_sent(agent.announcement())
-        return agent
+        _, _ = agents[me].latency, agents[me].mean_degree
+        as_sent(agents[me].announcement())
+        return agents[me]
 
     def _set_action(self, pursuer: int, action: int) -> None:
         """Let the pursuer act otherwise, as its protocol has decided."""

@@ -11,10 +11,7 @@ from desim.kernel.core.events import Event, Trace, TransportCounts
 from desim.kernel.core.seeds import seed_of
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.fault_injection import inject
-from desim.kernel.models.faults import Crash, FaultStarted, draw_faults
-from desim.kernel.models.links import Links
-from desim.kernel.network import Network
-from desim.kernel.state.fault_state import FaultState
+from desim.kernel.models.faults import Crash, FaultStarted
 from desim.live.frames import frame_of
 from desim.live.link import Drops
 from desim.live.lobby import LOCAL, LiveError, Lobby
@@ -26,9 +23,9 @@ from desim.live.wall_clock import WallClock
 from desim.live.wire import Wire
 from desim.pursuit.sensing.views import View
 from desim.scenario.scenario import Scenario
-from desim.simulation.pursuer_positions import PursuerPositions
 from desim.simulation.run_end import RunEnd
 from desim.simulation.team_processes import TeamProcesses
+from desim.simulation.wiring import make_network
 from desim.simulation.world import World, initial_state
 
 FRAME = 20_000_000
@@ -118,14 +115,9 @@ class Referee:
 
     def _inject(self, scenario: Scenario, world: World, trace: Trace) -> None:
         """Plan the faults: those of robots are made here, and those of the network by the pursuers, too."""
-        state, env = self._state, self._env
-        faults = draw_faults(scenario.network_faults, state.size, scenario.horizon, self._seed)
-        positions = PursuerPositions(state, scenario.team.top_speed + scenario.environment.top_speed)
-        fault_state = FaultState(positions) if faults else None
-        graph = scenario.network.make_graph(state.size)
-        network = Network(env, graph, Links(), positions=positions, fault_state=fault_state)
-        team = TeamProcesses(env, scenario, world, {}, [], None, None)
-        inject(faults, env, network, trace, crashed=team.crashed, recovered=team.recovered)
+        network, _, faults = make_network(self._env, scenario, self._state, self._seed, None)
+        team = TeamProcesses(self._env, scenario, world, {}, [], None, None)
+        inject(faults, self._env, network, trace, crashed=team.crashed, recovered=team.recovered)
 
     def _frames(self, period: int) -> Generator[Any, Any, None]:
         """Send a frame each period (ns)."""

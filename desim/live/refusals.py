@@ -48,7 +48,7 @@ def _of_protocol(scenario: Scenario) -> Iterator[tuple[str, str]]:
         yield "protocol.kind", "an omniscient protocol decides for all pursuers in one place; it is the benchmark"
     if scenario.team.count > MAX_NODES:
         yield "team.count", f"a datagram can name {MAX_NODES} pursuers"
-    if not scenario.sensing.is_perfect:
+    if not scenario.sight_is_perfect:
         yield "sensing", "the referee moves a pursuer that sees no evader, and does not know where it searches"
 
 

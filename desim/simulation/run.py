@@ -13,13 +13,9 @@ from desim.kernel.clock_sync import synchronise
 from desim.kernel.core.clock import Clock, NodeClock
 from desim.kernel.core.events import Event, Trace, Watcher
 from desim.kernel.core.seeds import seed_of
-from desim.kernel.core.units import nanoseconds, seconds
+from desim.kernel.core.units import seconds
 from desim.kernel.fault_injection import inject
-from desim.kernel.models.faults import draw_faults
 from desim.kernel.network import Network
-from desim.kernel.state.fault_state import FaultState
-from desim.kernel.wandering_clock import node_clocks
-from desim.pursuit.byzantine.evidence import Witness
 from desim.pursuit.byzantine.lies import draw_lies
 from desim.pursuit.byzantine.lying import LyingTeam
 from desim.pursuit.core.events import Captured, Ended
@@ -27,18 +23,17 @@ from desim.pursuit.sensing.noisy_sensing import NoisySensor, Sensor
 from desim.pursuit.sensing.sensing import TeamSensor
 from desim.pursuit.sensing.views import GlobalState, View
 from desim.pursuit.sensing.world_state import WorldState
-from desim.pursuit.team.agent import Agent
-from desim.pursuit.team.announcements import announced_action
-from desim.pursuit.team.trust import judge_of
 from desim.scenario.scenario import Scenario
-from desim.simulation.pursuer_positions import PursuerPositions
 from desim.simulation.run_end import RunEnd
 from desim.simulation.team_processes import TeamProcesses
 from desim.simulation.watchdog import TimedOut, interrupted_at, stuck
+from desim.simulation.wiring import make_agents, make_network
 from desim.simulation.world import World, initial_state
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+
+    from desim.pursuit.team.agent import Agent
 
 
 ON_RESULTS = frozenset({"export", "plot", "replay", "save", "show", "summary", "write"})
@@ -165,22 +160,8 @@ def _simulate(
 ) -> None:
     """Connect the parts of a simulation and let it run to its end; see `run`."""
     state = initial_state(env, scenario, seed)
-    faults = draw_faults(scenario.network_faults, state.size, scenario.horizon, seed)
-    positions = PursuerPositions(state, scenario.team.top_speed + scenario.environment.top_speed)
-    skews = scenario.network_faults if scenario.protocol_traits.embodied else ()
-    clocks = node_clocks(env, skews, state.size, seed, nanoseconds(scenario.horizon))
-    network = Network(
-        env,
-        scenario.network.make_graph(state.size),
-        scenario.network,
-        seed=seed,
-        positions=positions,
-        trace=trace,
-        fault_state=FaultState(positions) if faults else None,
-        predicate=announced_action,
-        clocks=clocks,
-        walls=scenario.wall,
-    )
+    built = make_network(env, scenario, state, seed, trace)
+    network, clocks, faults = built
     sensor = _sensor(scenario, state, network, clocks, env, seed)
     views: Sequence[View] = [View(state, scenario.prune)] * state.size if sensor is None else sensor.views
     world = World(env, scenario, state, views, trace, end, sensor)
@@ -192,18 +173,10 @@ def _simulate(
     if lies:
         liars = LyingTeam(env, network, views, seed, world.set_action, lies, chasers, trace)
     global_state = GlobalState(state, scenario.prune, world.set_action if liars is None else liars.set_action)
-    step, voice = nanoseconds(scenario.motion.step), liars or network
+    voice = liars or network
     if scenario.protocol_traits.embodied:
         synchronise(env, network, clocks, scenario.clocks.sync, seed, trace, voice.send)
-    agents, judges = [], []
-    for pursuer, (view, clock) in enumerate(zip(views, clocks, strict=True)):
-        judges.append(judge_of(scenario.announce.trust, Witness(pursuer, view, clock, network, voice, step, trace)))
-        agents.append(
-            Agent(pursuer, env, view, global_state, network, seed, scenario.announce, clock, voice, judges[-1])
-        )
-    if scenario.announce.start == "known":
-        for agent, clock in zip(agents, clocks, strict=True):
-            network.set_initial_belief(agent.id, agent.announcement(), clock.stamp)
+    agents, judges = make_agents(env, scenario, seed, built, views, global_state, trace, voice)
     team = TeamProcesses(env, scenario, world, dict(enumerate(agents)), judges, sensor, liars)
     inject(faults, env, network, trace, crashed=team.crashed, recovered=team.recovered, targets=chasers)
 

@@ -185,6 +185,18 @@ def test_a_node_that_is_late_performs_what_is_due_before_the_end():
     assert 800_000_000 < max(times) <= 900_000_000  # a heartbeat each 0.1 s
 
 
+def test_walls_block_the_radio_of_a_node_as_in_a_simulation():
+    tables = scenario(team={"positions": [[1.0, 1.0], [3.0, 1.0], [3.0, 2.0]]}).plain()
+    tables["network"]["range"] = 10.0
+    wall = {"line": [[2.0, -5.0], [2.0, 5.0]], "blocks": ["radio", "motion"]}
+    reached = []
+    for walls in ([], [wall]):
+        node = Node(Scenario.model_validate(tables | {"wall": walls}), 1, 5)
+        node._env.advance(0)  # its first announcement
+        reached.append(node.link.departures[0].dst)
+    assert reached == [(0, 2), (2,)]
+
+
 async def free_ports(count):
     loop, ports = asyncio.get_running_loop(), []
     transports = []
@@ -207,28 +219,35 @@ def test_the_example_with_a_server_of_toy_robots_captures_its_evader():
 
 # What cannot run live.
 
-REFUSED = {
-    "protocol.kind": {"protocol": {"kind": "centralised"}},
-    "team.count": {"team": {"count": 513}},
-    "sensing": {"sensing": {"radius": 3.0}},
-    "evader.0.strategy": {"evader": {"strategy": {"kind": "listener"}}},
-    "network.medium": {"network": {"medium": {"kind": "bitrate", "bitrate": 1e6}}},
-    "network.processing.sender": {"network": {"processing": {"sender": {"kind": "uniform", "low": 0.0, "high": 0.1}}}},
-    "network.transport.needed": {"network": {"transport": {"kind": "coded", "pieces": 4, "needed": 2}}},
-    "announce.dissemination.needed": {"announce": {"dissemination": {"kind": "coded", "pieces": 4, "needed": 2}}},
-    "network.duplicate": {"network": {"transport": {"kind": "coded"}, "duplicate": 0.1}},
-    "fault.0": {"fault": [{"kind": "chaser_crash", "start": 1.0}]},
-    "fault.0.memory": {
-        "fault": [{"kind": "crash", "node": 1, "start": 0.5, "memory": False}],
-        "network": {"transport": {"kind": "reliable"}},
-    },
-}
+REFUSED = [
+    ("protocol.kind", {"protocol": {"kind": "centralised"}}),
+    ("team.count", {"team": {"count": 513}}),
+    ("sensing", {"sensing": {"radius": 3.0}}),
+    ("sensing", {"wall": [{"line": [[2, 0], [2, 5]]}]}),  # blocks sight
+    ("evader.0.strategy", {"evader": {"strategy": {"kind": "listener"}}}),
+    ("network.medium", {"network": {"medium": {"kind": "bitrate", "bitrate": 1e6}}}),
+    (
+        "network.processing.sender",
+        {"network": {"processing": {"sender": {"kind": "uniform", "low": 0.0, "high": 0.1}}}},
+    ),
+    ("network.transport.needed", {"network": {"transport": {"kind": "coded", "pieces": 4, "needed": 2}}}),
+    ("announce.dissemination.needed", {"announce": {"dissemination": {"kind": "coded", "pieces": 4, "needed": 2}}}),
+    ("network.duplicate", {"network": {"transport": {"kind": "coded"}, "duplicate": 0.1}}),
+    ("fault.0", {"fault": [{"kind": "chaser_crash", "start": 1.0}]}),
+    (
+        "fault.0.memory",
+        {
+            "fault": [{"kind": "crash", "node": 1, "start": 0.5, "memory": False}],
+            "network": {"transport": {"kind": "reliable"}},
+        },
+    ),
+]
 
 
-@pytest.mark.parametrize("key", REFUSED)
-def test_what_cannot_run_live_is_refused_with_a_reason(key):
+@pytest.mark.parametrize(("key", "changes"), REFUSED)
+def test_what_cannot_run_live_is_refused_with_a_reason(key, changes):
     tables = scenario().plain()
-    for table, keys in REFUSED[key].items():
+    for table, keys in changes.items():
         tables[table] = keys if isinstance(keys, list) or "kind" in keys else (tables[table] or {}) | keys
     experiment = Scenario.model_validate(tables)
     assert key in dict(reasons(experiment))

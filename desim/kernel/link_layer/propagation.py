@@ -108,6 +108,10 @@ class LinkSampler:
         self.keeps_order = self._constant is None and (self._order == "fifo" or bool(self._order_overrides))
         """Whether `in_order` is needed: latencies may vary, and some link is FIFO or has an order of its own."""
 
+    def renamed(self, purpose: str) -> "LinkSampler":
+        """Return a sampler of the same links that draws from streams of its own, whose names have a prefix."""
+        return LinkSampler(self._links, self._graph, self._seed, self._positions, purpose)
+
     def losses(self, src: int, dst: list[int], now: int, size: int) -> list[bool] | None:
         """Draw for each receiver whether the message is lost; None means that no receiver loses it.
 

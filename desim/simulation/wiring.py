@@ -1,0 +1,96 @@
+"""The wiring of a run: its network and its agents, for a simulation and for each live node."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from desim.kernel.core.clock import Clock, NodeClock
+from desim.kernel.core.events import Trace
+from desim.kernel.core.units import nanoseconds
+from desim.kernel.link_layer.link_layer import LinkLayer
+from desim.kernel.models.faults import Fault, draw_faults
+from desim.kernel.network import Network
+from desim.kernel.state.fault_state import FaultState
+from desim.kernel.wandering_clock import node_clocks
+from desim.pursuit.byzantine.evidence import Witness
+from desim.pursuit.sensing.views import GlobalState, View
+from desim.pursuit.sensing.world_state import WorldState
+from desim.pursuit.team.agent import Agent, Voice
+from desim.pursuit.team.announcements import announced_action
+from desim.pursuit.team.trust import Judge, judge_of
+from desim.scenario.scenario import Scenario
+from desim.simulation.pursuer_positions import PursuerPositions
+
+
+class TeamNetwork(NamedTuple):
+    """The network of a team, and what was drawn with it."""
+
+    network: Network
+    clocks: Sequence[NodeClock]
+    """(N,) the clocks of the pursuers."""
+    faults: list[Fault]
+    """The faults of robots, radios and the network, which have yet to be injected."""
+
+
+def make_network(
+    env: Clock,
+    scenario: Scenario,
+    state: WorldState,
+    seed: int,
+    trace: Trace | None,
+    link_layer: Callable[..., LinkLayer] = LinkLayer,
+) -> TeamNetwork:
+    """Create the network of a team; `link_layer` is as in `Network`."""
+    faults = draw_faults(scenario.network_faults, state.size, scenario.horizon, seed)
+    positions = PursuerPositions(state, scenario.team.top_speed + scenario.environment.top_speed)
+    skews = scenario.network_faults if scenario.protocol_traits.embodied else ()
+    clocks = node_clocks(env, skews, state.size, seed, nanoseconds(scenario.horizon))
+    network = Network(
+        env,
+        scenario.network.make_graph(state.size),
+        scenario.network,
+        seed=seed,
+        positions=positions,
+        trace=trace,
+        fault_state=FaultState(positions) if faults else None,
+        predicate=announced_action,
+        clocks=clocks,
+        walls=scenario.wall,
+        link_layer=link_layer,
+    )
+    return TeamNetwork(network, clocks, faults)
+
+
+def make_agents(
+    env: Clock,
+    scenario: Scenario,
+    seed: int,
+    team: TeamNetwork,
+    views: Sequence[View],
+    global_state: GlobalState,
+    trace: Trace,
+    voice: Voice | None = None,
+) -> tuple[list[Agent], list[Judge | None]]:
+    """Create the agents of all pursuers, and their judges; let all know the initial actions if they are known.
+
+    Args:
+        env: the clock of the simulation.
+        scenario: the experiment.
+        seed: the seed of the run.
+        team: the network.
+        views: (N,) the view of each pursuer.
+        global_state: the true state of the world, through which the agents act.
+        trace: receives the events of the judges.
+        voice: sends the messages; None: the network.
+    """
+    network, step, announce = team.network, nanoseconds(scenario.motion.step), scenario.announce
+    agents, judges = [], []
+    for pursuer, (view, clock) in enumerate(zip(views, team.clocks, strict=True)):
+        witness = Witness(pursuer, view, clock, network, voice or network, step, trace)
+        judges.append(judge_of(announce.trust, witness))
+        agents.append(
+            Agent(pursuer, env, view, global_state, network, seed, announce, clock, voice or network, judges[-1])
+        )
+    if announce.start == "known":
+        for agent, clock in zip(agents, team.clocks, strict=True):
+            network.set_initial_belief(agent.id, agent.announcement(), clock.stamp)
+    return agents, judges
