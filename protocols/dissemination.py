@@ -17,7 +17,7 @@ Robust to loss: yes, with heartbeats; flooding also without them where there are
 """
 
 from functools import partial
-from typing import Annotated, Any, ClassVar, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal, Protocol, Self
 
 from pydantic import Field
 
@@ -154,6 +154,11 @@ class ReliableOneHop(Reliable):
         """Whether an announcement is transmitted again until it is acknowledged, or a newer one replaces it."""
         return not self.gives_up
 
+    @property
+    def transport(self) -> Self:
+        """The transport of announcements."""
+        return self
+
     def broadcast(self, me: Agent, announcement: Any) -> None:
         """Send the announcement to the neighbours."""
         send_record(me, announcement, self)
@@ -171,6 +176,11 @@ class CodedOneHop(Coded):
 
     hops: ClassVar[int] = 1
     kind: Literal["coded"] = "coded"
+
+    @property
+    def transport(self) -> Self:
+        """The transport of announcements."""
+        return self
 
     def broadcast(self, me: Agent, announcement: Any) -> None:
         """Send the pieces of the announcement to the neighbours."""

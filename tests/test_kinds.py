@@ -35,15 +35,11 @@ ALLOWED = {
         "desim.kernel.models.medium": "LoRaInterference",
         "desim.scenario.misfits": "Radio",
         "desim.scenario.simultaneous": "Radio Reliable Crash",
-        "desim.study.ablation.imperfections": "LoRa Coded Reliable",
+        "desim.study.ablation.imperfections": "LoRa",
     },
     "a transport is of a closed family; a dissemination derives from two of its kinds": {
         "desim.kernel.transport.layer": "Reliable",
-        "desim.live.node": "Coded Reliable",
         "desim.kernel.transport.sender": "Coded",
-    },
-    "what cannot run live, of one built-in kind; a kind of a user is refused as such": {
-        "desim.live.refusals": "Coded RandomFaults Reliable",
     },
     "parameters of one built-in kind, which other tables name": {
         "desim.kernel.models.links": "Edges LinkTrace",
@@ -54,8 +50,7 @@ ALLOWED = {
     "warnings about the parameters of one built-in kind; a kind of a user has none": {
         "desim.scenario.liar_warnings": "ByzantineFault FalseAnnouncements Liar RandomLies Reputation Selective Silent"
         " Slander Trimmed",
-        "desim.scenario.link_warnings": "Coded Disk Edges LinkTrace LoRa QuasiUnitDisk Radio Reliable Window",
-        "desim.scenario.telling": "Coded Reliable",
+        "desim.scenario.link_warnings": "Disk Edges LinkTrace LoRa QuasiUnitDisk Radio Reliable Window",
     },
     "a figure of link traces, one for each unit": {
         "desim.view.pictures.link_traces": "LatencyTrace LinkTrace SignalTrace"

@@ -30,7 +30,6 @@ from desim.kernel.fault_injection import inject
 from desim.kernel.link_layer.propagation import LinkSampler
 from desim.kernel.models.faults import is_skewed
 from desim.kernel.models.links import Links
-from desim.kernel.models.transport import Coded, Reliable
 from desim.kernel.state.network_state import NetworkState
 from desim.live.frames import Mirror, WorldFrame, pairs_of, points_of
 from desim.live.link import SocketLinkLayer
@@ -39,6 +38,7 @@ from desim.live.sockets import Receiver, udp_socket
 from desim.live.start import Address
 from desim.live.wall_clock import Lateness, WallClock
 from desim.live.wire import Wire
+from desim.pursuit.core.traits import DisseminationTraits
 from desim.pursuit.motion.guidance import guided_velocity
 from desim.pursuit.sensing.views import GlobalState, View
 from desim.pursuit.team.agent import Agent
@@ -118,8 +118,8 @@ class Node:
 
         built = make_network(env, scenario, state, seed, self.trace, link_layer)
         network, clocks, faults = self._network, _, _ = built
-        spreads = scenario.announce.dissemination
-        network.listen({ANNOUNCEMENTS: spreads} if isinstance(spreads, Reliable | Coded) else {})
+        announced = DisseminationTraits.of(scenario.announce.dissemination).transport
+        network.listen({} if announced is None else {ANNOUNCEMENTS: announced})
         self.link.trusts_stamps = not is_skewed(scenario.network_faults)
         sync = synchronise(env, network, clocks, scenario.clocks.sync, seed, self.trace, nodes=[me])
         if sync is not None:

@@ -1,14 +1,14 @@
 """What cannot run live: each reason as a sentence."""
 
 from collections.abc import Iterator
+from typing import Any
 
-from desim.kernel.models.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomFaults
 from desim.kernel.models.latency import Constant
-from desim.kernel.models.loss import Bernoulli
 from desim.kernel.models.medium import Unlimited
-from desim.kernel.models.transport import Coded, Reliable
+from desim.kernel.models.traits import FaultTraits
 from desim.live.wire import MAX_NODES
 from desim.pursuit.byzantine.lies import is_lie
+from desim.pursuit.core.traits import DisseminationTraits
 from desim.scenario.scenario import Scenario
 
 
@@ -34,11 +34,9 @@ def reasons(scenario: Scenario) -> Iterator[tuple[str, str]]:
     for k, fault in enumerate(scenario.fault):
         if is_lie(fault):
             yield f"fault.{k}", "lies know what the network knows, and are told in a simulation only"
-        elif type(fault) not in {Crash, Partition, Jamming, RandomCrashes, RandomFaults, ClockSkew}:
+        elif not FaultTraits.of(fault).is_scheduled:
             yield f"fault.{k}", "this fault decides in one place what several processes would have to agree on"
-        elif isinstance(fault, RandomFaults) and not {"crash", "partition", "jamming"}.issuperset(fault.kinds):
-            yield f"fault.{k}.kinds", "only crash, partition and jamming can"
-        elif _erases_memory(fault) and _has_transport(scenario):
+        elif not FaultTraits.of(fault).memory and any(transport for _, transport in _transports(scenario)):
             yield f"fault.{k}.memory", "a node without memory would number its messages anew; see network.transport"
 
 
@@ -64,17 +62,15 @@ def _of_network(scenario: Scenario) -> Iterator[tuple[str, str]]:
         yield "network.medium", "sockets have no airtime, and contend for no channel"
     if type(links.processing.sender) is not Constant:
         yield "network.processing.sender", "a delay before the queue of a sender needs a queue; use a number"
-    if links.duplicate != Bernoulli() and type(links.transport) is Coded:
-        yield "network.duplicate", "pieces and copies of a message cannot be told apart"
-    transports = [("network.transport", links.transport), ("announce.dissemination", scenario.announce.dissemination)]
-    for key, transport in transports:
-        if isinstance(transport, Coded) and transport.needed > 1:
+    for key, transport in _transports(scenario):
+        if transport.needed > 1:
             yield f"{key}.needed", "the code is ideal, and no bytes are its pieces; with 1, a piece is the message"
 
 
-def _erases_memory(fault: object) -> bool:
-    return isinstance(fault, RandomFaults) or not getattr(fault, "memory", True)
-
-
-def _has_transport(scenario: Scenario) -> bool:
-    return not scenario.network.transport.is_plain or isinstance(scenario.announce.dissemination, Reliable | Coded)
+def _transports(scenario: Scenario) -> Iterator[tuple[str, Any]]:
+    """Yield the transports of a scenario that are asked to do anything, by their keys."""
+    if not scenario.network.transport.is_plain:
+        yield "network.transport", scenario.network.transport
+    announced = DisseminationTraits.of(scenario.announce.dissemination).transport
+    if announced is not None:
+        yield "announce.dissemination", announced

@@ -19,8 +19,9 @@ from desim.kernel.models.medium import LoRa, Radio, contends
 from desim.kernel.models.presets import PRESETS
 from desim.kernel.models.reception import Disk, QuasiUnitDisk
 from desim.kernel.models.traits import InterferenceTraits, ReceptionTraits
-from desim.kernel.models.transport import BestEffort, Coded, Reliable
+from desim.kernel.models.transport import BestEffort, Reliable
 from desim.kernel.walls.materials import MATERIALS
+from desim.pursuit.core.traits import DisseminationTraits
 from desim.scenario.scenario import Scenario
 from desim.scenario.telling import announces_start, has_heartbeats, is_built_in, sends_announcements
 
@@ -107,7 +108,7 @@ def _transport_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     sends = scenario.schedule_traits.spreads_to is not None or not scenario.sight_is_perfect
     sends = sends or announce.trust.period is not None  # accusations
     if transport != BestEffort() and scenario.announces and not sends and is_built_in(scenario):
-        if isinstance(announce.dissemination, Reliable | Coded):
+        if DisseminationTraits.of(announce.dissemination).transport is not None:
             yield "network.transport", "it has no effect: announcements have their own (`announce.dissemination`)"
         elif not sends_announcements(scenario):
             yield (

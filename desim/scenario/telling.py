@@ -3,7 +3,6 @@
 from typing import Any
 
 from desim.config.choice import choices_of
-from desim.kernel.models.transport import Coded, Reliable
 from desim.pursuit.core.traits import DisseminationTraits
 from desim.pursuit.team.announcements import DISSEMINATIONS
 from desim.scenario.scenario import PROTOCOLS, Scenario
@@ -35,8 +34,8 @@ def announces_start(scenario: Scenario) -> bool:
 
 def sends_announcements(scenario: Scenario) -> bool:
     """Return whether announcements are sent as messages, not published."""
-    dissemination = scenario.announce.dissemination
-    return isinstance(dissemination, Reliable | Coded) or DisseminationTraits.of(dissemination).relays
+    traits = DisseminationTraits.of(scenario.announce.dissemination)
+    return traits.transport is not None or traits.relays
 
 
 def has_heartbeats(scenario: Scenario) -> bool:

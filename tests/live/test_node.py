@@ -6,10 +6,11 @@ import sys
 import time
 from math import sqrt
 from random import Random
+from typing import ClassVar
 
 import pytest
 
-from desim import Bernoulli, Partition, Scenario, Uniform, load
+from desim import Bernoulli, Crash, Fault, Partition, Scenario, Uniform, load
 from desim.kernel.core.events import LOST
 from desim.kernel.core.records import Record
 from desim.kernel.state.inbox import Message
@@ -219,6 +220,24 @@ def test_the_example_with_a_server_of_toy_robots_captures_its_evader():
 
 # What cannot run live.
 
+
+class Late(Fault):
+    """A fault that looks at the run."""
+
+    def begin(self, site):
+        return site.intercept(lambda src, receivers, body: dict.fromkeys(receivers, 1.0))
+
+
+class Flash(Crash):
+    """A crash with a cause of its own."""
+
+    cause: ClassVar[str] = "lightning"
+
+
+def test_a_fault_of_a_user_runs_live_if_it_begins_as_a_built_in_one():
+    assert not dict(reasons(scenario(fault=[Flash(start=0.1, node=1)])))
+
+
 REFUSED = [
     ("protocol.kind", {"protocol": {"kind": "centralised"}}),
     ("team.count", {"team": {"count": 513}}),
@@ -232,7 +251,7 @@ REFUSED = [
     ),
     ("network.transport.needed", {"network": {"transport": {"kind": "coded", "pieces": 4, "needed": 2}}}),
     ("announce.dissemination.needed", {"announce": {"dissemination": {"kind": "coded", "pieces": 4, "needed": 2}}}),
-    ("network.duplicate", {"network": {"transport": {"kind": "coded"}, "duplicate": 0.1}}),
+    ("fault.0", {"fault": [{"kind": "random", "kinds": ["crash", Late]}]}),
     ("fault.0", {"fault": [{"kind": "chaser_crash", "start": 1.0}]}),
     (
         "fault.0.memory",

@@ -117,6 +117,11 @@ VARIANTS = {
     "gossip": {"announce": {"dissemination": {"kind": "gossip"}}},
     "reliable": {"announce": {"dissemination": {"kind": "reliable"}}, "network": {"loss": 0.2}},
     "coded": {"announce": {"dissemination": {"kind": "coded"}}},
+    "coded, with duplicates": {"announce": {"dissemination": {"kind": "coded"}}, "network": {"duplicate": 0.3}},
+    "coded transport": {
+        "protocol": {"schedule": {"kind": "token_ring"}},
+        "network": {"transport": {"kind": "coded"}, "duplicate": 0.3},
+    },
     "token": {"protocol": {"schedule": {"kind": "token_ring"}}},
     "token over a transport": {
         "protocol": {"schedule": {"kind": "token_ring"}},

@@ -213,6 +213,7 @@ class Crash(Fault):
     """Whether the node keeps its beliefs; if not, it recovers without any, and a crashed robot restarts its process."""
 
     breaks: ClassVar[frozenset[str]] = frozenset({"no_crashes"})
+    is_scheduled: ClassVar[bool] = True
 
     @property
     def messages_only(self) -> bool:
@@ -252,6 +253,7 @@ class Partition(Fault):
     """Lists of nodes; nodes in no list form one more group."""
 
     breaks: ClassVar[frozenset[str]] = frozenset({"undivided"})
+    is_scheduled: ClassVar[bool] = True
 
     @field_validator("groups")
     @classmethod
@@ -300,6 +302,8 @@ class Jamming(Fault):
     """[x, y], m."""
     radius: Length
     """m"""
+
+    is_scheduled: ClassVar[bool] = True
 
     def begin(self, site: FaultSite) -> Undo:
         """Jam the disc."""
@@ -435,6 +439,7 @@ class ClockSkew(Value):
     """Random walk of the drift, 1 per sqrt(s): after a time t its standard deviation is drift_walk sqrt(t)."""
 
     breaks: ClassVar[frozenset[str]] = frozenset({"equal_clocks"})
+    is_scheduled: ClassVar[bool] = True
 
     def named(self) -> NamedNodes:
         """Return the node, if one is given."""
@@ -534,6 +539,7 @@ class RandomCrashes(Value):
     """Whether the node keeps its beliefs."""
 
     breaks: ClassVar[frozenset[str]] = Crash.breaks
+    is_scheduled: ClassVar[bool] = True
 
     @property
     def messages_only(self) -> bool:
@@ -607,6 +613,16 @@ class RandomFaults(Value):
     def messages_only(self) -> bool:
         """Whether no robot breaks down: no kind is a crash, which may be one of a robot."""
         return not any(issubclass(_class_of(kind), Crash) for kind in self.kinds)
+
+    @property
+    def memory(self) -> bool:
+        """Whether all nodes keep their memory: no kind is a crash, which may erase it."""
+        return self.messages_only
+
+    @property
+    def is_scheduled(self) -> bool:
+        """Whether all kinds are built in, as a fault of a user may look at the run."""
+        return all(isinstance(kind, str) for kind in self.kinds)
 
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Fault]:
         """Yield the faults that start before `end` and the horizon, s, ordered by start time."""

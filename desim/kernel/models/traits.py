@@ -168,3 +168,8 @@ class FaultTraits(Traits):
     """The assumptions of protocols (`assumes`) that it breaks, such as "no_crashes"."""
     messages_only: bool = False
     """Whether it only loses or delays messages, so that a perfect network is without it; a `Fault` does by default."""
+    is_scheduled: Annotated[bool, Follows("begin", "separates")] = False
+    """Whether its fields and the seed determine when it begins and what it does, so that the processes of a live run
+    agree on it."""
+    memory: bool = True
+    """Whether the nodes that it takes down keep their memory."""

@@ -95,6 +95,7 @@ class Reliable(Quality):
     """
 
     kind: Literal["reliable"] = "reliable"
+    needed: ClassVar[int] = 1
     timeout: Annotated[
         Annotated[Duration, Tag("number")] | Annotated[Literal["auto"], Tag("text")], Discriminator(_form_of_timeout)
     ] = "auto"

@@ -115,6 +115,9 @@ class DisseminationTraits(Assuming):
     retransmits: Flag = False
     """Whether an announcement is transmitted again to each of its first receivers until it is acknowledged, or a newer
     one replaces it."""
+    transport: Any = None
+    """The transport that carries announcements as messages; None: they are published, or `network.transport` carries
+    them."""
 
     @property
     def relays(self) -> bool:

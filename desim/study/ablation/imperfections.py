@@ -22,9 +22,10 @@ from desim.kernel.models.loss import Bernoulli
 from desim.kernel.models.medium import LoRa, Medium, Radio, Unlimited, contends
 from desim.kernel.models.reception import Disk
 from desim.kernel.models.traits import FaultTraits
-from desim.kernel.models.transport import BestEffort, Coded, Reliable
+from desim.kernel.models.transport import BestEffort
 from desim.kernel.walls.wall import What
 from desim.pursuit.byzantine.lies import is_lie
+from desim.pursuit.core.traits import DisseminationTraits
 from desim.pursuit.motion.dynamics import Simple
 from desim.pursuit.motion.flow import Environment
 from desim.pursuit.sensing.noise import Noiseless
@@ -91,7 +92,7 @@ def without_duplicates(scenario: Scenario) -> Scenario:
 def without_transport(scenario: Scenario) -> Scenario:
     """Return the scenario in which messages are sent once, and none is acknowledged, retransmitted or coded."""
     free = _with_network(scenario, transport=BestEffort())
-    if not isinstance(scenario.announce.dissemination, Reliable | Coded):
+    if DisseminationTraits.of(scenario.announce.dissemination).transport is None:
         return free
     return free.model_copy(update={"announce": scenario.announce.model_copy(update={"dissemination": one_hop()})})
 
