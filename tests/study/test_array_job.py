@@ -158,7 +158,8 @@ def test_a_sweep_that_slurm_performs_in_parts_is_the_serial_sweep(tmp_path, monk
         job = ArrayJob.read(out).jobs[0]
         array_job.slurm("scancel", "--batch", "--signal=USR1", f"{job}_1")
         slurm.wait_for(lambda: array_job.states([job]).get(1) == "PENDING", tmp_path / "slurm", 300.0)
-        array_job.slurm("scontrol", "update", f"JobId={job}_1", "StartTime=now")  # Slurm waits two minutes before
+        # Slurm waits two minutes, because a node refuses a job in the second in which it ended it.
+        array_job.slurm("scontrol", "update", f"JobId={job}_1", "StartTime=now+3")
         merged = out / "sweep.sqlite"
         slurm.wait_for(lambda: count(merged) == 24, tmp_path / "slurm", 600.0)
         assert "24 of 24 runs are done" in accepted("status", out).output
