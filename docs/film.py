@@ -3,8 +3,7 @@
 It needs chromium and pillow.
 """
 
-import shutil
-import subprocess
+import base64
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,31 +13,35 @@ from PIL import Image
 
 from desim import load, run
 from desim.view.pages.replay import replay_page
+from scenarios.benchmarks.browser import Page, page
 
 ROOT = Path(__file__).parent.parent
+FILM = ROOT / "docs/_static/replay.gif"
 TIMES = np.arange(0.2, 4.4, 0.07)
 """The instants of the frames, s."""
 SIZE = (1280, 800)
 """The size of the window, pixels."""
 SHRUNK = (960, 600)
 """The size of the film, pixels."""
-ATTEMPTS = 5
-"""Pictures that are taken of an instant at most: on a busy machine some are taken before the plane is drawn."""
 DRAWN = 0.002
 """Share of dark pixels in the plane from which on it counts as drawn; an empty one has none below its buttons."""
+PAINTED = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))"
+"""Waits until the browser has shown what was drawn: a frame of the screen begins after the one before was painted."""
 
 
-def frame(page: Path, t: float) -> Image.Image:
+def frame(browser: Page, t: float) -> Image.Image:
     """Return the replay at an instant, s.
 
     Raises:
-        RuntimeError: if no picture shows the plane.
+        RuntimeError: if the picture does not show the plane.
     """
-    for _ in range(ATTEMPTS):
-        taken = picture(page, t)
-        if is_drawn(taken):
-            return taken
-    raise RuntimeError(f"{ATTEMPTS} pictures at {t:.2f} s do not show the plane")
+    browser.value(f"replay.seek({t:.3f})")
+    browser.value(PAINTED)
+    content = base64.b64decode(browser.send("Page.captureScreenshot", format="png")["data"])
+    taken = Image.open(BytesIO(content)).convert("RGB").resize(SHRUNK, Image.Resampling.LANCZOS)
+    if not is_drawn(taken):
+        raise RuntimeError(f"the picture at {t:.2f} s does not show the plane")
+    return taken
 
 
 def is_drawn(taken: Image.Image) -> bool:
@@ -48,31 +51,17 @@ def is_drawn(taken: Image.Image) -> bool:
     return float((plane < 200).mean()) > DRAWN
 
 
-def picture(page: Path, t: float) -> Image.Image:
-    """Return what a browser shows of the replay at an instant, s."""
-    file = page.with_suffix(".png")
-    options = ("--headless", "--no-sandbox", "--hide-scrollbars", "--virtual-time-budget=2000")
-    window = f"--window-size={SIZE[0]},{SIZE[1]}"
-    address = f"{page.as_uri()}#t={t:.3f}"
-    subprocess.run(
-        [shutil.which("chromium") or "chromium", *options, window, f"--screenshot={file}", address],
-        check=True,
-        capture_output=True,
-    )
-    return Image.open(BytesIO(file.read_bytes())).convert("RGB").resize(SHRUNK, Image.Resampling.LANCZOS)
-
-
 def main() -> None:
     """Write docs/_static/replay.gif."""
-    with TemporaryDirectory() as folder:
-        page = Path(folder) / "replay.html"
-        page.write_text(
-            replay_page(run(load(ROOT / "scenarios/faults.toml", ["record.messages=true"]))), encoding="utf-8"
-        )
-        frames = [frame(page, t) for t in TIMES]
+    with TemporaryDirectory() as folder, page() as browser:
+        file = Path(folder) / "replay.html"
+        result = run(load(ROOT / "scenarios/faults.toml", ["record.messages=true"]))
+        file.write_text(replay_page(result), encoding="utf-8")
+        browser.open(file, *SIZE)
+        frames = [frame(browser, t) for t in TIMES]
     palette = frames[len(frames) // 2].quantize(128)
     first, *others = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in frames]
-    first.save(ROOT / "docs/_static/replay.gif", save_all=True, append_images=others, duration=120, loop=0)
+    first.save(FILM, save_all=True, append_images=others, duration=120, loop=0)
 
 
 if __name__ == "__main__":

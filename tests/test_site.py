@@ -11,6 +11,7 @@ from itertools import chain, groupby
 from pathlib import Path
 
 import pytest
+from PIL import Image, ImageSequence
 
 import desim
 import protocols
@@ -25,6 +26,7 @@ sys.path.insert(0, str(DOCS))
 
 import api  # noqa: E402  it lies in the folder of the documentation
 import dark  # noqa: E402
+import film  # noqa: E402
 import notebooks  # noqa: E402
 import pages  # noqa: E402
 import thumbnails  # noqa: E402
@@ -81,6 +83,16 @@ def test_the_front_page_has_installation_code_a_film_figures_and_ways_on():
     assert "{code-cell}" in text
     assert "_static/replay.gif" in text
     assert len(re.findall(r"!\[.+\]\(\.\./scenarios/\w+\.svg\)", text)) == 3
+
+
+@pytest.mark.slow
+def test_each_frame_of_the_film_shows_the_players():
+    """The control is a page whose plane is not drawn yet."""
+    with Image.open(film.FILM) as taken:
+        assert [film.is_drawn(frame) for frame in ImageSequence.Iterator(taken)] == [True] * len(film.TIMES)
+        empty = taken.convert("RGB")
+    empty.paste("white", (16, 96, empty.width // 2, empty.height // 2))
+    assert not film.is_drawn(empty)
 
 
 @pytest.mark.whole
