@@ -3,7 +3,7 @@
 import importlib
 import json
 import sys
-from itertools import count
+from itertools import count, pairwise
 
 import numpy as np
 import pytest
@@ -746,6 +746,14 @@ def test_the_last_step_of_a_picture_ends_where_the_scenario_is(whole):
         assert names == ["ideal", *present, "interaction", "as it is", "perfect network", "no messages at all"]
         tops = {round(bar.get_x() + bar.get_width() / 2): bar.get_y() + bar.get_height() for bar in axes.patches}
         assert tops[len(names) - 4] == pytest.approx(tops[len(names) - 3])
+        assert not overlapping(axes)
+
+
+def overlapping(axes):
+    """Return the pairs of neighbouring numbers above bars that cover each other."""
+    axes.figure.draw_without_rendering()
+    boxes = [(text.get_text(), text.get_window_extent()) for text in axes.texts]
+    return [(one, other) for (one, box), (other, next_box) in pairwise(boxes) if box.overlaps(next_box)]
 
 
 def test_an_explanation_is_drawn_on_given_axes():

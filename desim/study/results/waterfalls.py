@@ -16,6 +16,9 @@ from desim.config.trust import escaped
 from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT, Cost, CostByMetric
 from desim.study.results.figure_labels import literal
 
+BAR = 0.42
+"""The minimum width of a bar with its gap, inches, so that its number fits above it."""
+
 
 def waterfall(
     explanation: CostByMetric, *, size: str | None = None, style: Style = None, ax: Axes | None = None
@@ -35,7 +38,8 @@ def waterfall(
             draw_waterfall(ax, cost)
             ax.set_ylabel(literal(f"{cost.label} ({cost.unit})" if cost.unit else cost.label))
         return figure
-    width, height = (4.4 * len(explanation.costs), None) if size is None else size_of(size)
+    usual = sum(max(4.4, BAR * _bars(cost)) for cost in explanation.costs.values())
+    width, height = (usual, None) if size is None else size_of(size)
     with styled(figsize=(width, height or 4.0), font=9.0 if width >= NARROW else 8.0, style=style) as figure:
         for axes, cost in zip(
             figure.subplots(1, len(explanation.costs), squeeze=False)[0], explanation.costs.values(), strict=True
@@ -46,6 +50,11 @@ def waterfall(
         if size is None:
             figure.suptitle(title, fontsize=9, parse_math=False)
     return figure
+
+
+def _bars(cost: Cost) -> int:
+    """Return the number of bars of a waterfall chart, and of the gap before its bounds."""
+    return len(cost.parts) + 2 + (len(cost.parts) > 1) + (0 if cost.bounds is None else 3)
 
 
 def draw_waterfall(axes: Axes, cost: Cost) -> None:
