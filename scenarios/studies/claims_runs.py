@@ -16,7 +16,7 @@ from desim.pursuit.core.events import Estimated, Sampled
 from desim.pursuit.evaders.evasion import PureEvasion
 from desim.pursuit.team.announcements import Start
 from desim.scenario.players import Evader
-from desim.study.ablation.imperfections import IMPERFECTIONS
+from desim.study.ablation.imperfections import IMPERFECTIONS, with_perfect_network, without_messages
 from protocols.best_response import BestResponse
 from scenarios.studies import (
     bodies_runs,
@@ -127,6 +127,13 @@ def explained(metric: Callable[[Any], float], part: str | None = None, scale: fl
     game = load(SCENARIOS / "imperfect.toml")
     removed = [IMPERFECTIONS[part]] if part else IMPERFECTIONS.values()
     return difference(metric, game, reduce(lambda so_far, remove: remove(so_far), removed, game), scale)
+
+
+def bounds_of_imperfect() -> tuple[Number, Number]:
+    """Return what measures the active time of `imperfect.toml` on a perfect network, and what silence adds."""
+    game = load(SCENARIOS / "imperfect.toml")
+    perfect, silent = with_perfect_network(game), without_messages(game)
+    return average(active_time, perfect), difference(active_time, silent, perfect)
 
 
 def raced(rate: float) -> Scenario:
