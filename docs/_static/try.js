@@ -32,18 +32,22 @@
         slider.nextElementSibling.textContent = moved.has(key) ? `${moved.get(key)}${unit}` : "as in the file";
       }
     }
+    function showRecorded() {
+      frame.removeAttribute("srcdoc");
+      frame.src = examples[choice.value].replay;
+    }
     function record() {  // show the recorded run of an example as it is
       moved.clear();
       wanted = null;
       for (const slider of sliders.values()) slider.value = slider.defaultValue;
-      frame.removeAttribute("srcdoc");
-      frame.src = examples[choice.value].replay;
+      showRecorded();
       showValues();
       tell();
       say(`${examples[choice.value].title} This run was recorded; move a slider to run it again here.`);
     }
     function withoutPython(why) {
       cannot = why;
+      if (frame.hasAttribute("srcdoc")) showRecorded();
       tell();
       say(`This page cannot run it: ${why}. The replay shows the recorded run of the example as it is;`
         + " the command below runs yours.");
@@ -87,7 +91,6 @@
       tell(answer.texts);
       if (answer.errors) { say(Object.values(answer.errors).join(" ")); return; }
       frame.srcdoc = answer.page.replace("</body>", FOLLOWS);
-      const first = answer.metrics.filter(row => row.name === "capture time" || row.name === "active time");
       const numbers = answer.metrics.filter(row => row.name === "capture time" || row.name === "active time")
         .map(row => `${row.name} ${row.value} ${row.unit}${row.difference ? ` (${row.difference})` : ""}`);
       say(`Run here: ${numbers.join(", ")}; in brackets, and drawn faint, against the file as it is.`);
@@ -117,6 +120,12 @@
     if (root === null) return;
     try {
       start(root, await (await fetch(root.dataset.examples)).json());
-    } catch { /* opened as a file: the film above shows a run */ }
+    } catch {
+      root.hidden = false;
+      root.textContent = (location.protocol === "file:"
+        ? "A page that is opened as a file cannot run it: serve its folder (python -m http.server)"
+        : "The examples of this page did not load: open it again")
+        + ", or run desim play relay.toml on your machine. The film above shows a run.";
+    }
   });
 })();

@@ -34,10 +34,21 @@ export async function loadPyodide() {
     if (request.status !== 200) throw new Error(request.responseText);
     return request.responseText;
   };
-  return { loadPackage: async () => {}, unpackArchive() {}, runPython() {}, pyimport: () => ({ answer_as_json }) };
+  const lockfile = { packages: { networkx: { file_name: "networkx.whl" } } };
+  const loadPackage = async names => {
+    if (!names.includes(new URL("/pyodide/networkx.whl", location).href)) throw new Error(names);
+  };
+  return { lockfile, loadPackage, unpackArchive() {}, runPython() {}, pyimport: () => ({ answer_as_json }) };
 }
 """
+BROKEN = r"""
+export async function loadPyodide() {
+  throw new Error("Traceback:\n  import numpy\nModuleNotFoundError: No module named 'numpy'\nLoad it.\nSee /advice.");
+}
+"""
+"""A Pyodide without numpy, with the words of Pyodide 314."""
 SHORT = "horizon=2.0"
+REPLAY = "document.querySelector('iframe').contentWindow.replay"
 
 
 class Handler(SimpleHTTPRequestHandler):
@@ -64,12 +75,13 @@ def site(tmp_path_factory):
     style = (DOCS / "_static" / "desim.css").read_text()
     head = f'<meta charset="utf-8"><link rel="icon" href="data:,"><style>{style}</style>'
     head += '<script src="_static/try.js"></script>'
-    for name, pyodide in (("index", "/pyodide/"), ("offline", "/nowhere/")):
+    for name, pyodide in (("index", "/pyodide/"), ("offline", "/nowhere/"), ("broken", "/broken/")):
         marked = part.replace('id="try"', f'id="try" data-pyodide="{pyodide}"')
         (folder / f"{name}.html").write_text(f"<!doctype html><html lang=en><head>{head}</head><body>{marked}</body>")
     for file in ("try.js", "try_worker.js"):
         put(folder / "_static" / file, (DOCS / "_static" / file).read_text())
     put(folder / "pyodide" / "pyodide.mjs", STAND_IN)
+    put(folder / "broken" / "pyodide.mjs", BROKEN)
     put(folder / "try" / "examples.json", json.dumps(trial.examples(DOCS)))
     put(folder / "try" / "desim.zip", "an archive")
     for name in trial.examples(DOCS):
@@ -110,6 +122,8 @@ def test_moving_a_slider_runs_the_example_and_shows_its_replay_and_its_file(site
         tab.visit(address)
         tab.until(f"{text('status')}.includes('recorded')")
         assert "gallery/replays/relay.html" in tab.value("document.querySelector('iframe').src")
+        tab.until(f"{REPLAY}?.frames > 0")
+        assert tab.value(f"{REPLAY}.end") == 2.0
         assert tab.value(text("command")) == "desim examples relay\ndesim replay relay.toml"
         move(tab, "latency", 0.3)
         tab.until(f"{text('status')}.startsWith('Run here:')")
@@ -139,6 +153,34 @@ def test_without_python_the_recorded_run_and_a_command_are_shown(site):
         assert tab.value(text("command")) == ("desim examples relay\ndesim replay relay.toml --set network.latency=0.3")
         tab.value("(() => { const c = document.querySelector('select'); c.value = 'faults'; c.onchange(); })()")
         assert "gallery/replays/faults.html" in tab.value("document.querySelector('iframe').src")
+
+
+@in_chromium
+@pytest.mark.slow
+def test_the_reason_why_python_fails_is_its_exception(site):
+    with page() as tab:
+        tab.visit(f"http://127.0.0.1:{site.server_port}/broken.html")
+        tab.until(f"{text('status')}.includes('recorded')")
+        move(tab, "latency", 0.3)
+        tab.until(f"{text('status')}.startsWith('This page cannot run it')")
+        assert "cannot run it: ModuleNotFoundError: No module named 'numpy'. The" in tab.value(text("status"))
+
+
+@in_chromium
+@pytest.mark.slow
+def test_a_front_page_without_its_examples_says_so(site):
+    (folder,) = site.RequestHandlerClass.keywords.values()
+    text_of_page = (folder / "index.html").read_text()
+    put(folder / "bare.html", text_of_page.replace("try/examples.json", "nowhere.json"))
+    with page() as tab:
+        tab.visit(f"http://127.0.0.1:{site.server_port}/bare.html")
+        tab.until(
+            "document.querySelector('#try').textContent.includes('did not load: open it again, or run desim play')"
+        )
+        tab.open(folder / "index.html")
+        tab.until(
+            "document.querySelector('#try').textContent.includes('opened as a file cannot run it: serve its folder')"
+        )
 
 
 def test_the_archive_has_all_that_a_run_reads(tmp_path):
