@@ -33,8 +33,10 @@
       }
     }
     function showRecorded() {
+      const wanted = examples[choice.value].replay;
+      if (frame.getAttribute("src") === wanted && !frame.hasAttribute("srcdoc")) return;
       frame.removeAttribute("srcdoc");
-      frame.src = examples[choice.value].replay;
+      frame.src = wanted;
     }
     function record() {  // show the recorded run of an example as it is
       moved.clear();
@@ -47,7 +49,7 @@
     }
     function withoutPython(why) {
       cannot = why;
-      if (frame.hasAttribute("srcdoc")) showRecorded();
+      showRecorded();
       tell();
       say(`This page cannot run it: ${why}. The replay shows the recorded run of the example as it is;`
         + " the command below runs yours.");
@@ -111,7 +113,7 @@
         say("The browser does not let this page copy: select the text.");
       }
     };
-    root.hidden = false;
+    part("controls").hidden = part("details").hidden = false;
     record();
   }
 
@@ -121,11 +123,10 @@
     try {
       start(root, await (await fetch(root.dataset.examples)).json());
     } catch {
-      root.hidden = false;
-      root.textContent = (location.protocol === "file:"
-        ? "A page that is opened as a file cannot run it: serve its folder (python -m http.server)"
+      root.querySelector('[data-part="status"]').textContent = (location.protocol === "file:"
+        ? "A page that is opened as a file only shows this run: serve its folder (python -m http.server)"
         : "The examples of this page did not load: open it again")
-        + ", or run desim play relay.toml on your machine. The film above shows a run.";
+        + ", or run desim play relay.toml on your machine.";
     }
   });
 })();

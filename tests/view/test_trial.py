@@ -168,19 +168,17 @@ def test_the_reason_why_python_fails_is_its_exception(site):
 
 @in_chromium
 @pytest.mark.slow
-def test_a_front_page_without_its_examples_says_so(site):
+def test_a_front_page_without_its_examples_says_so_and_shows_the_recorded_run(site):
     (folder,) = site.RequestHandlerClass.keywords.values()
     text_of_page = (folder / "index.html").read_text()
     put(folder / "bare.html", text_of_page.replace("try/examples.json", "nowhere.json"))
     with page() as tab:
         tab.visit(f"http://127.0.0.1:{site.server_port}/bare.html")
-        tab.until(
-            "document.querySelector('#try').textContent.includes('did not load: open it again, or run desim play')"
-        )
+        tab.until(f"{text('status')}.includes('did not load: open it again, or run desim play relay.toml')")
+        tab.until(f"{REPLAY}?.frames > 0")
+        assert tab.value("document.querySelector('[data-part=controls]').offsetHeight") == 0
         tab.open(folder / "index.html")
-        tab.until(
-            "document.querySelector('#try').textContent.includes('opened as a file cannot run it: serve its folder')"
-        )
+        tab.until(f"{text('status')}.includes('opened as a file only shows this run: serve its folder')")
 
 
 def test_the_archive_has_all_that_a_run_reads(tmp_path):
