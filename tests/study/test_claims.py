@@ -59,7 +59,8 @@ def test_other_sweeps_have_other_lots_in_the_same_folder(tmp_path):
     assert Claims(tmp_path, plan(7)).done() == []
 
 
-def test_the_lot_of_a_dead_worker_is_claimed_again_and_that_of_a_living_one_is_not(tmp_path):
+def test_the_lot_of_a_dead_worker_is_claimed_again_and_that_of_a_living_one_is_not(tmp_path, monkeypatch):
+    monkeypatch.setattr(lock_file, "WATCH", 0.0)
     claims = Claims(tmp_path, plan())
     for number, place in ((0, lock_file.place()), (1, "another host")):
         text = f'{{"host": "h", "place": "{place}", "pid": {(1 << 22) + 1}, "token": "t"}}'

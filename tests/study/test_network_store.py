@@ -4,8 +4,10 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 import warnings
+from contextlib import contextmanager
 
 import pytest
 
@@ -33,6 +35,14 @@ a /over nfs rw 0 0
 b /over tmpfs rw 0 0
 /dev/vda /homes ext4 rw 0 0
 back /odd\134name ceph rw 0 0
+C:\134 /mnt/c 9p rw,dirsync,noatime,aname=drvfs;path=C:\134;uid=1000,access=client 0 0
+D: /mnt/d drvfs rw,noatime 0 0
+shared /media/sf_shared vboxsf rw,nodev,relatime 0 0
+share /guest virtiofs rw 0 0
+AFS /afs afs rw,relatime,dyn 0 0
+node:/volume /gluster fuse.glusterfs rw 0 0
+remote:drive /home/local/Drive fuse.rclone rw,nosuid,nodev 0 0
+overlay /container overlay rw,lowerdir=/a,upperdir=/home/b 0 0
 short /line
 """
 
@@ -82,6 +92,14 @@ def made(path):
         "/net/x": "NFS",
         "/over/x": "",
         "/odd\\name/x": "Ceph",
+        "/mnt/c/Users/me": "9P",
+        "/mnt/d/x": "a folder of the host",
+        "/media/sf_shared/x": "a folder of the host",
+        "/guest/x": "virtiofs",
+        "/afs/cell/x": "AFS",
+        "/gluster/x": "FUSE",
+        "/home/local/Drive/x": "FUSE",
+        "/container/x": "",
     }.items(),
 )
 def test_the_mount_of_a_folder_says_its_file_system(mounts, tmp_path, path, name):
@@ -167,11 +185,27 @@ def held(path, **fields):
     return path
 
 
+@contextmanager
+def elsewhere(monkeypatch):
+    """Let this thread be on another host; a holder rewrites its file in a thread of its own."""
+    here, this = lock_file.place(), threading.current_thread()
+    with monkeypatch.context() as patch:
+        patch.setattr(lock_file, "place", lambda: "other" if threading.current_thread() is this else here)
+        yield
+
+
+@pytest.fixture
+def _unwatched(monkeypatch):
+    """Let a stale lock be removed without a look at its signs of life."""
+    monkeypatch.setattr(lock_file, "WATCH", 0.0)
+
+
 def aged(path, seconds):
     """Let a file be older."""
     os.utime(path, (time.time() - seconds,) * 2)
 
 
+@pytest.mark.usefixtures("_unwatched")
 def test_a_lock_of_another_host_is_stale_by_its_age_and_not_by_its_process(tmp_path):
     """Process 2 ** 22 + 1 runs nowhere: its number is above the largest of Linux."""
     path = held(tmp_path / "lock", pid=(1 << 22) + 1)
@@ -193,9 +227,14 @@ def test_a_lock_of_this_host_is_stale_as_soon_as_its_process_is_gone(tmp_path, p
     lock.release()
 
 
-def test_half_a_lock_file_counts_until_it_is_old(tmp_path):
+@pytest.mark.usefixtures("_unwatched")
+@pytest.mark.parametrize(
+    "content",
+    [b'{"host": "oth', b"", b"\xff\xfe", b"[1, 2]", b'{"host": 1, "place": 2, "pid": "x", "token": 3}', b"[" * 9999],
+)
+def test_a_damaged_lock_file_counts_until_it_is_old(tmp_path, content):
     path = tmp_path / "lock"
-    path.write_text('{"host": "oth')
+    path.write_bytes(content)
     assert "an unknown process" in str(LockFile(path).try_acquire())
     aged(path, lock_file.STALE + 1.0)
     lock = LockFile(path)
@@ -215,14 +254,65 @@ def test_a_holder_shows_signs_of_life_and_a_rival_is_refused_after_its_patience(
         time.sleep(0.005)
     monkeypatch.setattr(lock_file, "HEARTBEAT", 1e6)
     waited = []
-    with monkeypatch.context() as elsewhere:
-        elsewhere.setattr(lock_file, "place", lambda: "another host")
-        with pytest.raises(LockedError, match=r"^process \d+ on .*, whose last sign of life is \d+ s old, uses it$"):
-            LockFile(path).acquire(0.01, waited.append)
+    told = r"^process \d+ on .*, whose last sign of life is \d+ s old, uses it$"
+    with elsewhere(monkeypatch), pytest.raises(LockedError, match=told):
+        LockFile(path).acquire(0.01, waited.append)
     assert len(waited) == 1
     holder.release()
 
 
+@pytest.mark.parametrize("slow", [0.0, 3600.0])
+def test_a_holder_whose_clock_differs_by_an_hour_keeps_its_lock_while_it_rewrites_it(tmp_path, monkeypatch, slow):
+    """Where the time of a file is that of the host that writes. The control is a holder that has stopped."""
+    path, rewrite = tmp_path / "lock", lock_file._rewrite
+    holder, rival = LockFile(path), LockFile(path)
+
+    def by_own_clock(file, content):
+        rewrite(file, content)
+        if file == holder._file:
+            os.utime(path, (time.time() - slow,) * 2)
+
+    monkeypatch.setattr(lock_file, "_rewrite", by_own_clock)
+    monkeypatch.setattr(lock_file, "HEARTBEAT", 0.01)
+    monkeypatch.setattr(lock_file, "WATCH", 0.3)
+    monkeypatch.setattr(lock_file, "PAUSE", 0.02)
+    holder.acquire(0.0)
+    with elsewhere(monkeypatch):
+        with pytest.raises(LockedError, match=r"^process \d+ on .*, whose last sign of life is 0 s old, uses it$"):
+            rival.acquire(0.0)
+        assert holder.is_held()
+        holder._ended.set()
+        time.sleep(0.05)
+        aged(path, lock_file.STALE + 1.0)
+        assert rival.try_acquire() is None
+    assert not holder.is_held()
+    rival.release()
+    holder.release()
+
+
+def test_a_lock_whose_time_lies_ahead_is_stale_after_it_was_not_rewritten_for_long(tmp_path, monkeypatch):
+    path = held(tmp_path / "lock")
+    aged(path, -3600.0)
+    monkeypatch.setattr(lock_file, "STALE", 0.05)
+    monkeypatch.setattr(lock_file, "PAUSE", 0.01)
+    lock = LockFile(path).acquire(5.0)
+    assert lock.is_held()
+    lock.release()
+
+
+def test_a_lock_file_that_is_a_folder_or_a_link_is_refused(on_nfs):
+    path = on_nfs / "a.sqlite.writer"
+    path.symlink_to(on_nfs / "nowhere")
+    told = r"a\.sqlite: its lock file a\.sqlite\.writer cannot be used: "
+    with pytest.raises(StoreError, match=told):
+        Store(on_nfs / "a.sqlite")
+    path.unlink()
+    path.mkdir()
+    with pytest.raises(StoreError, match=told):
+        Store(on_nfs / "a.sqlite")
+
+
+@pytest.mark.usefixtures("_unwatched")
 def test_a_lock_that_was_replaced_before_it_could_be_removed_is_put_back(tmp_path):
     """Two rivals see a stale lock; one has replaced it by its own when the other removes it."""
     path = held(tmp_path / "lock", token="stale")
@@ -274,8 +364,11 @@ def of_hosts(*args):
 
 @pytest.mark.slow
 def test_a_writer_killed_at_40_moments_loses_no_run_that_was_committed(tmp_path):
-    """The program checks rows and file after each; a writer is there again within one stint, as its lock is of here."""
-    assert int(of_hosts("kills", tmp_path, 40)) > 40
+    """The program checks rows and file after each; half of the writers are killed after their first run.
+
+    A writer is there again within one stint, as its lock is of here.
+    """
+    assert int(of_hosts("kills", tmp_path, 40)) >= 20
 
 
 @pytest.mark.slow

@@ -120,21 +120,25 @@ class StoreFile:
         """Get the lock of a file on a network file system, and end what a writer that died has begun.
 
         Raises:
-            StoreError: if another process writes to the file.
+            StoreError: if another process writes to the file, or its lock file cannot be read or written.
         """
-        if read_only:
-            settle(path, network)
-            return
 
         def tell(holder: Holder) -> None:
             warnings.warn(f"{path}: waits until {holder}, has ended", stacklevel=2)
 
         try:
+            if read_only:
+                settle(path, network)
+                return
             self._lock = lock_of(path).acquire(LOCK_TIMEOUT, tell)
         except LockedError as error:
             raise StoreError(
                 f"{path}: {error}, and on {network} one process at a time writes to a store: wait until it has ended,"
                 " or choose another folder (-o, in Python store=)"
+            ) from None
+        except OSError as error:
+            raise StoreError(
+                f"{path}: its lock file {lock_of(path).path.name} cannot be used: {error.strerror or error}"
             ) from None
         self._open_things.callback(self._lock.release)
         if path.exists() and is_unsettled(path):

@@ -1,8 +1,10 @@
 """A lock among processes of several hosts that share a folder: a file that names its holder, which rewrites it often.
 
 A lock file works where locks of the operating system do not, because creating a link is atomic on every network file
-system. It is stale if its holder has not rewritten it for `STALE` seconds, by the clock of the file server. That the
-process of this number is gone counts only if the holder ran on this host, in this namespace of processes.
+system. It is stale if by its time its holder has not rewritten it for `STALE` seconds, and does not rewrite it while it
+is watched for `WATCH` seconds: some file systems (Lustre, GPFS, Ceph, AFS) record the time of the host that writes, and
+the clocks of two hosts may differ. That the process of this number is gone counts only if the holder ran on this host,
+in this namespace of processes.
 """
 
 import json
@@ -13,7 +15,7 @@ import time
 import uuid
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Self
@@ -22,6 +24,10 @@ HEARTBEAT = 5.0
 """The interval, s of wall time, at which a holder rewrites its lock file."""
 STALE = 120.0
 """The age, s, from which a lock file is stale. NFS may show times that are a minute old, so it is well above that."""
+WATCH = 3 * HEARTBEAT
+"""For how long a stale lock of another host is watched, s of wall time, before it is removed."""
+LONGEST = 65_536
+"""The number of bytes that are read of a lock file; its own text is shorter."""
 PAUSE = 0.1
 """The interval, s of wall time, between two attempts to get a lock."""
 
@@ -41,11 +47,13 @@ class Holder:
     token: str
     """Identifies the lock: a process that gets it again has another token."""
     age: float = 0.0
-    """The time since the holder last rewrote the file, s by the clock of the file server."""
+    """The time since the holder last rewrote the file, s by the times of the files."""
+    content: bytes = b""
+    """The text of the file, which each sign of life changes."""
 
-    def is_gone(self) -> bool:
-        """Return whether the lock is stale, or its process is known to have ended."""
-        return self.age > STALE or (self.place == place() and not _runs(self.pid))
+    def has_ended(self) -> bool:
+        """Return whether the process is known to have ended."""
+        return self.place == place() and not _runs(self.pid)
 
     def __str__(self) -> str:
         who = f"process {self.pid} on {self.host}" if self.pid else "an unknown process"
@@ -73,21 +81,29 @@ class LockFile:
         Raises:
             LockedError: if the holder is alive after `patience` s of wall time, or is this process.
         """
-        start = time.monotonic()
-        waits = False
+        start = last_sign = time.monotonic()
+        seen: bytes | None = None
         while (holder := self.try_acquire()) is not None:
             if (holder.place, holder.pid) == (place(), os.getpid()):
                 raise LockedError("this process uses it already")
-            if not waits:
-                waits = True
+            now = time.monotonic()
+            if seen is None:
                 on_wait(holder)
-            if time.monotonic() - start > patience and holder.age < 3 * HEARTBEAT:
+            if holder.content != seen:
+                seen, last_sign = holder.content, now
+            if now - last_sign > STALE:  # also if the time of its file lies ahead
+                self._remove(holder)
+            elif now - start > patience and now - last_sign < WATCH:
                 raise LockedError(f"{holder}, uses it")
-            time.sleep(PAUSE)
+            else:
+                time.sleep(PAUSE)
         return self
 
     def try_acquire(self) -> Holder | None:
-        """Get the lock and return None, or return the process that holds it."""
+        """Get the lock and return None, or return the process that holds it.
+
+        It returns at once, unless the lock of another host is stale, which is watched first.
+        """
         draft = self.path.with_name(f".{self.path.name}.{self._token}")
         file = os.open(draft, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
         try:
@@ -98,8 +114,11 @@ class LockFile:
                     return None
                 if (holder := _holder(self.path, os.fstat(file).st_mtime)) is None:
                     continue  # it was released meanwhile
-                if not holder.is_gone():
-                    return holder
+                if not holder.has_ended():
+                    if holder.age <= STALE:
+                        return holder
+                    if (alive := self._sign_of_life(holder)) is not None:
+                        return alive
                 self._remove(holder)
         finally:
             draft.unlink(missing_ok=True)
@@ -121,6 +140,18 @@ class LockFile:
             self._beats += 1
             with suppress(OSError):  # if the lock is lost, `is_held` says so
                 _rewrite(self._file, self._content())
+
+    def _sign_of_life(self, holder: Holder) -> Holder | None:
+        """Return the holder of a stale lock if it rewrites its file while it is watched; otherwise None."""
+        end = time.monotonic() + WATCH
+        while time.monotonic() < end:
+            time.sleep(PAUSE)
+            now = _holder(self.path, 0.0)
+            if now is None:
+                return None
+            if now.content != holder.content:
+                return replace(now, age=0.0)
+        return None
 
     def _remove(self, holder: Holder) -> None:
         """Remove a stale lock, unless another process has just replaced it by its own, which is put back."""
@@ -178,15 +209,20 @@ def _holder(path: Path, now: float) -> Holder | None:
     Opening the file makes NFS ask the server for its time. A file without a holder was just made, or its maker died.
     """
     try:
-        with path.open("rb") as stream:
-            age, text = now - os.fstat(stream.fileno()).st_mtime, stream.read()
+        with open(path, "rb", opener=_open_no_link) as stream:
+            age, text = now - os.fstat(stream.fileno()).st_mtime, stream.read(LONGEST)
     except FileNotFoundError:
         return None
     try:
         named = json.loads(text)
-        return Holder(str(named["host"]), str(named["place"]), int(named["pid"]), str(named["token"]), age)
-    except (ValueError, KeyError, TypeError):
-        return Holder("", "", 0, "", age)
+        return Holder(str(named["host"]), str(named["place"]), int(named["pid"]), str(named["token"]), age, text)
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return Holder("", "", 0, "", age, text)
+
+
+def _open_no_link(path: str, flags: int) -> int:
+    """Open a file that is no link; one to nowhere would be there for `os.link`, and absent for who reads it."""
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0))
 
 
 @cache
@@ -207,7 +243,7 @@ def _runs(pid: int) -> bool:
         return True
     try:
         os.kill(pid, 0)
-    except ProcessLookupError:
+    except (ProcessLookupError, OverflowError):  # OverflowError: no process has such a number
         return False
     except OSError:  # of another user
         return True
