@@ -53,18 +53,45 @@ def _news(rng: np.random.Generator, scenario: Scenario) -> NewValues:
     return {"fault": {"kind": "news_fault", **_window(rng, scenario), **delay}}
 
 
+def _random_latency(rng: np.random.Generator, _: Scenario) -> NewValues:
+    return {"network.latency": {"kind": "shifted_exponential", "mean": _between(rng, 0.01, 1.0)}}
+
+
+def _bursts(rng: np.random.Generator, _: Scenario) -> NewValues:
+    share, burst = _between(rng, 0.02, 0.5), _between(rng, 0.1, 5.0)
+    return {"network.loss": {"kind": "gilbert_elliott", "share": share, "burst": burst, "advance": "time"}}
+
+
+def _busy_channel(rng: np.random.Generator, _: Scenario) -> NewValues:
+    return {"network.medium": {"kind": "bitrate", "bitrate": _between(rng, 1e4, 1e6), "access": {"kind": "csma"}}}
+
+
+def _jamming(rng: np.random.Generator, scenario: Scenario) -> NewValues:
+    disc = {"centre": [_between(rng, 1.0, 20.0), _between(rng, 1.0, 20.0)], "radius": _between(rng, 1.0, 20.0)}
+    return {"fault": {"kind": "jamming", **_window(rng, scenario), **disc}}
+
+
+def _wrong_clocks(rng: np.random.Generator, _: Scenario) -> NewValues:
+    return {"fault": {"kind": "clock_skew", "offset": _between(rng, 0.01, 2.0), "drift": _between(rng, 1e-4, 1e-2)}}
+
+
 FEATURES: Mapping[str, Draw] = MappingProxyType(
     {
         "team": lambda rng, _: {"team.count": int(rng.choice(SIZES))},
         "latency": lambda rng, _: {"network.latency": _between(rng, 0.01, 1.0)},
+        "random latency": _random_latency,
         "loss": lambda rng, _: {"network.loss": _between(rng, 0.01, 0.6)},
+        "bursts": _bursts,
         "duplicates": lambda rng, _: {"network.duplicate": _between(rng, 0.01, 0.5)},
         "range": lambda rng, _: {"network.range": _between(rng, 3.0, 30.0)},
+        "busy channel": _busy_channel,
         "silent start": lambda *_: {"announce.start": "silent"},
         "heartbeat": lambda rng, _: {"announce.heartbeat": _between(rng, 0.05, 2.0)},
         "changes only": lambda *_: {"announce.trigger": "change"},
         "crash": _crash,
         "partition": _partition,
+        "jamming": _jamming,
+        "wrong clocks": _wrong_clocks,
         "chaser crash": _fault("chaser_crash"),
         "chaser cut": _fault("chaser_cut"),
         "news fault": _news,
