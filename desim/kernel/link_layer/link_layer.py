@@ -28,6 +28,9 @@ from desim.kernel.state.transmission import Lose, Transmission
 
 TransmissionListener = Callable[[Record | Message, int], object]
 """A function called when a transmission starts, with the content and its last arrival time, ns (`LOST` if none)."""
+FIRST_COPY = 1 << 40
+"""The number of the first copy of a message that a fault makes: it is above those of all transmissions, which are thus
+numbered as without the fault."""
 _new = tuple.__new__  # creates a named tuple in a third of the time
 
 
@@ -99,7 +102,7 @@ class LinkLayer:
             self._enqueue = self._process
         self._duplicates = sampler.duplicates_messages
         self._listeners: list[TransmissionListener] = []
-        self._numbers = count()
+        self._numbers, self._copy_numbers = count(), count(FIRST_COPY)
 
     def overhear(self, listener: TransmissionListener) -> None:
         """Register a listener, which is called whenever a transmission starts."""
@@ -233,7 +236,7 @@ class LinkLayer:
         if draws and self._contends:
             self._on_air[transmission.number] = reached, arrival, causes
         else:
-            self.delivery.schedule(transmission, reached, arrival, causes, airtime)
+            self._schedule(transmission, reached, arrival, causes, airtime)
 
     def _land(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
         """Lose a transmission whose frame ends where it was lost on the air, and schedule its other arrivals."""
@@ -243,7 +246,30 @@ class LinkLayer:
             reached, arrival = _without(lost, reached, arrival)
             self._log.lose(transmission, lost)
             drawn = {**drawn, **lost}
-        self.delivery.schedule(transmission, reached, arrival, drawn, 0)
+        self._schedule(transmission, reached, arrival, drawn, 0)
+
+    def _schedule(
+        self,
+        transmission: Transmission,
+        reached: list[int],
+        arrival: Arrival,
+        causes: Mapping[int, Cause],
+        airtime: int,
+    ) -> None:
+        """Schedule the arrivals of a transmission, and those of its copies; see `MessageDelivery.schedule`.
+
+        A copy is made by a fault, in the network: it has no airtime and draws nothing, so all else stays as it is.
+        """
+        self.delivery.schedule(transmission, reached, arrival, causes, airtime)
+        if self._fault_state is None:
+            return
+        for node, when in self._fault_state.copies(transmission.number, reached, arrival):
+            self._records.expect_any_order()
+            copied = transmission._replace(number=next(self._copy_numbers), receivers=[node])
+            self._log.sent += 1
+            if self._is_traced:
+                self._log.leave(copied, {}, when)
+            self.delivery.schedule(copied, [node], when, {}, 0)
 
 
 def _is_waiting_already(_: Transmission) -> None:

@@ -56,7 +56,7 @@ Undo = Callable[[], object]
 """A function that ends what a fault has begun."""
 Sketch = dict[str, Any]
 """JSON values from which a page draws a fault; see `Window.sketch`."""
-Delays = Callable[[int, Sequence[int], Any], Mapping[int, float]]
+Delays = Callable[[int, Sequence[int], Any], Mapping[int, float | Sequence[float]]]
 """A function of sender, receivers and body of a message; see `FaultSite.intercept`."""
 NO_NODES: NamedNodes = MappingProxyType({})
 
@@ -104,10 +104,11 @@ class FaultSite(Protocol):
         ...
 
     def intercept(self, delays: "Delays") -> Undo:
-        """Lose or delay messages that are sent from now on, as `delays(src, receivers, body)` says.
+        """Lose, delay or copy messages that are sent from now on, as `delays(src, receivers, body)` says.
 
         It is called once for each broadcast or message, and returns the extra delay, s, at each receiver that is
-        concerned; inf: the message is lost there.
+        concerned; inf: the message is lost there. Several delays, such as (0.0, 0.5), are those of the message and of
+        its copies: each arrives by so much later than the message would have. A message that is lost has no copies.
         """
         ...
 
@@ -322,10 +323,11 @@ class Jamming(Fault):
 
 
 class MessageFault(Fault):
-    """Some messages are lost, or arrive late: those with given numbers.
+    """Some messages are lost, arrive late, or arrive twice: those with given numbers.
 
     A message to one receiver has one number; a broadcast has as many as receivers, in the order of these. The first
     message that is sent while the fault lasts has the number 1. In a run without chance, a number names one message.
+    The copies that such faults make have no numbers.
     """
 
     kind: Literal["message_fault"] = "message_fault"
@@ -338,16 +340,25 @@ class MessageFault(Fault):
 
     If in doubt, inf. A time that is longer than a time-out of the protocol shows whether it takes old news for new.
     """
+    duplicate: Flag = False
+    """Whether they arrive as they should and once more, late by `delay`; then it is finite."""
+
+    @field_validator("duplicate")
+    @classmethod
+    def _arrives_twice(cls, duplicate: bool, info: ValidationInfo) -> bool:
+        if duplicate and info.data.get("delay") == inf:
+            raise ValueError("a copy should arrive: set a finite delay")
+        return duplicate
 
     def begin(self, site: FaultSite) -> Undo:
         """Count the messages from now on, and intercept those that are meant."""
-        first = 1
+        first, fate = 1, (0.0, self.delay) if self.duplicate else self.delay
 
-        def delays(_src: int, receivers: Sequence[int], _body: Any) -> Mapping[int, float]:
+        def delays(_src: int, receivers: Sequence[int], _body: Any) -> Mapping[int, float | Sequence[float]]:
             nonlocal first
             numbers, first = range(first, first + len(receivers)), first + len(receivers)
             numbered = zip(receivers, numbers, strict=True)
-            return {node: self.delay for node, number in numbered if number in self.messages}
+            return {node: fate for node, number in numbered if number in self.messages}
 
         return site.intercept(delays)
 
@@ -358,7 +369,8 @@ class MessageFault(Fault):
     @property
     def label(self) -> str:
         """What becomes of the messages, and their numbers."""
-        return f"{'lost' if self.delay == inf else 'late'}: message {', '.join(map(str, sorted(self.messages)))}"
+        fate = "twice" if self.duplicate else "lost" if self.delay == inf else "late"
+        return f"{fate}: message {', '.join(map(str, sorted(self.messages)))}"
 
 
 class Misbehaviour(Window):

@@ -31,10 +31,11 @@ class Cut(NamedTuple):
 
 
 class Interception(NamedTuple):
-    """A rule by which messages are lost or delayed."""
+    """A rule by which messages are lost, delayed or copied."""
 
     delays: Delays
-    """Returns, for a sender, receivers and a body, the extra delay, s, at each receiver concerned; inf: lost."""
+    """Returns, for a sender, receivers and a body, the extra delay, s, at each receiver concerned, and those of copies;
+    inf: lost."""
     cause: Cause
 
 
@@ -66,6 +67,8 @@ class FaultState:
         self._interceptions: list[Interception] = []
         self._intercepted: dict[int, dict[int, tuple[float, Cause]]] = {}
         """By number of a transmission: the extra delay, s, and the cause at each receiver that is concerned."""
+        self._copies: dict[int, list[tuple[int, float]]] = {}
+        """By number of a transmission: the receiver and the extra delay, s, of each of its copies."""
         self._before_change: list[Callable[[], object]] = []
 
     def plan(self, time: int) -> None:
@@ -246,7 +249,7 @@ class FaultState:
         self._jams.remove((disc, cause))
 
     def intercept(self, delays: Delays, cause: Cause) -> Interception:
-        """Lose or delay messages as a function says; return the interception, which `release` ends."""
+        """Lose, delay or copy messages as a function says; return the interception, which `release` ends."""
         self._require_change()
         interception = Interception(delays, cause)
         self._interceptions.append(interception)
@@ -265,9 +268,11 @@ class FaultState:
         """
         for delays, cause in self._interceptions:
             answer: Any = delays(src, tuple(receivers), body)
-            for node, delay in _checked_delays(answer, receivers, delays).items():
+            for node, (delay, *copies) in _checked_delays(answer, receivers, delays).items():
                 before, _ = self._intercepted.setdefault(number, {}).get(node, (0.0, cause))
                 self._intercepted[number][node] = before + delay, cause
+                if copies:
+                    self._copies.setdefault(number, []).extend((node, late) for late in copies if late < inf)
 
     def intercepted(self, number: int) -> dict[int, Cause]:
         """Return the receivers at which a transmission is lost by an interception, each with the cause."""
@@ -283,21 +288,41 @@ class FaultState:
             for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True)
         ]
 
+    def copies(self, number: int, reached: list[int], arrival: Arrival) -> Iterator[tuple[int, int]]:
+        """Yield the receiver and the arrival time, ns, of each copy of a transmission, given where and when it arrives.
+
+        Messages that are lost have no copies.
+        """
+        if number in self._copies:
+            arrivals = dict(zip(reached, per_receiver(arrival, len(reached)), strict=True))
+            for node, late in self._copies[number]:
+                if node in arrivals:
+                    yield node, arrivals[node] + nanoseconds(late)
+
     def _require_change(self) -> None:
         """Raise ValueError if the state may not be changed now."""
         if self.is_planned and not self._is_changing:
             raise ValueError("faults were injected, so the faults cannot be changed otherwise")
 
 
-def _checked_delays(answer: Any, receivers: list[int], delays: Delays) -> Mapping[int, float]:
-    """Return what a function of an interception has answered; see `FaultState.intercept`."""
+def _checked_delays(answer: Any, receivers: list[int], delays: Delays) -> dict[int, list[float]]:
+    """Return what a function of an interception has answered, all as lists; see `FaultState.intercept`."""
     try:
-        checked = {index(node): real(delay, "an extra delay, in s,") for node, delay in answer.items()}
+        checked = {
+            index(node): [real(delay, "an extra delay, in s,") for delay in (late if _is_list(late) else [late])]
+            for node, late in answer.items()
+        }
     except (AttributeError, TypeError, ValueError) as error:
         expected = "the extra delay, s, by receiver, such as {3: 0.5}; inf: the message is lost there"
         raise wrong_answer(f"delays(src, receivers, body) should return {expected}", answer, delays) from error
-    if wrong := [delay for delay in checked.values() if not delay >= 0.0]:
+    if empty := [node for node, late in checked.items() if not late]:
+        raise wrong_answer("a list of extra delays, in s, should not be empty", {empty[0]: []}, delays)
+    if wrong := [delay for late in checked.values() for delay in late if not delay >= 0.0]:
         raise wrong_answer("an extra delay, in s, should be at least 0", wrong[0], delays)
     if strange := [node for node in checked if node not in receivers]:
         raise wrong_answer("delays(src, receivers, body) should name receivers of the message", strange[0], delays)
     return checked
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, list | tuple)

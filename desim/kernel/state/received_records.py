@@ -41,7 +41,7 @@ class Records:
             self.expect_any_order()
 
     def expect_any_order(self) -> None:
-        """From now on, take records that are scheduled twice, or after a newer one of their source."""
+        """From now on, take records that are scheduled twice (the first arrival counts), or after a newer one."""
         self._own.relayed.update(range(self._size))
         self._all_but_one = -1
 
