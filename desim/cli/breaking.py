@@ -31,14 +31,14 @@ from desim.config.trust import write_whole
 if TYPE_CHECKING:
     from desim.scenario.properties import Property
     from desim.scenario.scenario import Scenario
-    from desim.study.breaking.losses import LossTable
+    from desim.study.breaking.losses import LossTable, MessageFate
     from desim.study.breaking.search import Search
 
 VIOLATED = 4
 """Exit code if a violation was found."""
 OF_CASES = ("runs", "features", "guided", "budget", "grid")
 """The options that only a search among random cases has."""
-OF_LOSSES = ("delay", "seeds")
+OF_LOSSES = ("fates", "delay", "seeds")
 """The options that only a search among lost messages has."""
 BEFORE = 0.1
 """Begin of the space-time diagram before the moment of the violation, s."""
@@ -61,11 +61,28 @@ BEFORE = 0.1
     "--losses",
     type=click.IntRange(1, 4),
     metavar="K",
-    help="Instead of random cases, try all choices of at most K lost messages.",
+    help="Instead of random cases, try all choices of at most K lost, late or repeated messages.",
 )
-@click.option("--delay", type=float, metavar="SECONDS", help="With --losses: the messages arrive late instead.")
+@click.option(
+    "--fate",
+    "fates",
+    multiple=True,
+    type=click.Choice(["lost", "late", "twice"]),
+    help="With --losses: what becomes of a message; may be repeated. Default: lost, and late with --delay.",
+)
+@click.option(
+    "--delay",
+    type=click.FloatRange(0.0, min_open=True),
+    metavar="SECONDS",
+    help="With --losses: the time by which messages are late, and after which they arrive once more.",
+)
 @click.option("--seeds", type=click.IntRange(1, 1000), default=1, show_default=True, help="With --losses: seeds.")
-@click.option("--budget", type=float, metavar="SECONDS", help="Begin no further cases after this wall time.")
+@click.option(
+    "--budget",
+    type=click.FloatRange(0.0, min_open=True),
+    metavar="SECONDS",
+    help="Begin no further cases after this wall time, that before an interruption included.",
+)
 @click.option(
     "--keep",
     type=click.Path(path_type=Path),
@@ -88,6 +105,7 @@ def break_(
     features: tuple[str, ...],
     guided: bool,
     losses: int | None,
+    fates: "tuple[MessageFate, ...]",
     delay: float | None,
     seeds: int,
     budget: float | None,
@@ -117,10 +135,10 @@ def break_(
             _run_kept(keep, scenario, prop)
         with storing(folder):
             if losses is not None:
-                table = _losses_table(scenario, prop, losses, seed, seeds, delay, jobs)
+                table = _losses_table(scenario, prop, losses, seed, seeds, fates, delay, jobs)
                 _end_with_losses(table, scenario, prop, folder, as_json=as_json)
             search = _case_search(scenario, prop, runs, seed, grid, features, budget, folder, jobs, guided=guided)
-            _end_with_search(search, prop, folder, keep, as_json=as_json)
+            _end_with_search(search, prop, folder, keep, jobs, as_json=as_json)
     except ValueError as error:
         fail(str(error))
 
@@ -131,10 +149,11 @@ def _losses_table(
     most: int,
     seed: int | None,
     seeds: int,
+    fates: "tuple[MessageFate, ...]",
     delay: float | None,
     jobs: int,
 ) -> "LossTable":
-    """Return which of all choices of lost messages are fatal."""
+    """Return which of all choices of lost, late or repeated messages are fatal."""
     from math import inf
 
     from desim.study.breaking.losses import fatal_losses
@@ -142,7 +161,8 @@ def _losses_table(
 
     root = scenario.seed if seed is None else seed
     several = [root] if seeds == 1 else seeds_from(root, seeds)
-    return fatal_losses(scenario, prop, most=most, seeds=several, delay=inf if delay is None else delay, jobs=jobs)
+    late = inf if delay is None else delay
+    return fatal_losses(scenario, prop, most=most, seeds=several, fates=fates, delay=late, jobs=jobs)
 
 
 def _case_search(
@@ -176,7 +196,7 @@ def _case_search(
         guided=guided,
         jobs=jobs,
         budget=inf if budget is None else budget,
-        log=CaseLog(folder / CASES, scenario, prop),
+        log=CaseLog(folder / CASES, prop),
     )
 
 
@@ -198,7 +218,7 @@ def _stated(text: str | None, scenario: "Scenario") -> "Property | str":
 def _run_kept(keep: Path, scenario: "Scenario", prop: "Property") -> None:
     """Run the kept cases of a protocol and a property, and end the program if one is still violated."""
     from desim.study.breaking.found import judgement_text
-    from desim.study.breaking.search import judged
+    from desim.study.breaking.judging import judged
 
     for file in sorted(keep.glob("*.toml")):
         _, case = source_of(file, ())
@@ -211,7 +231,9 @@ def _run_kept(keep: Path, scenario: "Scenario", prop: "Property") -> None:
             sys.exit(VIOLATED)
 
 
-def _end_with_search(search: "Search", prop: "Property", folder: Path, keep: Path | None, *, as_json: bool) -> NoReturn:
+def _end_with_search(
+    search: "Search", prop: "Property", folder: Path, keep: Path | None, jobs: int, *, as_json: bool
+) -> NoReturn:
     """Print and write what a search has found, and end the program."""
     from desim.study.breaking.found import protocols_text, scenario_text, search_text
 
@@ -225,7 +247,7 @@ def _end_with_search(search: "Search", prop: "Property", folder: Path, keep: Pat
         if keep is not None:
             name = f"{violation.scenario.protocol_name}-{prop.label[:40]}-{violation.seed}.toml".replace(":", "-")
             write(text.encode(), keep / name)
-        verdicts = violation.protocols()
+        verdicts = violation.protocols(jobs)
         texts += [
             "",
             protocols_text(verdicts, prop),
@@ -249,16 +271,16 @@ def _end_with_search(search: "Search", prop: "Property", folder: Path, keep: Pat
 def _end_with_losses(
     table: "LossTable", scenario: "Scenario", prop: "Property", folder: Path, *, as_json: bool
 ) -> NoReturn:
-    """Print and write which lost messages are fatal, and end the program."""
+    """Print and write which lost, late or repeated messages are fatal, and end the program."""
     from desim.study.breaking.found import judgement_text, with_comment
 
     texts = [table.text()]
     if table.fatal:
         worst = min(table.fatal, key=lambda fatal: fatal.verdict.margin)
-        broken = scenario.with_({"fault": [*scenario.fault, worst.fault]})
+        broken = scenario.with_({"fault": [*scenario.fault, *worst.faults]})
         lines = [
-            f'{scenario.protocol_name} violates "{prop.text}" if these are lost:',
-            *(f"  {copy}" for copy in worst.messages),
+            f'{scenario.protocol_name} violates "{prop.text}" because of these messages:',
+            *(f"  {fate}: {copy}" for copy, fate in zip(worst.messages, worst.fates, strict=True)),
             f"{judgement_text(worst.verdict, prop)}",
         ]
         write(with_comment(broken, prop, worst.seed, lines).encode(), folder / "smallest.toml")
@@ -266,14 +288,23 @@ def _end_with_losses(
     document = {
         "property": prop.text,
         "most": table.most,
+        "fates": table.fates,
+        "delay": table.delay,
         "seeds": table.seeds,
         "runs": table.runs,
         "skipped": table.skipped,
+        "symmetric": table.symmetric,
         "messages": table.messages,
         "violated_without_losses": table.broken,
         "fatal": [
-            {"seed": seed, "messages": [copy._asdict() for copy in copies], "verdict": verdict._asdict()}
-            for seed, copies, verdict in table.fatal
+            {
+                "seed": fatal.seed,
+                "messages": [
+                    {"fate": fate, **copy._asdict()} for copy, fate in zip(fatal.messages, fatal.fates, strict=True)
+                ],
+                "verdict": fatal.verdict._asdict(),
+            }
+            for fatal in table.fatal
         ],
     }
     _finish(document, "\n".join(texts), folder, as_json=as_json)

@@ -52,6 +52,11 @@ def test_a_violation_is_a_scenario_that_shows_it(folder):
     assert "kept:" not in other.stdout
 
 
+def runs_in(lines):
+    """Return the runs in a log, without how long they took."""
+    return sorted((json.loads(line) | {"seconds": 0.0} for line in lines), key=lambda entry: entry["seed"])
+
+
 @pytest.mark.slow
 def test_the_same_command_goes_on_where_it_stopped(folder):
     options = (
@@ -72,7 +77,7 @@ def test_the_same_command_goes_on_where_it_stopped(folder):
     (folder / "found" / "cases.jsonl").write_text("\n".join(lines[:4]))
     again = desim("break", "game.toml", *options, "-n", 6)
     assert (first.exit_code, first.stdout) == (0, again.stdout)
-    assert sorted((folder / "found" / "cases.jsonl").read_text().splitlines()) == sorted(lines)
+    assert runs_in((folder / "found" / "cases.jsonl").read_text().splitlines()) == runs_in(lines)
     assert json.loads(first.stdout)["runs"] == 6
 
 
@@ -89,6 +94,22 @@ def test_losses_are_tried_one_by_one(folder):
     assert late.stdout.startswith("no violation with at most 1 message late by 0.001 s (")
 
 
+@pytest.mark.whole
+def test_messages_are_lost_late_or_repeated(folder):
+    options = ("--losses", 2, "--fate", "late", "--fate", "lost", "--delay", 1.5, "--set", "seed=1", "-o", "found")
+    result = desim("break", "short.toml", "--property", CROWDED, *options)
+    assert "with these:\n  lost: message " in result.stdout
+    assert "\n  late by 1.5 s: message " in result.stdout
+    assert "at most 2 messages lost or late by 1.5 s: " in result.stdout
+    document = strict_json((folder / "found" / "break.json").read_text())
+    assert {message["fate"] for fatal in document["fatal"] for message in fatal["messages"]} == {"lost", "late"}
+    worst = min(document["fatal"], key=lambda fatal: fatal["verdict"]["margin"])
+    smallest = load(folder / "found" / "smallest.toml")
+    assert judge(smallest.properties[0], run(smallest)).margin == worst["verdict"]["margin"] < 0.0
+    twice = desim("break", "short.toml", "--property", CROWDED, "--losses", 1, "--fate", "twice", "--delay", 0.3)
+    assert "no violation with at most 1 message repeated after 0.3 s (1 run," in twice.stdout
+
+
 @pytest.mark.parametrize(
     ("options", "why"),
     [
@@ -102,6 +123,11 @@ def test_losses_are_tried_one_by_one(folder):
         (["--losses", 1, "--budget", 5], "--budget is only used without --losses"),
         (["--losses", 1, "--guided"], "--guided is only used without --losses"),
         (["--delay", 0.5], "--delay is only used with --losses"),
+        (["--fate", "late"], "--fate is only used with --losses"),
+        (["--losses", 1, "--fate", "late"], "'late' needs a delay, in s"),
+        (["--losses", 1, "--fate", "lte"], "lost"),
+        (["--losses", 1, "--delay", -1], "--delay"),
+        (["--budget", 0], "--budget"),
     ],
 )
 def test_bad_use_is_told(folder, options, why):

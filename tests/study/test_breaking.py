@@ -1,8 +1,9 @@
 """The search for what breaks a protocol."""
 
 from itertools import count, islice
-from math import inf
+from math import inf, nan
 
+import networkx as nx
 import numpy as np
 import pytest
 
@@ -20,10 +21,20 @@ from desim import (
     load,
     run,
 )
-from desim.kernel.core.events import LOST
+from desim.analysis.properties import Judgement
+from desim.analysis.trace_index import messages
+from desim.kernel.core.clock import Clock
+from desim.kernel.core.events import LOST, Broadcast, MessageCounts
 from desim.kernel.core.seeds import stream
-from desim.study.breaking.case_log import CaseLog
-from desim.study.breaking.copies import copies, looks, read_in_time
+from desim.kernel.core.units import nanoseconds, seconds
+from desim.kernel.fault_injection import inject
+from desim.kernel.link_layer.link_layer import FIRST_COPY
+from desim.kernel.models.faults import FaultEnded, FaultStarted
+from desim.kernel.network import Network
+from desim.kernel.state.fault_state import FaultState
+from desim.scenario.properties import Always, property_of
+from desim.study.breaking.case_log import CaseLog, CaseRun
+from desim.study.breaking.copies import ReadingTime, copies, looks, readings
 from desim.study.breaking.features import FEATURES, applied, drawn
 from desim.study.breaking.shrinking import Tried, shrunk
 from desim.study.breaking.sightings import SIGHTINGS, seen_in
@@ -95,38 +106,133 @@ def test_messages_are_counted_from_the_start_of_the_fault():
     assert next(copy.number for copy in after if copy.arrival == LOST) == first.number
 
 
+def without_copies(result):
+    """Return the events of a run without those of copies and of the fault that makes them."""
+    return [
+        event._replace(arrival=tuple(event.fates())) if isinstance(event, Broadcast) else event
+        for event in result.trace
+        if getattr(event, "transmission", 0) < FIRST_COPY
+        and not isinstance(event, FaultStarted | FaultEnded | MessageCounts)
+    ]
+
+
+@pytest.mark.whole_but_one
+@pytest.mark.parametrize(
+    "name", ["plain", *(pytest.param(name, marks=pytest.mark.slow) for name in NETWORKS if name != "plain")]
+)
+def test_a_copy_of_a_record_changes_nothing_else(name):
+    """Its second arrival is ignored, whether the record is still the newest or not; no number or draw is another."""
+    scenario = SMALL.with_({"horizon": 1.0, "announce.trigger": "revision", **NETWORKS[name]})
+    plain = run(scenario, 2)
+    arrived = [copy for copy in copies(plain) if copy.arrival != LOST and copy.seq is not None]
+    for copy in arrived[2:40:12]:
+        for delay in (0.005, 0.4):
+            fault = MessageFault(messages=(copy.number,), delay=delay, duplicate=True)
+            twice = run(scenario.with_({"fault": [fault]}), 2)
+            assert without_copies(twice) == without_copies(plain)
+            (second,) = [event for event in twice.trace if getattr(event, "transmission", 0) >= FIRST_COPY]
+            assert [*second.fates()] == [(copy.dst, copy.arrival + nanoseconds(delay))]
+            assert copies(twice) == copies(plain)
+            counts, before = messages(twice), messages(plain)
+            assert counts.sent == before.sent + 1 == counts.delivered + counts.lost + counts.in_flight
+
+
+def test_a_copy_of_a_message_wakes_its_receiver_again():
+    clock = Clock()
+    faults, heard = FaultState(), []
+    network = Network(clock, nx.complete_graph(2), Links(latency=0.1), fault_state=faults)
+    inject([MessageFault(messages=(1,), delay=0.3, duplicate=True)], clock, network)
+
+    def listen():
+        while True:
+            yield network.inbox(1).arrival()
+            heard.extend((seconds(clock.now), message.body) for message in network.inbox(1).drain())
+
+    def speak():
+        yield clock.timeout(nanoseconds(0.5))
+        network.send(0, 1, "first")
+        network.send(0, 1, "second")
+
+    clock.process(listen())
+    clock.process(speak())
+    clock.run(until=nanoseconds(2.0))
+    assert heard == [(0.6, "first"), (0.6, "second"), (0.9, "first")]
+
+
+def test_a_copy_should_arrive():
+    with pytest.raises(ValueError, match="duplicate: a copy should arrive: set a finite delay"):
+        MessageFault(messages=(1,), duplicate=True)
+    assert MessageFault(messages=(2, 1), delay=0.1, duplicate=True).label == "twice: message 1, 2"
+
+
 def test_a_message_is_read_in_time_if_its_receiver_looks_before_a_newer_one_arrives():
     result = run(SMALL.with_({"announce.trigger": "revision"}), 2)
     sent, seen = copies(result), looks(result)
     expected = {}
     for copy in sent:
         newer = [c.arrival for c in sent if (c.src, c.dst) == (copy.src, copy.dst) and c.seq > copy.seq]
-        expected[copy] = any(copy.arrival <= t <= min(newer, default=10**12) for t in seen[copy.dst])
-    assert dict(read_in_time(sent, seen)) == expected
-    assert 0 < sum(expected.values()) < len(sent)
+        times = [t for t in seen[copy.dst] if t <= min(newer, default=10**12)]
+        expected[copy] = any(copy.arrival <= t for t in times), max(times, default=-inf)
+    assert {one.copy: (one.is_read(), one.last_look()) for one in readings(sent, seen)} == expected
+    assert 0 < sum(is_read for is_read, _ in expected.values()) < len(sent)
 
 
 # All choices of lost messages.
 
+TOKEN = {"kind": "sap", "schedule": {"kind": "token_ring"}}
+MIXED = {"fates": ("lost", "late", "twice"), "delay": 0.3}
 
-@pytest.mark.parametrize("protocol", ["best_response"])
-def test_no_choice_of_lost_messages_is_left_out(protocol):
-    _compare_with_all(protocol, seeds=[1], most=1)
+
+@pytest.mark.parametrize("choices", [{}, {"delay": 0.25}])
+def test_no_choice_of_lost_messages_is_left_out(choices):
+    _compare_with_all("best_response", most=1, **choices)
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("protocol", ["sap", "cbaa", "fictitious_play"])
-def test_no_choice_of_two_lost_messages_is_left_out(protocol):
-    _compare_with_all(protocol, seeds=[1], most=2)
+@pytest.mark.parametrize(
+    ("protocol", "most", "choices"),
+    [
+        ("sap", 2, {}),
+        ("cbaa", 2, {}),
+        ("fictitious_play", 2, {}),
+        ("fictitious_play", 2, {"delay": 0.25}),
+        (TOKEN, 2, {"fates": ("twice",), "delay": 0.25}),
+        (TOKEN, 1, MIXED),
+        ("server", 1, MIXED),
+        ("best_response", 2, MIXED),
+    ],
+)
+def test_no_choice_of_several_messages_is_left_out(protocol, most, choices):
+    table = _compare_with_all(protocol, most, **choices)
+    assert table.skipped > 0
+    assert (table.symmetric > 0) == (choices == MIXED)
 
 
-def _compare_with_all(protocol, seeds, most):
+def _compare_with_all(protocol, most, **choices):
     scenario = SMALL.with_({"protocol": protocol, "horizon": 1.0})
     prop = "crowded at most 0.4 in total"
-    table = fatal_losses(scenario, prop, seeds=seeds, most=most, jobs=1)
-    every = fatal_losses(scenario, prop, seeds=seeds, most=most, jobs=1, prune=False)
-    assert sorted(one[:2] for one in table.fatal) == sorted(one[:2] for one in every.fatal)
-    assert table.runs + table.skipped == every.runs if most == 1 else table.runs < every.runs
+    table = fatal_losses(scenario, prop, seeds=[1], most=most, jobs=1, **choices)
+    every = fatal_losses(scenario, prop, seeds=[1], most=most, jobs=1, prune=False, **choices)
+    assert _numbers(table) == _numbers(every)
+    if most == 1:
+        assert table.runs + table.skipped + table.symmetric == every.runs
+    assert table.runs < every.runs
+    return table
+
+
+def _numbers(table):
+    return sorted((tuple(copy.number for copy in one.messages), one.fates, one.verdict) for one in table.fatal)
+
+
+def test_a_choice_that_matters_is_missed_if_a_late_message_is_taken_for_a_lost_one():
+    """The control: with wrong times of the last looks, the table is another."""
+    scenario = SMALL.with_({"protocol": "fictitious_play"})
+    prop = "crowded at most 0.4 in total"
+    every = fatal_losses(scenario, prop, seeds=[1], jobs=1, prune=False, **MIXED)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ReadingTime, "last_look", lambda reading: -inf)
+        wrong = fatal_losses(scenario, prop, seeds=[1], jobs=1, **MIXED)
+    assert _numbers(wrong) != _numbers(every)
 
 
 @pytest.mark.whole
@@ -142,7 +248,7 @@ def test_the_table_of_one_lost_message_of_four_pursuers():
     table = fatal_losses(scenario, prop, seeds=[1], jobs=1)
     (fatal,) = table.fatal
     assert (table.messages, fatal.messages[0].number) == ({1: 9}, 5)
-    broken = run(scenario.with_({"fault": [fatal.fault]}), 1)
+    broken = run(scenario.with_({"fault": fatal.faults}), 1)
     assert judge(prop, broken) == fatal.verdict
     other = fatal_losses(scenario.with_({"protocol": "local_min"}), prop, seeds=[1], most=2, jobs=1)
     assert other.text() == f"no violation with at most 2 lost messages ({other.runs} runs, seed 1)"
@@ -151,8 +257,22 @@ def test_the_table_of_one_lost_message_of_four_pursuers():
 def test_a_table_that_would_be_too_long_is_refused():
     with pytest.raises(ValueError, match="choices of 1 messages, more than the limit of 5 runs"):
         fatal_losses(SMALL, "crowded at most 0.4 in total", limit=5, jobs=1)
-    with pytest.raises(ValueError, match="most should be at least 1"):
-        fatal_losses(SMALL, "crowded at most 0.4 in total", most=0)
+
+
+@pytest.mark.parametrize(
+    ("choices", "message"),
+    [
+        ({"most": 0}, "most should be at least 1"),
+        ({"delay": 0.0}, "delay should be greater than 0 s"),
+        ({"delay": -1.0}, "delay should be greater than 0 s"),
+        ({"delay": nan}, "delay should be greater than 0 s"),
+        ({"fates": ["lots"]}, "fates should be lost, late, twice"),
+        ({"fates": ["lost", "late"]}, "'late' needs a delay, in s"),
+    ],
+)
+def test_bad_choices_are_told(choices, message):
+    with pytest.raises(ValueError, match=message):
+        fatal_losses(SMALL, "crowded at most 0.4 in total", **choices)
 
 
 # Cases.
@@ -286,33 +406,66 @@ def test_a_token_that_is_stuck_is_found():
 QUICK = {"runs": 20, "seed": 3, "features": ["latency", "loss", "chaser crash"]}
 
 
+SHORT = IDLE.replace("2 in", "1.9 in")
+
+
+def log_of(file, text=SHORT):
+    return CaseLog(file, property_of(text))
+
+
 @pytest.mark.whole
 def test_a_search_does_not_depend_on_what_was_run_before(tmp_path):
     file = tmp_path / "cases.jsonl"
-    first = find_violation(SMALL, IDLE.replace("2 in", "1.9 in"), **QUICK, jobs=1, log=CaseLog(file, SMALL, "x"))
+    first = find_violation(SMALL, SHORT, **QUICK, jobs=1, log=log_of(file))
     lines = file.read_text().splitlines()
     assert len(lines) == 20
     file.write_text("\n".join([*lines[:7], lines[7][:40]]))
-    again = find_violation(SMALL, IDLE.replace("2 in", "1.9 in"), **QUICK, jobs=1, log=CaseLog(file, SMALL, "x"))
+    again = find_violation(SMALL, SHORT, **QUICK, jobs=1, log=log_of(file))
     assert again == first
-    assert len(CaseLog(file, SMALL, "x")) == 20
-    assert len(CaseLog(file, SMALL, "y")) == 0
-    assert len(CaseLog(file, SMALL.with_({"team.count": 4}), "x")) == 0
+    assert len(log_of(file)) == 20
+    assert len(log_of(file, IDLE)) == 0
+
+
+@pytest.mark.slow
+def test_a_budget_counts_the_time_of_earlier_runs(tmp_path):
+    """A greater one goes on where a smaller one ended; the runs in the log are not made again."""
+    file = tmp_path / "cases.jsonl"
+    quick = {"seed": 3, "features": ["latency"], "jobs": 1}
+    first = find_violation(SMALL, SHORT, **quick, runs=16, log=log_of(file))
+    assert first.seconds > 0.0
+    stopped = find_violation(SMALL, SHORT, **quick, runs=32, budget=0.5 * first.seconds, log=log_of(file))
+    assert (stopped.runs, stopped.stopped) == (16, True)
+    assert stopped.seconds == pytest.approx(first.seconds)
+    further = find_violation(SMALL, SHORT, **quick, runs=32, budget=1e3, log=log_of(file))
+    assert (further.runs, further.stopped) == (32, False)
+    assert further.margins[:16] == first.margins
+
+
+@pytest.mark.slow
+def test_a_log_knows_runs_by_scenario_seed_and_the_code_of_the_user(tmp_path):
+    log = log_of(tmp_path / "cases.jsonl")
+    told = CaseRun(Judgement(1.0, 0.9, 0.0, 0.0), ["a fault began"], 0.1)
+    log.add(SMALL, 3, told)
+    assert log_of(tmp_path / "cases.jsonl").find(SMALL.with_({"name": "another"}), 3) == told
+    for other, seed in ((SMALL, 4), (SMALL.with_({"team.count": 4}), 3), (SMALL.with_({"protocol": talks(3)}), 3)):
+        assert log.find(other, seed) is None
+    always = CaseLog(tmp_path / "cases.jsonl", Always(condition=first_pursuer))
+    assert len(always) == 0
+    always.add(SMALL, 3, told)
+    assert len(CaseLog(tmp_path / "cases.jsonl", Always(condition=first_pursuer))) == 1
+
+
+def first_pursuer(result):
+    return [(0.0, 1.0)]
 
 
 @pytest.mark.whole
 def test_a_search_tells_what_it_has_seen():
-    search = find_violation(SMALL, IDLE.replace("2 in", "1.9 in"), **QUICK, jobs=1)
+    search = find_violation(SMALL, SHORT, **QUICK, jobs=1)
     assert search.featured.keys() == {"latency", "loss", "chaser crash"}
     assert 0 < search.seen["a message was lost"] <= search.featured["loss"] + search.featured["chaser crash"]
-    quiet = find_violation(SMALL, IDLE.replace("2 in", "1.9 in"), runs=4, vary={"seed": [1]}, features=[], jobs=1)
-    assert "never seen: a fault began" in quiet.warnings(quiet_property())
-
-
-def quiet_property():
-    from desim.scenario.properties import property_of
-
-    return property_of(IDLE)
+    quiet = find_violation(SMALL, SHORT, runs=4, vary={"seed": [1]}, features=[], jobs=1)
+    assert "never seen: a fault began" in quiet.warnings(property_of(IDLE))
 
 
 def test_what_is_seen_in_a_run():
@@ -331,7 +484,10 @@ def test_what_is_seen_in_a_run():
         ({"prop": "idle at most 1 in total against sap"}, "its own reference"),
         ({"prop": "idle at most 1 in total against sapp"}, "there is no protocol 'sapp'"),
         ({"prop": "idel at most 1 in total"}, "there is no quantity 'idel'"),
-        ({"features": ["latencies"]}, "there is no feature 'latencies'; there are team, latency"),
+        (
+            {"features": ["latencies"]},
+            "there is no feature 'latencies', did you mean 'latency'.; there are team, latency",
+        ),
         ({"features": []}, "a search needs a feature"),
         ({"vary": {"network.loss": [0.1, 1.5]}}, "network.loss"),
         ({"vary": {"network.los": [0.1]}}, "network.los"),

@@ -2,65 +2,75 @@
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from desim.analysis.properties import Judgement, Stated
+from desim.analysis.properties import Judgement
 from desim.results.environment import computing_versions
+from desim.scenario.properties import Property
 from desim.scenario.scenario import Scenario
 from desim.study.breaking.features import Case
-from desim.study.plan.config_hash import identify
+from desim.study.plan.config_hash import identify, object_hash
 
 FILE = "cases.jsonl"
 """The name of the file in the folder of a search."""
 
 
-class CaseLog:
-    """The cases that were run, one line of JSON each.
+class CaseRun(NamedTuple):
+    """What a run of a case tells."""
 
-    Lines of another scenario, property or version are not read. A last line that was cut off is left out.
+    verdict: Judgement
+    seen: list[str]
+    """What was seen in it; see `SIGHTINGS`."""
+    seconds: float = 0.0
+    """The wall time that it took, s."""
+
+
+class CaseLog:
+    """The runs that a search has judged, one line of JSON each.
+
+    A run is known by its scenario, whatever the case from which this was made, by the code of the user that it runs,
+    and by its seed. Lines of another property or version are not read. A last line that was cut off is left out.
 
     Args:
         file: where the lines are; it need not exist.
-        scenario: where the search begins.
-        prop: the property, or its text.
+        prop: the property.
     """
 
-    def __init__(self, file: Path, scenario: Scenario, prop: Stated):
-        stated = " ".join((prop if isinstance(prop, str) else prop.text).split())
+    def __init__(self, file: Path, prop: Property):
+        functions = [comparison.of for condition in prop.conditions for comparison in condition.comparisons]
+        code = [object_hash(function) for function in functions if function is not None]
         self._file = file
-        self._search = f"{identify(scenario).key} {stated} {json.dumps(computing_versions(), sort_keys=True)}"
-        self._entries: dict[str, tuple[Judgement, list[str]]] = {}
+        self._search = " ".join([prop.text, *code, json.dumps(computing_versions(), sort_keys=True)])
+        self._runs: dict[tuple[str, int], CaseRun] = {}
         text = file.read_text("utf-8") if file.exists() else ""
         self._is_cut_off = bool(text) and not text.endswith("\n")
         for line in text.splitlines():
             entry = _read(line)
             if entry is not None and entry["search"] == self._search:
-                verdict = Judgement(*entry["verdict"])
-                self._entries[_key(entry["case"], entry["seed"])] = verdict, entry["seen"]
+                case_run = CaseRun(Judgement(*entry["verdict"]), entry["seen"], entry["seconds"])
+                self._runs[entry["scenario"], entry["seed"]] = case_run
 
     def __len__(self) -> int:
-        return len(self._entries)
+        return len(self._runs)
 
-    def find(self, case: Case, seed: int) -> tuple[Judgement, list[str]] | None:
-        """Return the judgement of a case that was run before, and what was seen in it; None if it was not run."""
-        return self._entries.get(_key(case, seed))
+    def find(self, scenario: Scenario, seed: int) -> CaseRun | None:
+        """Return what a run told that was judged before; None if there is none."""
+        return self._runs.get((identify(scenario).key, seed))
 
-    def add(self, case: Case, seed: int, verdict: Judgement, seen: list[str]) -> None:
-        """Append a case that was run."""
-        self._entries[_key(case, seed)] = verdict, seen
-        entry = {"search": self._search, "case": case, "seed": seed, "verdict": verdict, "seen": seen}
+    def add(self, scenario: Scenario, seed: int, case_run: CaseRun, case: Case | None = None) -> None:
+        """Append a run; its case, if given, tells a reader of the file what was changed."""
+        key = identify(scenario).key
+        self._runs[key, seed] = case_run
+        entry = {"search": self._search, "scenario": key, "seed": seed, **case_run._asdict(), "case": case}
         with self._file.open("a", encoding="utf-8") as lines:
             lines.write(("\n" if self._is_cut_off else "") + json.dumps(entry) + "\n")
         self._is_cut_off = False
 
 
-def _key(case: Case, seed: int) -> str:
-    return json.dumps([case, seed], sort_keys=True)
-
-
 def _read(line: str) -> dict[str, Any] | None:
+    """Return the entry of a line; None if it was cut off."""
     try:
         entry: dict[str, Any] = json.loads(line)
     except ValueError:
         return None
-    return entry
+    return entry if {"search", "scenario", "seed", "verdict", "seen", "seconds"} <= entry.keys() else None

@@ -1,13 +1,13 @@
 """The messages of a run, numbered as `MessageFault` numbers them, and which of them could have had an effect."""
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections import defaultdict
-from collections.abc import Iterator
 from math import inf
 from typing import Any, NamedTuple
 
 from desim.kernel.core.events import LOST, Broadcast, Lost, Queued, Sent
 from desim.kernel.core.units import seconds
+from desim.kernel.link_layer.link_layer import FIRST_COPY
 from desim.pursuit.core.events import Decided
 from desim.pursuit.team.announcements import announced_action
 from desim.simulation.run import Result
@@ -36,7 +36,10 @@ class MessageCopy(NamedTuple):
 
 
 def copies(result: Result) -> list[MessageCopy]:
-    """Return the messages of a run in the order of sending; its messages must be in its trace."""
+    """Return the messages of a run in the order of sending; its messages must be in its trace.
+
+    Copies that faults make are left out: they have no numbers.
+    """
     fates: dict[int, dict[int, tuple[int, int, int, int | None, Any]]] = {}
     for event in result.trace:
         if isinstance(event, Queued):
@@ -52,7 +55,8 @@ def copies(result: Result) -> list[MessageCopy]:
             receivers = fates.setdefault(event.transmission, {})
             src, sent, _, seq, body = receivers.get(event.dst, (event.src, event.t, LOST, None, None))
             receivers[event.dst] = src, sent, LOST, seq, body
-    ordered = ((dst, fate) for transmission in sorted(fates) for dst, fate in fates[transmission].items())
+    numbered = sorted(transmission for transmission in fates if transmission < FIRST_COPY)
+    ordered = ((dst, fate) for transmission in numbered for dst, fate in fates[transmission].items())
     return [
         MessageCopy(number, src, dst, sent, arrival, seq, announced_action(body))
         for number, (dst, (src, sent, arrival, seq, body)) in enumerate(ordered, start=1)
@@ -70,17 +74,36 @@ def looks(result: Result) -> dict[int, list[int]]:
     return times
 
 
-def read_in_time(sent: list[MessageCopy], looks_of: dict[int, list[int]]) -> Iterator[tuple[MessageCopy, bool]]:
-    """Yield each message, and whether its receiver looked while it was the newest of its sender there.
+class ReadingTime(NamedTuple):
+    """When a message that arrives, or would have arrived, is the newest of its sender there."""
 
-    A message that was lost counts from its sending on.
-    """
+    copy: MessageCopy
+    since: int
+    """ns; its arrival or, if it was lost, its sending."""
+    until: float
+    """ns; when a newer record of its sender arrives; inf: never, or it is no record."""
+    looks: list[int]
+    """When its receiver looked, ns, ascending; see `looks`."""
+
+    def is_read(self, begin: float = 0.0, end: float = inf) -> bool:
+        """Return whether its receiver looked while it was the newest, between two times, ns, both included."""
+        at = bisect_left(self.looks, max(begin, self.since))
+        return at < len(self.looks) and self.looks[at] <= min(end, self.until)
+
+    def last_look(self) -> float:
+        """Return when its receiver looked for the last time before `until`, ns; -inf: never."""
+        at = bisect_right(self.looks, self.until)
+        return self.looks[at - 1] if at else -inf
+
+
+def readings(sent: list[MessageCopy], looks_of: dict[int, list[int]]) -> list[ReadingTime]:
+    """Return when each message was the newest of its sender at its receiver, in the order of sending."""
     newer: dict[tuple[int, int], float] = {}
+    reverse: list[ReadingTime] = []
     for copy in reversed(sent):
         since = copy.sent if copy.arrival == LOST else copy.arrival
         until = newer.get((copy.src, copy.dst), inf) if copy.seq is not None else inf
-        times = looks_of.get(copy.dst, [])
-        at = bisect_left(times, since)
-        yield copy, at < len(times) and times[at] <= until
+        reverse.append(ReadingTime(copy, since, until, looks_of.get(copy.dst, [])))
         if copy.seq is not None and copy.arrival != LOST:
             newer[copy.src, copy.dst] = min(until, copy.arrival)
+    return reverse[::-1]

@@ -1,31 +1,42 @@
-"""All choices of at most k lost messages: which of them make a protocol violate a property.
+"""All choices of at most k messages that are lost, late or repeated: which make a protocol violate a property.
 
-A run without chance in its losses is a function of the set of its lost messages (`MessageFault`). The sets are tried by
-size, each as an extension of a smaller one by one message that matters in the run of the smaller one. A message does
-not matter if it is lost anyway, or if its receiver never looked while it was the newest of its sender there.
+A run without chance in its links is a function of what becomes of its messages (`MessageFault`). The choices are tried
+by size, each as an extension of a smaller one by one message that matters in the run of the smaller one. What becomes
+of a message does not matter
 
-That no set is left out: let R be the messages of a set T that do not matter in the run of the rest S of T, and grow S
-within T until there is no other. At each look the newest record that has arrived is not in R, so the run of T is that
+- if it is lost anyway, or would be lost or late and its receiver never looked while it was the newest of its sender
+  there or, if it is late, never before it has arrived;
+- if it is a record that arrives twice: the second time, its receiver has this or a newer one.
+
+That no choice is left out: let R be the part of a choice T that does not matter in the run of the rest S of T, and grow
+S within T until there is no other. At each look the newest record that has arrived is not in R, so the run of T is that
 of S, and S is tried.
+
+Two choices are symmetric if their runs are the same, although each matters: one loses a message that in the other is
+so late that nobody reads it. Of such a pair only the loss is run. Choices are sets, so the order of their messages does
+not count either. There is no symmetry between pursuers: they differ in their places and in when they decide.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from math import inf
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 from desim.analysis.properties import Judgement, Stated, judge
 from desim.config.arguments import naming_arguments, scenario_argument
 from desim.config.traits import kind_of
+from desim.kernel.core.events import LOST
+from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.faults import MessageFault
 from desim.pursuit.core.traits import StrategyTraits
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.properties import Property, recording
 from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.simulation.run import Result
-from desim.study.breaking.copies import MessageCopy, copies, looks, read_in_time
-from desim.study.breaking.search import GENERATION, checked_property, in_order
+from desim.study.breaking.copies import MessageCopy, ReadingTime, copies, looks, readings
+from desim.study.breaking.judging import in_order
+from desim.study.breaking.search import GENERATION, checked_property
 from desim.study.workers.executors import workers_for
 from desim.study.workers.progress import advance, progress
 from desim.study.workers.workers import Workers
@@ -34,66 +45,76 @@ LIMIT = 5000
 """The greatest number of runs of a table."""
 
 
+MessageFate = Literal["lost", "late", "twice"]
+"""What becomes of a message. twice: it arrives as it should, and once more."""
+FATES: tuple[MessageFate, ...] = get_args(MessageFate)
+
+
 class FatalLosses(NamedTuple):
-    """Lost messages with which a protocol violates a property, although it keeps it with any smaller part of them."""
+    """Messages whose fates make a protocol violate a property that it keeps with any smaller part of them."""
 
     seed: int
     messages: tuple[MessageCopy, ...]
+    fates: tuple[MessageFate, ...]
+    """What becomes of each message."""
+    delay: float
+    """The time by which messages are late, and after which they arrive once more, s."""
     verdict: Judgement
 
     @property
-    def fault(self) -> MessageFault:
-        """The fault that loses them, to be added to the scenario."""
-        return MessageFault(messages=tuple(copy.number for copy in self.messages))
+    def faults(self) -> tuple[MessageFault, ...]:
+        """The faults that do this, to be added to the scenario."""
+        numbers = [copy.number for copy in self.messages]
+        return _faults(zip(numbers, self.fates, strict=True), self.delay)
 
 
 @dataclass
 class LossTable:
-    """The result of a search among all choices of at most k lost messages.
+    """The result of a search among all choices of at most k lost, late or repeated messages.
 
     Attributes:
         most: k.
         seeds: the seeds.
-        delay: the time by which the messages arrived late, s; inf: they were lost.
+        fates: what may become of a message.
+        delay: the time by which messages are late, and after which they arrive once more, s.
         fatal: the choices that violate the property, the smallest first.
         runs: the number of runs.
         skipped: the number of choices that were not run, as one of their messages does not matter.
-        messages: by seed, the number of messages in the run without losses.
-        broken: the seeds with which the property is violated without any loss.
+        symmetric: the number of choices that were not run, as a choice that was has the same run.
+        messages: by seed, the number of messages in the undisturbed run.
+        broken: the seeds with which the property is violated without any choice.
     """
 
     most: int
     seeds: tuple[int, ...]
+    fates: tuple[MessageFate, ...] = ("lost",)
     delay: float = inf
     fatal: list[FatalLosses] = field(default_factory=list)
     runs: int = 0
     skipped: int = 0
+    symmetric: int = 0
     messages: dict[int, int] = field(default_factory=dict)
     broken: list[int] = field(default_factory=list)
 
     def text(self) -> str:
         """Return the table as text."""
         seeds = f"seed{'s' if len(self.seeds) > 1 else ''} {', '.join(map(str, self.seeds))}"
-        fate = "lost" if self.delay == inf else f"late by {self.delay:g} s"
+        words = {"lost": "lost", "late": f"late by {self.delay:g} s", "twice": f"repeated after {self.delay:g} s"}
+        fates = " or ".join(words[fate] for fate in self.fates)
         noun = f"message{'s' if self.most > 1 else ''}"
-        choices = f"at most {self.most} " + (f"lost {noun}" if self.delay == inf else f"{noun} {fate}")
+        runs = f"{self.runs:,} run{'s' if self.runs > 1 else ''}"
+        choices = f"at most {self.most} " + (f"lost {noun}" if fates == "lost" else f"{noun} {fates}")
         lines = [f"seed {seed}: violated without any loss" for seed in self.broken]
-        for seed, messages, verdict in self.fatal:
-            lines.append(f"seed {seed}: margin {verdict.margin:.3g} if these are {fate}:")
-            lines += [f"  {copy}" for copy in messages]
+        for fatal in self.fatal:
+            these = f"if these are {fates}" if len(self.fates) == 1 else "with these"
+            lines.append(f"seed {fatal.seed}: margin {fatal.verdict.margin:.3g} {these}:")
+            for copy, fate in zip(fatal.messages, fatal.fates, strict=True):
+                lines.append(f"  {'' if len(self.fates) == 1 else f'{words[fate]}: '}{copy}")
         if not lines:
-            lines.append(f"no violation with {choices} ({self.runs:,} runs, {seeds})")
+            lines.append(f"no violation with {choices} ({runs}, {seeds})")
         else:
-            lines.append(f"{choices}: {self.runs:,} runs, {seeds}")
+            lines.append(f"{choices}: {runs}, {seeds}")
         return "\n".join(lines)
-
-
-class _Told(NamedTuple):
-    """What a run tells: its judgement, the messages that matter in it, and the number of all."""
-
-    verdict: Judgement
-    matter: list[MessageCopy]
-    sent: int
 
 
 @naming_arguments
@@ -103,6 +124,7 @@ def fatal_losses(
     *,
     most: int = 1,
     seeds: Iterable[int] | None = None,
+    fates: Sequence[MessageFate] = (),
     delay: float = inf,
     limit: int = LIMIT,
     prune: bool = True,
@@ -117,36 +139,58 @@ def fatal_losses(
         scenario: the scenario; short runs with few messages are best, as the number of choices grows with the power
             `most` of their number.
         prop: the property, or its text.
-        most: the greatest number of lost messages; if in doubt, 1, then 2.
+        most: the greatest number of messages; if in doubt, 1, then 2.
         seeds: the seeds; None: that of the scenario.
-        delay: the time by which the messages arrive late, s; inf: they are lost.
+        fates: what may become of a message: "lost", "late" or "twice"; empty: late if there is a delay, else lost.
+        delay: the time by which messages are late, and after which they arrive once more, s; if in doubt, some more
+            than a time-out of the protocol.
         limit: the greatest number of runs of each seed.
-        prune: whether choices with messages that do not matter are left out; the result is the same.
+        prune: whether choices with messages that do not matter, and symmetric ones, are left out; the result is the
+            same.
         jobs: the number of worker processes; 0 = the number of cores.
         on_run: called after each run.
 
     Raises:
         TypeError: if it is not a scenario.
-        ValueError: if the property does not fit the scenario or cannot fail, the protocol is its own reference, or
-            there are more choices than `limit`.
+        ValueError: if the property does not fit the scenario or cannot fail, the protocol is its own reference, a fate
+            does not exist or lacks a delay, or there are more choices than `limit`.
     """
     scenario_argument(Scenario).check(scenario, "fatal_losses")
     if most < 1:
         raise ValueError(f"most should be at least 1 (got {most})")
+    fates = _checked_fates(fates, delay)
     prop = checked_property(prop, scenario)
-    table = LossTable(most, (scenario.seed,) if seeds is None else tuple(seeds), delay)
+    table = LossTable(most, (scenario.seed,) if seeds is None else tuple(seeds), fates, delay)
     skips = prune and hides_old_news(scenario, prop)
     observed = recording(scenario, [prop]).with_({"record.messages": True})
     with workers_for(jobs, GENERATION) as workers, progress(0, "losses", "run") as bar:
 
-        def ran() -> None:
+        def ran(count: int) -> None:
             bar.total = max(bar.total or 0, table.runs)
-            advance(bar, 1)
-            on_run()
+            advance(bar, count)
+            for _ in range(count):
+                on_run()
 
         for seed in table.seeds:
-            _try_seed(observed, prop, seed, delay, table, limit, skips, workers, ran)
+            _Choices(observed, prop, seed, table, workers, ran, prune=skips).try_all(limit)
     return table
+
+
+def _checked_fates(fates: Sequence[MessageFate], delay: float) -> tuple[MessageFate, ...]:
+    """Return the fates that are meant, each once.
+
+    Raises:
+        ValueError: if one does not exist, or lacks a delay.
+    """
+    if not delay > 0.0:
+        raise ValueError(f"delay should be greater than 0 s (got {delay:g})")
+    if unknown := [fate for fate in fates if fate not in FATES]:
+        raise ValueError(f"fates should be {', '.join(FATES)} (got {unknown[0]!r})")
+    if not fates:
+        return ("lost",) if delay == inf else ("late",)
+    if delay == inf and set(fates) != {"lost"}:
+        raise ValueError(f"{next(fate for fate in fates if fate != 'lost')!r} needs a delay, in s")
+    return tuple(fate for fate in FATES if fate in fates)
 
 
 def hides_old_news(scenario: Scenario, prop: Property) -> bool:
@@ -169,77 +213,187 @@ def hides_old_news(scenario: Scenario, prop: Property) -> bool:
     )
 
 
-def _try_seed(
-    scenario: Scenario,
-    prop: Property,
-    seed: int,
-    delay: float,
-    table: LossTable,
-    limit: int,
-    prune: bool,
-    workers: Workers,
-    ran: Callable[[], object],
-) -> None:
-    """Add to a table what a seed tells; see `fatal_losses`."""
-    budget = table.runs + limit
-    level: dict[tuple[int, ...], tuple[MessageCopy, ...]] = {(): ()}
-    fatal: list[frozenset[int]] = []
-    for size in range(table.most + 1):
-        choices = [numbers for numbers in level if not any(part <= set(numbers) for part in fatal)]
-        if table.runs + len(choices) > budget:
-            raise ValueError(
-                f"seed {seed}: there are {len(choices):,} choices of {size} messages, more than the limit of"
-                f" {limit:,} runs: shorten the horizon, or announce changes only"
-            )
-        following: dict[tuple[int, ...], tuple[MessageCopy, ...]] = {}
-        for numbers, told in zip(choices, _told(scenario, prop, seed, delay, choices, prune, workers), strict=True):
-            table.runs += 1
-            ran()
-            if not numbers:
-                table.messages[seed] = told.sent
-            if not told.verdict.holds:
-                if numbers:
-                    fatal.append(frozenset(numbers))
-                    table.fatal.append(FatalLosses(seed, level[numbers], told.verdict))
-                else:
-                    table.broken.append(seed)
-                continue
-            further = [copy for copy in told.matter if copy.number not in numbers]
-            table.skipped += told.sent - len(numbers) - len(further) if size < table.most else 0
-            for copy in further:
-                extended = sorted([*level[numbers], copy])
-                following.setdefault(tuple(one.number for one in extended), tuple(extended))
-        level = following
+class _Step(NamedTuple):
+    """What may become of one more message."""
+
+    copy: MessageCopy
+    fate: MessageFate
 
 
-def _told(
-    scenario: Scenario,
-    prop: Property,
-    seed: int,
-    delay: float,
-    choices: Sequence[tuple[int, ...]],
-    prune: bool,
-    workers: Workers,
-) -> list[_Told]:
-    """Return what the run of each choice of messages tells, in order.
+class _Choice(NamedTuple):
+    """What becomes of some messages."""
 
-    Raises:
-        BaseException: what a run raised.
+    steps: tuple[_Step, ...] = ()
+    """In the order of their numbers."""
+    is_in_order: bool = True
+    """Whether it was made message by message in this order. Each message is then that of its own run, too."""
+
+    def with_step(self, step: _Step) -> "_Choice":
+        """Return the choice with one more message."""
+        is_last = not self.steps or step.copy.number > self.steps[-1].copy.number
+        steps = sorted([*self.steps, step], key=lambda one: one.copy.number)
+        return _Choice(tuple(steps), self.is_in_order and is_last)
+
+
+_Key = frozenset[tuple[int, MessageFate]]
+"""A choice by the numbers of its messages."""
+
+
+class _Told(NamedTuple):
+    """What a run tells."""
+
+    verdict: Judgement
+    steps: list[_Step]
+    """What may become of further messages, and matters."""
+    sent: int
+    """The number of messages."""
+    unread_since: dict[int, float]
+    """By number of a lost record: when somebody looked for the last time before a newer one arrived, ns."""
+
+
+class _Choices:
+    """All choices of one seed: what is run, and what it tells.
+
+    Args:
+        scenario: the scenario, which records messages.
+        prop: the property.
+        seed: the seed.
+        table: receives the results.
+        workers: they make the runs.
+        ran: called with the number of runs that were made.
+        prune: whether messages that do not matter, and symmetric choices, are left out.
     """
-    tasks = [(_losing(scenario, numbers, delay), seed) for numbers in choices]
-    return in_order(tasks, workers, partial(_tell, prop, prune))
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        prop: Property,
+        seed: int,
+        table: LossTable,
+        workers: Workers,
+        ran: Callable[[int], object],
+        *,
+        prune: bool,
+    ):
+        self._scenario, self._seed, self._table, self._workers, self._ran = scenario, seed, table, workers, ran
+        self._prune = prune
+        self._delay = 0 if table.delay == inf else nanoseconds(table.delay)  # without one, no fate needs it
+        self._measure = partial(_tell, prop, table.fates, self._delay, prune)
+
+    def try_all(self, limit: int) -> None:
+        """Run the choices by size, and add to the table what they tell.
+
+        Raises:
+            BaseException: what a run raised.
+            ValueError: if there are more than `limit` runs to make.
+        """
+        table, budget = self._table, self._table.runs + limit
+        level: dict[_Key, _Choice] = {frozenset(): _Choice()}
+        fatal: list[_Key] = []
+        for size in range(table.most + 1):
+            choices = {key: choice for key, choice in level.items() if not any(part <= key for part in fatal)}
+            if table.runs + len(choices) > budget:
+                raise ValueError(
+                    f"seed {self._seed}: there are {len(choices):,} choices of {size} messages, more than the limit of"
+                    f" {limit:,} runs: shorten the horizon, or announce changes only"
+                )
+            level = {}
+            for key, told in self._run(choices).items():
+                if not key:
+                    table.messages[self._seed] = told.sent
+                if not told.verdict.holds:
+                    self._add_violation(choices[key], told.verdict)
+                    fatal.append(key)
+                elif size < table.most:
+                    self._extend(level, choices[key], told)
+
+    def _add_violation(self, choice: _Choice, verdict: Judgement) -> None:
+        if not choice.steps:
+            self._table.broken.append(self._seed)
+            return
+        messages, fates = zip(*choice.steps, strict=True)
+        self._table.fatal.append(FatalLosses(self._seed, messages, fates, self._table.delay, verdict))
+
+    def _extend(self, level: dict[_Key, _Choice], choice: _Choice, told: _Told) -> None:
+        """Add to the next level the choices with one more message that matters, and count the others."""
+        numbers = {step.copy.number for step in choice.steps}
+        steps = [step for step in told.steps if step.copy.number not in numbers]
+        self._table.skipped += (told.sent - len(numbers)) * len(self._table.fates) - len(steps)
+        for step in steps:
+            extended = choice.with_step(step)
+            key = frozenset((step.copy.number, step.fate) for step in extended.steps)
+            if extended.is_in_order or key not in level:
+                level[key] = extended
+
+    def _run(self, choices: Mapping[_Key, _Choice]) -> dict[_Key, _Told]:
+        """Return what the runs of choices of one size tell; those with the fewest late messages are made first.
+
+        A choice that is symmetric to one of these, with a loss instead, then needs no run.
+        """
+        told: dict[_Key, _Told] = {}
+        for late in range(self._table.most + 1):
+            missing: dict[_Key, _Choice] = {}
+            for key, choice in choices.items():
+                if sum(step.fate == "late" for step in choice.steps) != late:
+                    continue
+                if self._prune and (same := self._symmetric(key, choice, told)) is not None:
+                    told[key] = same
+                    self._table.symmetric += 1
+                else:
+                    missing[key] = choice
+            tasks = [(self._disturbed(choice), self._seed) for choice in missing.values()]
+            told |= dict(zip(missing, in_order(tasks, self._workers, self._measure), strict=True))
+            self._table.runs += len(missing)
+            self._ran(len(missing))
+        return {key: told[key] for key in choices}
+
+    def _symmetric(self, key: _Key, choice: _Choice, told: Mapping[_Key, _Told]) -> _Told | None:
+        """Return what the same choice with the loss of a late message tells, if nobody reads this; None: it is read."""
+        for step in choice.steps if choice.is_in_order else ():
+            number, arrival = step.copy.number, step.copy.arrival + self._delay
+            lost = told.get(key - {(number, "late")} | {(number, "lost")}) if step.fate == "late" else None
+            if lost is None:
+                continue
+            if arrival > nanoseconds(self._scenario.horizon) or lost.unread_since.get(number, inf) < arrival:
+                return lost
+        return None
+
+    def _disturbed(self, choice: _Choice) -> Scenario:
+        """Return the scenario with the faults of a choice."""
+        faults = _faults(((step.copy.number, step.fate) for step in choice.steps), self._table.delay)
+        return self._scenario.with_({"fault": [*self._scenario.fault, *faults]}) if faults else self._scenario
 
 
-def _losing(scenario: Scenario, numbers: tuple[int, ...], delay: float) -> Scenario:
-    """Return a scenario in which the messages with some numbers are lost, or late."""
-    if not numbers:
-        return scenario
-    return scenario.with_({"fault": [*scenario.fault, MessageFault(messages=numbers, delay=delay)]})
+def _faults(fates: Iterable[tuple[int, MessageFate]], delay: float) -> tuple[MessageFault, ...]:
+    """Return the faults that give messages, by number, their fates."""
+    by_fate: dict[MessageFate, list[int]] = {}
+    for number, fate in fates:
+        by_fate.setdefault(fate, []).append(number)
+    return tuple(
+        MessageFault(messages=tuple(numbers), delay=inf if fate == "lost" else delay, duplicate=fate == "twice")
+        for fate, numbers in by_fate.items()
+    )
 
 
-def _tell(prop: Property, prune: bool, result: Result) -> _Told:
+def _tell(prop: Property, fates: Sequence[MessageFate], delay: int, prune: bool, result: Result) -> _Told:
     sent = copies(result)
-    matter = [
-        copy for copy, is_read in read_in_time(sent, looks(result)) if copy.arrival >= 0 and (is_read or not prune)
+    read = readings(sent, looks(result))
+    horizon = nanoseconds(result.scenario.horizon)
+    steps = [
+        _Step(reading.copy, fate)
+        for reading in read
+        if reading.copy.arrival != LOST
+        for fate in fates
+        if not prune or _matters(reading, fate, delay, horizon)
     ]
-    return _Told(judge(prop, result), matter, len(sent))
+    lost = [reading for reading in read if reading.copy.arrival == LOST and reading.copy.seq is not None]
+    unread_since = {reading.copy.number: reading.last_look() for reading in lost}
+    return _Told(judge(prop, result), steps, len(sent), unread_since)
+
+
+def _matters(reading: ReadingTime, fate: MessageFate, delay: int, horizon: int) -> bool:
+    """Return whether the run would differ if a message had a fate; see the top of this module."""
+    is_record, late = reading.copy.seq is not None, reading.copy.arrival + delay
+    if fate == "twice":
+        return not is_record and late <= horizon
+    return reading.is_read(end=late if fate == "late" and is_record else inf)

@@ -1,28 +1,24 @@
 """The search for a scenario in which a protocol violates a property."""
 
-import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field
-from functools import partial
 from math import inf
-from typing import Any, NamedTuple
+from typing import Any
 
-from desim.analysis.properties import Judgement, Stated, judge, stated, under_protocol
+from desim.analysis.properties import Judgement, Stated, stated, under_protocol
 from desim.config.arguments import naming_arguments, scenario_argument
+from desim.config.suggestion import did_you_mean
 from desim.kernel.core.seeds import run_seed, stream
-from desim.scenario.properties import CANNOT_FAIL, Property, recording
+from desim.scenario.properties import CANNOT_FAIL, Property
 from desim.scenario.scenario import PROTOCOLS, Scenario
-from desim.simulation.run import Result, run
-from desim.study.breaking.case_log import CaseLog
+from desim.study.breaking.case_log import CaseLog, CaseRun
 from desim.study.breaking.features import FEATURES, Case, Draw, applied, changed_or_none, drawn, of_grid
+from desim.study.breaking.judging import CaseJudge, Planned
 from desim.study.breaking.shrinking import SHRINKING, Tried, shrunk
-from desim.study.breaking.sightings import SIGHTINGS, seen_in
-from desim.study.workers.dispatch import Measurement, Task, drive
+from desim.study.breaking.sightings import SIGHTINGS
 from desim.study.workers.executors import workers_for
 from desim.study.workers.progress import advance, progress
-from desim.study.workers.workers import Workers
 
 GENERATION = 16
 """The number of cases that are run together, whatever the number of workers; of several violations the first counts."""
@@ -55,16 +51,34 @@ class Violation:
         """The number of faults that were added."""
         return sum("fault" in changes for changes in self.case.values())
 
-    def protocols(self) -> dict[str, Judgement | str]:
-        """Return what each installed protocol does in this scenario with this seed; a text: why it cannot be run."""
+    def protocols(self, jobs: int = 0, log: CaseLog | None = None) -> dict[str, Judgement | str]:
+        """Return what each installed protocol does in this scenario with this seed; a text: why it cannot be run.
+
+        Args:
+            jobs: the number of worker processes; 0 = the number of cores.
+            log: what was run before, which is not run again; it receives what is run.
+
+        Raises:
+            BaseException: what a run raised, unless it is a ValueError.
+        """
         verdicts: dict[str, Judgement | str] = {}
+        planned: dict[str, Planned] = {}
         for kind in PROTOCOLS.choices():
             if kind in (self.prop.against, WITHOUT_WEIGHTS):
                 continue
             try:
-                verdicts[kind] = judged(self.prop, under_protocol(self.scenario, kind), self.seed)
+                planned[kind] = Planned({}, self.seed, under_protocol(self.scenario, kind))
             except ValueError as error:
                 verdicts[kind] = str(error).splitlines()[0]
+        with workers_for(jobs, len(planned)) as workers:
+            runs = CaseJudge(self.prop, workers, log).attempt([*planned.values()])
+        for kind, case_run in zip(planned, runs, strict=True):
+            if isinstance(case_run, CaseRun):
+                verdicts[kind] = case_run.verdict
+            elif isinstance(case_run, ValueError):
+                verdicts[kind] = str(case_run).splitlines()[0]
+            else:
+                raise case_run
         return verdicts
 
 
@@ -76,19 +90,35 @@ class Search:
         violation: the smallest violation; None if none was found.
         runs: the number of cases that were run to find it.
         refused: the number of cases that make no valid scenario, and so were not run.
-        margins: the margin of each case that was run, in order.
+        tried: each case that was run, in order.
         featured: how many of these cases had each feature.
         seen: in how many of these cases each of `SIGHTINGS` was seen.
         stopped: whether the time was up before all cases were run.
+        seconds: the wall time of all runs, s, also of those that an interrupted search had made before.
     """
 
     violation: Violation | None = None
     runs: int = 0
     refused: int = 0
-    margins: list[float] = field(default_factory=list)
+    tried: list[Tried] = field(default_factory=list)
     featured: Counter[str] = field(default_factory=Counter)
     seen: Counter[str] = field(default_factory=Counter)
     stopped: bool = False
+    seconds: float = field(default=0.0, compare=False)
+
+    def add(self, planned: Planned, case_run: CaseRun) -> Tried:
+        """Count a case that was run, and return it with its judgement."""
+        tried = Tried(planned.case, planned.seed, case_run.verdict)
+        self.tried.append(tried)
+        self.runs += 1
+        self.featured.update([*planned.case])
+        self.seen.update(case_run.seen)
+        return tried
+
+    @property
+    def margins(self) -> list[float]:
+        """The margin of each case that was run, in order."""
+        return [tried.verdict.margin for tried in self.tried]
 
     @property
     def closest(self) -> float:
@@ -101,30 +131,6 @@ class Search:
         if self.runs and self.violation is None and self.closest >= prop.bound > 0.0:
             texts.append(f"no case came near the bound: the least margin is {self.closest:g} s, all of the limit")
         return texts
-
-
-class Planned(NamedTuple):
-    """A case that is to be run."""
-
-    case: Case
-    seed: int
-    scenario: Scenario
-
-
-class CaseRun(NamedTuple):
-    """What a run of a case tells."""
-
-    verdict: Judgement
-    seen: list[str]
-
-
-def judged(prop: Property, scenario: Scenario, seed: int) -> Judgement:
-    """Return the judgement of a run."""
-    return judge(prop, run(recording(scenario, [prop]), seed))
-
-
-def _sighted(prop: Property, result: Result) -> CaseRun:
-    return CaseRun(judge(prop, result), seen_in(result))
 
 
 def checked_property(prop: Stated, scenario: Scenario) -> Property:
@@ -174,8 +180,8 @@ def find_violation(
         guided: whether half of the cases are made from those with the least margins up to now; if in doubt, False, as a
             margin that hardly varies misleads.
         jobs: the number of worker processes; 0 = the number of cores. The result does not depend on it.
-        budget: the time, s of wall time, after which no further cases begin; with it, the result depends on the speed
-            of the machine.
+        budget: the time, s of wall time, after which no further cases begin; that of the runs in `log` counts, so that
+            a greater one goes on where a smaller one ended. With it, the result depends on the speed of the machine.
         shrinking: the greatest number of cases to make a found one smaller.
         log: what was run before, which is not run again; it receives what is run.
         on_case: called with each case, in order.
@@ -187,92 +193,92 @@ def find_violation(
     """
     scenario_argument(Scenario).check(scenario, "find_violation")
     prop = checked_property(prop, scenario)
-    names = [*FEATURES] if features is None else [*features]
-    if unknown := [name for name in names if name not in FEATURES]:
-        raise ValueError(f"there is no feature {unknown[0]!r}; there are {', '.join(FEATURES)}")
-    kinds = {name: draw for name, draw in FEATURES.items() if name in names} | dict(of_grid(vary or {}, scenario))
-    if not kinds:
-        raise ValueError("a search needs a feature: give names of `features`, or values by key in `vary`")
-    root, search, until = scenario.seed if seed is None else seed, Search(), time.monotonic() + budget
-    tried: list[Tried] = []
+    cases = _Cases(scenario, features_of(features, vary or {}, scenario), scenario.seed if seed is None else seed, runs)
+    search = Search()
     with progress(runs, "search", "case") as bar, workers_for(jobs, min(runs, GENERATION)) as workers:
+        judge_run = CaseJudge(prop, workers, log)
         while search.violation is None and search.runs < runs:
-            if time.monotonic() > until:
+            if judge_run.seconds >= budget:
                 search.stopped = True
                 break
-            number = len(tried) + search.refused
-            parents = sorted(tried, key=lambda one: one.verdict.margin)[:PARENTS] if guided else []
-            drawn_cases = [
-                _planned(scenario, kinds, root, number + k, parents if k % 2 else [])
-                for k in range(min(GENERATION, runs - search.runs))
-            ]
-            generation = [planned for planned in drawn_cases if planned is not None]
-            search.refused += len(drawn_cases) - len(generation)
-            if search.refused > GENERATION * runs:
-                raise ValueError(f"{search.refused} cases made no valid scenario, and {search.runs} did")
-            for planned, (verdict, seen) in zip(generation, _run_all(prop, generation, workers, log), strict=True):
-                search.runs += 1
-                search.margins.append(verdict.margin)
-                search.featured.update([*planned.case])
-                search.seen.update(seen)
-                tried.append(Tried(planned.case, planned.seed, verdict))
-                on_case(tried[-1])
+            parents = sorted(search.tried, key=lambda tried: tried.verdict.margin)[:PARENTS] if guided else []
+            generation = cases.generation(min(GENERATION, runs - search.runs), parents)
+            for planned, case_run in zip(generation, judge_run.judge_all(generation), strict=True):
+                tried = search.add(planned, case_run)
+                on_case(tried)
                 advance(bar, 1)
-                if not verdict.holds:
-                    search.violation = _smallest(scenario, prop, tried[-1], search.runs, shrinking)
+                if not tried.verdict.holds:
+                    search.violation = _smallest(scenario, prop, tried, search.runs, shrinking, judge_run)
                     break
+        search.refused, search.seconds = cases.refused, judge_run.seconds
     return search
 
 
-def _planned(
-    scenario: Scenario, features: Mapping[str, Draw], root: int, number: int, parents: Sequence[Tried]
-) -> Planned | None:
-    """Return the case with a number; None if it makes no valid scenario."""
-    seed = run_seed(root, number)
-    rng = stream(seed, "break")
-    parent = parents[int(rng.integers(len(parents)))] if parents else None
-    case = drawn(features, rng, scenario, None if parent is None else parent.case)
-    changed = changed_or_none(scenario, case)
-    return None if changed is None else Planned(case, seed if parent is None else parent.seed, changed)
-
-
-def _run_all(prop: Property, cases: Sequence[Planned], workers: Workers, log: CaseLog | None) -> list[CaseRun]:
-    """Return what the run of each case tells, in order; those in the log are not run again.
+def features_of(
+    names: Sequence[str] | None, vary: Mapping[str, Sequence[Any]], scenario: Scenario
+) -> Mapping[str, Draw]:
+    """Return the built-in features with some names (None: all), and those of a user, whose values `vary` has by key.
 
     Raises:
-        BaseException: what a run raised.
+        ValueError: if there is no feature of a name, there are none at all, or the scenario takes no such value.
     """
-    told: dict[int, CaseRun] = {}
-    if log is not None:
-        for k, planned in enumerate(cases):
-            if (entry := log.find(planned.case, planned.seed)) is not None:
-                told[k] = CaseRun(*entry)
-    missing = [k for k in range(len(cases)) if k not in told]
-    tasks = [(recording(cases[k].scenario, [prop]).with_({"record.messages": True}), cases[k].seed) for k in missing]
-    told |= dict(zip(missing, in_order(tasks, workers, partial(_sighted, prop)), strict=True))
-    if log is not None:
-        for k in missing:
-            log.add(cases[k].case, cases[k].seed, *told[k])
-    return [told[k] for k in range(len(cases))]
+    names = [*FEATURES] if names is None else names
+    if unknown := [name for name in names if name not in FEATURES]:
+        raise ValueError(
+            f"there is no feature {unknown[0]!r}{did_you_mean(unknown[0], FEATURES)}; there are {', '.join(FEATURES)}"
+        )
+    features = {name: draw for name, draw in FEATURES.items() if name in names} | dict(of_grid(vary, scenario))
+    if not features:
+        raise ValueError("a search needs a feature: give names of `features`, or values by key in `vary`")
+    return features
 
 
-def in_order(tasks: Sequence[Task], workers: Workers, measure: Measurement) -> list[Any]:
-    """Return the measurement of each run, in the order of the tasks.
+class _Cases:
+    """The cases of a search, in the order of their numbers.
 
-    Raises:
-        BaseException: what a run raised.
+    Args:
+        scenario: where the search begins.
+        features: what the cases change.
+        root: the root seed; case k has the seed of run k.
+        runs: the greatest number of cases that the search runs.
+
+    Attributes:
+        refused: the number of cases up to now that make no valid scenario.
     """
-    values: list[Any] = [None] * len(tasks)
-    with closing(drive(tasks, workers, measure)) as outcomes:
-        for place, outcome in outcomes:
-            if outcome.status != "ok":
-                raise outcome.error or RuntimeError(outcome.traceback)
-            values[place] = outcome.value
-    return values
+
+    def __init__(self, scenario: Scenario, features: Mapping[str, Draw], root: int, runs: int):
+        self._scenario, self._features, self._root, self._runs = scenario, features, root, runs
+        self._number = self.refused = 0
+
+    def generation(self, count: int, parents: Sequence[Tried]) -> list[Planned]:
+        """Return those of the next cases that make a valid scenario; every second one is made from a parent, if any.
+
+        Raises:
+            ValueError: if hardly any case makes a valid scenario.
+        """
+        drawn_cases = [self._planned(self._number + k, parents if k % 2 else []) for k in range(count)]
+        planned_cases = [planned for planned in drawn_cases if planned is not None]
+        self._number += count
+        self.refused += count - len(planned_cases)
+        if self.refused > GENERATION * self._runs:
+            done = self._number - self.refused
+            raise ValueError(f"{self.refused} cases made no valid scenario, and {done} did")
+        return planned_cases
+
+    def _planned(self, number: int, parents: Sequence[Tried]) -> Planned | None:
+        """Return the case with a number; None if it makes no valid scenario."""
+        seed = run_seed(self._root, number)
+        rng = stream(seed, "break")
+        parent = parents[int(rng.integers(len(parents)))] if parents else None
+        case = drawn(self._features, rng, self._scenario, None if parent is None else parent.case)
+        changed = changed_or_none(self._scenario, case)
+        return None if changed is None else Planned(case, seed if parent is None else parent.seed, changed)
 
 
-def _smallest(scenario: Scenario, prop: Property, violating: Tried, searched: int, budget: int) -> Violation:
+def _smallest(
+    scenario: Scenario, prop: Property, violating: Tried, searched: int, budget: int, judge_run: CaseJudge
+) -> Violation:
     """Return the smallest violation of the kind of one."""
-    best, runs = shrunk(scenario, violating, partial(judged, prop), budget)
+    best, runs = shrunk(scenario, violating, judge_run, budget)
     changed = applied(scenario, best.case)
     return Violation(changed, best.seed, prop, best.verdict, best.case, violating.case, searched, runs)

@@ -14,7 +14,7 @@ from desim.kernel.core.events import LOST
 from desim.kernel.models.faults import FaultEnded, FaultStarted, TracedFault, nodes_of
 from desim.pursuit.core.events import Decided, Started
 from desim.simulation.run import Result
-from desim.study.breaking.copies import copies, looks, read_in_time
+from desim.study.breaking.copies import copies, looks, readings
 
 
 def _faults(result: Result) -> list[tuple[int, float, object]]:
@@ -50,7 +50,9 @@ def _chases(actions: list[int], fault: TracedFault) -> bool:
 
 
 def _lost_at_a_look(result: Result) -> bool:
-    return any(is_read and copy.arrival == LOST for copy, is_read in read_in_time(copies(result), looks(result)))
+    return any(
+        reading.copy.arrival == LOST and reading.is_read() for reading in readings(copies(result), looks(result))
+    )
 
 
 SIGHTINGS: Mapping[str, Callable[[Result], bool]] = MappingProxyType(
