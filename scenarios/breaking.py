@@ -3,14 +3,23 @@
 The search begins with six pursuers that are equally fast, so that any can stand in for another, a latency of 0.1 s,
 and announcements over the network. It adds imperfections at random (`desim break`) until a protocol leaves the evader
 without a pursuer for 5 s more than the centralised planner does in the same scenario with the same seed. What it finds
-is made as small as it can be, and all other protocols are run in it. The same is done with `local_min` under each kind
-of trust.
+is made as small as it can be, and all other protocols are run in it. Then the search goes on without the fault that was
+found, and may find another weakness. The same is done with `local_min` under each kind of trust, and with the mends of
+what was found.
+
+All runs are kept in the folder `breaking` of the output: the same command goes on after an interruption, and one with
+more --runs or --minutes goes on where the last one ended.
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import redirect_stderr
 from dataclasses import dataclass
+from functools import partial
+from io import StringIO
 from math import inf
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
@@ -20,9 +29,13 @@ from desim.analysis.tables import aligned
 from desim.config.traits import kind_of
 from desim.config.trust import write_whole
 from desim.pursuit.team.trust import TRUSTS
+from desim.scenario.properties import property_of
 from desim.scenario.scenario import PROTOCOLS
+from desim.study.breaking.case_log import CaseLog
+from desim.study.breaking.features import FEATURES
 from desim.study.breaking.found import case_text, scenario_text
-from desim.study.breaking.search import WITHOUT_WEIGHTS, Search, find_violation
+from desim.study.breaking.search import WITHOUT_WEIGHTS, Violation, find_violation
+from desim.study.workers.batch import run_many
 from scenarios.studies.study import Options, study
 
 if TYPE_CHECKING:
@@ -31,7 +44,6 @@ if TYPE_CHECKING:
 AGAINST = "centralised"
 PROPERTY = f"idle at most 5 in total against {AGAINST}"
 BASE = Scenario(
-    name="breaking",
     team=Team(count=6, speeds=2.5),
     horizon=20.0,
     network=Links(latency=0.1),
@@ -39,6 +51,30 @@ BASE = Scenario(
 )
 TRUSTED = "local_min"
 """The protocol that is searched under each kind of trust."""
+MENDED: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+    {
+        "server-takeover": {"protocol": {"kind": "server", "takeover": True}},
+        "sap-affordable": {"protocol": "sap", "announce.belief_timeout": "affordable"},
+        "local_min-affordable": {"protocol": "local_min", "announce.belief_timeout": "affordable"},
+    }
+)
+"""The mends of what was found, by name."""
+
+
+@dataclass(frozen=True)
+class Weakness:
+    """A scenario that breaks a protocol."""
+
+    violation: Violation
+    protocols: Mapping[str, Judgement | str]
+    """What each protocol does in it."""
+
+    @property
+    def features(self) -> frozenset[str]:
+        """What the next search leaves out: the faults in the scenario or, without any, all that was changed."""
+        case = self.violation.case
+        faults = {name for name, changes in case.items() if "fault" in changes}
+        return frozenset(faults or case) & FEATURES.keys()
 
 
 @dataclass(frozen=True)
@@ -46,36 +82,82 @@ class Broken:
     """What breaks a protocol."""
 
     name: str
-    """The protocol, and the kind of trust after a plus sign."""
-    search: Search
-    protocols: Mapping[str, Judgement | str]
-    """What each protocol does in the smallest scenario; nothing without one."""
+    """The protocol, with the kind of trust or the mend."""
+    weaknesses: Sequence[Weakness]
+    """In the order of the searches, each without the faults that were found before."""
+    cases: int
+    """The number of cases that were run, without those that made a found one smaller."""
+    seconds: float
+    """The wall time of all runs, s."""
+    closest: float
+    """The least margin of the last search, s."""
 
 
 def bases() -> dict[str, Scenario]:
-    """Return the scenario in which each search begins, by the name of the protocol and the trust."""
+    """Return the scenario in which each search begins, by its name: the protocol, and the kind of trust or the mend."""
     kinds = [kind for kind in PROTOCOLS.choices() if kind not in (AGAINST, WITHOUT_WEIGHTS)]
-    by_name = {kind: BASE.with_({"protocol": kind}) for kind in kinds}
-    for kind in TRUSTS.choices():
-        if kind != kind_of(BASE.announce.trust):
-            by_name[f"{TRUSTED} + {kind}"] = BASE.with_({"protocol": TRUSTED, "announce.trust": {"kind": kind}})
-    return by_name
+    trusts = [kind for kind in TRUSTS.choices() if kind != kind_of(BASE.announce.trust)]
+    changes: dict[str, Mapping[str, Any]] = {kind: {"protocol": kind} for kind in kinds}
+    changes |= {f"{TRUSTED}-{kind}": {"protocol": TRUSTED, "announce.trust": {"kind": kind}} for kind in trusts}
+    return {name: BASE.with_({"name": name, **changed}) for name, changed in (changes | {**MENDED}).items()}
 
 
-def table(broken: Sequence[Broken], cases: int) -> str:
+def break_protocol(folder: Path, runs: int, seconds: float, scenario: Scenario, seed: int) -> Broken:
+    """Search for what breaks the protocol of a scenario, and again without what was found, until cases or time are up.
+
+    Args:
+        folder: where its runs are kept, and found by the next call.
+        runs: the greatest number of cases of all searches together.
+        seconds: the time after which no further cases begin, that of earlier calls included, s.
+        scenario: where the search begins.
+        seed: the root seed.
+    """
+    log = CaseLog(folder / f"{scenario.name}.jsonl", property_of(PROPERTY))
+    weaknesses: list[Weakness] = []
+    cases, spent, closest = 0, 0.0, inf
+    features = [*FEATURES]
+    with redirect_stderr(StringIO()):  # no progress bar of its own: searches run at the same time
+        while features and cases < runs and spent < seconds:
+            search = find_violation(
+                scenario,
+                PROPERTY,
+                runs=runs - cases,
+                seed=seed,
+                jobs=1,
+                features=features,
+                budget=seconds - spent,
+                log=log,
+            )
+            cases, spent, closest = cases + search.runs, spent + search.seconds, search.closest
+            if search.violation is None:
+                break
+            weaknesses.append(Weakness(search.violation, search.violation.protocols(1, log)))
+            features = [feature for feature in features if feature not in weaknesses[-1].features]
+    return Broken(scenario.name, weaknesses, cases, spent, closest)
+
+
+def rows_of(broken: Broken) -> list[tuple[str, ...]]:
+    """Return the rows of the table about a protocol."""
+    rows: list[tuple[str, ...]] = []
+    for weakness in broken.weaknesses:
+        violation = weakness.violation
+        idle, case = f"{violation.verdict.measure:.1f}", case_text(violation.case)
+        rows.append((broken.name, case, f"{violation.searched}", f"{violation.seed}", idle, f"{_others(weakness)}"))
+    found = "no more" if broken.weaknesses else "none"
+    end = f"{found} in {broken.cases:,} cases, {broken.seconds / 60.0:.1f} min; least margin {broken.closest:.2f} s"
+    return [*rows, (broken.name, end, *[""] * 4)]
+
+
+def _others(weakness: Weakness) -> int:
+    """Return how many other protocols violate the property in the same scenario."""
+    return sum(not verdict.holds for verdict in weakness.protocols.values() if isinstance(verdict, Judgement)) - 1
+
+
+def table(broken: Sequence[Broken]) -> str:
     """Return the results as text."""
     rows: list[tuple[str, ...]] = [("protocol", "smallest scenario", "case", "seed", "idle (s)", "others")]
-    for one in broken:
-        violation = one.search.violation
-        if violation is None:
-            rows.append((one.name, f"none in {one.search.runs}; least margin {one.search.closest:.2f} s", *[""] * 4))
-            continue
-        others = sum(not verdict.holds for verdict in one.protocols.values() if isinstance(verdict, Judgement)) - 1
-        idle = f"{violation.verdict.measure:.1f}"
-        rows.append(
-            (one.name, case_text(violation.case), f"{violation.searched}", f"{violation.seed}", idle, f"{others}")
-        )
-    about = f'"{PROPERTY}", at most {cases} cases each; others: protocols that violate it in the same scenario, too'
+    rows += [row for one in broken for row in rows_of(one)]
+    about = f'"{PROPERTY}"; others: protocols that violate it in the same scenario, too'
     return f"{about}\n{aligned(rows, right_from=2)}"
 
 
@@ -85,16 +167,14 @@ def picture(broken: Sequence[Broken]) -> "Figure":
 
     from desim.analysis.drawing import plots
 
-    violated = [one for one in broken if one.search.violation is not None]
-    rows = sorted({kind for one in violated for kind in one.protocols})
-    values = np.array([[_excess(one.protocols.get(kind)) for one in violated] for kind in rows])
+    first = {one.name: one.weaknesses[0].protocols for one in broken if one.weaknesses}
+    rows = sorted({kind for protocols in first.values() for kind in protocols})
+    values = np.array([[_excess(protocols.get(kind)) for protocols in first.values()] for kind in rows])
     with plots.styled(figsize=(plots.COLUMN * 1.6, 0.6 + 0.2 * len(rows)), font=7.0) as figure:
         axes = figure.add_subplot()
         shown = axes.imshow(values, cmap="Greys", vmin=0.0, vmax=8.0, aspect="auto")
         axes.set_yticks(range(len(rows)), rows)
-        axes.set_xticks(
-            range(len(violated)), [one.name for one in violated], rotation=60, ha="right", rotation_mode="anchor"
-        )
+        axes.set_xticks(range(len(first)), [*first], rotation=60, ha="right", rotation_mode="anchor")
         axes.set(xlabel="smallest scenario that breaks ...", ylabel="protocol in it")
         axes.tick_params(length=0)
         figure.colorbar(shown, ax=axes, label="idle beyond centralised (s)")
@@ -111,9 +191,15 @@ def _excess(verdict: Judgement | str | None) -> float:
 @study(
     "breaking",
     __doc__,
-    100,
-    click.Option(["--protocol"], metavar="NAME", help="Search for this protocol only."),
-    seconds=4.0,
+    200,
+    click.Option(["--protocol"], metavar="NAME", help="Search for this protocol only, such as local_min-trimmed."),
+    click.Option(
+        ["--minutes"],
+        type=click.FloatRange(0.0, min_open=True),
+        default=inf,
+        help="Longest time of each protocol, min.",
+    ),
+    seconds=2.0,
 )
 def main(options: Options) -> None:
     """Search, compare and show."""
@@ -121,32 +207,50 @@ def main(options: Options) -> None:
     chosen = {name: base for name, base in bases().items() if only in (None, name)}
     if not chosen:
         raise click.BadParameter(f"there is no {only!r}; there are {', '.join(bases())}", param_hint="--protocol")
-    broken = []
-    options.out.mkdir(parents=True, exist_ok=True)
-    for name, base in chosen.items():
-        search = find_violation(base, PROPERTY, runs=options.runs, seed=options.seed, jobs=options.jobs)
-        violation = search.violation
-        broken.append(Broken(name, search, {} if violation is None else violation.protocols()))
-        if violation is not None:
-            file = options.out / f"breaking-{name.replace(' + ', '-')}.toml"
-            command = f"python -m scenarios.breaking --protocol '{name}' --runs {options.runs} --seed {options.seed}"
-            write_whole(file, scenario_text(violation, file.name, command).encode())
-        click.echo(table(broken[-1:], options.runs).splitlines()[-1], err=True)
-    document = {
-        "property": PROPERTY,
-        "searches": [
+    folder = options.out / "breaking"
+    folder.mkdir(parents=True, exist_ok=True)
+
+    def show(_: int, one: Broken) -> None:
+        click.echo(aligned(rows_of(one), right_from=2), err=True)
+        for number, weakness in enumerate(one.weaknesses, start=1):
+            file = options.out / f"breaking-{one.name}{'' if number == 1 else f'-{number}'}.toml"
+            command = f"python -m scenarios.breaking --protocol {one.name} --runs {options.runs} --seed {options.seed}"
+            write_whole(file, scenario_text(weakness.violation, file.name, command).encode())
+
+    broken = run_many(
+        [(base, options.seed) for base in chosen.values()],
+        options.jobs,
+        "searches",
+        _itself,
+        partial(break_protocol, folder, options.runs, 60.0 * options.own["minutes"]),  # type: ignore[arg-type]
+        show,
+    )
+    document = {"property": PROPERTY, "searches": [_document(one) for one in broken]}
+    options.show(document, table(broken), lambda: picture(broken))
+
+
+def _itself(broken: Any) -> Broken:
+    return cast("Broken", broken)
+
+
+def _document(broken: Broken) -> dict[str, Any]:
+    """Return what was found about a protocol as JSON values."""
+    return {
+        "name": broken.name,
+        "cases": broken.cases,
+        "minutes": round(broken.seconds / 60.0, 2),
+        "closest": broken.closest,
+        "weaknesses": [
             {
-                "name": one.name,
-                "cases": one.search.runs,
-                "closest": None if one.search.closest == inf else one.search.closest,
-                "smallest": None if one.search.violation is None else one.search.violation.case,
-                "seed": None if one.search.violation is None else one.search.violation.seed,
-                "idle_beyond": {kind: _excess(verdict) for kind, verdict in one.protocols.items()},
+                "smallest": weakness.violation.case,
+                "seed": weakness.violation.seed,
+                "case": weakness.violation.searched,
+                "shrunk": weakness.violation.shrunk,
+                "idle_beyond": {kind: _excess(verdict) for kind, verdict in weakness.protocols.items()},
             }
-            for one in broken
+            for weakness in broken.weaknesses
         ],
     }
-    options.show(document, table(broken, options.runs), lambda: picture(broken))
 
 
 if __name__ == "__main__":
