@@ -4,17 +4,21 @@ A number is an `int` if it counts (`operator.index`), and a `float` if it measur
 a boolean stays a boolean, and a text stays a text, so strict types refuse the same values as before the conversion. A
 value that is neither a number nor a list is returned unchanged, for the field that receives it to judge.
 
-A set is refused by any field that is a list. A text that no file can hold is refused, with UnicodeEncodeError: one with
-half of a surrogate pair, such as names with undecodable bytes on a command line have.
+A set is refused by any field that is a list, and so is an iterator without an end, such as `itertools.cycle`. Columns
+and fields with the names of coordinates (`desim.config.column_names`) are brought into the order t, x, y. A text that
+no file can hold is refused, with UnicodeEncodeError: one with half of a surrogate pair, such as names with undecodable
+bytes on a command line have.
 """
 
 from collections.abc import ItemsView, Iterator, KeysView, Sequence, Set, ValuesView
 from decimal import Decimal
-from itertools import chain
+from itertools import chain, count, cycle, islice, repeat
 from math import isinf
 from numbers import Complex, Integral, Real
-from operator import index
+from operator import index, length_hint
 from typing import Any
+
+from desim.config.column_names import coordinate_columns
 
 ATOMS = frozenset({int, float, bool, str, type(None)})
 """Types of values that need no conversion."""
@@ -23,6 +27,8 @@ ROWS = frozenset({list, tuple})
 LISTS = (list, tuple, Sequence, Iterator, KeysView, ValuesView, ItemsView)
 """Types with an order: lists, ranges, generators, `zip`, views of dicts, deques. A set has none."""
 TEXTS = (str, bytes, bytearray)
+MAX_ITEMS = 10_000_000
+"""Largest number of items that are taken from an iterator, which may have no end."""
 DATES = frozenset("mM")
 """The `kind` of the dtypes of times and dates, which numpy takes for integers of an arbitrary unit."""
 
@@ -54,32 +60,22 @@ def as_python(value: Any) -> Any:
     if isinstance(value, Complex | Decimal):
         return _number(value)
     if hasattr(kind, "__float__") and (hasattr(value, "units") or hasattr(value, "unit")):
-        return _Quantity(value)
+        return _Refused(f"{value!r}, with a unit: give a number in the unit of the key")
     if hasattr(kind, "tolist") or hasattr(kind, "__array__"):
         return _of_array(value)
     if isinstance(value, LISTS):
         return value if isinstance(value, TEXTS) else _items(value)
-    return _Unordered(value) if isinstance(value, Set) else value
+    return _Refused(f"the set {value!r}, which has no order: give a list") if isinstance(value, Set) else value
 
 
-class _Quantity:
-    """A number with a unit, which is refused: a field would take its number, whatever the unit is."""
+class _Refused:
+    """Stands for a value that is refused although a field would take it, for example without its unit or its order."""
 
-    def __init__(self, value: Any):
-        self._value = value
-
-    def __repr__(self) -> str:
-        return f"{self._value!r}, with a unit: give a number in the unit of the key"
-
-
-class _Unordered:
-    """A set, which is refused: a field would take its items in an arbitrary order, and equal ones once."""
-
-    def __init__(self, value: Any):
-        self._value = value
+    def __init__(self, text: str):
+        self._text = text
 
     def __repr__(self) -> str:
-        return f"the set {self._value!r}, which has no order: give a list"
+        return self._text
 
 
 def why_no_text(error: UnicodeEncodeError) -> str:
@@ -119,10 +115,26 @@ def _is_plain(values: list[Any] | tuple[Any, ...]) -> bool:
 
 def _items(values: Any) -> Any:
     """Return the converted items of values in order as a list, or as a tuple if they are one."""
+    if isinstance(values, Iterator):
+        if _is_endless(values) or len(values := list(islice(values, MAX_ITEMS + 1))) > MAX_ITEMS:
+            return _Refused("an iterator without an end: give a list")
+    elif fields := getattr(values, "_fields", ()):
+        try:
+            values = tuple(values[k] for k in coordinate_columns(fields) or range(len(fields)))
+        except ValueError as error:
+            return _Refused(f"a row: {error}")
     items = [as_python(item) for item in values]
-    if isinstance(values, tuple):
-        return tuple(items)
-    return items
+    return tuple(items) if isinstance(values, tuple) else items
+
+
+def _is_endless(values: Iterator[Any]) -> bool:
+    """Return whether an iterator of `itertools` has no end; `repeat` may have one."""
+    if not isinstance(values, repeat):
+        return isinstance(values, cycle | count)
+    try:
+        return length_hint(values) < 0
+    except TypeError:
+        return True
 
 
 def _number(value: Any) -> Any:
@@ -143,7 +155,10 @@ def _of_array(value: Any) -> Any:
 
     A masked number, and a quantity with a unit, which cannot be converted without it, are returned unchanged.
     """
-    value = _in_order(value)
+    try:
+        value = _in_order(value)
+    except ValueError as error:
+        return _Refused(f"a table: {error}")
     try:
         converted = value.tolist() if hasattr(type(value), "tolist") else _asarray(value).tolist()
     except (AttributeError, TypeError, ValueError, NotImplementedError):
@@ -152,11 +167,19 @@ def _of_array(value: Any) -> Any:
 
 
 def _in_order(value: Any) -> Any:
-    """Return a table with its named columns in the order t, x, y, or in that of its rows of the same names."""
+    """Return a table with its named columns in the order t, x, y, or in that of its rows of the same names.
+
+    Raises:
+        ValueError: if they are in another unit than those of desim.
+    """
+    if hasattr(value, "isel"):  # of xarray, whose last dimension may have labels
+        labels = value.coords[value.dims[-1]].values.tolist() if value.dims and value.dims[-1] in value.coords else []
+        order = coordinate_columns(labels)
+        return value if order is None else value.isel({value.dims[-1]: order})
     names = getattr(getattr(value, "dtype", None), "names", None)
     labels = list(getattr(value, "columns", ()) if names is None else names)
-    if {"x", "y"} <= set(labels) <= {"t", "x", "y"}:
-        return value[sorted(labels)]
+    if (order := coordinate_columns(labels)) is not None:
+        return value[[labels[k] for k in order]]
     rows = list(value.index) if hasattr(value, "index") and labels else []
     is_permuted = len(set(labels)) == len(labels) == len(rows) and set(labels) == set(rows) and labels != rows
     return value[rows] if is_permuted else value

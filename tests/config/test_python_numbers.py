@@ -2,11 +2,11 @@
 
 import array
 import enum
-from collections import UserList, deque
+from collections import UserList, deque, namedtuple
 from contextlib import suppress
 from decimal import Decimal
 from fractions import Fraction
-from itertools import chain
+from itertools import chain, count, cycle, repeat
 from math import inf, isnan
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -385,3 +385,79 @@ def test_named_columns_are_taken_by_their_names():
     square = pd.DataFrame(matrix, index=list("abc"), columns=list("abc"))
     for order in ("abc", "cab", "bac"):
         assert LatencyMatrix(values=square[list(order)]).values == tuple(map(tuple, matrix.tolist()))
+
+
+class Labelled:
+    """An array with labels along its last dimension, as that of xarray."""
+
+    dims = ("row", "axis")
+
+    def __init__(self, rows, labels):
+        self._rows, self._labels = np.array(rows), labels
+        self.coords = {"axis": pd.Series(labels)}
+
+    def isel(self, order):
+        (columns,) = order.values()
+        return Labelled(self._rows[:, columns], [self._labels[k] for k in columns])
+
+    def __array__(self, dtype=None, copy=None):
+        return self._rows
+
+
+ROW = namedtuple("ROW", "y x")
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        pd.DataFrame({"Y": [3.0], "X": [1.0]}),
+        pd.DataFrame({"y [m]": [3.0], "x [m]": [1.0]}),
+        pd.DataFrame({"pos_y": [3.0], "pos_x": [1.0]}),
+        pd.DataFrame({"north": [3.0], "east": [1.0]}),
+        np.array([(3.0, 1.0)], dtype=[("Y", float), ("X", float)]),
+        [ROW(3.0, 1.0)],
+        [ROW(np.float32(3.0), 1.0)],
+        Labelled([[3.0, 1.0]], ["y", "x"]),
+    ],
+    ids=["capital", "unit", "prefix", "compass", "record", "named tuple", "of numpy", "labels"],
+)
+def test_names_of_coordinates_are_understood_as_in_a_file(table):
+    assert Team(positions=table).positions == ((1.0, 3.0),)
+
+
+def test_a_time_is_the_first_coordinate_whatever_its_name():
+    for name in ("time", "T", "t_s", "Time [s]"):
+        table = pd.DataFrame({"x": [1.0, 2.0], "y": [3.0, 4.0], name: [0.0, 1.0]})
+        assert RecordedMotion(waypoints=table).waypoints == ((0.0, 1.0, 3.0), (1.0, 2.0, 4.0))
+
+
+def test_columns_without_such_names_stay_in_their_order():
+    for names in (["b", "a"], ["y", "a"], [1, 0], ["x", "X"]):
+        assert Team(positions=pd.DataFrame([[3.0, 1.0]], columns=names)).positions == ((3.0, 1.0),)
+
+
+@pytest.mark.parametrize(
+    ("names", "why"),
+    [
+        (["lat", "lon"], "in degrees"),
+        (["Longitude", "Latitude"], "in degrees"),
+        (["x_cm", "y_cm"], "column 'x_cm' is in cm, and should be in m"),
+        (["x [km]", "y [km]"], r"column .x.* is in km, and should be in m"),
+    ],
+)
+def test_columns_in_another_unit_are_refused(names, why):
+    with pytest.raises(KeyedError, match=f"positions: .*a table: .*{why}"):
+        Team(positions=pd.DataFrame([[3.0, 1.0]], columns=names))
+    with pytest.raises(KeyedError, match=f"positions.0: .*a row: .*{why}"):
+        Team(positions=[namedtuple("Row", [name.split(" [")[0] + "_km" * ("[" in name) for name in names])(3.0, 1.0)])
+
+
+@pytest.mark.parametrize(
+    "endless", [lambda: cycle([1.0, 2.0]), count, lambda: repeat(1.0), lambda: (1.0 for _ in count())]
+)
+def test_an_iterator_without_an_end_is_refused(endless, monkeypatch):
+    monkeypatch.setattr("desim.config.python_numbers.MAX_ITEMS", 1000)
+    for model, name in ((Team, "speeds"), (Empirical, "values"), (Team, "positions")):
+        with pytest.raises(KeyedError, match=f"{name}.*an iterator without an end: give a list"):
+            made(model, {name: endless()})
+    assert Team(count=2, speeds=repeat(2.0, 2)).speeds == (2.0, 2.0)

@@ -6,37 +6,18 @@ t,node,x,y
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from decimal import Decimal
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
 
+from desim.config.column_names import COLUMNS, DEGREES, UNITS, Header, header_of
 from desim.kernel.measured.csv_tables import rows_of, separator_in, with_points
 from desim.kernel.measured.measurements import start_of, time_of
 from desim.pursuit.mobility.mobility import MobilityFile, NodeName, NodeTrack, Waypoint, append, coordinate, time
 
-COLUMNS: Mapping[str, tuple[str, ...]] = {
-    "t": ("t", "time", "timestamp", "t_s", "time_s", "sec", "seconds", "date", "datetime"),
-    "x": ("x", "x_m", "pos_x", "posx", "position_x", "east", "easting"),
-    "y": ("y", "y_m", "pos_y", "posy", "position_y", "north", "northing"),
-    "z": ("z", "z_m", "pos_z", "posz", "position_z", "height", "altitude", "alt"),
-    "node": ("node", "name", "node_id", "nodeid", "id", "vehicle", "vehicle_id", "agent", "robot", "uav"),
-}
-"""The names that a column of a table may have, in lower case; the first that a table has is read."""
-DEGREES = {"lat", "latitude", "lon", "lng", "long", "longitude"}
-UNITS = {"t": "s", "x": "m", "y": "m", "z": "m"}
 NUMBER = re.compile(r"[+-]?\d+(?:[.,]\d+)*(?:e[+-]?\d+)?", re.IGNORECASE)
 """Matches a number between spaces, perhaps with commas."""
-HEADER_CELL = re.compile(r"\s*(.*?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?\s*")
-"""Matches the name of a column and its unit, for example `x [m]`."""
-
-
-class Header(NamedTuple):
-    """The cells of a header, in lower case without units, and the units."""
-
-    names: list[str]
-    units: list[str | None]
 
 
 def header_in(lines: Sequence[str]) -> tuple[int, str, Header] | None:
@@ -51,7 +32,7 @@ def header_in(lines: Sequence[str]) -> tuple[int, str, Header] | None:
         is_comment = text.startswith("#")
         text = text.lstrip("#").strip()
         delimiter = separator_in(text)
-        header = _header(text.split(delimiter) if delimiter else text.split())
+        header = header_of(text.split(delimiter) if delimiter else text.split())
         column_names = {name for names in COLUMNS.values() for name in names} | DEGREES
         if len(column_names & set(header.names)) >= (3 if is_comment else 2):
             return number, delimiter, header
@@ -59,11 +40,6 @@ def header_in(lines: Sequence[str]) -> tuple[int, str, Header] | None:
             is_bonnmotion = len(text.split()) > 2 and all(map(NUMBER.fullmatch, text.split()))  # refused there
             return (number, delimiter, header) if delimiter in {",", ";"} and not is_bonnmotion else None
     return None
-
-
-def _header(cells: Sequence[str]) -> Header:
-    parts = [HEADER_CELL.fullmatch(cell.strip().strip('"')) for cell in cells]
-    return Header([part[1].lower() if part else "" for part in parts], [part[2] if part else None for part in parts])
 
 
 class MobilityTable(MobilityFile):
