@@ -1,6 +1,7 @@
 """Several evaders in the running simulator: the Gibbs law over targets, cooling, and what is legal."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from desim import Scenario, run, summary
@@ -140,6 +141,19 @@ def assigned(action, evaders=2):
 def test_chasing_an_unknown_evader_is_an_error_that_lists_the_known_ones(action, evaders):
     with pytest.raises(ValueError, match=f"an action should be 0 or an evader, 1 .. {evaders}, got {action}"):
         assigned(action, evaders)
+
+
+@pytest.mark.parametrize("action", [None, "1", [1], np.array([1]), np.array([0, 1]), pd.Series([1]), 1j, np.ma.masked])
+def test_an_action_that_is_no_number_is_refused(action):
+    with pytest.raises(ValueError, match=r"an action should be 0 or an evader, 1 \.\. 2"):
+        assigned(action)
+
+
+def test_an_action_is_a_number_or_a_boolean_of_any_kind():
+    for action in (2.0, np.int8(2), np.array(2)):
+        assert [each.active for each in assigned(action).trace.of(Decided)] == [2]
+    for action in (True, np.True_, np.array(True)):
+        assert [each.active for each in assigned(action).trace.of(Decided)] == [1]
 
 
 def test_chasing_an_existing_evader_is_no_error():
