@@ -28,6 +28,7 @@ from desim.pursuit.team.trust import Credulous, Judge
 from desim.results.run_folder import read, write
 from desim.scenario.checks import warnings
 from desim.view.pages.replay import replay_page
+from tests.config.test_arrays import Quantity
 from tests.test_overrides import FAMILIES, events, is_refused, linked, plain, scenario
 
 CASES = [name for name, family in FAMILIES.items() if name not in {"relay", "interference"}]
@@ -83,6 +84,11 @@ WRONG = {
     "noise": [None, True, (1.0, 2.0), np.nan, "far"],
 }
 """For each family, what its functions should not return."""
+SIZES = {"latency": None, "loss": None, "reception": None, "medium": None, "guidance": 4, "flow": 5}
+"""Families that return numbers or booleans, and how many; None: one for all."""
+for _name, _size in SIZES.items():
+    _ones = np.ones(_size or (), dtype=bool if _name == "loss" else float)
+    WRONG[_name] += [_ones.view(Quantity), np.ma.array(_ones, mask=True), _ones.astype("m8[ms]"), np.ma.masked]
 RETURNS = [(name, k) for name, values in WRONG.items() for k in range(len(values))]
 
 

@@ -1,10 +1,45 @@
-"""The types of numpy arrays."""
+"""The types of numpy arrays, and arrays of what others give."""
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from desim.config.python_numbers import as_python
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Points = NDArray[np.complex128]
 """Points of the plane, x + iy."""
+
+
+def array_of(value: Any) -> "NDArray[Any]":
+    """Return what a function of a user has returned, or a caller has given, as an array of numbers or booleans.
+
+    The dtype of the array is object if something in it is neither, such as a number with a unit or a masked one:
+    `np.asarray` would take the number.
+    """
+    if type(value) in PLAIN or (type(value) is np.ndarray and value.dtype.kind in "biufc"):
+        return np.asarray(value)
+    converted = as_python(value)
+    try:
+        return np.array(None) if isinstance(converted, np.ma.MaskedArray) else np.asarray(converted)
+    except ValueError:  # rows of different lengths
+        return np.array(None)
+
+
+def array_text(array: "NDArray[Any]") -> str:
+    """Return what an array of a caller is, for the end of an error message, with an item that is no number."""
+    text = f"shape {array.shape}, dtype {array.dtype}"
+    if array.dtype != object:
+        return text
+    other = next((item for item in array.flat if type(item) not in PLAIN), None)
+    item = " ".join(repr(other).split())
+    return f"{text}, with {item[:LONGEST]}{'...' if len(item) > LONGEST else ''}"
+
+
+LONGEST = 300
+"""Maximum length of a value in an error message, characters."""
+PLAIN = frozenset({float, int, bool, np.float64})
+"""The types of most numbers."""

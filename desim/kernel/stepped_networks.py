@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from desim.config.arrays import Floats
+from desim.config.arrays import Floats, array_of, array_text
 from desim.config.model import MAX_COORDINATE
 from desim.config.python_numbers import whole
 from desim.kernel.core.seeds import run_seed, seed_of
@@ -136,11 +136,10 @@ class SteppedNetworks:
         self._array = self._array if positions is None else positions
         if self._array is None:
             return [None] * len(self)
-        array, shape = np.asarray(self._array), (len(self), len(self[0].nodes), 2)
+        array, shape = array_of(self._array), (len(self), len(self[0].nodes), 2)
         if array.shape != shape or array.dtype.kind not in "iuf":
             raise ValueError(
-                f"positions should be an array of numbers of the shape {shape}, m"
-                f" (got shape {array.shape}, dtype {array.dtype})"
+                f"positions should be an array of numbers of the shape {shape}, m (got {array_text(array)})"
             )
         if not (np.abs(array) <= MAX_COORDINATE).all():
             e, row, _ = np.argwhere(~(np.abs(array) <= MAX_COORDINATE))[0].tolist()
@@ -152,11 +151,11 @@ class SteppedNetworks:
 
     def _bodies(self, bodies: Any) -> list[list[Any]]:
         """Return the bodies of each network and node: a number, or a tuple of numbers."""
-        array, size = np.asarray(bodies), len(self._networks[0].nodes)
+        array, size = array_of(bodies), len(self._networks[0].nodes)
         if array.ndim not in {2, 3} or array.shape[:2] != (len(self), size) or array.dtype.kind not in "biuf":
             raise ValueError(
                 f"bodies should be numbers of the shape ({len(self)}, {size}) or ({len(self)}, {size}, k)"
-                f" (got shape {array.shape}, dtype {array.dtype})"
+                f" (got {array_text(array)})"
             )
         rows: list[list[Any]] = array.tolist()
         return [[tuple(body) for body in row] for row in rows] if array.ndim == 3 else rows

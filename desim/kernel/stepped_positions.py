@@ -1,11 +1,11 @@
 """The positions of nodes that another program moves, one step at a time."""
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from desim.config.arrays import Floats, Integers
+from desim.config.arrays import Floats, Integers, array_of, array_text
 from desim.config.model import MAX_COORDINATE
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.positions import Nodes, PositionSource
@@ -45,7 +45,8 @@ class SteppedPositions(PositionSource):
         Raises:
             ValueError: as in `begin_step`.
         """
-        self._first, self._array = self._read(positions), positions
+        array = _kept(positions)
+        self._first, self._array = self._read(array), array
 
     def begin_step(self, end: int, positions: Any) -> None:
         """Begin a step.
@@ -57,7 +58,7 @@ class SteppedPositions(PositionSource):
         Raises:
             ValueError: if the positions are not finite numbers, (n, 2).
         """
-        array = self._array if positions is None else positions
+        array = self._array if positions is None else _kept(positions)
         if array is None:
             return
         last = self._read(array)
@@ -117,18 +118,18 @@ class SteppedPositions(PositionSource):
 
     def _read(self, positions: Any) -> Floats:
         """Return a read-only copy of the positions at one instant."""
-        if isinstance(positions, Mapping):
+        rows = getattr(positions, "index", None) if hasattr(positions, "loc") else None
+        if rows is not None and len(rows) == self._size and {*rows} == {*self._nodes}:  # of pandas
+            positions = positions.loc[[*self._nodes]]
+        elif isinstance(positions, Mapping):
             if (missing := next((node for node in self._nodes if node not in positions), self)) is not self:
                 raise ValueError(f"positions should have a place for each node: there is none for {missing!r}")
             positions = [positions[node] for node in self._nodes]
-        try:
-            view = np.asarray(positions)
-        except ValueError:  # rows of different lengths
-            view = np.array(None)
+        view = array_of(positions)
         if view.shape != (self._size, 2) or view.dtype.kind not in "iuf":
             raise ValueError(
                 f"positions should be an array of numbers of the shape ({self._size}, 2), one row (x, y) per node, m"
-                f" (got shape {view.shape}, dtype {view.dtype})"
+                f" (got {array_text(view)})"
             )
         copy = view.astype(np.float64)
         if not (np.abs(copy) <= MAX_COORDINATE).all():
@@ -139,3 +140,8 @@ class SteppedPositions(PositionSource):
             )
         copy.setflags(write=False)
         return copy
+
+
+def _kept(positions: Any) -> Any:
+    """Return positions that can be read again at each step."""
+    return [*positions] if isinstance(positions, Iterator) else positions

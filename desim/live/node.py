@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from desim.config.arrays import array_of
 from desim.config.fresh import fresh_copy
 from desim.kernel.clock_sync import synchronise
 from desim.kernel.core.clock import Clock, Instant, Phase
@@ -372,9 +373,9 @@ class _Body:
 
 def _points(name: str, pairs: Any, count: int) -> Any:
     """Return (k, 2) positions as complex numbers."""
-    array = np.asarray(pairs, dtype=float)
-    if array.shape != (count, 2) or not np.isfinite(array).all():
+    array = array_of(pairs)
+    if array.shape != (count, 2) or array.dtype.kind not in "iuf" or not np.isfinite(array).all():
         raise ValueError(
             f"{name} should be finite numbers of shape {(count, 2) if count > 1 else (2,)} (got {pairs!r})"
         )
-    return points_of(array)
+    return points_of(array.astype(float))

@@ -11,6 +11,7 @@ from threading import Thread
 
 import networkx as nx
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -363,6 +364,39 @@ def test_positions_may_be_a_dict_by_node_and_are_read_at_each_step():
     assert network.neighbours("a") == ["b"]
     with pytest.raises(ValueError, match="a place for each node: there is none for 'b'"):
         network.step(0.1, {"a": (0.0, 0.0), "c": (9.0, 0.0)})
+
+
+class Centimetres(np.ndarray):
+    unit = "cm"
+
+    def tolist(self):
+        raise NotImplementedError
+
+
+def test_positions_may_be_in_tables_whose_columns_and_rows_have_names():
+    """Columns by the names of coordinates, and rows of pandas by the labels of nodes; b is next to a, and c is far."""
+    places = np.array([[0.0, 3.0], [0.0, 1.0], [0.0, 99.0]])
+    table = pd.DataFrame(places[:, ::-1], columns=["y", "x"], index=["a", "b", "c"])
+    for positions in (places, table, table.loc[["c", "a", "b"]], table[["x", "y"]], iter(places.tolist())):
+        network = SteppedNetwork(nx.complete_graph(["a", "b", "c"]), Links(range=5.0), positions=positions)
+        network.step(0.1)
+        network.send("a", None, "hi")
+        assert [message.dst for message in network.step(0.1)] == ["b"]
+
+
+@pytest.mark.parametrize(
+    "hide", [lambda places: places.view(Centimetres), lambda places: np.ma.array(places, mask=True)]
+)
+def test_numbers_with_units_and_masked_ones_are_no_positions_and_no_bodies(hide):
+    with pytest.raises(ValueError, match="positions should be an array of numbers"):
+        SteppedNetwork(3, positions=hide(np.zeros((3, 2))))
+    network = SteppedNetwork(3, positions=np.zeros((3, 2)))
+    with pytest.raises(ValueError, match="positions should be an array of numbers"):
+        network.step(0.1, hide(np.zeros((3, 2))))
+    with pytest.raises(ValueError, match="positions should be an array of numbers"):
+        SteppedNetworks(2, 3, positions=hide(np.zeros((2, 3, 2))))
+    with pytest.raises(ValueError, match="bodies should be numbers"):
+        SteppedNetworks(2, 3).publish(hide(np.zeros((2, 3))))
 
 
 def test_a_body_is_anything_where_its_size_does_not_matter():

@@ -6,7 +6,7 @@ At the end of a frame all frames that overlap it are known, and the model of int
 import numpy as np
 
 from desim.config.answers import wrong_answer
-from desim.config.arrays import Bools, Floats, Integers
+from desim.config.arrays import Bools, Floats, Integers, array_of
 from desim.config.errors import KeyedError, Problem
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import Cause
@@ -112,10 +112,11 @@ class Air:
             lambda other: self._channel(other, nodes),
             self._topology.channel is not None,
         )
-        received = np.asarray(self._interference(overlap))
+        answer = self._interference(overlap)
+        received = array_of(answer)
         if received.dtype != bool or received.shape != nodes.shape:
             expected = f"a model of interference should return a boolean for each of {len(nodes)} receivers"
-            raise wrong_answer(expected, received, self._interference)
+            raise wrong_answer(expected, answer, self._interference)
         if frame.locked is not None:
             received = received & frame.locked[nodes]
         cause: Cause = self._cause if frame.overlapping else "loss"

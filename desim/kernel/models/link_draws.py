@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from desim.config.answers import wrong_answer
+from desim.config.arrays import array_of
 from desim.config.model import MAX_TIME
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.traits import LinkTraits
@@ -63,13 +64,10 @@ def as_seconds(delays: Any, model: object) -> "NDArray[np.float64]":
     Raises:
         ValueError: if they are not numbers.
     """
-    try:
-        seconds = np.asarray(delays)
-        if seconds.dtype.kind not in "bUS":  # a loss model in the place of a latency
-            return np.asarray(seconds, dtype=float)
-    except (TypeError, ValueError):
-        pass
-    raise wrong_answer("latencies should be finite times >= 0 s", delays, model)
+    seconds = array_of(delays)
+    if seconds.dtype.kind not in "iuf":  # a boolean is the answer of a loss model in the place of a latency
+        raise wrong_answer("latencies should be finite times >= 0 s", delays, model)
+    return np.asarray(seconds, dtype=float)
 
 
 def as_nanoseconds(delays: Any, model: object) -> "NDArray[np.int64]":
@@ -91,7 +89,7 @@ def as_booleans(losses: Any, model: object) -> "NDArray[np.bool_]":
     Raises:
         ValueError: if they are not booleans.
     """
-    booleans = np.asarray(losses)
+    booleans = array_of(losses)
     if booleans.dtype != bool:
         raise wrong_answer("losses should be booleans", losses, model)
     return booleans
@@ -117,7 +115,7 @@ def booleans_of(answer: Any, count: int, model: object) -> list[bool]:
     """
     if isinstance(answer, bool):
         return [answer] * count
-    booleans = np.asarray(answer)
+    booleans = array_of(answer)
     if booleans.dtype != bool or (booleans.shape != (count,) and booleans.shape != ()):
         raise wrong_answer(f"losses should be one boolean or one for each of {count} links", answer, model)
     lost: bool | list[bool] = booleans.tolist()  # `np.broadcast_to` takes 8 us

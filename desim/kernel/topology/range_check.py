@@ -9,7 +9,7 @@ from math import inf
 import numpy as np
 
 from desim.config.answers import wrong_answer
-from desim.config.arrays import Bools, Floats, Integers
+from desim.config.arrays import Bools, Floats, Integers, array_of
 from desim.config.python_numbers import real
 from desim.config.traits import is_ours
 from desim.kernel.core.positions import Nodes
@@ -137,7 +137,7 @@ def _booleans(answer: object, count: int, model: ReceptionModel) -> Bools:
     Raises:
         ValueError: if these are no booleans, or not one for each link.
     """
-    received = np.asarray(answer)
+    received = array_of(answer)
     if received.dtype != bool or received.shape != (count,):
         raise wrong_answer(f"received should return a boolean for each of {count} links", answer, model)
     return received
@@ -149,7 +149,7 @@ def _probabilities(answer: object, count: int, model: ReceptionModel) -> Floats:
     Raises:
         ValueError: if they are neither one number in [0, 1] nor one for each link.
     """
-    probabilities = np.asarray(answer)
+    probabilities = array_of(answer)
     is_numeric = probabilities.dtype.kind in "biuf" and probabilities.shape in {(), (count,)}
     if is_numeric and ((probabilities >= 0.0) & (probabilities <= 1.0)).all():
         return probabilities

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field, ModelWrapValidatorHandler, ValidationInfo, model_validator
 
 from desim.config.answers import wrong_answer
-from desim.config.arrays import Points
+from desim.config.arrays import Points, array_of
 from desim.config.choice import OneOf
 from desim.config.model import MAX_COORDINATE, Coordinate, Duration, FirstError, Length, Speed, Time, Value
 from desim.config.traits import Follows, Traits, inherits, is_ours
@@ -379,7 +379,7 @@ class Environment(Value):
         velocities = self.flow(places, t)
         if is_ours(type(self.flow)):
             return velocities
-        checked = np.asarray(velocities)
+        checked = array_of(velocities)
         if checked.dtype.kind not in "iufc" or checked.shape != places.shape or not np.isfinite(checked).all():
             expected = f"an array of {len(places)} finite velocities, complex numbers in m/s, one for each place"
             raise wrong_answer(f"a flow should return {expected}", velocities, self.flow)

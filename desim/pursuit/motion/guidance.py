@@ -13,7 +13,7 @@ from typing import ClassVar, Literal, Protocol
 import numpy as np
 
 from desim.config.answers import wrong_answer
-from desim.config.arrays import Floats, Points
+from desim.config.arrays import Floats, Points, array_of
 from desim.config.model import Value
 from desim.config.traits import Traits, is_ours
 from desim.pursuit.core.geometry import SMALLEST, toward
@@ -141,7 +141,7 @@ def guided_velocities(
     velocities = law(gaps, aims, evader_velocity, speeds)
     if is_ours(type(law)):
         return velocities
-    checked = np.asarray(velocities)
+    checked = array_of(velocities)
     if checked.dtype.kind not in "iufc" or checked.shape != speeds.shape:
         expected = f"an array of {len(speeds)} velocities, complex numbers in m/s, one for each pursuer in the call"
         raise wrong_answer(f"a guidance law should return {expected}", velocities, law)
