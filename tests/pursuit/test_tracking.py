@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.kernel.core.units import SECOND
+from desim.pursuit.sensing.correction import corrected, corrected_by_position, corrected_by_state
 from desim.pursuit.sensing.noise import Covariance, PositionNoise, RangeBearingNoise
 from desim.pursuit.sensing.tracking import (
     AlphaBeta,
@@ -15,8 +16,6 @@ from desim.pursuit.sensing.tracking import (
     Kalman,
     Measurement,
     Track,
-    corrected,
-    corrected_by_state,
     fused,
     merged,
     stationary_gains,
@@ -42,7 +41,22 @@ def test_the_gains_are_those_of_a_stationary_kalman_filter(index):
 
 @pytest.mark.parametrize("model", [AlphaBeta(), Kalman()], ids=lambda model: model.kind)
 def test_a_track_begins_at_rest_where_the_evader_was_measured(model):
-    assert model.start(Measurement(5, 0, 3.0, -4.0, ISOTROPIC))[:2] == (5, [3.0, -4.0, 0.0, 0.0])
+    assert model.start(Measurement(5, 0, 3.0, -4.0, ISOTROPIC))[:2] == (5, (3.0, -4.0, 0.0, 0.0))
+
+
+TRIANGLE = np.triu_indices(4)
+
+
+def upper(matrix):
+    """Return the upper triangle of the covariance of a state, row by row."""
+    return tuple(np.array(matrix)[TRIANGLE].tolist())
+
+
+def whole(triangle):
+    """Return the (4, 4) covariance of a state, given its upper triangle."""
+    matrix = np.zeros((4, 4))
+    matrix[TRIANGLE] = triangle
+    return matrix + matrix.T - np.diag(matrix.diagonal())
 
 
 def spread(rng, size):
@@ -69,13 +83,13 @@ def test_a_covariance_is_predicted_by_the_textbook(seed, t):
     f = np.block([[eye, t * eye], [0 * eye, eye]])
     push = 4.0 * np.kron([[abs(t) ** 3 / 3, t * abs(t) / 2], [t * abs(t) / 2, abs(t)]], eye)
     stamp = round(t * SECOND)
-    found = Kalman(velocity_diffusion=2.0).predict(Track(0, [0.0] * 4, p.tolist()), stamp).covariance
-    assert np.allclose(found, f @ p @ f.T + push, rtol=1e-6, atol=1e-6)
+    found = Kalman(velocity_diffusion=2.0).predict(Track(0, (0.0,) * 4, upper(p)), stamp).covariance
+    assert np.allclose(whole(found), f @ p @ f.T + push, rtol=1e-6, atol=1e-6)
 
 
 @given(st.integers(0, 2**32), st.integers(1, 5 * SECOND), st.integers(1, 5 * SECOND))
 def test_a_prediction_does_not_depend_on_the_times_in_between(seed, first, second):
-    track, model = Track(0, [1.0, 2.0, 3.0, 4.0], spread(np.random.default_rng(seed), 4).tolist()), Kalman()
+    track, model = Track(0, (1.0, 2.0, 3.0, 4.0), upper(spread(np.random.default_rng(seed), 4))), Kalman()
     at_once, by_halves = (
         model.predict(track, first + second),
         model.predict(model.predict(track, first), first + second),
@@ -138,7 +152,13 @@ def test_a_state_corrected_by_a_state_is_that_corrected_entry_by_entry(seed, spr
         (spread_before(rng, 4).tolist(), eye),
         (eye, spread_of_errors(rng, 4).tolist()),
     ):
-        assert corrected_by_state(state, before, seen, errors) == corrected(state, before, seen, errors)
+        moved, covariance = corrected(state, before, seen, errors)
+        assert corrected_by_state(state, upper(before), seen, upper(errors)) == (tuple(moved), upper(covariance))
+        place, of_place = seen[:2], [line[:2] for line in errors[:2]]
+        moved, covariance = corrected(state, before, place, of_place)
+        xx, xy, yy = of_place[0][0], of_place[0][1], of_place[1][1]
+        by_position = corrected_by_position(state, upper(before), place, (xx, xy, yy))
+        assert by_position == (tuple(moved), upper(covariance))
 
 
 @pytest.mark.whole
@@ -165,10 +185,10 @@ def updates(seed, count):
             xx, xy, yy = sighting.covariance
             assert is_positive([[xx, xy], [xy, yy]])
         track = model.start(sighting) if track is None else model.update(track, sighting)
-        assert is_positive(track.covariance)
+        assert is_positive(whole(track.covariance))
         other = track if other is None or rng.random() < 0.1 else model.predict(other, stamp)
         for how in ("naive", "covariance_intersection"):
-            assert is_positive(fused(track, other, how).covariance)
+            assert is_positive(whole(fused(track, other, how).covariance))
         stamp += int(10.0 ** rng.uniform(6, 11))
 
 
@@ -202,7 +222,7 @@ def filtered(model, seen, window=100 * SECOND):
 def nees(track, state):
     """Return the normalised estimation error squared."""
     error = np.array(track.state) - state
-    return float(error @ np.linalg.solve(np.array(track.covariance), error))
+    return float(error @ np.linalg.solve(whole(track.covariance), error))
 
 
 def nis(track, seen):
@@ -210,7 +230,7 @@ def nis(track, seen):
     _, state, covariance = Kalman().predict(track, seen.stamp)
     noise = seen.covariance
     innovation = np.array([seen.x, seen.y]) - state[:2]
-    expected = np.array(covariance)[:2, :2] + [[noise.xx, noise.xy], [noise.xy, noise.yy]]
+    expected = whole(covariance)[:2, :2] + [[noise.xx, noise.xy], [noise.xy, noise.yy]]
     return float(innovation @ np.linalg.solve(expected, innovation))
 
 
@@ -314,7 +334,7 @@ def test_merged_sightings_are_a_kalman_filter_of_each_by_itself():
         by_itself = Kalman().update(by_itself, each)
     found = filtered(Kalman(), [first, last._replace(covariance=Covariance(3.0, -0.2, 0.2)), other]).track
     assert found.state == pytest.approx(by_itself.state, rel=1e-9)
-    assert np.array(found.covariance) == pytest.approx(np.array(by_itself.covariance), rel=1e-9)
+    assert found.covariance == pytest.approx(by_itself.covariance, rel=1e-9)
 
 
 @pytest.mark.slow
@@ -387,9 +407,9 @@ def test_naive_fusion_of_shared_information_is_overconfident_and_covariance_inte
 def test_the_fusion_of_independent_tracks_is_their_weighted_mean():
     """Variances 1 and 4 give 0.8; the intersection, with weights 0.8 and 0.2, is no surer than the better track."""
     eye = np.eye(4)
-    one, other = Track(0, [0.0] * 4, eye.tolist()), Track(0, [10.0] * 4, (4 * eye).tolist())
+    one, other = Track(0, (0.0,) * 4, upper(eye)), Track(0, (10.0,) * 4, upper(4 * eye))
     naive, safe = fused(one, other, "naive"), fused(one, other, "covariance_intersection")
     assert naive.state == pytest.approx([2.0] * 4)
-    assert np.allclose(naive.covariance, 0.8 * eye)
+    assert np.allclose(whole(naive.covariance), 0.8 * eye)
     assert safe.state == pytest.approx([10.0 * 0.05 / 0.85] * 4)
-    assert np.allclose(safe.covariance, eye / 0.85)
+    assert np.allclose(whole(safe.covariance), eye / 0.85)

@@ -18,6 +18,7 @@ from desim.kernel.core.seeds import stream
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.kernel.network import Network
 from desim.pursuit.core.events import Estimated
+from desim.pursuit.sensing.correction import StateVector, Upper
 from desim.pursuit.sensing.noise import Covariance, Noiseless
 from desim.pursuit.sensing.sensing import PORT, LimitedView, Sensing, Sighting, TeamSensor
 from desim.pursuit.sensing.tracking import Filter, Measurement, Track, Unfiltered, fused
@@ -44,10 +45,8 @@ class Tracked(NamedTuple):
     """1 .. M"""
     stamp: int
     """Time of the track by the clock of its sender, ns."""
-    state: tuple[float, ...]
-    """(4,) x, y, vx, vy, m and m/s."""
-    covariance: tuple[float, ...]
-    """(10,) the upper triangle of the covariance, row by row."""
+    state: StateVector
+    covariance: Upper
 
 
 class NoisySensor:
@@ -105,8 +104,7 @@ class NoisySensor:
             for evader in self._state.at_large:
                 track = self.views[pursuer].track(evader)
                 if track is not None and track.covariance is not None:
-                    (xx, xy), (_, yy) = track.covariance[0][:2], track.covariance[1][:2]
-                    x, y = track.state[:2]
+                    (x, y, _, _), (xx, xy, _, _, yy, *_) = track.state, track.covariance
                     yield Estimated(self._env.now, pursuer, evader, x, y, xx, xy, yy)
 
     def predicted(self, report: Tracked, now: int) -> Track:
@@ -120,7 +118,7 @@ class NoisySensor:
             self._predicted, self._predicted_at = {}, now
         key = id(report)  # sooner than a hash of all its numbers
         if key not in self._predicted:
-            self._predicted[key] = report, self.sensing.estimator.predict(_unpacked(report), now)
+            self._predicted[key] = report, self.sensing.estimator.predict(Track(*report[1:]), now)
         return self._predicted[key][1]
 
     def _measurements(self) -> "Generator[simpy.Event, None, None]":
@@ -244,10 +242,7 @@ class TrackingView(LimitedView):
         if isinstance(self._sensing.estimator, Unfiltered):
             return self._newest[evader].covariance if evader in self._newest else (0.0, 0.0, 0.0)
         track = self.track(evader)
-        if track is None or track.covariance is None:
-            return 0.0, 0.0, 0.0
-        (xx, xy), (_, yy) = track.covariance[0][:2], track.covariance[1][:2]
-        return xx, xy, yy
+        return (0.0, 0.0, 0.0) if track is None else track.position_covariance
 
     def newest(self, evader: int) -> Sighting | None:
         """Return the newest sighting of an evader, its own or a reported one, without a velocity; None without any."""
@@ -335,12 +330,4 @@ class TrackingView(LimitedView):
 def _packed(evader: int, track: Track) -> Tracked:
     """Return a track as a report."""
     assert track.covariance is not None
-    (xx, xy, xu, xv), (_, yy, yu, yv), (_, _, uu, uv), (_, _, _, vv) = track.covariance
-    return Tracked(evader, track.stamp, tuple(track.state), (xx, xy, xu, xv, yy, yu, yv, uu, uv, vv))
-
-
-def _unpacked(report: Tracked) -> Track:
-    """Return the track of a report."""
-    xx, xy, xu, xv, yy, yu, yv, uu, uv, vv = report.covariance
-    covariance = [[xx, xy, xu, xv], [xy, yy, yu, yv], [xu, yu, uu, uv], [xv, yv, uv, vv]]
-    return Track(report.stamp, list(report.state), covariance)
+    return Tracked(evader, track.stamp, track.state, track.covariance)

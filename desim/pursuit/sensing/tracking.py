@@ -18,17 +18,12 @@ from pydantic import Field
 from desim.config.choice import OneOf
 from desim.config.model import Value
 from desim.kernel.core.units import SECOND
+from desim.pursuit.sensing.correction import StateVector, Upper, corrected, corrected_by_position, corrected_by_state
 from desim.pursuit.sensing.noise import LEAST, Covariance
 
 VelocityDiffusion = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False, strict=True)]
 START_SPEED = 10.0
 """Standard deviation, m/s, of each component of the velocity after the first sighting."""
-ROUNDING = 1e-14
-"""A difference of variances that is at most this share of them is 0 with rounding errors."""
-Matrix = list[list[float]]
-"""The rows of a matrix."""
-NO_SPREAD: Matrix = [[0.0, 0.0], [0.0, 0.0]]
-"""The covariance of a position that is taken for exact."""
 Fusion = Literal["by_stamp", "naive", "covariance_intersection"]
 
 
@@ -71,9 +66,9 @@ def weighed(seen: Measurement, predicted: "Track | None", covariance_at: Covaria
     origin = complex(seen.origin_x, seen.origin_y)
     place, spread = complex(seen.x, seen.y), seen.covariance
     if predicted is not None:
-        (xx, xy, *_), (_, yy, *_) = (predicted.covariance or NO_SPREAD)[:2]
-        if xx + yy < WIDE * (spread.xx + spread.yy):
-            place, spread = predicted.position, Covariance(xx, xy, yy)
+        expected = predicted.position_covariance
+        if expected.xx + expected.yy < WIDE * (spread.xx + spread.yy):
+            place, spread = predicted.position, expected
     first, second, third, fourth = (covariance_at(point - origin) for point in _points(place, spread))
     mean = ((a + b + c + d) / 4.0 for a, b, c, d in zip(first, second, third, fourth, strict=True))
     return seen._replace(covariance=Covariance(*mean))
@@ -100,71 +95,9 @@ def merged(sighting: Measurement, other: Measurement) -> Measurement:
     return Measurement(sighting.stamp, sighting.observer, x, y, Covariance(xx, xy, yy))
 
 
-def _matrix(covariance: Covariance) -> Matrix:
+def _matrix(covariance: Covariance) -> list[list[float]]:
     xx, xy, yy = covariance
     return [[xx, xy], [xy, yy]]
-
-
-def corrected(state: list[float], covariance: Matrix, seen: list[float], errors: Matrix) -> tuple[list[float], Matrix]:
-    """Return a state and its covariance after a measurement of its first k entries.
-
-    The errors of the measurement are decorrelated, the greatest variance first, and its entries are processed one by
-    one (Bar-Shalom, Li & Kirubarajan 2001, section 7.6.1). No matrix is inverted, so a variance may be 0.
-
-    Args:
-        state: (n,) the state.
-        covariance: (n, n) its covariance.
-        seen: (k,) the measured entries.
-        errors: (k, k) the covariance of their errors.
-    """
-    rows = [[float(i == j) for j in range(len(state))] for i in range(len(seen))]
-    seen, errors, pending = list(seen), [list(row) for row in errors], list(range(len(seen)))
-    variances = [errors[k][k] for k in pending]
-    deviations = [sqrt(max(line[i], 0.0)) for i, line in enumerate(covariance)]
-    while pending:
-        # The greatest variance first, as in a Cholesky factorisation with pivots: no share exceeds 1, and a variance of
-        # which only rounding errors are left is 0, that of an exact entry.
-        k = max(pending, key=lambda i: errors[i][i])
-        pending.remove(k)
-        variance = errors[k][k] if errors[k][k] > ROUNDING * variances[k] else 0.0
-        for i in pending if variance else ():
-            share = errors[i][k] / variance
-            rows[i] = [x - share * y for x, y in zip(rows[i], rows[k], strict=True)]
-            seen[i] -= share * seen[k]
-            for j in pending:
-                errors[i][j] -= share * errors[k][j]
-        most = _dot([abs(h) for h in rows[k]], deviations)
-        state, covariance = _with_entry(state, covariance, rows[k], seen[k], variance, ROUNDING * most * most)
-    return state, covariance
-
-
-def _with_entry(
-    state: list[float], covariance: Matrix, row: list[float], seen: float, variance: float, least: float
-) -> tuple[list[float], Matrix]:
-    """Return a state and its covariance P after one number, the product of a row h and the state with an error.
-
-    The covariance is (1 - K h) P (1 - K h)' + r K K' with the gain K and the variance r of the error (Joseph's form).
-    It is a sum of positive matrices, whereas the shorter P - K h P loses its small eigenvalues in rounding errors.
-    """
-    spread = [_dot(line, row) for line in covariance]
-    total = _dot(spread, row) + variance
-    if total <= least:  # the state is as exact as the number, up to rounding
-        return state, covariance
-    gain = [entry / total for entry in spread]
-    off, n = seen - _dot(row, state), range(len(state))
-    left = [[covariance[i][j] - gain[i] * spread[j] for j in n] for i in n]
-    kept = [_dot(line, row) for line in left]
-    upper = {(i, j): left[i][j] - kept[i] * gain[j] + variance * gain[i] * gain[j] for i in n for j in n[i:]}
-    moved = [x + k * off for x, k in zip(state, gain, strict=True)]
-    return moved, [[upper[min(i, j), max(i, j)] for j in n] for i in n]
-
-
-def _dot(a: list[float], b: list[float]) -> float:
-    """Return the product of two vectors, summed from the first entry on."""
-    total = 0.0
-    for x, y in zip(a, b, strict=True):
-        total += x * y
-    return total
 
 
 class Track(NamedTuple):
@@ -172,25 +105,35 @@ class Track(NamedTuple):
 
     stamp: int
     """ns"""
-    state: list[float]
-    """(x, y, vx, vy), m and m/s."""
-    covariance: Matrix | None = None
-    """(4, 4); None: the filter has none."""
+    state: StateVector
+    covariance: Upper | None = None
+    """None: the filter has none."""
 
     @property
     def position(self) -> complex:
         """The position, m."""
-        return complex(*self.state[:2])
+        x, y, _, _ = self.state
+        return complex(x, y)
 
     @property
     def velocity(self) -> complex:
         """The velocity, m/s."""
-        return complex(*self.state[2:])
+        _, _, vx, vy = self.state
+        return complex(vx, vy)
+
+    @property
+    def position_covariance(self) -> Covariance:
+        """The covariance of the position; 0 if the filter has none."""
+        if self.covariance is None:
+            return Covariance(0.0, 0.0, 0.0)
+        xx, xy, _, _, yy, *_ = self.covariance
+        return Covariance(xx, xy, yy)
 
     @property
     def deviation(self) -> float:
         """Root mean square of the standard deviations of both coordinates, m; 0 without a covariance."""
-        return 0.0 if self.covariance is None else sqrt((self.covariance[0][0] + self.covariance[1][1]) / 2.0)
+        xx, _, yy = self.position_covariance
+        return sqrt((xx + yy) / 2.0)
 
 
 class Unfiltered(Value):
@@ -228,7 +171,7 @@ class AlphaBeta(_Diffusing):
 
     def start(self, seen: Measurement) -> Track:
         """Return the track after the first sighting: at rest at the measured position."""
-        return Track(seen.stamp, [seen.x, seen.y, 0.0, 0.0])
+        return Track(seen.stamp, (seen.x, seen.y, 0.0, 0.0))
 
     def predict(self, track: Track, stamp: int) -> Track:
         """Return the track at another time, ns."""
@@ -242,7 +185,7 @@ class AlphaBeta(_Diffusing):
         is_exact = deviation < 2.0 * LEAST
         alpha, beta = (1.0, 1.0) if is_exact else stationary_gains(period**1.5 * self.velocity_diffusion / deviation)
         dx, dy, rate = seen.x - x, seen.y - y, beta / period
-        return Track(seen.stamp, [x + alpha * dx, y + alpha * dy, vx + rate * dx, vy + rate * dy])
+        return Track(seen.stamp, (x + alpha * dx, y + alpha * dy, vx + rate * dx, vy + rate * dy))
 
 
 class Kalman(_Diffusing):
@@ -254,13 +197,13 @@ class Kalman(_Diffusing):
         """Return the track after the first sighting: of unknown velocity at the measured position."""
         xx, xy, yy = seen.covariance
         speed = START_SPEED**2
-        covariance = [[xx, xy, 0.0, 0.0], [xy, yy, 0.0, 0.0], [0.0, 0.0, speed, 0.0], [0.0, 0.0, 0.0, speed]]
-        return Track(seen.stamp, [seen.x, seen.y, 0.0, 0.0], covariance)
+        covariance = xx, xy, 0.0, 0.0, yy, 0.0, 0.0, speed, 0.0, speed
+        return Track(seen.stamp, (seen.x, seen.y, 0.0, 0.0), covariance)
 
     def predict(self, track: Track, stamp: int) -> Track:
         """Return the track at another time, ns."""
         assert track.covariance is not None
-        (xx, xy, xu, xv), (_, yy, yu, yv), (_, _, uu, uv), (_, _, _, vv) = track.covariance  # (u, v): the velocity
+        xx, xy, xu, xv, yy, yu, yv, uu, uv, vv = track.covariance  # (u, v): the velocity
         t = (stamp - track.stamp) / SECOND
         span = abs(t)  # a track is predicted to an earlier time where clocks differ; it is no surer there
         rate = self.velocity_diffusion**2
@@ -269,14 +212,13 @@ class Kalman(_Diffusing):
         xy = xy + t * (xv + yu + t * uv)
         xu, xv, yu, yv = xu + t * uu + b, xv + t * uv, yu + t * uv, yv + t * vv + b
         uu, vv = uu + c, vv + c
-        covariance = [[xx, xy, xu, xv], [xy, yy, yu, yv], [xu, yu, uu, uv], [xv, yv, uv, vv]]
-        return Track(stamp, _moved(track.state, t), covariance)
+        return Track(stamp, _moved(track.state, t), (xx, xy, xu, xv, yy, yu, yv, uu, uv, vv))
 
     def update(self, track: Track, seen: Measurement) -> Track:
         """Return the track after a later sighting."""
         _, state, covariance = self.predict(track, seen.stamp)
         assert covariance is not None
-        return Track(seen.stamp, *corrected(state, covariance, [seen.x, seen.y], _matrix(seen.covariance)))
+        return Track(seen.stamp, *corrected_by_position(state, covariance, (seen.x, seen.y), seen.covariance))
 
 
 Estimator = AlphaBeta | Kalman
@@ -295,9 +237,9 @@ def stationary_gains(index: float) -> tuple[float, float]:
     return s * w, index * s
 
 
-def _moved(state: list[float], t: float) -> list[float]:
+def _moved(state: StateVector, t: float) -> StateVector:
     x, y, vx, vy = state
-    return [x + vx * t, y + vy * t, vx, vy]
+    return x + vx * t, y + vy * t, vx, vy
 
 
 class Filter:
@@ -377,74 +319,18 @@ def fused(track: Track, other: Track, how: Fusion) -> Track:
     assert other.covariance is not None
     first, second = track.covariance, other.covariance
     if how == "covariance_intersection":
-        one_trace = first[0][0] + first[1][1] + first[2][2] + first[3][3]
-        other_trace = second[0][0] + second[1][1] + second[2][2] + second[3][3]
+        one_trace, other_trace = _trace(first), _trace(second)
         both = one_trace + other_trace
         first, second = _scaled(first, both / other_trace), _scaled(second, both / one_trace)
     return Track(track.stamp, *corrected_by_state(track.state, first, other.state, second))
 
 
-def _scaled(covariance: Matrix, factor: float) -> Matrix:
-    (xx, xy, xu, xv), (_, yy, yu, yv), (_, _, uu, uv), (_, _, _, vv) = covariance
-    xy, xu, xv, yu, yv, uv = factor * xy, factor * xu, factor * xv, factor * yu, factor * yv, factor * uv
-    return [[factor * xx, xy, xu, xv], [xy, factor * yy, yu, yv], [xu, yu, factor * uu, uv], [xv, yv, uv, factor * vv]]
+def _trace(covariance: Upper) -> float:
+    xx, _, _, _, yy, _, _, uu, _, vv = covariance
+    return xx + yy + uu + vv
 
 
-def corrected_by_state(
-    state: list[float], covariance: Matrix, seen: list[float], errors: Matrix
-) -> tuple[list[float], Matrix]:
-    """Return a state (x, y, vx, vy) and its covariance after a measurement of all its entries.
-
-    The ten numbers of the covariance are variables, and no vector is a list: an entry costs a ninth of the time.
-
-    Kept equal to a measurement of the first entries by
-    `tests/pursuit/test_tracking.py::test_a_state_corrected_by_a_state_is_that_corrected_entry_by_entry`.
-
-    Args:
-        state: (4,) the state.
-        covariance: (4, 4) its covariance.
-        seen: (4,) the measured state.
-        errors: (4, 4) the covariance of its errors.
-    """
-    rows = [(1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0)]
-    seen, errors, pending = seen.copy(), [line.copy() for line in errors], [0, 1, 2, 3]
-    variances = errors[0][0], errors[1][1], errors[2][2], errors[3][3]
-    x, y, vx, vy = state
-    (xx, xy, xu, xv), (_, yy, yu, yv), (_, _, uu, uv), (_, _, _, vv) = covariance  # (u, v): the velocity
-    dx, dy, du, dv = sqrt(max(xx, 0.0)), sqrt(max(yy, 0.0)), sqrt(max(uu, 0.0)), sqrt(max(vv, 0.0))
-    while pending:
-        k = pending[0]
-        for i in pending:
-            if errors[i][i] > errors[k][k]:
-                k = i
-        pending.remove(k)
-        line, (a, b, c, d), entry = errors[k], rows[k], seen[k]
-        variance = line[k] if line[k] > ROUNDING * variances[k] else 0.0
-        for i in pending if variance else ():
-            other, (e, f, g, h) = errors[i], rows[i]
-            share = other[k] / variance
-            rows[i] = e - share * a, f - share * b, g - share * c, h - share * d
-            seen[i] -= share * entry
-            for j in pending:
-                other[j] -= share * line[j]
-        most = abs(a) * dx + abs(b) * dy + abs(c) * du + abs(d) * dv
-        sx, sy = xx * a + xy * b + xu * c + xv * d, xy * a + yy * b + yu * c + yv * d
-        su, sv = xu * a + yu * b + uu * c + uv * d, xv * a + yv * b + uv * c + vv * d
-        total = sx * a + sy * b + su * c + sv * d + variance
-        if total <= ROUNDING * most * most:
-            continue
-        gx, gy, gu, gv = sx / total, sy / total, su / total, sv / total  # the gain K
-        off = entry - (a * x + b * y + c * vx + d * vy)
-        x, y, vx, vy = x + gx * off, y + gy * off, vx + gu * off, vy + gv * off
-        # The product of h with each row of (1 - K h) P, which has rounding errors of its own below the diagonal.
-        kx = (xx - gx * sx) * a + (xy - gx * sy) * b + (xu - gx * su) * c + (xv - gx * sv) * d
-        ky = (xy - gy * sx) * a + (yy - gy * sy) * b + (yu - gy * su) * c + (yv - gy * sv) * d
-        ku = (xu - gu * sx) * a + (yu - gu * sy) * b + (uu - gu * su) * c + (uv - gu * sv) * d
-        kv = (xv - gv * sx) * a + (yv - gv * sy) * b + (uv - gv * su) * c + (vv - gv * sv) * d
-        rx, ry, ru, rv = variance * gx, variance * gy, variance * gu, variance * gv
-        xx, xy = xx - gx * sx - kx * gx + rx * gx, xy - gx * sy - kx * gy + rx * gy
-        xu, xv = xu - gx * su - kx * gu + rx * gu, xv - gx * sv - kx * gv + rx * gv
-        yy, yu = yy - gy * sy - ky * gy + ry * gy, yu - gy * su - ky * gu + ry * gu
-        yv, uu = yv - gy * sv - ky * gv + ry * gv, uu - gu * su - ku * gu + ru * gu
-        uv, vv = uv - gu * sv - ku * gv + ru * gv, vv - gv * sv - kv * gv + rv * gv
-    return [x, y, vx, vy], [[xx, xy, xu, xv], [xy, yy, yu, yv], [xu, yu, uu, uv], [xv, yv, uv, vv]]
+def _scaled(covariance: Upper, factor: float) -> Upper:
+    xx, xy, xu, xv, yy, yu, yv, uu, uv, vv = covariance
+    xx, xy, xu, xv, yy = factor * xx, factor * xy, factor * xu, factor * xv, factor * yy
+    return xx, xy, xu, xv, yy, factor * yu, factor * yv, factor * uu, factor * uv, factor * vv
