@@ -163,6 +163,8 @@ def inverse_temperatures(tau: Temperature, me: Agent, slot: float) -> Iterator[f
     """
     for eta in slots_seen(tau, me, slot):
         inverse: Any = tau(eta)
-        if isinstance(inverse, bool) or not isinstance(inverse, (float, int, np.number)) or not inverse >= 0.0:
-            raise wrong_answer("a temperature should return 1/tau, a number >= 0 in 1/s", inverse, tau)
-        yield float(inverse)
+        if type(inverse) is not float or not inverse >= 0.0:  # the type of built-in temperatures
+            if isinstance(inverse, bool) or not isinstance(inverse, (float, int, np.number)) or not inverse >= 0.0:
+                raise wrong_answer("a temperature should return 1/tau, a number >= 0 in 1/s", inverse, tau)
+            inverse = float(inverse)
+        yield inverse

@@ -141,8 +141,8 @@ def arguments_of(function: Callable[..., object]) -> str:
     return str(of_function.replace(parameters=plain, return_annotation=of_function.empty))
 
 
-class HintedAttributes:
-    """A class that says what to write in place of an attribute or an index that it does not have."""
+class HintedItems:
+    """A class that says what to write in place of an index, which it does not have."""
 
     def _instead_of(self, name: str) -> str:
         """Return what to write instead of an attribute or an index, as the end of a message."""
@@ -150,15 +150,24 @@ class HintedAttributes:
 
     if not TYPE_CHECKING:  # a type checker reports missing attributes itself
 
+        def __getitem__(self, key: object) -> object:
+            """Raise TypeError with what to write, because the object is no table."""
+            raise TypeError(f"{with_article(type(self).__name__)} is no table: {self._instead_of(str(key))}")
+
+
+class HintedAttributes(HintedItems):
+    """A class that says what to write in place of an attribute or an index that it does not have.
+
+    Each look-up of an attribute takes several times as long as without `__getattr__`.
+    """
+
+    if not TYPE_CHECKING:
+
         def __getattr__(self, name: str) -> object:
             """Raise AttributeError with what to write; called only if there is no such attribute."""
             if hasattr(type(self), name):  # a property has raised an AttributeError
                 return object.__getattribute__(self, name)
             raise missing_attribute(self, name)
-
-        def __getitem__(self, key: object) -> object:
-            """Raise TypeError with what to write, because the object is no table."""
-            raise TypeError(f"{with_article(type(self).__name__)} is no table: {self._instead_of(str(key))}")
 
 
 def missing_attribute(owner: object, name: str) -> AttributeError:

@@ -8,7 +8,7 @@ from typing import cast
 import simpy
 
 from desim.config.answers import wrong_answer
-from desim.config.arguments import arguments_of, with_article
+from desim.config.arguments import HintedItems, arguments_of, missing_attribute, with_article
 from desim.config.traits import is_ours
 from desim.kernel.core.clock import Clock, Phase
 from desim.pursuit.team.agent import Agent, Behaviour, Process
@@ -80,7 +80,9 @@ OF_CALL = re.compile(r"(\w+)\.(\w+)\(\) ")
 
 def _advice(error: TypeError | AttributeError) -> str:
     """Return what to write in a protocol instead of what Python's message is about; "" if that is not known."""
-    message, owner = str(error), getattr(error, "obj", None)
+    message, owner, name = str(error), getattr(error, "obj", None), getattr(error, "name", None)
+    if isinstance(owner, HintedItems) and isinstance(name, str) and not hasattr(type(owner), name):
+        return str(missing_attribute(owner, name))
     if owner is not None and is_ours(type(owner)) and not hasattr(type(owner), "_instead_of"):
         names = sorted(name for name in set(dir(owner)) - set(dir(tuple)) if not name.startswith("_"))
         return f"{with_article(type(owner).__name__)} has {', '.join(names)}"

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 import simpy
 
-from desim.config.arguments import HintedAttributes
+from desim.config.arguments import HintedItems
 from desim.kernel.core.clock import Clock, NodeClock, Phase
 from desim.kernel.core.message_body import as_sent, differs
 from desim.kernel.core.records import Record
@@ -86,7 +86,7 @@ MEANT = MappingProxyType(
 """Names that users try on an agent, and what it has instead."""
 
 
-class Agent(Beliefs, Timing, HintedAttributes):
+class Agent(Beliefs, Timing, HintedItems):
     """The interface of a protocol to one pursuer.
 
     Its methods return what the pursuer knows (`Knowledge`) and believes (`Beliefs`), and the events that the protocol

@@ -124,14 +124,15 @@ class Beliefs(Knowledge):
 
     def _chasing_records(self, evader: int) -> dict[int, Record]:
         """Return the fresh announcements by which teammates chase an evader, in the order of their ids."""
-        oldest, matching = self._clock.true - self._timeout, self._network.matching(self.id)
+        oldest = self._clock.true - self._timeout
         # By id, and not by arrival as they are kept: the gain sums the times, and sums depend on the order in the last
         # bit.
-        return {
-            j: matching[j][1]
-            for j in sorted(matching)
-            if matching[j][1].body.active == evader and matching[j][0] >= oldest
-        }
+        chasing = [
+            (j, record)
+            for j, (arrival, record) in self._network.matching(self.id).items()
+            if record.body.active == evader and arrival >= oldest
+        ]
+        return dict(sorted(chasing))
 
     def _rivals(self, evader: int) -> tuple[float, list[int], list[float]]:
         """Return for an evader the pursuer's own capture time, and the ids and capture times of the believed chasers.
@@ -216,10 +217,10 @@ class Beliefs(Knowledge):
             ValueError: if a user's utility returns no number, or nan.
         """
         own_time, rivals, times = self._rivals(evader)
-        counted = None if utility.scope == "heard" else self.counted_teammates(utility.scope)
-        other_times = [
-            phi for j, phi in zip(rivals, times, strict=True) if phi < inf and (counted is None or j in counted)
-        ]
+        if utility.scope != "heard":
+            counted = self.counted_teammates(utility.scope)
+            times = [phi for j, phi in zip(rivals, times, strict=True) if j in counted]
+        other_times = [phi for phi in times if phi < inf]
         gain: Any = utility(own_time, other_times, self._state.time_left(self._clock.stamp))
         if type(gain) is float and gain == gain:  # the type of built-in utilities; the check below takes longer
             return gain
