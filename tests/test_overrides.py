@@ -750,6 +750,8 @@ def test_a_fast_way_that_is_overridden_alone_is_refused():
     """With the method to override; with that one, both count or neither is needed."""
     for family, name, method in (
         ("guidance", "one", "__call__"),
+        ("reception", "one", "__call__"),
+        ("reception", "border", "__call__"),
         ("flow", "displacement", "velocity_at"),
         ("flow", "trend", "velocity_at"),
         ("utility", "expected", "__call__"),

@@ -117,7 +117,7 @@ class Node:
             self.link = SocketLinkLayer(net, links, own, *rest, node=me, wire=self._wire, post=self._post, draws=draws)
             return self.link
 
-        built = make_network(env, scenario, state, seed, self.trace, link_layer)
+        built = make_network(env, scenario, state, seed, self.trace, link_layer, jumps=True)  # by frames of the referee
         network, clocks, faults = self._network, _, _ = built
         announced = DisseminationTraits.of(scenario.announce.dissemination).transport
         network.listen({} if announced is None else {ANNOUNCEMENTS: announced})

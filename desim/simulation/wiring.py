@@ -1,6 +1,7 @@
 """The wiring of a run: its network and its agents, for a simulation and for each live node."""
 
 from collections.abc import Callable, Sequence
+from math import inf
 from typing import NamedTuple
 
 from desim.kernel.core.clock import Clock, NodeClock
@@ -38,10 +39,16 @@ def make_network(
     seed: int,
     trace: Trace | None,
     link_layer: Callable[..., LinkLayer] = LinkLayer,
+    *,
+    jumps: bool = False,
 ) -> TeamNetwork:
-    """Create the network of a team; `link_layer` is as in `Network`."""
+    """Create the network of a team; `link_layer` is as in `Network`.
+
+    `jumps` says whether pursuers may be moved at once, faster than they can go.
+    """
     faults = draw_faults(scenario.network_faults, state.size, scenario.horizon, seed)
-    positions = PursuerPositions(state, scenario.team.top_speed + scenario.environment.top_speed)
+    top_speed = inf if jumps else scenario.team.top_speed + scenario.environment.top_speed
+    positions = PursuerPositions(state, top_speed)
     skews = scenario.network_faults if scenario.protocol_traits.embodied else ()
     clocks = node_clocks(env, skews, state.size, seed, nanoseconds(scenario.horizon))
     network = Network(

@@ -220,6 +220,87 @@ def test_no_reception_model_is_evaluated_for_a_node_and_itself():
     assert topology.neighbours(0).tolist() == [1]
 
 
+# Few nodes that move slowly: receivers are kept while no link can have crossed its border.
+
+
+class Wandering(PositionSource):
+    """Nodes that move at 2 m/s, which they claim as their maximum, or less, and turn at times."""
+
+    def __init__(self, size, claimed=2.0):
+        self._rng, self.max_speed, self.now = np.random.default_rng(0), claimed, 0.0
+        self.at, self._velocity = self._rng.uniform(0.0, 15.0, (size, 2)), np.zeros((size, 2))
+
+    def step(self, duration):
+        if self._rng.random() < 0.2:
+            turns = self._rng.uniform(0.0, 2.0 * np.pi, len(self.at))
+            self._velocity = 2.0 * np.column_stack([np.cos(turns), np.sin(turns)])
+        self.now += duration
+        self.at = (self.at + self._velocity * duration).clip(0.0, 15.0)
+
+    def __call__(self):
+        return self.at
+
+
+def differences(wandering, graph, model, steps=400):
+    """Return the number of steps at which a topology that may keep receivers answers otherwise than one that does not.
+
+    Also return how many searches it made, per query.
+    """
+    given = {"reception": model, "seed": 3}
+    keeps = Topology(graph, 6.0, wandering, **given, now=lambda: wandering.now)
+    searches = Topology(graph, 6.0, wandering, **given)
+    size, wrong, rng = len(graph), 0, np.random.default_rng(1)
+    with patch.object(Topology, "_distances", autospec=True, side_effect=Topology._distances) as search:
+        for _ in range(steps):
+            node, other = rng.integers([3, size]).tolist()
+            answers = [
+                (
+                    topology.hearers(node),
+                    topology.neighbours(node).tolist(),
+                    topology.audible(node),
+                    topology.reaches(node, [other]) if other in graph.adj[node] else None,
+                )
+                for topology in (keeps, searches)
+            ]
+            wrong += answers[0] != answers[1]
+            wandering.step(rng.choice([0.0, 0.01, 0.05]))
+    return wrong, (sum(call.args[0] is keeps for call in search.call_args_list)) / (3 * steps)
+
+
+@pytest.mark.parametrize("graph", [nx.complete_graph(8), nx.cycle_graph(8), Complete()(8)])
+@pytest.mark.parametrize("model", [None, QuasiUnitDisk(certain=0.6), QuasiUnitDisk(certain=1.0), QuasiUnitDisk(p=1.0)])
+@pytest.mark.slow_but_one
+def test_receivers_that_are_kept_are_those_of_a_search_at_each_query(graph, model):
+    wrong, share = differences(Wandering(8), graph, model)
+    assert wrong == 0
+    assert share < 0.6
+
+
+def test_receivers_are_wrong_after_a_time_if_nodes_are_faster_than_they_claim():
+    """The control of the test above."""
+    assert differences(Wandering(8, claimed=0.2), Complete()(8), None)[0] > 10
+
+
+@pytest.mark.parametrize(
+    "given", [{"max_speed": inf}, {"reception": LogDistance()}, {"per_link": False, "reception": QuasiUnitDisk()}, {}]
+)
+def test_nothing_is_kept_if_links_may_change_at_any_time_or_have_no_border(given):
+    """Without a bound of the speed, without a border, with draws for each message, and without the time."""
+    wandering = Wandering(4, given.pop("max_speed", 2.0))
+    knows_time = bool(given) or wandering.max_speed == inf
+    topology = Topology(Complete()(4), 6.0, wandering, **given, now=(lambda: 0.0) if knows_time else None)
+    assert topology._kept is None
+
+
+def test_receivers_of_nodes_that_stand_still_are_searched_for_once():
+    standing = Wandering(8, claimed=0.0)
+    topology = Topology(Complete()(8), 6.0, standing, now=lambda: standing.now)
+    for _ in range(200):
+        topology.hearers(3)
+    standing.now = 1e9
+    assert topology.hearers(3) is topology.hearers(3)
+
+
 # Graphs without a range.
 
 

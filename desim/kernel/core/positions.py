@@ -18,7 +18,8 @@ class PositionSource:
     """Base of the sources of the current positions of the nodes."""
 
     max_speed = inf
-    """Upper bound of the speed of all nodes at all times, m/s; inf if unknown."""
+    """Upper bound of the speed of all nodes at all times, m/s; inf if unknown. The network does not search for the
+    receivers of a node again before nodes of this speed can have come into range, or left it."""
     looks_back = False
     """Whether `at` also returns positions of the past."""
 

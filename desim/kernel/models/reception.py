@@ -91,6 +91,10 @@ class QuasiUnitDisk(Value):
             return 1.0
         return self.p if distance <= range else 0.0
 
+    def border(self, draws: Floats, range: float) -> Floats:  # noqa: A002
+        """Return R where a draw is at most p, else q R."""
+        return np.where(draws <= self.p, range, self.certain * range)
+
     def bound(self, range: float) -> float:  # noqa: A002
         """Return R."""
         return range

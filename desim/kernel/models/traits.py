@@ -143,7 +143,7 @@ class InterferenceTraits(Traits):
 class ReceptionTraits(Traits):
     """The optional methods of a reception model, in addition to `__call__`."""
 
-    twins: ClassVar[Mapping[str, tuple[str, ...]]] = MappingProxyType({"one": ("__call__",)})
+    twins: ClassVar[Mapping[str, tuple[str, ...]]] = MappingProxyType(dict.fromkeys(("one", "border"), ("__call__",)))
     bound: Annotated[Callable[[float], float] | None, Follows("__call__")] = None
     """`bound(range)` returns the distance, m, beyond which no message is received; None: there is no such distance."""
     received: Annotated[Callable[[Floats, float, ChannelState], Any] | None, Follows("__call__")] = None
@@ -153,6 +153,9 @@ class ReceptionTraits(Traits):
     """Why reception at a distance is random: "fading", "shadowing" or both."""
     one: Annotated[Callable[[float, float], float] | None, Follows("__call__")] = None
     """`one(distance, range)` returns the probability at one distance, m, faster than `__call__`; None: `__call__`."""
+    border: Annotated[Callable[[Floats, float], Floats] | None, Follows("__call__")] = None
+    """`border(draws, range)` returns the (k,) distances, m, up to which the probability of reception is at least as
+    large as each of (k,) numbers in (0, 1); None: `__call__` is asked at each distance."""
     exponent: Annotated[float, Field(gt=0, le=20)] = 3.0
     """The path loss exponent n: a wall of A dB has the effect of a distance that is 10^(A / (10 n)) times as long."""
 

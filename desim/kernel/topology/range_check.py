@@ -38,7 +38,8 @@ class RangeCheck:
         self._reception, self._range, self._per_link = reception or Disk(), range, per_link
         self._seed, self._size = seed, size
         self._is_certain, self._is_ours = type(self._reception) is Disk, is_ours(type(self._reception))
-        self._one = ReceptionTraits.of(self._reception).one
+        traits = ReceptionTraits.of(self._reception)
+        self._one, self._border = traits.one, traits.border
         self._drawn: dict[int, Floats] = {}
         """By sender, the draws of its pairs with all nodes; up to `ROOM` numbers."""
 
@@ -51,6 +52,15 @@ class RangeCheck:
     def bound(self) -> float:
         """The distance, m, beyond which nothing is received; inf if there is none."""
         return bound(self._reception, self._range)
+
+    @property
+    def has_border(self) -> bool:
+        """Whether each link has a distance up to which all messages are received, and none beyond; see `border`."""
+        return self._is_certain or (self._per_link and self._border is not None)
+
+    def border(self, src: int, dst: Nodes) -> float | Floats:
+        """Return the distances, m, up to which messages are received: one for all of the nodes `dst`, or (k,)."""
+        return self._range if self._border is None else self._border(self._draws(src, dst, None), self._range)
 
     def __call__(self, src: int | Nodes, dst: Nodes, apart: Floats, message: int | Integers | None) -> Bools:
         """Return (k,) booleans: which of the nodes `dst` receive a message."""

@@ -16,6 +16,7 @@ from desim.kernel.models.graphs import node_names
 from desim.kernel.models.implicit_complete import complete_digraph, is_complete, is_implicit
 from desim.kernel.models.reception import ReceptionModel
 from desim.kernel.topology.correlated_channel import CorrelatedChannel, Ends
+from desim.kernel.topology.kept_receivers import KeptReceivers
 from desim.kernel.topology.radio_walls import RadioWalls
 from desim.kernel.topology.range_check import RangeCheck, WalledRangeCheck
 from desim.kernel.topology.spatial_hash import CellList
@@ -91,8 +92,13 @@ class Topology:
         if has_walls and self._positions is not None:
             self._received = WalledRangeCheck(reception, range, per_link, seed, size)
             self.walls, self._bound = RadioWalls(walls, size, self._received.exponent), self._received.bound
+        self._kept: KeptReceivers | None = None
+        """The receivers of the last searches; None: they may change at any time, or there are too many nodes."""
         if self._positions is not None:
             self._candidates = _candidates(self._lists, size, self._positions, self._received.bound, now)
+            have_borders = self._received.has_border and channel is None and self.walls is None
+            if have_borders and size <= SMALL_NETWORK and now is not None and self._positions.max_speed < inf:
+                self._kept = KeptReceivers(size, self._positions.max_speed, now)
 
     def linked(self, node: int) -> list[int]:
         """Return the nodes that the graph links `node` to, ascending, regardless of range; read-only."""
@@ -122,6 +128,8 @@ class Topology:
             raise IndexError(f"there is no node {node}")
         if self._positions is None:
             return self._lists[node]
+        if self._kept is not None:
+            return self._within_border(node, self._kept)
         near: list[int] = self._near(node, self._candidates(node), message).tolist()
         return near
 
@@ -152,6 +160,8 @@ class Topology:
             and isinstance(message, int)
         ):
             node = int(dst[0])
+            if self._kept is not None and self._complete and (kept := self._kept.of(src)) is not None:
+                return [node in kept]
             return [self._received.one(src, node, source.distance(src, node), message)]
         places = source.of if times is None else partial(source.at, times=times)
         receivers = np.asarray(dst)
@@ -205,13 +215,15 @@ class Topology:
             raise IndexError(f"there is no node {node}")
         if self._positions is None:
             return np.array(self._lists[node], dtype=np.intp)
+        if self._kept is not None:
+            return np.array(self.hearers(node), dtype=np.intp)
         return self._near(node, self._candidates(node))
 
     def audible(self, node: int) -> list[int]:
         """Return the nodes that `node` receives from now, ascending; see `neighbours`."""
         senders: list[int]
         if not self._directed:
-            senders = self.neighbours(node).tolist()
+            senders = self.neighbours(node).tolist() if self._kept is None else self.hearers(node)
         elif self._positions is None:
             senders = self._senders[node]
         else:  # reception is the same in both directions
@@ -253,14 +265,25 @@ class Topology:
                 speakers[other].append(node)
         return speakers
 
+    def _within_border(self, node: int, kept: KeptReceivers) -> list[int]:
+        """Return the nodes that receive from a node now, ascending; read-only."""
+        if (same := kept.of(node)) is not None:
+            return same
+        candidates = self._candidates(node)
+        receivers: list[int]
+        if not kept.is_worthwhile():
+            receivers = self._near(node, candidates).tolist()
+            return receivers
+        index, _, apart = self._distances(node, candidates)
+        beyond = apart - self._received.border(node, candidates)
+        beyond[index] = inf
+        receivers = candidates[beyond <= 0.0].tolist()
+        kept.keep(node, receivers, np.abs(beyond).min().item())
+        return receivers
+
     def _near(self, node: int, candidates: Nodes, message: int | None = None) -> Nodes:
         """Return the candidates that receive from a node; the candidates must include the node, the result does not."""
-        assert self._positions is not None
-        if self._complete and len(candidates) == self.size:  # a source may keep the positions of all at an instant
-            index, places = node, self._positions()
-        else:
-            index, places = int(candidates.searchsorted(node)), self._positions.of(candidates)
-        apart = distances(places, index)
+        index, places, apart = self._distances(node, candidates)
         apart[index] = self._range  # not the distance to itself, 0: a model may divide by distances
         if self.walls is not None:
             apart = self.walls.stretched(node, candidates, places[index : index + 1], places, apart, self._bound)
@@ -271,6 +294,15 @@ class Topology:
             received = self._received.through(state, apart)
         received[index] = False
         return candidates[received]
+
+    def _distances(self, node: int, candidates: Nodes) -> tuple[int, Floats, Floats]:
+        """Return the index of a node among the (k,) candidates, their (k, 2) positions, and their distances from it."""
+        assert self._positions is not None
+        if self._complete and len(candidates) == self.size:  # a source may keep the positions of all at an instant
+            index, places = node, self._positions()
+        else:
+            index, places = int(candidates.searchsorted(node)), self._positions.of(candidates)
+        return index, places, distances(places, index)
 
 
 class _AllOthers(dict[int, list[int]]):

@@ -1,0 +1,56 @@
+"""Receivers that are kept: while no node can have crossed the border of its range, a query need not be repeated.
+
+Two nodes approach each other, or part, at twice the top speed at most. The nearest of the links to its border, where
+reception begins or ends, thus tells until when the receivers of a node stay the same. This is the margin of a Verlet
+list, for each node by itself.
+
+Kept equal to a search at each query by
+`tests/kernel/test_topology.py::test_receivers_that_are_kept_are_those_of_a_search_at_each_query`.
+"""
+
+from collections.abc import Callable
+from math import inf
+
+from desim.kernel.topology.spatial_hash import MIN_SIDE, ROUNDING
+
+MAX_PAUSE = 63
+"""Largest number of successive searches of which nothing is kept."""
+
+
+class KeptReceivers:
+    """The receivers of the last search for each node.
+
+    Where nodes are many or fast, what is kept is seldom used again, and keeping costs a tenth of a search. So after
+    each search of which something is kept the pause until the next one grows, until something is used.
+
+    Args:
+        size: number of nodes.
+        max_speed: upper bound of the speed of all nodes, m/s.
+        now: returns the time, s.
+    """
+
+    def __init__(self, size: int, max_speed: float, now: Callable[[], float]):
+        self._closing, self._now = ROUNDING * 2.0 * max_speed, now
+        self._receivers: list[list[int]] = [[] for _ in range(size)]
+        self._until = [-inf] * size
+        """By node, the time, s, before which its receivers are certain."""
+        self._pause = self._left = 0
+        """Number of searches of which nothing is kept, and how many of them are left."""
+
+    def of(self, node: int) -> list[int] | None:
+        """Return the nodes that receive from a node now, read-only; None: they have to be searched for."""
+        if self._now() >= self._until[node]:
+            return None
+        self._pause = self._left = 0
+        return self._receivers[node]
+
+    def is_worthwhile(self) -> bool:
+        """Return whether to keep what a search finds now."""
+        self._left -= 1
+        return self._left < 0
+
+    def keep(self, node: int, receivers: list[int], margin: float) -> None:
+        """Keep what a search has found now, given the least distance, m, of a link from its border."""
+        self._receivers[node] = receivers
+        self._until[node] = self._now() + (margin - MIN_SIDE) / self._closing if self._closing else inf
+        self._pause = self._left = min(2 * self._pause + 1, MAX_PAUSE)
