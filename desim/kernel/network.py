@@ -78,7 +78,7 @@ class ReceivingNodes:
         """
         if not 0 <= node < self._size:
             raise self._unknown(node)
-        if record.src != node:
+        if record.src != node and self._records.is_news(node, record):  # most copies of what is flooded are not
             body = self._own(record.body)
             self._records.relay(node, record if body is record.body else record._replace(body=body))
 

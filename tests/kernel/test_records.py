@@ -74,7 +74,8 @@ def differs(seed, relays):
             records.forget(node)
             plain.tables[node].clear()
         elif act == "b" and relays and sent and (record := rng.choice(sent)).src != node:
-            records.relay(node, record)
+            if records.is_news(node, record):
+                records.relay(node, record)
             plain.put(clock.now, node, record)
         elif act == "g" and records.in_flight() != sum(when > clock.now for when, _, _ in plain.flying):
             return True

@@ -78,7 +78,8 @@ class ArrivalLosses:
         losses: list[Sequence[Cause | None] | None] = []
         if self._checks_range:
             reached = self._topology.reaches(src, nodes, number, None if isinstance(when, int) else when)
-            losses.append([None if in_range else "out_of_range" for in_range in reached])
+            if False in reached:
+                losses.append([None if in_range else "out_of_range" for in_range in reached])
         if (faults := self._fault_state) is not None:
             losses += [faults.jammed(nodes, when), faults.separated(src, nodes), self._crashed(nodes, number)]
         for lost in losses:

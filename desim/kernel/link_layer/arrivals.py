@@ -245,7 +245,7 @@ class Arrivals:
         content, receivers = transmission.content, transmission.receivers
         self._with_events -= len(nodes)
         causes = self._losses.causes(nodes, now, flight)
-        lost = {nodes[k]: causes[k] for k in sorted(causes)}
+        lost = {nodes[k]: causes[k] for k in sorted(causes)} if causes else {}
         if lost:
             self._lose(transmission, lost)
         if is_only and isinstance(content, Record):

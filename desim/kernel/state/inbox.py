@@ -64,15 +64,22 @@ class Inbox:
         """
         if priority is not None:
             self._priority = priority
-        event = self._waited_for or self._env.event()
-        self._waited_for = event
-        self._expect_first()
+        event = self._waited_for
+        if event is None:
+            event = self._waited_for = simpy.Event(self._env)
+        if self._letters:
+            self._expect(self._in_order()[0][0])
         return event
 
     def drain(self) -> list[Message]:
         """Remove and return the waiting messages, in the order of arrival."""
         letters, now = self._in_order(), self._env.now
-        end = len(letters) if letters and letters[-1][0] <= now else bisect_left(letters, (now + 1,))
+        if not letters or letters[0][0] > now:
+            return []
+        if len(letters) == 1 or letters[1][0] > now:  # as a rule, if each arrival wakes a process
+            self._sorted -= 1
+            return [letters.pop(0)[2]]
+        end = len(letters) if letters[-1][0] <= now else bisect_left(letters, (now + 1,))
         arrived = letters[:end]
         del letters[:end]
         self._sorted = len(letters)
@@ -97,32 +104,23 @@ class Inbox:
             self._sorted = len(letters)
         return letters
 
-    def _expect_first(self) -> None:
-        """Schedule a wake-up at the first arrival, or trigger the event at once if a message is waiting."""
-        if self._letters:
-            self._expect(self._in_order()[0][0])
-
     def _expect(self, arrival: int) -> None:
         """Schedule a wake-up at an arrival time (ns), unless one is scheduled for that time or earlier.
 
         If the message has already arrived, trigger the event at once.
         """
         if arrival <= self._env.now:
-            self._trigger()
+            event, self._waited_for = self._waited_for, None
+            if event is not None:
+                self._env.trigger(event, self._priority)
         elif arrival < self._wake_time:
             self._wake_time = arrival
             Instant(self._env, arrival, Phase.DELIVERY).callbacks.append(self._wake)
 
     def _wake(self, _: simpy.Event) -> None:
         self._wake_time = inf
-        if self._waited_for is not None:
-            self._expect_first()
-
-    def _trigger(self) -> None:
-        """Trigger the event that processes wait for, if any, at the current time with the priority `_priority`."""
-        event, self._waited_for = self._waited_for, None
-        if event is not None:
-            self._env.trigger(event, self._priority)
+        if self._waited_for is not None and self._letters:
+            self._expect(self._in_order()[0][0])
 
 
 class Inboxes:
@@ -139,9 +137,10 @@ class Inboxes:
 
     def at(self, port: str) -> list[Inbox]:
         """Return the inbox of each node at a port."""
-        if port not in self._ports:
-            self._ports[port] = [Inbox(self._env, node) for node in range(self._size)]
-        return self._ports[port]
+        boxes = self._ports.get(port)
+        if boxes is None:
+            boxes = self._ports[port] = [Inbox(self._env, node) for node in range(self._size)]
+        return boxes
 
     def can_wait(self, port: str) -> bool:
         """Return whether messages at a port may be delivered after their arrival, since they wake no process."""

@@ -1,5 +1,6 @@
 """Tables of received records, one for each node: the records that do not reach most nodes at one instant."""
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable
 from itertools import chain
 from typing import Any
@@ -31,6 +32,7 @@ class OwnTables:
         matching: by node, the records of its table whose body satisfies the predicate.
         out_of_order: the nodes with unread records that are not in the order of transmission.
         relayed: the nodes that get records maybe twice, or after newer ones, as by other means than a transmission.
+        relayed_up_to: by node and source, the greatest sequence number of a record got by such means.
     """
 
     def __init__(self, size: int, predicate: Predicate | None, shared: Callable[[int, int], TimedRecord | None]):
@@ -41,11 +43,13 @@ class OwnTables:
         self.matching: list[Table] = [{} for _ in range(size)] if predicate is not None else [{}] * size
         self.out_of_order: set[int] = set()
         self.relayed: set[int] = set()
+        self.relayed_up_to: defaultdict[int, dict[int, int]] = defaultdict(dict)
 
     def forget(self, node: int) -> None:
         """Delete the table of a node."""
         self.tables[node].clear()
         self.matching[node].clear()
+        self.relayed_up_to.pop(node, None)
 
     def in_flight(self, now: int) -> int:
         """Return the number of records in flight at `now` (ns)."""
