@@ -31,6 +31,7 @@ then does not.
 
 from math import inf
 from typing import NamedTuple
+from unittest.mock import patch
 
 import networkx as nx
 import numpy as np
@@ -45,11 +46,13 @@ from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.kernel.fault_injection import inject
 from desim.kernel.link_layer.arrivals import Arrivals
 from desim.kernel.link_layer.delivery import MessageDelivery
+from desim.kernel.link_layer.link_layer import LinkLayer
+from desim.kernel.link_layer.propagation import LinkSampler
 from desim.kernel.models.coherence import Coherence
 from desim.kernel.models.faults import Crash, Jamming, Partition
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links, Processing
-from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.loss import Bernoulli, GilbertElliott
 from desim.kernel.models.medium import Bitrate, Unlimited
 from desim.kernel.models.reception import Disk, QuasiUnitDisk, Rice
 from desim.kernel.network import Network
@@ -418,6 +421,45 @@ def observe(make, graph, links, acts, seed, faults=None, traced=True, reads_earl
 def test_delivery_by_events_is_observationally_equal_to_delivery_without_events(history):
     """Conditions in which nothing is ever broken change nothing that can be read, counted or traced."""
     assert observe(Network, *history) == observe(Network, *history, fault_state=FaultState())
+
+
+class General(LinkLayer):
+    """A link layer that asks of a message to one node all that it asks of any transmission."""
+
+    def __init__(self, *given):
+        super().__init__(*given)
+        self._is_plain = False
+
+
+def overheard(history, link_layer, **options):
+    """Return what is observed in a history, and what a listener overhears."""
+    heard = []
+
+    def make(*given, **named):
+        network = Network(*given, link_layer=link_layer, **named)
+        network.overhear(lambda content, last: heard.append((content, last)))
+        return network
+
+    return observe(make, *history, **options), heard
+
+
+@pytest.mark.slow
+@settings(max_examples=70, deadline=None)
+@given(histories(), st.booleans(), st.booleans())
+def test_a_message_to_one_node_starts_as_any_transmission(history, in_bursts, traced):
+    graph, links, *more = history
+    if in_bursts:
+        links = links.model_copy(update={"loss": GilbertElliott(share=0.4, burst=0.01, advance="time")})
+    history = graph, links, *more
+    assert overheard(history, LinkLayer, traced=traced) == overheard(history, General, traced=traced)
+
+
+def test_the_comparison_detects_a_loss_of_another_cause():
+    """The control of the property above."""
+    history = nx.complete_graph(2), Links(loss=Bernoulli(p=1.0)), [(0, 0, 1, "send")], 0
+    with patch.object(LinkSampler, "cause", lambda *_: "fading"):
+        other = overheard(history, LinkLayer)
+    assert overheard(history, LinkLayer) == overheard(history, General) != other
 
 
 def test_the_comparison_detects_a_delivery_one_nanosecond_late():

@@ -20,6 +20,8 @@ class Estimates:
 
     def __init__(self, topology: Topology, medium: Medium, sampler: LinkSampler):
         self._topology, self._medium, self._sampler = topology, medium, sampler
+        self._sending_times: dict[int, float] = {}
+        """The results of `sending_time`."""
 
     @cached_property
     def mean_degree(self) -> float:
@@ -41,5 +43,9 @@ class Estimates:
 
     def sending_time(self, size: int) -> float:
         """Return the time, s, for which a message of a size, bytes, keeps its sender from sending the next one."""
-        medium, nodes = self._medium, self._topology.size
-        return medium.interval(size, nodes) if isinstance(medium, Radio) else airtime_of(medium, size, nodes)
+        if size not in self._sending_times:
+            medium, nodes = self._medium, self._topology.size
+            self._sending_times[size] = (
+                medium.interval(size, nodes) if isinstance(medium, Radio) else airtime_of(medium, size, nodes)
+            )
+        return self._sending_times[size]

@@ -92,6 +92,10 @@ class LinkLayer:
             state.fault_state is not None or not sampler.lossless or self._transmitter is not None or links.delays_start
         )
         """Whether losses are possible at transmission, besides those of messages to nodes that are not reachable."""
+        self._inboxes = state.inboxes
+        waits = self._transmitter is not None or links.delays_start
+        self._is_plain = self.delivery.is_certain and not (waits or sampler.keeps_order)
+        """Whether a transmission starts when it is created, and arrives for certain where it is not lost then."""
         self._enqueue: Callable[[Transmission], None] = (
             self._leave if self._transmitter is None else self._transmitter.enqueue
         )
@@ -202,6 +206,9 @@ class LinkLayer:
         Kept equal to deliveries by events by
         `tests/kernel/test_contract.py::test_delivery_by_events_is_observationally_equal_to_delivery_without_events`.
         """
+        if self._is_plain and transmission.to_one:
+            self._leave_to_one(transmission)
+            return
         now, receivers = self._env.now, transmission.receivers
         if not self._contends:
             self._log.start(transmission)
@@ -237,6 +244,30 @@ class LinkLayer:
             self._on_air[transmission.number] = reached, arrival, causes
         else:
             self._schedule(transmission, reached, arrival, causes, airtime)
+
+    def _leave_to_one(self, transmission: Transmission) -> None:
+        """Start a message to one node that waits for nothing.
+
+        Kept equal to a start that asks for all that may happen by
+        `tests/kernel/test_contract.py::test_a_message_to_one_node_starts_as_any_transmission`.
+        """
+        number, src, now, size, receivers, message, port, reachable, _ = transmission
+        assert isinstance(message, Message)
+        self._log.start(transmission)
+        arrival = self._sampler.arrivals(src, receivers, now, 0, size)
+        when, cause = arrival if isinstance(arrival, int) else arrival[0], None if reachable else "out_of_range"
+        if self._may_lose or not reachable:
+            lost = self._sampler.losses(src, receivers, now, size)
+            if reachable and lost is not None and lost[0]:
+                cause = self._sampler.cause(src, receivers[0])
+        for hear in self._listeners:
+            hear(message, LOST if cause else when)
+        if self._is_traced:
+            self._log.leave_to_one(transmission, LOST if cause else when)
+        if cause:
+            self._log.lose(transmission, {receivers[0]: cause})
+        else:
+            self._inboxes.deliver(message, port, receivers, when, number)
 
     def _land(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
         """Lose a transmission whose frame ends where it was lost on the air, and schedule its other arrivals."""
@@ -333,6 +364,13 @@ class MessageLog:
             return
         for node, arrives in zip(receivers, per_receiver(fates, len(receivers)), strict=True):
             self._trace.append_message(_new(Sent, (now, number, src, node, arrives, created, size, content.body)))
+
+    def leave_to_one(self, transmission: Transmission, arrives: int) -> None:
+        """Append a message to one node with the time of its arrival, ns; see `leave`."""
+        assert self._trace is not None
+        number, src, created, size, (node,), content, *_ = transmission
+        sent = self._env.now, number, src, node, arrives, created, size, content.body
+        self._trace.append_message(_new(Sent, sent))
 
     def lose(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
         """Count and record losses of a transmission now, given the cause of each loss by receiver."""

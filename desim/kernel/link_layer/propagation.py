@@ -24,7 +24,7 @@ from desim.kernel.core.units import SECOND, nanoseconds
 from desim.kernel.models.latency import Constant, mean_of
 from desim.kernel.models.link_draws import as_booleans, as_nanoseconds, booleans_of, buffered, times_of
 from desim.kernel.models.links import Links
-from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.loss import Bernoulli, Bursts
 from desim.kernel.models.own_links import link_misfits, link_overrides, overrides_of_run
 from desim.kernel.models.traits import LinkTraits, link_trait, model_of_run
 
@@ -72,6 +72,7 @@ class LinkSampler:
         """Whether messages may be transmitted twice."""
         self._latency_buffer = buffered(self._latency, self._latency_rng, as_nanoseconds)
         self._loss_buffer = buffered(self._loss, self._loss_rng, as_booleans)
+        self._bursts: Bursts | None = self._loss if type(self._loss) is Bursts else None
         overrides = link_overrides(links, graph)
         self._latency_overrides = overrides_of_run(overrides["latency"], size)
         self._loss_overrides = overrides_of_run(overrides["loss"], size)
@@ -123,7 +124,9 @@ class LinkSampler:
         if self._lossless:
             lost = None
         elif self._loss_buffer is not None:
-            lost = self._loss_buffer.take(len(dst)).tolist()
+            lost = [self._loss_buffer.one()] if len(dst) == 1 else self._loss_buffer.take(len(dst)).tolist()
+        elif self._bursts is not None and len(dst) == 1:
+            lost = [self._bursts.to_one(src, dst[0], now / SECOND, self._loss_rng)]
         else:
             lost = booleans_of(self._loss(self._context(src, dst, now, size), self._loss_rng), len(dst), self._loss)
         overrides = self._loss_overrides.get(src, {})
@@ -177,6 +180,8 @@ class LinkSampler:
             return start + self._constant
         overrides = self._latency_overrides.get(src)
         if self._latency_buffer is not None:
+            if len(dst) == 1 and not overrides:
+                return [start + self._latency_buffer.one()]
             delays = self._latency_buffer.take(len(dst))
         else:
             drawn = self._latency(self._context(src, dst, now, size), self._latency_rng)

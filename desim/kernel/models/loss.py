@@ -107,14 +107,14 @@ class GilbertElliott(Value):
         """Create the model of one run with `size` nodes; the model keeps the state of each link."""
         if self.common and self.share:
             return CommonBursts(self.share, self.burst, self.common, (self.loss_good, self.loss_bad), size)
-        return _Bursts(self)
+        return Bursts(self)
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
         """Draw (k,) losses from the stationary distribution, without state."""
         return rng.random(len(context.dst)) < self.share * self.loss_bad + (1.0 - self.share) * self.loss_good
 
 
-class _Bursts:
+class Bursts:
     """`GilbertElliott` in one run: one row per sender, with the state of the links used so far."""
 
     def __init__(self, model: GilbertElliott):
@@ -136,9 +136,10 @@ class _Bursts:
         Kept equal to draws link by link by
         `tests/kernel/test_propagation.py::test_losses_are_those_of_a_plain_model_that_draws_link_by_link`.
         """
-        row, dst = self._rows[context.src], context.dst
+        dst = context.dst
         if len(dst) == 1:
-            return self._to_one(row, dst.item(), context.now, rng)
+            return self.to_one(context.src, dst.item(), context.now, rng)
+        row = self._rows[context.src]
         row.select(dst)
         chance = row.value
         if self._in_time:
@@ -154,8 +155,9 @@ class _Bursts:
         lost: Bools = rng.random(len(bad)) < np.where(bad, self._loss_bad, self._loss_good)
         return lost
 
-    def _to_one(self, row: LinkMemory, node: int, now: float, rng: np.random.Generator) -> bool:
-        """Advance the state of one link and return whether it loses a message."""
+    def to_one(self, src: int, node: int, now: float, rng: np.random.Generator) -> bool:
+        """Advance the state of one link and return whether it loses a message now, s."""
+        row = self._rows[src]
         chance, since = row.one(node)
         if self._in_time:
             chance = self._share + (chance - self._share) * math.exp(self._rate * (since - now))

@@ -37,26 +37,26 @@ class ReliableReceiver:
         self._beyond: dict[int, Arrived] = {}
         """The messages received beyond `expected`, by number; in order, they are held until those before are there."""
 
-    def receive(self, src: int, stamp: int, frame: Segment | Skip) -> Iterator[Arrived]:
-        """Take a frame with its time stamp, ns, and yield the messages to be delivered now, in order."""
+    def receive(self, src: int, stamp: int, frame: Segment | Skip) -> list[Arrived]:
+        """Take a frame with its time stamp, ns, and return the messages to be delivered now, in order."""
+        fresh: list[Arrived] = []
         if isinstance(frame, Segment) and frame.seq >= self.expected and frame.seq not in self._beyond:
             arrived = _new(Arrived, (frame.seq, _new(Message, (src, stamp, frame.body)), frame.attempt))
             self._beyond[frame.seq] = arrived
-            if not self._ordered:
-                yield arrived
+            fresh.append(arrived)
         passed = self._advance(frame.base)
-        if self._ordered:
-            yield from passed
+        return passed if self._ordered else fresh
 
     def beyond(self) -> tuple[int, ...]:
         """Return the numbers of the messages received beyond `expected`, ascending."""
-        return tuple(sorted(self._beyond))
+        return tuple(sorted(self._beyond)) if self._beyond else ()
 
     def _advance(self, base: int) -> list[Arrived]:
         """Expect nothing before `base` any more; return the received messages before the new `expected`."""
-        beyond = self._beyond
-        passed = [beyond.pop(seq) for seq in sorted(beyond) if seq < base] if base > self.expected else []
-        self.expected = max(self.expected, base)
+        beyond, passed = self._beyond, list[Arrived]()
+        if base > self.expected:
+            passed = [beyond.pop(seq) for seq in sorted(beyond) if seq < base]
+            self.expected = base
         while self.expected in beyond:
             passed.append(beyond.pop(self.expected))
             self.expected += 1

@@ -185,11 +185,7 @@ class ReliableSender:
         first = next(iter(self._entries.values()), None)
         if first is None:
             return NEVER
-        earliest = first.expires
-        for entry in self._sent():
-            for owed in entry.owed.values():
-                earliest = min(earliest, owed.due)
-        return earliest
+        return min(first.expires, *(owed.due for entry in self._sent() for owed in entry.owed.values()), NEVER)
 
     def _transmit(self, entry: Entry) -> None:
         """Transmit a message for the first time, to all its receivers at once."""
