@@ -42,7 +42,7 @@ class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
         self.agent_selection = self.agents[0]
         if self._running.turn is not None:  # otherwise nobody ever decides: the first step ends the episode
             self._select()
-        self.infos |= {name: self._info(name) for name in self.agents}
+        self.infos |= self._infos()
 
     def step(self, action: Any) -> None:
         """Let the selected pursuer take an action, or None if its episode is over; continue to the next turn.
@@ -60,14 +60,17 @@ class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
             return
         chosen = self._checked(agent, action)
         self._cumulative_rewards[agent] = 0.0
-        step = self._begun({self._number_of(agent): chosen})
+        step = self._begun({self._ids[agent]: chosen})
         self._turns[agent] += 1
         if episode.turn is not None:
             episode.act(chosen)
         self._select()
-        rewards = self._rewards(step)
-        self.rewards = {name: rewards[self._ids[name]] for name in self.agents}
-        self._accumulate_rewards()
+        self.rewards = dict.fromkeys(self.agents, 0.0)
+        for i, reward in self._rewards(step).items():
+            name = self.possible_agents[i]
+            if name in self.rewards:
+                self.rewards[name] = reward
+                self._cumulative_rewards[name] += reward
         if self._agents_leave or episode.turn is None:  # nobody else is dead
             self._deads_step_first()
 
@@ -81,8 +84,9 @@ class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
             self.terminations[name] = True
         while episode.turn is not None:
             agent = self.possible_agents[episode.turn.id]
-            if agent in self.agents and not self.terminations[agent] and not self._is_spent(agent):
-                self.agent_selection, self.infos[agent] = agent, self._info(agent)
+            is_present = not self.terminations.get(agent, True)
+            if is_present and not self._is_spent(agent):
+                self.agent_selection, self.infos[agent] = agent, self._info(episode.turn)
                 return
             if all(self.terminations[name] or self._is_spent(name) for name in self.agents):
                 episode.close()
@@ -91,7 +95,7 @@ class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
             episode.act(episode.turn.action)
         else:
             self.terminations |= dict.fromkeys(self.agents, True)
-        self.infos |= {name: self._info(name) for name in self.agents}
+        self.infos |= self._infos()
 
     def _is_spent(self, agent: str) -> bool:
         """Return whether a pursuer has had all its turns."""
@@ -160,7 +164,7 @@ class ParallelPursuit(Pursuit, ParallelEnv[str, Any, Any]):
         self.agents = [name for name in present if not (terminations[name] or truncations[name])]
         return (
             observations,
-            {name: rewards[self._number_of(name)] for name in present},
+            {name: rewards.get(self._number_of(name), 0.0) for name in present},
             terminations,
             truncations,
             infos,
@@ -168,7 +172,7 @@ class ParallelPursuit(Pursuit, ParallelEnv[str, Any, Any]):
 
     def _shown(self) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Return the observations and infos of all agents."""
-        return {name: self.observe(name) for name in self.agents}, {name: self._info(name) for name in self.agents}
+        return {name: self.observe(name) for name in self.agents}, self._infos()
 
 
 def in_rounds(scenario: Scenario) -> Scenario:

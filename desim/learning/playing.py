@@ -26,7 +26,10 @@ def play(env: AECPursuit | ParallelPursuit, rule: Rule, seed: int | None = None)
 
     def decide(agent: str) -> int:
         me = env.pursuer(agent)
-        return next(memories.setdefault((me.id, me.restarts), iter(rule.actions(me))))
+        memory = memories.get((me.id, me.restarts))
+        if memory is None:
+            memory = memories[me.id, me.restarts] = iter(rule.actions(me))
+        return next(memory)
 
     env.reset(seed=seed)
     if isinstance(env, ParallelPursuit):

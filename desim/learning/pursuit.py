@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from desim.kernel.core.events import Trace
 from desim.kernel.core.seeds import run_seed, seed_of
 from desim.learning.episode import Episode, rule_of
-from desim.learning.rewards import REWARDS, Reward, Step, reward_named, rewards_of
+from desim.learning.rewards import REWARDS, Reward, reward_named, rewards_of
 from desim.learning.spaces import Spaces, Vector
-from desim.learning.steps import step_begun, step_ended
+from desim.learning.steps import Start, step_begun, step_ended
 from desim.pursuit.core.events import Ended, Sampled
 from desim.pursuit.core.state import coordinates
 from desim.pursuit.sensing.world_state import WorldState
@@ -64,7 +64,7 @@ class Pursuit:
         self.scenario = scenario
         self._played = scenario if render_mode is None else with_recordings(scenario)
         self._reward, self._agents_leave = reward_named(reward), agents_leave
-        self._counts_chasers = reward in REWARDS
+        self._is_of_game = reward in REWARDS
         self.max_cycles, self.render_mode = max_cycles, render_mode
         self.possible_agents = [f"pursuer_{i}" for i in range(scenario.team.count)]
         self._ids = {name: i for i, name in enumerate(self.possible_agents)}
@@ -78,6 +78,7 @@ class Pursuit:
         self._root, self._number = None if seed is None else seed_of(seed), 0
         self._seed: int | None = None
         self._episode: Episode | None = None
+        self._start: Start | None = None
 
     def observation_space(self, agent: str) -> Space[Any]:
         """Return the space of observations of a pursuer, always the same object."""
@@ -178,7 +179,7 @@ class Pursuit:
         self._seed = run_seed(self._root, self._number) if self._number else self._root
         self._number += 1
         self.close()
-        self._episode = None  # if the run fails at once, no old one is left
+        self._episode = self._start = None  # if the run fails at once, no old one is left
         self._episode = Episode(self._played, self._seed)
         self.agents = self.possible_agents.copy()
 
@@ -190,13 +191,19 @@ class Pursuit:
             raise ValueError(f"{agent}: an action should be from 0 to {len(self.scenario.evaders)} (got {action!r})")
         return int(action)
 
-    def _begun(self, actions: Mapping[int, int]) -> Step:
-        """Return the step that begins now with some actions, by pursuer; its end is still open."""
-        return step_begun(self._running.simulation, self.scenario.horizon, actions, of_all=not self._counts_chasers)
+    def _begun(self, actions: Mapping[int, int]) -> Start:
+        """Return the start of the step that begins now with some actions, by pursuer."""
+        start = step_begun(self._running.simulation, actions, self._start, of_all=not self._is_of_game)
+        self._start = start
+        return start
 
-    def _rewards(self, step: Step) -> list[float]:
-        """Return the (N,) rewards of a step that has begun and ends now."""
-        return rewards_of(self._reward, step_ended(step, self._world, is_last=self._running.turn is None))
+    def _rewards(self, start: Start) -> Mapping[int, float]:
+        """Return the rewards by pursuer of a step that ends now; a pursuer that is not among them gets 0."""
+        world = self._world
+        if self._is_of_game and (start.now == world.now or not any(start.profile)):
+            return {}  # utilities are integrated over the step, and that of a team in which nobody chases is 0
+        is_last = self._running.turn is None
+        return rewards_of(self._reward, step_ended(start, world, self.scenario.horizon, is_last=is_last))
 
     def _leavers(self) -> list[str]:
         """Return the agents that leave now, because their robots are down."""
@@ -205,9 +212,13 @@ class Pursuit:
         broken = self._world.broken
         return [name for name in self.agents if broken[self._number_of(name)]]
 
-    def _info(self, agent: str) -> dict[str, Any]:
+    def _info(self, me: Agent) -> dict[str, Any]:
         """Return the mask of the actions of a pursuer."""
-        return {"action_mask": self._spaces.mask(self.pursuer(agent))}
+        return {"action_mask": self._spaces.mask(me)}
+
+    def _infos(self) -> dict[str, dict[str, Any]]:
+        """Return the infos of all agents."""
+        return {name: self._info(self.pursuer(name)) for name in self.agents}
 
     def __copy__(self) -> Self:
         """Return a copy with an episode of its own, at the same instant."""

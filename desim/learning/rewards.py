@@ -8,7 +8,7 @@ utility over the horizon.
 from collections.abc import Callable, Mapping, Sequence
 from math import inf, isfinite
 from types import MappingProxyType
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -60,13 +60,18 @@ def wonderful_life(step: Step) -> list[float]:
 
     The utility of a pursuer is its marginal contribution to the global utility: the potential game of Lee & Bakolas.
     """
-    utilities, share = [0.0] * len(step.profile), step.duration / step.horizon
-    if not any(step.profile):
-        return utilities
+    utilities = _wonderful_life(step)
+    return [utilities.get(i, 0.0) for i in range(len(step.profile))]
+
+
+def _wonderful_life(step: Step) -> dict[int, float]:
+    """Return the wonderful-life utilities of those that chase, by pursuer; see `wonderful_life`."""
+    utilities, share = dict[int, float](), step.duration / step.horizon
     for evader, times in enumerate(step.capture_times, start=1):
         chasing = [i for i, action in enumerate(step.profile) if action == evader and times[i] < inf]
-        for i in chasing:
-            utilities[i] = share * gain(times[i], [times[j] for j in chasing if j != i], step.time_left)
+        finite = [times[i] for i in chasing]
+        for k, i in enumerate(chasing):
+            utilities[i] = share * gain(times[i], finite[:k] + finite[k + 1 :], step.time_left)
     return utilities
 
 
@@ -88,15 +93,15 @@ def reward_named(reward: Any) -> Reward:
     return REWARDS[reward]
 
 
-def rewards_of(reward: Reward, step: Step) -> list[float]:
-    """Return the (N,) rewards of a step.
+def rewards_of(reward: Reward, step: Step) -> Mapping[int, float]:
+    """Return the rewards of a step by pursuer; a pursuer that is not among them gets 0.
 
     Raises:
         ValueError: if a user's function returns neither a finite number nor one for each pursuer.
     """
+    if reward is wonderful_life:  # few chase, and the check below takes longer
+        return _wonderful_life(step)
     answer: Any = reward(step)
-    if reward is wonderful_life:  # the check below takes longer
-        return cast("list[float]", answer)
     count = len(step.profile)
     values = (
         list(answer) if isinstance(answer, list | tuple | np.ndarray) and np.ndim(answer) == 1 else [answer] * count
@@ -106,4 +111,4 @@ def rewards_of(reward: Reward, step: Step) -> list[float]:
         raise ValueError(
             f"a reward should be a finite number, or one for each of {count} pursuers, got {answer!r} from {reward!r}"
         )
-    return [float(value) for value in values]
+    return dict(enumerate(map(float, values)))

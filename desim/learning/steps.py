@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from math import inf
+from typing import NamedTuple
 
 from desim.kernel.core.units import seconds
 from desim.learning.rewards import Step
@@ -9,30 +10,54 @@ from desim.pursuit.sensing.world_state import WorldState
 from desim.simulation.run import Simulation
 
 
-def step_begun(simulation: Simulation, horizon: float, actions: Mapping[int, int], *, of_all: bool) -> Step:
-    """Return a step that begins now; until it has ended, its end is its start, and `captured` has who is at large.
+class Start(NamedTuple):
+    """The start of a step, of which the end is still open."""
+
+    now: int
+    """ns"""
+    profile: Sequence[int]
+    """(N,) the action of each pursuer after the decision."""
+    capture_times: tuple[tuple[float, ...], ...]
+    """(M, N) s; see `Step`."""
+    at_large: Sequence[int]
+    """The evaders that are not captured."""
+
+
+def step_begun(simulation: Simulation, actions: Mapping[int, int], last: Start | None, *, of_all: bool) -> Start:
+    """Return the start of a step that begins now.
 
     Args:
         simulation: the run.
-        horizon: the latest end of the episode, s.
+        last: the start of the step before; where many take their turns at one instant, it is mostly the same.
         actions: the actions that are taken now, by pursuer; one that is not among its options has the effect of 0.
-        of_all: whether the capture times are those of all pursuers, or only of those that chase the evader.
+        of_all: whether the capture times are those of all pursuers, or only of those that chase the evader, if any do.
     """
     world, agents = simulation.state, simulation.agents
-    profile = world.profile.copy()
+    profile = world.profile  # it is replaced as actions change, and never changed itself
     for i, action in actions.items():
-        profile[i] = action if action in agents[i].options() else 0
-    times = all_times(world) if of_all else chasers_times(world, profile)
-    start = seconds(world.now)
-    left, at_large = world.time_left(world.now), tuple(world.at_large)
-    return Step(start, start, tuple(profile), times, left, horizon, at_large, False)
+        taken = action if action and action in agents[i].options() else 0
+        if taken != profile[i]:
+            profile = [*profile[:i], taken, *profile[i + 1 :]]
+    now, at_large = world.now, world.at_large
+    if last is not None and last.now == now and last.profile == profile and last.at_large is at_large:
+        return last
+    times = all_times(world) if of_all else chasers_times(world, profile) if any(profile) else ()
+    return Start(now, profile, times, at_large)
 
 
-def step_ended(step: Step, world: WorldState, *, is_last: bool) -> Step:
-    """Return a step that has begun and ends now, given whether the episode ends with it."""
-    at_large = step.captured
-    captured = () if len(at_large) == len(world.at_large) else tuple(sorted(set(at_large) - set(world.at_large)))
-    return step._replace(end=seconds(world.now), captured=captured, is_last=is_last)
+def step_ended(start: Start, world: WorldState, horizon: float, *, is_last: bool) -> Step:
+    """Return a step that ends now.
+
+    Args:
+        start: its start.
+        world: the true state of the world.
+        horizon: the latest end of the episode, s.
+        is_last: whether the episode ends with the step.
+    """
+    now, profile, times, before = start
+    captured = tuple(sorted(set(before) - set(world.at_large))) if before is not world.at_large else ()
+    left = world.time_left(now)
+    return Step(seconds(now), seconds(world.now), tuple(profile), times, left, horizon, captured, is_last)
 
 
 def all_times(world: WorldState) -> tuple[tuple[float, ...], ...]:
@@ -47,9 +72,10 @@ def chasers_times(world: WorldState, profile: Sequence[int]) -> tuple[tuple[floa
     """
     rows = []
     for body in world.bodies:
-        chasing = [i for i, action in enumerate(profile) if action == body.number]
         times = [inf] * len(profile)
-        for i, time in zip(chasing, body.capture_times_of(chasing, world.now) if chasing else (), strict=True):
-            times[i] = time
+        if body.number in profile:
+            chasing = [i for i, action in enumerate(profile) if action == body.number]
+            for i, time in zip(chasing, body.capture_times_of(chasing, world.now), strict=True):
+                times[i] = time
         rows.append(tuple(times))
     return tuple(rows)

@@ -207,7 +207,7 @@ def test_agents_live_to_the_end_unless_they_may_leave():
     while env.pursuer("pursuer_0").now < 0.7:
         env.step(1)
     assert env.infos["pursuer_1"]["action_mask"].tolist() == [1, 1]  # of its last turn
-    assert env._info("pursuer_1")["action_mask"].tolist() == [1, 0]
+    assert env._info(env.pursuer("pursuer_1"))["action_mask"].tolist() == [1, 0]
     assert len(env.agents) == 5
     leaving = desim.parallel_env(scenario, 3, agents_leave=True)
     leaving.reset()
@@ -217,9 +217,10 @@ def test_agents_live_to_the_end_unless_they_may_leave():
     assert leaving.pursuer("pursuer_0").now == pytest.approx(0.5, abs=0.11)
 
 
-def test_rewards_add_up_between_turns():
+@pytest.mark.parametrize("schedule", ["shared_seed", "rounds"])
+def test_rewards_add_up_between_turns(schedule):
     """In a static game, utilities change with actions only: their integral is a sum over the decisions of the trace."""
-    scenario = small(**{"motion.static": True, "capture.radius": 0.01})
+    scenario = small(**{"motion.static": True, "capture.radius": 0.01, "protocol.schedule": {"kind": schedule}})
     first = desim.env(scenario, 3)
     turns = count(), count()
     choose = lambda env, agent: (env.pursuer(agent).id + next(turns[env is second])) % 2  # noqa: E731
