@@ -14,7 +14,7 @@ from desim.kernel.core.seeds import run_seed, seed_of
 from desim.learning.episode import Episode, rule_of
 from desim.learning.rewards import REWARDS, Reward, reward_named, rewards_of
 from desim.learning.spaces import Spaces, Vector
-from desim.learning.steps import Start, step_begun, step_ended
+from desim.learning.steps import StepStart, step_begun, step_ended
 from desim.pursuit.core.events import Ended, Sampled
 from desim.pursuit.core.state import coordinates
 from desim.pursuit.sensing.world_state import WorldState
@@ -78,7 +78,7 @@ class Pursuit:
         self._root, self._number = None if seed is None else seed_of(seed), 0
         self._seed: int | None = None
         self._episode: Episode | None = None
-        self._start: Start | None = None
+        self._start: StepStart | None = None
 
     def observation_space(self, agent: str) -> Space[Any]:
         """Return the space of observations of a pursuer, always the same object."""
@@ -191,13 +191,13 @@ class Pursuit:
             raise ValueError(f"{agent}: an action should be from 0 to {len(self.scenario.evaders)} (got {action!r})")
         return int(action)
 
-    def _begun(self, actions: Mapping[int, int]) -> Start:
+    def _begun(self, actions: Mapping[int, int]) -> StepStart:
         """Return the start of the step that begins now with some actions, by pursuer."""
         start = step_begun(self._running.simulation, actions, self._start, of_all=not self._is_of_game)
         self._start = start
         return start
 
-    def _rewards(self, start: Start) -> Mapping[int, float]:
+    def _rewards(self, start: StepStart) -> Mapping[int, float]:
         """Return the rewards by pursuer of a step that ends now; a pursuer that is not among them gets 0."""
         world = self._world
         if self._is_of_game and (start.now == world.now or not any(start.profile)):

@@ -10,7 +10,7 @@ from desim.pursuit.sensing.world_state import WorldState
 from desim.simulation.run import Simulation
 
 
-class Start(NamedTuple):
+class StepStart(NamedTuple):
     """The start of a step, of which the end is still open."""
 
     now: int
@@ -23,7 +23,9 @@ class Start(NamedTuple):
     """The evaders that are not captured."""
 
 
-def step_begun(simulation: Simulation, actions: Mapping[int, int], last: Start | None, *, of_all: bool) -> Start:
+def step_begun(
+    simulation: Simulation, actions: Mapping[int, int], last: StepStart | None, *, of_all: bool
+) -> StepStart:
     """Return the start of a step that begins now.
 
     Args:
@@ -42,10 +44,10 @@ def step_begun(simulation: Simulation, actions: Mapping[int, int], last: Start |
     if last is not None and last.now == now and last.profile == profile and last.at_large is at_large:
         return last
     times = all_times(world) if of_all else chasers_times(world, profile) if any(profile) else ()
-    return Start(now, profile, times, at_large)
+    return StepStart(now, profile, times, at_large)
 
 
-def step_ended(start: Start, world: WorldState, horizon: float, *, is_last: bool) -> Step:
+def step_ended(start: StepStart, world: WorldState, horizon: float, *, is_last: bool) -> Step:
     """Return a step that ends now.
 
     Args:
