@@ -30,8 +30,8 @@ def step_begun(
 
     Args:
         simulation: the run.
-        last: the start of the step before; where many take their turns at one instant, it is mostly the same.
         actions: the actions that are taken now, by pursuer; one that is not among its options has the effect of 0.
+        last: the start of the step before; where many take their turns at one instant, it is mostly the same.
         of_all: whether the capture times are those of all pursuers, or only of those that chase the evader, if any do.
     """
     world, agents = simulation.state, simulation.agents

@@ -46,6 +46,7 @@ from desim.scenario.scenario import Motion, Recording
 from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Periodic, SharedSeed
+from scenarios.benchmarks.learning_costs import environments
 from scenarios.benchmarks.measuring import Cost, apart, command, memory, per_unit
 from scenarios.benchmarks.pages import replays
 from scenarios.benchmarks.peers.bare_loop import bare_loop
@@ -462,6 +463,7 @@ PARTS: Mapping[str, Callable[[Options], list[Cost]]] = MappingProxyType(
         "examples": examples,
         "recording": recording,
         "start": start,
+        "environments": environments,
         "sweeps": two_workers,
         "large_store": large_store,
         "replays": replays,

@@ -19,7 +19,7 @@ from desim.kernel.core.units import SECOND
 from desim.kernel.models.access import CsmaCa
 from desim.kernel.models.latency import Constant
 from scenarios.benchmarks import __main__ as benchmarks
-from scenarios.benchmarks import costs, measuring, rates, sweep_costs
+from scenarios.benchmarks import costs, learning_costs, measuring, rates, sweep_costs
 from scenarios.benchmarks.peers import elsewhere, ways
 from scenarios.benchmarks.peers.bare_loop import bare_loop
 from scenarios.benchmarks.peers.elsewhere import PROGRAMS, Peer, UnavailableError
@@ -249,6 +249,23 @@ def test_the_study_measures_other_costs(few, monkeypatch):
     assert disks["N = 50 / N = 30"] == pytest.approx(disks["a message, N = 50"] / disks["a message, N = 30"])
     assert measured["complete"]["peak memory"] == pytest.approx(measuring.memory("VmHWM") / 1e6, rel=0.5)
     assert 0.5 < measured["recording"]["all kept / none"] < 10.0
+
+
+@pytest.mark.whole
+def test_the_study_measures_environments(few, monkeypatch):
+    """An environment is slower than a run: here it runs twice."""
+
+    def twice(env, _, seed):
+        run(env.scenario, seed)
+        return run(env.scenario, seed)
+
+    for name, value in {"SIMULATED": 1.0, "TEAMS": (3,), "RULES": ("sap",), "play": twice}.items():
+        monkeypatch.setattr(learning_costs, name, value)
+    costs = few("--parts", "environments")["costs"]["environments"]
+    relative = [cost["measured"] for cost in costs if cost["limit"] == learning_costs.RELATIVE]
+    assert len(relative) == 8
+    assert 1.3 < np.median(relative) < 3.0
+    assert len(costs) == 18
 
 
 @pytest.mark.slow
