@@ -33,7 +33,7 @@ from pydantic import BaseModel
 
 from desim.config.python_numbers import ATOMS
 from desim.config.shared_state import ADDING, CACHED, COLLECTIONS, defaults_of, is_foreign, shared_changes
-from desim.config.traits import OURS, name_of
+from desim.config.traits import OURS, module_of, name_of
 
 Model = TypeVar("Model")
 CONSTANTS = ATOMS | {complex, bytes}
@@ -99,12 +99,11 @@ def _refusal(users: Mapping[str, Any], error: Exception) -> StateError:
     return StateError(f"cannot be copied: {error}")
 
 
-def _never_changes(module: str | None) -> bool:
+def _never_changes(name: str) -> bool:
     """Return whether the objects of a module, given its name, are shared; a similar name is that of another module.
 
     A graph of networkx is not.
     """
-    name = module or ""
     return name.partition(".")[0] in NEVER_CHANGED and not name.startswith("networkx.classes.")
 
 
@@ -115,14 +114,14 @@ def _form(kind: type) -> Literal["constant", "model", "items", "values", "object
         return "items"
     if kind is dict:
         return "values"
-    if not _never_changes(kind.__module__):
+    if not _never_changes(module_of(kind)):
         return "constant" if kind in {*CONSTANTS, np.ndarray} else "object"
     return "model" if issubclass(kind, BaseModel) else "constant"
 
 
 def _is_ours(value: Any) -> bool:
     """Return whether a value is a function of desim at the top level, which has no state."""
-    return type(value) is FunctionType and value.__closure__ is None and _never_changes(value.__module__)
+    return type(value) is FunctionType and value.__closure__ is None and _never_changes(module_of(value))
 
 
 def _is_built_in(model: Any) -> bool:
@@ -239,7 +238,7 @@ class _Copier(pickle.Pickler):
         elif kind is np.ndarray:
             if value.flags.writeable:
                 return None
-        elif _never_changes(kind.__module__):
+        elif _never_changes(module_of(kind)):
             if not all(_is_plain(item, alone=self._alone) for _, item in _of_users(value)):
                 return None
         elif not _is_plain(value, alone=self._alone):

@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dis import get_instructions
 from functools import cached_property, lru_cache, partial, partialmethod, singledispatchmethod
 from gc import get_referents
@@ -17,6 +18,9 @@ from warnings import warn
 from weakref import WeakKeyDictionary
 
 import numpy as np
+
+from desim.config.own_modules import plain_name
+from desim.config.traits import module_of
 
 COLLECTIONS = (list, set, dict, deque, np.ndarray)
 ADDING = {"append", "extend", "add", "update", "put", "put_nowait"}
@@ -49,6 +53,29 @@ class StateWarning(UserWarning):
     """
 
 
+_collected: ContextVar[list[str] | None] = ContextVar("collected", default=None)
+"""The texts of the warnings in the block of `collected_warnings`."""
+
+
+@contextmanager
+def collected_warnings() -> Iterator[list[str]]:
+    """Yield a list to which the texts of `StateWarning`s are added: nobody reads what is warned of in a worker."""
+    texts: list[str] = []
+    token = _collected.set(texts)
+    try:
+        yield texts
+    finally:
+        _collected.reset(token)
+
+
+def _warn(text: str) -> None:
+    texts = _collected.get()
+    if texts is None:
+        warn(text, StateWarning, stacklevel=7)
+    else:
+        texts.append(text)
+
+
 _runs: WeakKeyDictionary[Any, dict[str, tuple[Any, Any]]] = WeakKeyDictionary()
 """By function or class, what its variables were before and after the last run that used it, by name."""
 
@@ -72,7 +99,7 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
             f"{' and '.join(clocks)}: the clock of the computer is not the one of the simulation; a protocol reads the"
             " time with `me.now` and waits with `yield me.sleep(0.1)`, and a model has the times in its arguments"
         )
-        warn(text, StateWarning, stacklevel=6)
+        _warn(text)
     reads = list(_shared(objects))
     before = [snapshot(read()) for _, _, read in reads]
     carried = set()
@@ -86,7 +113,7 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
             " what a model remembers should be in its instance (self), of which each run gets a copy; what it reports"
             " may be appended to a list that it does not read"
         )
-        warn(text, StateWarning, stacklevel=6)
+        _warn(text)
     caches = [item for item in objects if isinstance(item, CACHED)]
     cached = [_cached(item, snapshot) for item in caches]
     generators, imported = _global_generators(), set(sys.modules)
@@ -95,19 +122,20 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
         now_cached = _cached(item, snapshot) if values else {}
         if any(now_cached.get(number, state) != state for number, state in values.items()):
             text = (
-                f"{item.__module__}.{item.__qualname__}: the run has changed what its cache has from an earlier one, so"
-                " another run starts from another state; what a model remembers should be in its instance (self)"
+                f"{plain_name(item.__module__)}.{item.__qualname__}: the run has changed what its cache has from an"
+                " earlier one, so another run starts from another state; what a model remembers should be in its"
+                " instance (self)"
             )
-            warn(text, StateWarning, stacklevel=6)
+            _warn(text)
     if drawn_from := [name for name, state in _global_generators().items() if state != generators[name]]:
         text = (
             f"{' and '.join(drawn_from)}: the run has drawn from the global generator, so another run gives other"
             " results; a protocol should draw from `me.rng`, any other model from the `rng` that it is called with"
         )
-        warn(text, StateWarning, stacklevel=6)
+        _warn(text)
     for (owner, name, read), first in zip(reads, before, strict=True):
         _runs.setdefault(owner, {})[name] = first, snapshot(read())
-    new_modules = sys.modules.keys() - imported
+    new_modules = {plain_name(module) for module in sys.modules.keys() - imported}
     for owner, name, read in _shared(objects):
         if name.rpartition(".")[0] not in new_modules and name not in _runs.get(owner, {}):  # the run has created it
             _runs.setdefault(owner, {})[name] = (), snapshot(read())
@@ -141,8 +169,9 @@ def _global_generators() -> dict[str, Any]:
 def _shared(objects: Iterable[Any]) -> Iterator[tuple[Any, str, Read]]:
     """Yield function or class, name and a function that reads it of each variable that code of a user may change."""
     for item in objects:
-        if isinstance(item, FunctionType):
+        if isinstance(item, FunctionType | CACHED):
             yield from ((item, *variable) for variable in _items(item.__qualname__, vars(item)))
+        if isinstance(item, FunctionType):
             yield from ((item, *variable) for variable in _variables(item))
         elif isinstance(item, type):
             for function in _functions_in(vars(item).values()):
@@ -156,7 +185,7 @@ def is_foreign(definition: Any) -> bool:
     A function that `functools` makes of a user's has the module of the latter, and the variables of `functools`.
     """
     places = definition.__globals__ if isinstance(definition, FunctionType) else {}
-    return (places.get("__name__") or definition.__module__ or "").partition(".")[0] in _FOREIGN
+    return (places.get("__name__") or module_of(definition)).partition(".")[0] in _FOREIGN
 
 
 def _items(owner: str, place: Any) -> Iterator[tuple[str, Read]]:
@@ -187,7 +216,7 @@ def _variables(function: FunctionType) -> Iterator[tuple[str, Read]]:
     for module, place, names in _modules_of(function):
         for name in names:
             if name in place and not (name in _names_of(code) and only_adds(code, name)):
-                yield f"{module}.{name}", partial(place.get, name)
+                yield f"{plain_name(module)}.{name}", partial(place.get, name)
 
 
 def _modules_of(function: FunctionType) -> Iterator[tuple[str, dict[str, Any], Collection[str]]]:
@@ -299,12 +328,13 @@ def _of_time(code: CodeType) -> frozenset[str]:
 def _is_installed(module: ModuleType) -> bool:
     """Return whether a module is not of a user: of desim, of Python, or of an installed package."""
     file = getattr(module, "__file__", None) or ""
-    return module.__name__.partition(".")[0] in _FOREIGN or "site-packages" in file
+    is_library = not {"site-packages", "dist-packages"}.isdisjoint(re.split(r"[/\\]", file))
+    return module.__name__.partition(".")[0] in _FOREIGN or is_library
 
 
 def _is_of_package(definition: Any) -> bool:
     """Return whether a function or class is defined in such a module; what it remembers is a matter of its authors."""
-    module = sys.modules.get(definition.__module__ or "")
+    module = sys.modules.get(module_of(definition))
     return is_foreign(definition) or (module is not None and _is_installed(module))
 
 

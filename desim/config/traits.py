@@ -187,7 +187,13 @@ OURS = frozenset({"desim", "protocols"})
 
 def is_ours(model: type) -> bool:
     """Return whether a class is a built-in model, or any other class of this distribution."""
-    return model.__module__.partition(".")[0] in OURS
+    return module_of(model).partition(".")[0] in OURS
+
+
+def module_of(definition: Any) -> str:
+    """Return the module of a function or class; "" if that is no text, as of some classes that are not of Python."""
+    module = definition.__module__
+    return module if isinstance(module, str) else ""
 
 
 @lru_cache(maxsize=1024)

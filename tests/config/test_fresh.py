@@ -322,6 +322,14 @@ def test_runs_of_the_executor_of_a_caller_start_from_the_state_of_the_caller(poo
         assert frame(executor) == frame(1)
 
 
+@pytest.mark.slow
+def test_a_sweep_in_processes_warns_of_state_as_one_in_this_process_does():
+    for executor in (1, 2):
+        with pytest.warns(StateWarning, match=rf"^{__name__}\.CALLS: an earlier run has changed it") as caught:
+            sweep(brief(global_counter), {"team.count": [2]}, reps=20, executor=executor)
+        assert len(caught) == 1
+
+
 SEEN = []
 
 
@@ -673,7 +681,14 @@ def doing(act):
     return strategy
 
 
+@functools.lru_cache
+def numbered(number):
+    numbered.calls = getattr(numbered, "calls", 0) + 1
+    return numbered.calls
+
+
 HIDDEN = {
+    "numbered.calls": lambda: numbered(object()),
     "CYCLE": lambda: next(CYCLE),
     "CHAIN": lambda: next(CHAIN),
     "SLICE": lambda: next(SLICE),
@@ -735,6 +750,42 @@ def test_a_memo_and_a_report_are_not_warned_of():
     for _ in range(3):
         run(scenario, 1)
     assert seen.qsize() > 0
+
+
+class Compiled(type):
+    """The type of a class whose module is no text, as that of a class that Cython has compiled."""
+
+    @property
+    def __module__(cls):
+        return "compiled"
+
+
+class Steering(metaclass=Compiled):
+    def __call__(self, state, rng):
+        return 1j if isinstance(Steering, Compiled) else -1j
+
+
+def test_the_module_of_a_class_need_not_be_a_text():
+    assert not isinstance(Compiled.__module__, str)
+    for strategy in (Steering(), lambda state, rng: Steering()(state, rng), functools.partial(Steering())):
+        for _ in range(2):
+            run(brief(strategy), 1)
+
+
+@pytest.mark.parametrize("folder", ["site-packages", "dist-packages"])
+def test_state_of_an_installed_package_is_a_matter_of_its_authors(folder, monkeypatch):
+    """Also of one of Debian, Ubuntu or ROS, whose packages are in the folder dist-packages."""
+    library = ModuleType("library_of_others")
+    library.__file__ = f"/usr/lib/python3/{folder}/library_of_others.py"
+    exec("calls = 0\ndef turn():\n    global calls\n    calls += 1\n    return 1j", vars(library))
+    monkeypatch.setitem(sys.modules, "library_of_others", library)
+    scenario = brief(lambda state, rng: library.turn())
+    for _ in range(2):
+        run(scenario, 1)
+    library.__file__ = "/home/me/library_of_others.py"
+    run(scenario, 1)
+    with pytest.warns(StateWarning, match="library_of_others.calls"):
+        run(scenario, 1)
 
 
 def test_a_graph_that_a_function_holds_is_copied():

@@ -1,16 +1,19 @@
 """The driver: each task has one outcome, whatever becomes of it and of its worker."""
 
+import pickle
 import sys
 import threading
 from collections import Counter
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import closing
 from functools import partial
+from warnings import catch_warnings, simplefilter
 
 import pytest
 
 import desim
 from desim.analysis.metrics import summary
+from desim.config.shared_state import StateWarning, shared_changes
 from desim.scenario.toml import load
 from desim.simulation.run import run
 from desim.simulation.watchdog import OUT_OF_MEMORY
@@ -110,6 +113,33 @@ def test_the_time_of_a_run_is_its_share_of_the_time_of_its_batch(monkeypatch):
     outcomes, took = dispatch.perform([(None, k) for k in range(10)], lambda result: result, simulate)
     assert [outcome.value for outcome in outcomes] == list(range(10))
     assert took == 0.5
+
+
+def remembering():
+    """Stand for a model with a number that each run changes."""
+
+
+remembering.calls = 0
+
+
+def test_what_runs_warn_of_in_workers_is_told_once_here():
+    """Whoever performs them: in a process nobody would read the warning."""
+
+    def simulate(scenario, seed):
+        with shared_changes([remembering], lambda value: value):
+            remembering.calls += 1
+        return seed
+
+    class Copying(InProcess):
+        def result(self, future):
+            return pickle.loads(pickle.dumps(super().result(future)))
+
+    for workers in (InProcess(), Copying()):
+        with catch_warnings(record=True) as caught:
+            simplefilter("always")
+            assert len([*drive([(None, 1)] * 300, workers, lambda result: result, simulate)]) == 300
+        assert [warning.category for warning in caught] == [StateWarning]
+        assert str(caught[0].message).startswith("remembering.calls: an earlier run has changed it")
 
 
 class Mortal(InProcess):

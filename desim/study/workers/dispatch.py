@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
 from typing import Any, Literal
+from warnings import warn
 
 import cloudpickle
 
@@ -17,6 +18,7 @@ from desim.analysis.metrics import summary
 from desim.config.data_files import identified_run
 from desim.config.fresh import fresh_copy
 from desim.config.own_modules import plain_name
+from desim.config.shared_state import StateWarning, collected_warnings
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result, run
 from desim.simulation.watchdog import OUT_OF_MEMORY, within
@@ -49,6 +51,8 @@ class Outcome:
     """The exception; None if the run is ok, or if its exception cannot be pickled."""
     traceback: str = ""
     """The traceback of the exception, as text."""
+    warnings: tuple[str, ...] = ()
+    """What the run warned of: state that an earlier run has left, see `desim.config.shared_state`."""
 
 
 Outcomes = Generator[tuple[int, Outcome], None, None]
@@ -111,6 +115,7 @@ def _in_batches(waiting: deque[int], submit: Submit, workers: Workers) -> Genera
     """Submit runs until a worker dies, and yield their outcomes; return the submitted runs without an outcome."""
     out: dict[Future[Any], list[int]] = {}
     unaccounted: list[int] = []
+    warned: set[str] = set()
     broken, run_time = False, FIRST_RUN
     try:
         while out or (waiting and not broken):
@@ -133,6 +138,7 @@ def _in_batches(waiting: deque[int], submit: Submit, workers: Workers) -> Genera
                     unaccounted += batch
                     broken |= isinstance(error, BrokenExecutor)
                 else:
+                    _warn(outcomes, warned)
                     yield list(zip(batch, outcomes, strict=True))
     finally:
         for future in out:
@@ -140,6 +146,14 @@ def _in_batches(waiting: deque[int], submit: Submit, workers: Workers) -> Genera
     if broken:
         workers.renew()
     return unaccounted
+
+
+def _warn(outcomes: Sequence[Outcome], warned: set[str]) -> None:
+    """Warn, in this process, of what runs warned of in their workers, once of each."""
+    for text in dict.fromkeys(text for outcome in outcomes for text in outcome.warnings):
+        if text not in warned:
+            warned.add(text)
+            warn(text, StateWarning, stacklevel=4)
 
 
 def _run_alone(k: int, submit: Submit, workers: Workers) -> Outcome:
@@ -172,11 +186,16 @@ def _outcome(task: Task, measure: Measurement, simulate: Simulate) -> Outcome:
     scenario, seed = task
     try:
         # Whatever the worker, each run starts from what the driver's objects hold, as if it were the only one.
-        with identified_run(), fresh_copy((scenario, measure), alone=True) as (copied, fresh_measure):
+        with (
+            collected_warnings() as texts,
+            identified_run(),
+            fresh_copy((scenario, measure), alone=True) as (copied, fresh_measure),
+        ):
             result = simulate(copied, seed)
             if copied is not scenario and isinstance(result, Result):
                 result = replace(result, scenario=scenario)
-            return Outcome("ok", fresh_measure(result))
+            measured = fresh_measure(result)
+        return Outcome("ok", measured, warnings=tuple(texts))
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # SystemExit, too
