@@ -1,10 +1,13 @@
 """Natural mistakes, in Python, in files and in commands: each is told its place, the reason and a way out."""
 
+import datetime
+import random
 import time
 from inspect import signature
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -204,12 +207,66 @@ def test_a_wrong_line_of_a_protocol_says_what_to_write(line):
     assert LINES[line] in " ".join([str(refused.value), *refused.value.__notes__])
 
 
-@pytest.mark.parametrize("line", ["import time; time.sleep(0.0)", "sleep(0.0)", "me.assign(int(clock() > 0))"])
+OUTSIDE: dict[str, Any] = {
+    "sleep": time.sleep,
+    "clock": time.time,
+    "datetime": datetime,
+    "np": np,
+    "rng": random.Random,
+}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "import time; time.sleep(0.0)",
+        "sleep(0.0)",
+        "me.assign(int(clock() > 0))",
+        "from time import monotonic as tell; tell()",
+        "datetime.datetime.now()",
+        "(lambda: datetime.date.today())()",
+    ],
+)
 def test_a_protocol_that_waits_for_the_clock_of_the_computer_is_warned_of(line):
-    names: dict[str, Any] = {"sleep": time.sleep, "clock": time.time}
+    names = dict(OUTSIDE)
     exec(f"def mine(me):\n    yield me.sleep(0.001)\n    {line}", names)
     with pytest.warns(StateWarning, match="the clock of the computer is not the one of the simulation"):
         desim.run(SHORT.with_({"protocol": names["mine"]}))
+
+
+@pytest.mark.parametrize(
+    ("line", "name"),
+    [
+        ("np.random.default_rng().random()", r"numpy\.random\.default_rng\(\)"),
+        ("rng().random()", r"random\.Random\(\)"),
+        ("import secrets; secrets.randbelow(3)", r"secrets\.randbelow"),
+        ("from uuid import uuid4; uuid4()", r"uuid\.uuid4"),
+        ("import os; os.urandom(2)", r"os\.urandom"),
+        ("[np.random.default_rng().random() for _ in range(2)]", r"numpy\.random\.default_rng\(\)"),
+    ],
+)
+def test_random_numbers_without_the_seed_are_warned_of(line, name):
+    names = dict(OUTSIDE)
+    exec(f"def mine(me):\n    yield me.sleep(0.001)\n    {line}", names)
+    with pytest.warns(StateWarning, match=f"^{name}: these random numbers do not follow from the seed"):
+        desim.run(SHORT.with_({"protocol": names["mine"]}))
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "np.random.default_rng(me.id).random()",
+        "rng(7).random()",
+        "import time; time.perf_counter()",
+        "datetime.datetime(2024, 5, 17)",
+        "me.sleep(0.0)",
+        "import uuid; uuid.UUID(int=3)",
+    ],
+)
+def test_seeded_numbers_and_measured_durations_are_not_warned_of(line):
+    names = dict(OUTSIDE)
+    exec(f"def mine(me):\n    yield me.sleep(0.001)\n    {line}", names)
+    desim.run(SHORT.with_({"protocol": names["mine"]}))
 
 
 def test_an_attribute_that_fails_inside_is_not_said_to_be_missing():

@@ -3,7 +3,6 @@
 import random
 import re
 import sys
-import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
@@ -19,6 +18,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from desim.config.outside import inner_code, outside_sources
 from desim.config.own_modules import plain_name
 from desim.config.traits import module_of
 
@@ -49,7 +49,7 @@ _FOREIGN = {*sys.stdlib_module_names, "desim", "protocols", "numpy", "pydantic",
 class StateWarning(UserWarning):
     """Warns of state in a class, a function, a module or a collection that an earlier run has left.
 
-    The clock of the computer is such state, too.
+    The clock of the computer is such state, too, and so are random numbers without a seed.
     """
 
 
@@ -94,10 +94,17 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
         snapshot: returns what differs if a value has changed; None if that cannot be found out.
     """
     objects = _reached(objects)
-    if clocks := sorted({name for item in objects for name in _wall_clocks(item)}):
+    outside = [_outside(item) for item in objects]
+    if clocks := sorted({name for names, _ in outside for name in names}):
         text = (
             f"{' and '.join(clocks)}: the clock of the computer is not the one of the simulation; a protocol reads the"
             " time with `me.now` and waits with `yield me.sleep(0.1)`, and a model has the times in its arguments"
+        )
+        _warn(text)
+    if entropy := sorted({name for _, names in outside for name in names}):
+        text = (
+            f"{' and '.join(entropy)}: these random numbers do not follow from the seed, so another run gives other"
+            " results; a protocol should draw from `me.rng`, any other model from the `rng` that it is called with"
         )
         _warn(text)
     reads = list(_shared(objects))
@@ -122,7 +129,7 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
         now_cached = _cached(item, snapshot) if values else {}
         if any(now_cached.get(number, state) != state for number, state in values.items()):
             text = (
-                f"{plain_name(item.__module__)}.{item.__qualname__}: the run has changed what its cache has from an"
+                f"{plain_name(module_of(item))}.{item.__qualname__}: the run has changed what its cache has from an"
                 " earlier one, so another run starts from another state; what a model remembers should be in its"
                 " instance (self)"
             )
@@ -229,7 +236,7 @@ def _modules_of(function: FunctionType) -> Iterator[tuple[str, dict[str, Any], C
     by_text = texts | names if names & BY_TEXT else frozenset()
     if names & {"exec", "eval"}:
         by_text |= {word for text in texts for word in re.findall(r"\w+", text)}
-    yield function.__module__, place, globals_ | (by_text & place.keys())
+    yield module_of(function), place, globals_ | (by_text & place.keys())
     held = [place.get(name) for name in globals_] + [_contents(cell) for cell in function.__closure__ or ()]
     held += [sys.modules.get(name) for name in _imports_of(code) | by_text]
     modules = {id(value): value for value in held if isinstance(value, ModuleType) and not _is_installed(value)}
@@ -290,39 +297,13 @@ def _functions_in(values: Iterable[Any]) -> Iterator[FunctionType]:
             yield from (item for item in _definitions_of(value) if isinstance(item, FunctionType))
 
 
-def _wall_clocks(item: Any) -> Iterator[str]:
-    """Yield the names of the functions of `time` by which a function, or the methods of a class, wait or ask the time.
-
-    To measure how long a computation takes is another matter, so that `time.perf_counter` is not among them.
-    """
+def _outside(item: Any) -> tuple[set[str], set[str]]:
+    """Return the clocks and the sources of random numbers that a function, or the methods of a class, take."""
     functions = [getattr(item, "__func__", item)]
     for base in item.__mro__ if isinstance(item, type) else type(item).__mro__:
         functions += [] if is_foreign(base) else [getattr(value, "__func__", value) for value in [*vars(base).values()]]
-    for function in functions:
-        if isinstance(function, FunctionType) and not is_foreign(function):
-            places = function.__globals__
-            yield from (f"time.{name}" for name in _of_time(function.__code__))
-            yield from (
-                f"time.{name}"
-                for name in _globals_of(function.__code__)
-                if any(places.get(name) is clock for clock in WALL_CLOCKS)
-            )
-
-
-WALL_CLOCKS = (time.sleep, time.time)
-"""The functions by which a simulated process does not wait, and that do not tell its time."""
-
-
-@lru_cache(maxsize=256)
-def _of_time(code: CodeType) -> frozenset[str]:
-    """Return which functions of `WALL_CLOCKS` a function, and the functions inside it, take from the module `time`."""
-    names = {function.__name__ for function in WALL_CLOCKS}
-    taken = {
-        after.argval
-        for instruction, after in pairwise(get_instructions(code))
-        if instruction.argval == "time" and instruction.opname.startswith("LOAD_") and after.argval in names
-    }
-    return frozenset(taken).union(*map(_of_time, _inner(code)))
+    found = [outside_sources(code) for code in functions if isinstance(code, FunctionType) and not is_foreign(code)]
+    return set().union(*(clocks for clocks, _ in found)), set().union(*(entropy for _, entropy in found))
 
 
 def _is_installed(module: ModuleType) -> bool:
@@ -341,20 +322,20 @@ def _is_of_package(definition: Any) -> bool:
 @lru_cache(maxsize=256)
 def _names_of(code: CodeType) -> frozenset[str]:
     """Return the names of the global variables and attributes that a function and the functions inside it use."""
-    return frozenset(code.co_names).union(*map(_names_of, _inner(code)))
+    return frozenset(code.co_names).union(*map(_names_of, inner_code(code)))
 
 
 @lru_cache(maxsize=256)
 def _texts_of(code: CodeType) -> frozenset[str]:
     """Return the texts that are constants of a function and of the functions inside it."""
-    return frozenset(item for item in code.co_consts if isinstance(item, str)).union(*map(_texts_of, _inner(code)))
+    return frozenset(item for item in code.co_consts if isinstance(item, str)).union(*map(_texts_of, inner_code(code)))
 
 
 @lru_cache(maxsize=256)
 def _imports_of(code: CodeType) -> frozenset[str]:
     """Return the names of the modules that a function and the functions inside it import."""
     names = {item.argval for item in get_instructions(code) if item.opname == "IMPORT_NAME"}
-    return frozenset(names).union(*map(_imports_of, _inner(code)))
+    return frozenset(names).union(*map(_imports_of, inner_code(code)))
 
 
 def defaults_of(function: FunctionType) -> list[Any]:
@@ -384,16 +365,11 @@ def only_adds(code: CodeType, name: str) -> bool:
         is_used = name in names and instruction.opname.startswith(("LOAD_", "STORE_", "DELETE_"))
         if is_used and "CLOSURE" not in instruction.opname and after.argval not in ADDING:
             return False
-    return all(only_adds(inner, name) for inner in _inner(code) if name in (*inner.co_freevars, *inner.co_names))
+    return all(only_adds(inner, name) for inner in inner_code(code) if name in (*inner.co_freevars, *inner.co_names))
 
 
 @lru_cache(maxsize=256)
 def _globals_of(code: CodeType) -> frozenset[str]:
     """Return the names of the global variables that a function and the functions inside it use."""
     names = {item.argval for item in get_instructions(code) if item.opname.endswith("_GLOBAL")}
-    return frozenset(names).union(*map(_globals_of, _inner(code)))
-
-
-def _inner(code: CodeType) -> list[CodeType]:
-    """Return the code of the functions inside a function."""
-    return [item for item in code.co_consts if isinstance(item, CodeType)]
+    return frozenset(names).union(*map(_globals_of, inner_code(code)))

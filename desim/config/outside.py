@@ -1,0 +1,133 @@
+"""What a function takes from outside of a run: the clock of the computer, and random numbers without the run's seed.
+
+The function is not called: its instructions are read, and the names in them are looked up.
+"""
+
+import os
+import random
+import re
+import secrets
+import sys
+import time
+import uuid
+from collections import ChainMap
+from collections.abc import Iterator, Mapping
+from datetime import date, datetime
+from dis import get_instructions
+from functools import lru_cache
+from types import CellType, CodeType, FunctionType, ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+CLOCKS = {
+    **{getattr(time, name): f"time.{name}" for name in ("sleep", "time", "time_ns", "monotonic", "monotonic_ns")},
+    **{getattr(datetime, name): f"datetime.{name}" for name in ("now", "utcnow", "today")},
+    date.today: "date.today",
+}
+"""The names of the functions by which a simulated process does not wait, and that do not tell its time.
+
+To measure how long a computation takes is another matter, so that `time.perf_counter` is not among them.
+"""
+ENTROPY = {
+    **{getattr(secrets, name): f"secrets.{name}" for name in secrets.__all__ if name != "compare_digest"},
+    **{uuid.uuid1: "uuid.uuid1", uuid.uuid4: "uuid.uuid4", os.urandom: "os.urandom"},
+    random.SystemRandom: "random.SystemRandom",
+}
+"""The names of the functions that return other random numbers in each run."""
+SEEDED = {
+    np.random.default_rng: "numpy.random.default_rng()",
+    np.random.RandomState: "numpy.random.RandomState()",
+    random.Random: "random.Random()",
+}
+"""The names of the generators that do so if they are created without a seed."""
+BETWEEN = frozenset({"PUSH_NULL", "PRECALL", "RESUME", "NOP", "EXTENDED_ARG"})
+"""Instructions that may be between a name and its call."""
+
+
+class Use(NamedTuple):
+    """A dotted name that a function reads."""
+
+    names: tuple[str, ...]
+    module: str
+    """The module that the first name denotes, if the function imports it; else ""."""
+    is_called_alone: bool
+    """Whether it is called without arguments."""
+
+
+def outside_sources(function: FunctionType) -> tuple[set[str], set[str]]:
+    """Return the names of the clocks that a function reads or waits for, and those of its sources of random numbers."""
+    clocks, entropy = set(), set()
+    around = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+    places = ChainMap({name: cell.cell_contents for name, cell in around if cell != CellType()}, function.__globals__)
+    for use in _uses(function.__code__):
+        source = _found(use, places)
+        try:
+            clocks |= {CLOCKS[source]} if source in CLOCKS else set()
+            entropy |= {ENTROPY[source]} if source in ENTROPY else set()
+            entropy |= {SEEDED[source]} if use.is_called_alone and source in SEEDED else set()
+        except TypeError:  # it has no hash, and is none of them
+            continue
+    return clocks, entropy
+
+
+def _found(use: Use, places: Mapping[str, Any]) -> Any:
+    """Return what a dotted name denotes; None if that is not known without running code of a user."""
+    first, *others = use.names
+    found = sys.modules.get(use.module) if use.module else places.get(first)
+    for name in others:
+        if not isinstance(found, ModuleType | type):
+            return None
+        found = getattr(found, name, None)
+    return found
+
+
+@lru_cache(maxsize=256)
+def _uses(code: CodeType) -> frozenset[Use]:
+    """Return the dotted names that a function, and the functions inside it, read."""
+    steps = [step for step in _steps(code) if step[0] not in BETWEEN]
+    imported = dict(_imports(steps))
+    uses = set()
+    for k, (operation, name) in enumerate(steps):
+        if operation != "LOAD":
+            continue
+        module, *inner = imported.get(name, "").split(":")
+        names, end = [name, *inner], k + 1
+        while steps[end][0] == "ATTRIBUTE":
+            names.append(steps[end][1])
+            end += 1
+        uses.add(Use(tuple(names), module, steps[end] == ("CALL", 0)))
+    return frozenset(uses).union(*map(_uses, inner_code(code)))
+
+
+def _steps(code: CodeType) -> Iterator[tuple[str, Any]]:
+    """Yield the instructions of a function, in a form that all versions of Python have in common.
+
+    Names are loaded ("LOAD") and stored ("STORE"), alone or two by one instruction; "ATTRIBUTE" reads one of an object.
+    """
+    for item in get_instructions(code):
+        if item.opname in {"LOAD_ATTR", "LOAD_METHOD"}:
+            yield "ATTRIBUTE", item.argval
+        elif item.opname.startswith(("LOAD_", "STORE_")) and item.opname != "LOAD_CONST":
+            names = item.argval if isinstance(item.argval, tuple) else (item.argval,)
+            yield from zip(re.findall("LOAD|STORE", item.opname), names, strict=False)
+        else:
+            yield item.opname, item.arg if item.opname == "CALL" else item.argval
+
+
+def _imports(steps: list[tuple[str, Any]]) -> Iterator[tuple[str, str]]:
+    """Yield the variables of a function that are imported in it, each with "module", or "module:name"."""
+    module, inner = "", ""
+    for operation, name in steps:
+        if operation == "IMPORT_NAME":
+            module, inner = name, ""
+        elif operation == "IMPORT_FROM":
+            inner = f":{name}"
+        elif operation == "STORE" and module:
+            yield name, module + inner
+            module = module if inner else ""
+
+
+def inner_code(code: CodeType) -> list[CodeType]:
+    """Return the code of the functions inside a function."""
+    return [item for item in code.co_consts if isinstance(item, CodeType)]
