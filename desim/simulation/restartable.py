@@ -54,6 +54,7 @@ class RestartableProcess(simpy.Process):
             if missed is not None:
                 value, missed = missed.value, None
             try:
+                agent.resume()
                 if self.behaviour is None:
                     self.behaviour = _start_behaviour(protocol, agent)
                     awaited = next(self.behaviour)

@@ -399,6 +399,17 @@ def test_numbers_with_units_and_masked_ones_are_no_positions_and_no_bodies(hide)
         SteppedNetworks(2, 3).publish(hide(np.zeros((2, 3))))
 
 
+def test_a_plan_without_an_end_is_refused(monkeypatch):
+    monkeypatch.setattr("desim.kernel.models.faults.MAX_FAULTS", 100)
+
+    def plan(size, horizon, rng):
+        while True:
+            yield Crash(node=0, start=1.0, end=2.0)
+
+    with pytest.raises(ValueError, match="a plan should end, with no fault after the horizon"):
+        SteppedNetwork(3, faults=[plan], horizon=1.0)
+
+
 def test_a_body_is_anything_where_its_size_does_not_matter():
     network = SteppedNetwork(2)
     network.send(0, 1, len)

@@ -111,6 +111,66 @@ def test_waiting_for_the_present_without_end_is_an_error(wait, monkeypatch):
         play(protocol)
 
 
+def again(me):
+    tick = me.sleep(0.25)
+    while True:
+        yield tick
+
+
+def with_mail_unread(me):
+    yield me.sleep(0.25)
+    me.send(None, 1)
+    while True:
+        yield me.arrival()
+
+
+def with_mail_of_another_port(me):
+    yield me.sleep(0.25)
+    me.send(None, 1, "bids")
+    while True:
+        yield me.arrival("bids")
+        me.mail()
+
+
+def again_or_arrival(me):
+    tick = me.sleep(0.25)
+    while True:
+        yield tick | me.arrival()
+
+
+def answering_at_once(me):
+    yield me.sleep(0.25)
+    me.send(1 - me.id, 1)
+    while True:
+        yield me.arrival()
+        for message in me.mail():
+            me.send(message.src, 1)
+
+
+@pytest.mark.parametrize(
+    "protocol", [again, with_mail_unread, with_mail_of_another_port, again_or_arrival, answering_at_once]
+)
+def test_going_on_without_end_at_one_instant_is_an_error(protocol, monkeypatch):
+    monkeypatch.setattr("desim.pursuit.team.timing.MAX_AT_ONE_INSTANT", 50)
+    scenario = Scenario(team=Team(count=2), protocol=protocol, horizon=1.0)
+    with pytest.raises(
+        StandstillError, match=r"has waited 50 times for the same instant, 0\.25 s: .*does it wait again"
+    ):
+        run(scenario, 1)
+
+
+def test_going_on_often_at_many_instants_is_none(monkeypatch):
+    monkeypatch.setattr("desim.pursuit.team.timing.MAX_AT_ONE_INSTANT", 50)
+
+    def protocol(me):
+        for _ in range(10):
+            tick = me.sleep(0.05)
+            for _ in range(45):
+                yield tick
+
+    run(Scenario(team=Team(count=2), protocol=protocol, horizon=1.0), 1)
+
+
 def test_an_agent_has_its_id_and_team_data():
     def protocol(me):
         yield me.sleep(0.25)

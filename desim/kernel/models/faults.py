@@ -9,7 +9,7 @@ names (`named`), how a page draws it (`sketch`), and what a loss by it is called
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from itertools import count
+from itertools import count, islice
 from math import inf
 from operator import index
 from types import MappingProxyType
@@ -648,6 +648,8 @@ class RandomFaults(Value):
 
 PLANNED_WITH = ("size", "horizon", "rng")
 """The arguments of a plan of faults."""
+MAX_FAULTS = 1_000_000
+"""Largest number of faults of a plan, which may be a generator without an end."""
 MIN_FAULT_DURATION = 1e-6
 """Minimum duration of a drawn fault, s."""
 FAULTS = OneOf(*BUILT_IN, MessageFault, RandomCrashes, RandomFaults, ClockSkew, takes=PLANNED_WITH, traits=FaultTraits)
@@ -690,7 +692,7 @@ def draw_faults(entries: Sequence[Fault | FaultPlan | ClockSkew], size: int, hor
     Every plan has its own random stream.
 
     Raises:
-        ValueError: if a plan returns or yields anything else than faults.
+        ValueError: if a plan returns or yields anything else than faults, or does not end.
     """
     faults: list[Fault] = []
     number = count()
@@ -699,7 +701,10 @@ def draw_faults(entries: Sequence[Fault | FaultPlan | ClockSkew], size: int, hor
             faults.append(entry)
         elif not isinstance(entry, ClockSkew):
             answer: Any = entry(size, horizon, stream(seed, "faults", next(number)))
-            planned: list[Any] = [*answer] if isinstance(answer, Iterable) else [answer]
+            planned: list[Any] = [*islice(answer, MAX_FAULTS + 1)] if isinstance(answer, Iterable) else [answer]
+            if len(planned) > MAX_FAULTS:
+                expected = f"a plan should end, with no fault after the horizon, and has over {MAX_FAULTS:,} faults"
+                raise wrong_answer(expected, planned[-1], entry)
             if strange := [fault for fault in planned if not isinstance(fault, Fault)]:
                 raise wrong_answer("a plan should return or yield faults of the network", strange[0], entry)
             faults += planned

@@ -41,6 +41,8 @@ class Timing:
         self._env, self._clock, self._network = env, clock, network
         self._instant, self._waits = -1, 0
         """The last instant at which it waited for the present, ns, and how often it did so then."""
+        self._resumed, self._resumptions = -1, 0
+        """The last instant at which its protocol went on, ns, and how often it did so then."""
 
     def at(self, time: float, phase: Phase = Phase.DECISION) -> simpy.Event:
         """Return an event at a time (s) on the local clock, rounded to nanoseconds; a time in the past counts as now.
@@ -78,11 +80,31 @@ class Timing:
             self._waits = self._waits + 1 if due == self._instant else 1
             self._instant = due
             if self._waits > MAX_AT_ONE_INSTANT:
-                raise StandstillError(
-                    f"pursuer {self.id} has waited {MAX_AT_ONE_INSTANT:,} times for the same instant,"
-                    f" {self._clock.now:.9g} s: time stands still; wait for longer, as in yield me.sleep(0.1)"
-                )
+                raise self._standstill("wait for longer, as in yield me.sleep(0.1)")
         return Instant(self._env, due, phase + self.id)
+
+    def resume(self) -> None:
+        """Count that its protocol goes on.
+
+        Raises:
+            StandstillError: if it goes on without end at one instant.
+        """
+        now = self._env.now
+        if now != self._resumed:
+            self._resumed, self._resumptions = now, 0
+        self._resumptions += 1
+        if self._resumptions > MAX_AT_ONE_INSTANT:
+            raise self._standstill(
+                "does it wait again for an event that has happened (write yield me.sleep(0.1) anew for each wait),"
+                " leave messages of the port unread that me.arrival() then finds again, or answer messages that take no"
+                " time?"
+            )
+
+    def _standstill(self, advice: str) -> StandstillError:
+        return StandstillError(
+            f"pursuer {self.id} has waited {MAX_AT_ONE_INSTANT:,} times for the same instant, {self._clock.now:.9g} s:"
+            f" time stands still; {advice}"
+        )
 
     def after(self, duration: float, act: Callable[[], object], phase: Phase = Phase.DECISION) -> None:
         """Call a function after a duration (s) on the local clock, unless the pursuer restarts without memory before.
