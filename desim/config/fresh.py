@@ -61,7 +61,7 @@ def fresh_copy(model: Model, *, alone: bool = False, is_run: bool = False) -> It
 
     Args:
         model: the model.
-        alone: whether nobody reads collections after the run, so that they are copied, too.
+        alone: whether nobody reads collections after the run, so that they are copied, too, if they can be.
         is_run: whether the block is a run.
 
     Raises:
@@ -73,16 +73,24 @@ def fresh_copy(model: Model, *, alone: bool = False, is_run: bool = False) -> It
     users = dict(_of_users(model))
     copied, kept, functions = model, [], []
     if not all(_is_plain(value, alone=alone) for value in users.values()):
-        content = BytesIO()
-        copier = _Copier(content, alone=alone)
-        try:
-            copier.dump(model)
-        except Exception as error:  # code of an object may raise anything
-            raise _refusal(users, error) from error
+        copier, content = _written(model, users, alone=alone)
         reader = _Reader(content, copier.kept)
         copied, kept, functions = reader.load(), copier.kept, copier.functions
     with shared_changes([*kept, *functions, *users.values()], _snapshot) if is_run else nullcontext():
         yield copied
+
+
+def _written(model: Any, users: Mapping[str, Any], *, alone: bool) -> "tuple[_Copier, BytesIO]":
+    """Return a copier that has written a model, and what it has written; see `fresh_copy`."""
+    content = BytesIO()
+    copier = _Copier(content, alone=alone)
+    try:
+        copier.dump(model)
+    except Exception as error:  # code of an object may raise anything
+        if alone:  # perhaps what a function has reported to its caller: it is shared then
+            return _written(model, users, alone=False)
+        raise _refusal(users, error) from error
+    return copier, content
 
 
 def _refusal(users: Mapping[str, Any], error: Exception) -> StateError:

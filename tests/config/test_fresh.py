@@ -367,6 +367,19 @@ def test_a_function_with_a_memory_may_report_by_a_method_of_a_list():
     assert seen == [*range(1, len(seen) // 2 + 1)] * 2
 
 
+def test_a_function_may_report_what_cannot_be_copied():
+    """The metrics of a run copy its models, with what they have reported if that is possible."""
+    seen = []
+
+    def strategy(state, rng):
+        seen.append(number for number in range(3))
+        return 1j
+
+    for _ in range(2):
+        summary(run(brief(strategy), 1))
+    assert next(seen[-1]) == 0
+
+
 def test_a_caller_may_change_what_a_function_reads_between_runs():
     speed = [1.0]
     scenario = game(lambda state, rng: 1j * speed[0])
