@@ -192,8 +192,7 @@ class Timer:
 
     def set(self, when: int) -> None:
         """Call the function at a time, ns, or now if it has passed, unless it is called earlier anyway."""
-        when = max(when, self._env.now)
-        if when < self._when:
+        if when < self._when and (when := max(when, self._env.now)) < self._when:
             self._when = when
             Instant(self._env, when, self._priority).callbacks.append(lambda _: self._ring(when))
 
