@@ -31,7 +31,7 @@ from desim.cli.options import (
 from desim.config.trust import write_whole
 
 if TYPE_CHECKING:
-    from desim.study.sweeps.array_job import ArrayJob
+    from desim.study.sweeps.array_job import ArrayJob, Resources
     from desim.study.sweeps.sweep import SweepPlan
 
 DESIM = (sys.executable, "-P", "-m", "desim")
@@ -105,25 +105,13 @@ def submit(
             _tell_nothing_to_do(bool(missing), folder, merge)
             return
         words = _words(file, grid, runs, seed, metrics, timeout, overrides, mix_versions=mix_versions)
-        made_by = shlex.join(["desim", *sys.argv[1:]]).replace("\n", " ")
         resources = array_job.Resources(time=time, cpus=cpus, memory=memory, options=sbatch)
-        part_script = array_job.part_script(job, folder, [*DESIM, *words], made_by, numbers, resources)
-        (folder / array_job.LOGS).mkdir(parents=True, exist_ok=True)
-        write_whole(folder / array_job.PART_SCRIPT, part_script.encode())
-        merge_script = array_job.merge_script(job, folder, merge, made_by, resources)
-        write_whole(folder / array_job.MERGE_SCRIPT, merge_script.encode())
-        job.write(folder)
+        _write_scripts(job, folder, words, merge, numbers, resources)
         which = f"{counted(len(numbers), 'part')} of {parts}"
         if is_run:
-            number = array_job.submit_scripts(folder)
-            array_job.record_of(job, number).write(folder)
-            echo(f"submitted {which} as job {number}; `desim status {shlex.quote(str(folder))}` says how far it is")
+            _submit_scripts(job, folder, which)
         else:
-            echo(f"wrote the scripts of {which}, and of the merge; --run submits them, or:")
-            script, merging = (
-                shlex.quote(str(folder / name)) for name in (array_job.PART_SCRIPT, array_job.MERGE_SCRIPT)
-            )
-            echo(f"sbatch --dependency=afterany:$(sbatch --parsable {script}) {merging}")
+            _tell_how_to_submit(folder, which)
 
 
 def _job(folder: Path, plan: "SweepPlan", parts: int, claim: bool) -> "ArrayJob":
@@ -174,6 +162,46 @@ def _missing(job: "ArrayJob", plan: "SweepPlan", folder: Path, metrics: Sequence
         for part in range(1, job.parts + 1)
         if not {(configuration.key, k) for configuration, k in plan.shard(part, job.parts)} <= done.get(part, set())
     ]
+
+
+def _write_scripts(
+    job: "ArrayJob",
+    folder: Path,
+    words: Sequence[str],
+    merge: Sequence[str],
+    numbers: Sequence[int],
+    resources: "Resources",
+) -> None:
+    """Write the scripts of some parts and of the merge, a folder for their outputs, and the record of the job."""
+    from desim.study.sweeps import array_job
+
+    made_by = shlex.join(["desim", *sys.argv[1:]]).replace("\n", " ")
+    scripts = {
+        array_job.PART_SCRIPT: array_job.part_script(job, folder, [*DESIM, *words], made_by, numbers, resources),
+        array_job.MERGE_SCRIPT: array_job.merge_script(job, folder, merge, made_by, resources),
+    }
+    (folder / array_job.LOGS).mkdir(parents=True, exist_ok=True)
+    for name, script in scripts.items():
+        write_whole(folder / name, script.encode())
+    job.write(folder)
+
+
+def _submit_scripts(job: "ArrayJob", folder: Path, which: str) -> None:
+    """Submit the scripts in a folder, and record the number of the job."""
+    from desim.study.sweeps import array_job
+
+    number = array_job.submit_scripts(folder)
+    array_job.record_of(job, number).write(folder)
+    echo(f"submitted {which} as job {number}; `desim status {shlex.quote(str(folder))}` says how far it is")
+
+
+def _tell_how_to_submit(folder: Path, which: str) -> None:
+    """Print the command that submits the scripts in a folder."""
+    from desim.study.sweeps.array_job import MERGE_SCRIPT, PART_SCRIPT
+
+    parts, merge = (shlex.quote(str(folder / name)) for name in (PART_SCRIPT, MERGE_SCRIPT))
+    echo(f"wrote the scripts of {which}, and of the merge; --run submits them, or:")
+    echo(f"sbatch --dependency=afterany:$(sbatch --parsable {parts}) {merge}")
 
 
 def _tell_nothing_to_do(is_live: bool, folder: Path, merge: Sequence[str]) -> None:
