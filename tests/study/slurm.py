@@ -5,7 +5,7 @@ import shutil
 import socket
 import subprocess
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch")
 WHY_NOT = (
@@ -68,7 +68,7 @@ def slurm(folder):
     configuration = folder / "slurm.conf"
     configuration.write_text(CONFIGURATION.format(host=host, folder=folder, ports=free_ports(2)))
     munge = [f"--{name}={folder}/munge/{file}" for name, file in MUNGE_FILES.items()]
-    daemons = []
+    daemons, found = [], {"SLURM_CONF": str(configuration)}
     with (folder / "daemons.log").open("w") as log:
 
         def begin(*words):
@@ -79,10 +79,13 @@ def slurm(folder):
             wait_for(lambda: (folder / "munge" / "socket").exists(), folder)
             begin("slurmctld", "-D", "-f", configuration)
             begin("slurmd", "-D", "-f", configuration, "-N", host)
-            found = {"SLURM_CONF": str(configuration)}
             wait_for(lambda: "idle" in output(found, "sinfo", "--noheader", "--format=%t"), folder)
             yield found
         finally:
+            if len(daemons) == 3:  # a job that is still ending would wait for its daemon for ever
+                output(found, "scancel", "--user=root")
+                with suppress(AssertionError):
+                    wait_for(lambda: not output(found, "squeue", "--noheader"), folder, 30.0)
             for daemon in reversed(daemons):
                 daemon.terminate()
                 try:

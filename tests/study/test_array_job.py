@@ -66,6 +66,13 @@ def test_scripts_are_written_and_say_what_submits_them(place):
     assert [part["state"] for part in document["parts"]] == ["not begun"] * 3
 
 
+def test_a_folder_with_blanks_and_percent_signs_is_one_word_of_a_script_and_no_pattern(place):
+    accepted("submit", *WORDS, "--array", 3, "-o", "a b 5%/c")
+    script = (place / "a b 5%/c/parts.sbatch").read_text()
+    assert f"#SBATCH '--output={place}/a b 5%%/c/logs/%A-%a.log'\n" in script
+    assert f"-o '{place}/a b 5%/c'/" in script
+
+
 def test_bad_input_of_submit_and_status_is_refused(place):
     assert "there are only 6 runs: give a part at least one" in refused("submit", *WORDS, "--array", 7)
     assert "sbatch: there is no Slurm on this machine" in refused("submit", *WORDS, "--array", 2, "--run")

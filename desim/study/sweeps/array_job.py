@@ -120,7 +120,7 @@ def part_script(
         "--requeue",
         "--open-mode=append",
         f"--signal=B:USR1@{WARNED}",
-        f"--output={folder / LOGS}/%A-%a.log",
+        f"--output={_logs(folder)}/%A-%a.log",
         *resources.options,
     )
     share = shlex.join(["--claim", str(folder / CLAIMS)]) if job.claim else f'--shard "$part/{job.parts}"'
@@ -147,7 +147,7 @@ wait "$sweep"
 
 def merge_script(job: ArrayJob, folder: Path, program: Sequence[str], made_by: str, resources: Resources) -> str:
     """Return the script of the job that merges the parts; see `part_script`."""
-    options = ("--time=00:30:00", f"--mem={resources.memory}", f"--output={folder / LOGS}/merge-%j.log")
+    options = ("--time=00:30:00", f"--mem={resources.memory}", f"--output={_logs(folder)}/merge-%j.log")
     where = shlex.quote(str(folder))
     head = _head(f"{job.name}-merge", made_by, (*options, *resources.options))
     return f"{head}\n{shlex.join(program)} {where}/part-* -o {where}\n"
@@ -158,6 +158,11 @@ def _head(name: str, made_by: str, options: Sequence[str]) -> str:
     lines = [f"#SBATCH {shlex.quote(option)}" for option in (f"--job-name={name}", *options)]
     place = f"cd {shlex.quote(str(Path.cwd()))}"
     return "\n".join(["#!/bin/bash", *lines, f"# Made by: {made_by}", "set -uo pipefail", place])
+
+
+def _logs(folder: Path) -> str:
+    """Return the folder of the outputs as a pattern of Slurm, in which % stands for a number unless it is doubled."""
+    return str(folder / LOGS).replace("%", "%%")
 
 
 def _ranges(numbers: Sequence[int]) -> str:
