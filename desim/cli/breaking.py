@@ -3,6 +3,7 @@
 import json
 import shlex
 import sys
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -16,10 +17,10 @@ from desim.cli.options import (
     JSON,
     SEED,
     SET,
+    TIMEOUT,
     echo,
     fail,
     folder_for,
-    limited,
     make_folder,
     source_of,
     storing,
@@ -93,7 +94,7 @@ BEFORE = 0.1
 @GRID
 @SEED
 @JOBS
-@limited
+@TIMEOUT
 @JSON
 @ALLOW_IMPORT
 @SET
@@ -114,6 +115,7 @@ def break_(
     grid: tuple[str, ...],
     seed: int | None,
     jobs: int,
+    timeout: float | None,
     as_json: bool,
     overrides: tuple[str, ...],
 ) -> None:
@@ -121,83 +123,52 @@ def break_(
 
     Faults and other imperfections are added to the scenario at random; -g adds further keys.
     """
-    from desim.study.breaking.search import checked_property
+    from desim.study.breaking.case_log import FILE as CASES
+    from desim.study.breaking.case_log import CaseLog
+    from desim.study.breaking.losses import fatal_losses
+    from desim.study.breaking.search import checked_property, find_violation
+    from desim.study.workers.batch import seeds_from
 
     for option in options_given(OF_LOSSES if losses is None else OF_CASES).values():
         raise click.UsageError(f"{option} is only used {'with' if losses is None else 'without'} --losses")
     _, scenario = source_of(file, overrides, grid=grid)
     folder = folder_for(scenario, None) / "break" if out is None else out
     make_folder(folder)
+    root = scenario.seed if seed is None else seed
     try:
         scenario = scenario if protocol is None else scenario.with_({"protocol": protocol})
         prop = checked_property(_stated(text, scenario), scenario)
         if keep is not None:
-            _run_kept(keep, scenario, prop)
+            _run_kept(keep, scenario, prop, timeout)
         with storing(folder):
             if losses is not None:
-                table = _losses_table(scenario, prop, losses, seed, seeds, fates, delay, jobs)
+                table = fatal_losses(
+                    scenario,
+                    prop,
+                    most=losses,
+                    seeds=[root] if seeds == 1 else seeds_from(root, seeds),
+                    fates=fates,
+                    delay=inf if delay is None else delay,
+                    jobs=jobs,
+                    timeout=timeout,
+                )
                 _end_with_losses(table, scenario, prop, folder, as_json=as_json)
-            search = _case_search(scenario, prop, runs, seed, grid, features, budget, folder, jobs, guided=guided)
+            search = find_violation(
+                scenario,
+                prop,
+                runs=runs,
+                seed=root,
+                vary={key: scenario.sweep.grid[key] for key, _, _ in (setting.partition("=") for setting in grid)},
+                features=list(features) or None,
+                guided=guided,
+                jobs=jobs,
+                timeout=timeout,
+                budget=inf if budget is None else budget,
+                log=CaseLog(folder / CASES, prop),
+            )
             _end_with_search(search, prop, folder, keep, jobs, as_json=as_json)
     except ValueError as error:
         fail(str(error))
-
-
-def _losses_table(
-    scenario: "Scenario",
-    prop: "Property",
-    most: int,
-    seed: int | None,
-    seeds: int,
-    fates: "tuple[MessageFate, ...]",
-    delay: float | None,
-    jobs: int,
-) -> "LossTable":
-    """Return which of all choices of lost, late or repeated messages are fatal."""
-    from math import inf
-
-    from desim.study.breaking.losses import fatal_losses
-    from desim.study.workers.batch import seeds_from
-
-    root = scenario.seed if seed is None else seed
-    several = [root] if seeds == 1 else seeds_from(root, seeds)
-    late = inf if delay is None else delay
-    return fatal_losses(scenario, prop, most=most, seeds=several, fates=fates, delay=late, jobs=jobs)
-
-
-def _case_search(
-    scenario: "Scenario",
-    prop: "Property",
-    runs: int,
-    seed: int | None,
-    grid: tuple[str, ...],
-    features: tuple[str, ...],
-    budget: float | None,
-    folder: Path,
-    jobs: int,
-    *,
-    guided: bool,
-) -> "Search":
-    """Return what a search among random cases has found; it goes on from the cases in the folder."""
-    from math import inf
-
-    from desim.study.breaking.case_log import FILE as CASES
-    from desim.study.breaking.case_log import CaseLog
-    from desim.study.breaking.search import find_violation
-
-    keys = [setting.partition("=")[0] for setting in grid]
-    return find_violation(
-        scenario,
-        prop,
-        runs=runs,
-        seed=seed,
-        vary={key: scenario.sweep.grid[key] for key in keys},
-        features=list(features) or None,
-        guided=guided,
-        jobs=jobs,
-        budget=inf if budget is None else budget,
-        log=CaseLog(folder / CASES, prop),
-    )
 
 
 def _stated(text: str | None, scenario: "Scenario") -> "Property | str":
@@ -215,18 +186,20 @@ def _stated(text: str | None, scenario: "Scenario") -> "Property | str":
     return named.get(text, text)
 
 
-def _run_kept(keep: Path, scenario: "Scenario", prop: "Property") -> None:
+def _run_kept(keep: Path, scenario: "Scenario", prop: "Property", timeout: float | None) -> None:
     """Run the kept cases of a protocol and a property, and end the program if one is still violated."""
-    from desim.study.breaking.found import judgement_text
-    from desim.study.breaking.judging import judged
+    from desim.study.breaking.found import told_text
+    from desim.study.breaking.judging import CaseJudge
+    from desim.study.workers.executors import workers_for
 
     for file in sorted(keep.glob("*.toml")):
         _, case = source_of(file, ())
         if case.protocol_name != scenario.protocol_name or prop.text not in [one.text for one in case.properties]:
             continue
-        verdict = judged(prop, case, case.seed)
-        echo(f"kept: {file}: {'holds' if verdict.holds else 'violates'}: {judgement_text(verdict, prop)}")
-        if not verdict.holds:
+        case_run = CaseJudge(prop, workers_for(1), timeout=timeout)(case, case.seed)
+        what = "fails" if case_run.failure else "holds" if case_run.verdict.holds else "violates"
+        echo(f"kept: {file}: {what}: {told_text(case_run.verdict, case_run.failure, prop)}")
+        if not case_run.verdict.holds:
             echo("nothing else was searched: mend it, or move the file away")
             sys.exit(VIOLATED)
 
@@ -248,12 +221,8 @@ def _end_with_search(
             name = f"{violation.scenario.protocol_name}-{prop.label[:40]}-{violation.seed}.toml".replace(":", "-")
             write(text.encode(), keep / name)
         verdicts = violation.protocols(jobs)
-        texts += [
-            "",
-            protocols_text(verdicts, prop),
-            "",
-            _drawn(violation.scenario, violation.seed, folder, violation.verdict.at),
-        ]
+        at = None if violation.failure else violation.verdict.at
+        texts += ["", protocols_text(verdicts, prop), "", _drawn(violation.scenario, violation.seed, folder, at)]
         document["violation"] = {
             "seed": violation.seed,
             "case": violation.case,
@@ -261,6 +230,7 @@ def _end_with_search(
             "searched": violation.searched,
             "shrunk": violation.shrunk,
             "verdict": violation.verdict._asdict(),
+            "failure": violation.failure,
             "protocols": {k: v if isinstance(v, str) else v._asdict() for k, v in verdicts.items()},
             "file": str(smallest),
         }
@@ -272,19 +242,19 @@ def _end_with_losses(
     table: "LossTable", scenario: "Scenario", prop: "Property", folder: Path, *, as_json: bool
 ) -> NoReturn:
     """Print and write which lost, late or repeated messages are fatal, and end the program."""
-    from desim.study.breaking.found import judgement_text, with_comment
+    from desim.study.breaking.found import told_text, with_comment
 
     texts = [table.text()]
     if table.fatal:
         worst = min(table.fatal, key=lambda fatal: fatal.verdict.margin)
         broken = scenario.with_({"fault": [*scenario.fault, *worst.faults]})
         lines = [
-            f'{scenario.protocol_name} violates "{prop.text}" because of these messages:',
+            f'{scenario.protocol_name} breaks "{prop.text}" because of these messages:',
             *(f"  {fate}: {copy}" for copy, fate in zip(worst.messages, worst.fates, strict=True)),
-            f"{judgement_text(worst.verdict, prop)}",
+            told_text(worst.verdict, worst.failure, prop),
         ]
         write(with_comment(broken, prop, worst.seed, lines).encode(), folder / "smallest.toml")
-        texts += ["", _drawn(broken, worst.seed, folder, worst.verdict.at)]
+        texts += ["", _drawn(broken, worst.seed, folder, None if worst.failure else worst.verdict.at)]
     document = {
         "property": prop.text,
         "most": table.most,
@@ -303,6 +273,7 @@ def _end_with_losses(
                     {"fate": fate, **copy._asdict()} for copy, fate in zip(fatal.messages, fatal.fates, strict=True)
                 ],
                 "verdict": fatal.verdict._asdict(),
+                "failure": fatal.failure,
             }
             for fatal in table.fatal
         ],
@@ -311,8 +282,19 @@ def _end_with_losses(
     sys.exit(VIOLATED if table.fatal or table.broken else 0)
 
 
-def _drawn(scenario: "Scenario", seed: int, folder: Path, at: float) -> str:
-    """Write the replay and the space-time diagram of a run; return where they are, as text."""
+def _drawn(scenario: "Scenario", seed: int, folder: Path, at: float | None) -> str:
+    """Write the replay and the space-time diagram of a run; return where they are, as text.
+
+    Args:
+        scenario: the scenario, which is in the folder.
+        seed: the seed.
+        folder: the folder.
+        at: the moment to be shown, s; None: the run fails, so there is nothing to show.
+    """
+    if at is None:
+        return (
+            f"scenario: {folder / 'smallest.toml'}\nno replay, as the run fails: desim run {folder / 'smallest.toml'}"
+        )
     from desim.results.run_folder import can_plot
     from desim.simulation.run import run
     from desim.view.pages.replay import replay_page

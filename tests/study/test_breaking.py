@@ -33,6 +33,7 @@ from desim.kernel.models.faults import FaultEnded, FaultStarted
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.scenario.properties import Always, property_of
+from desim.simulation.watchdog import TimedOut, within
 from desim.study.breaking.case_log import CaseLog, CaseRun
 from desim.study.breaking.copies import ReadingTime, copies, looks, readings
 from desim.study.breaking.features import FEATURES, applied, drawn
@@ -41,6 +42,7 @@ from desim.study.breaking.sightings import SIGHTINGS, seen_in
 from scenarios.studies.study import SCENARIOS
 
 IDLE = "idle at most 2 in total against centralised"
+SHORT = IDLE.replace("2 in", "1.9 in")
 SMALL = Scenario(
     team=Team(count=3),
     network=Links(latency=0.1),
@@ -319,7 +321,7 @@ def test_the_smallest_case_has_only_what_the_violation_needs():
     def judged(scenario, seed):
         asked.append(scenario)
         slow = getattr(scenario.network.latency, "value", 0.0) > 0.11
-        return Verdict(holds=not (slow and scenario.announce.heartbeat == 0.34))
+        return CaseRun(Verdict(holds=not (slow and scenario.announce.heartbeat == 0.34)), [])
 
     best, runs = shrunk(SMALL, Tried(case, 1, Verdict(holds=False)), judged)
     assert {name: changes for name, changes in best.case.items() if name in FEATURES} == {
@@ -363,6 +365,66 @@ def test_a_rule_that_falls_silent_is_found(times, is_found):
     assert (search.violation is not None) == is_found
 
 
+def raises(me):
+    """Fail as soon as a teammate was not heard for 0.9 s, which only happens without heartbeats."""
+    while True:
+        me.assign(me.capture_time() <= min(me.believed_chasers().values(), default=inf))
+        me.announce()
+        if any(belief.age > 0.9 for belief in me.beliefs().values()):
+            raise ZeroDivisionError("planted\nin a rule")
+        yield me.sleep(0.1)
+
+
+def hangs(me):
+    yield me.sleep(0.5)
+    while me.id == 0:
+        pass
+
+
+FAILING = SMALL.with_({"announce.trigger": "revision"})
+
+
+@pytest.mark.whole
+def test_a_run_that_raises_is_a_violation_and_is_made_small_as_such():
+    scenario = FAILING.with_({"protocol": raises, "horizon": 4.0})
+    features = ["latency", "duplicates", "changes only", "chaser crash"]
+    search = find_violation(scenario, IDLE, runs=20, seed=1, jobs=1, features=features)
+    violation = search.violation
+    assert violation.failure == "ZeroDivisionError: planted"
+    assert violation.case.keys() - {"horizon", "team"} in ({"changes only"}, {"chaser crash"})
+    assert 0.2 <= violation.scenario.horizon < 4.0
+    with pytest.raises(ZeroDivisionError, match="planted"):
+        run(violation.scenario, violation.seed)
+    verdicts = violation.protocols(jobs=1)
+    assert next(iter(verdicts.items())) == ("raises", "ZeroDivisionError: planted")
+    assert isinstance(verdicts["sap"], Judgement)
+    calm = find_violation(scenario, IDLE, runs=20, seed=1, jobs=1, features=["duplicates"])
+    assert calm.violation is None
+
+
+@pytest.mark.slow
+def test_a_lost_message_that_makes_a_run_raise_is_fatal():
+    scenario = FAILING.with_(
+        {"protocol": raises, "horizon": 1.6, "announce.trigger": "both", "announce.heartbeat": 0.6}
+    )
+    table = fatal_losses(scenario, IDLE.replace("2 in", "0.5 in"), seeds=[1], jobs=1)
+    assert table.fatal
+    assert {fatal.failure for fatal in table.fatal} == {"ZeroDivisionError: planted"}
+    assert "seed 1: fails (ZeroDivisionError: planted) if these are lost:" in table.text()
+    with pytest.raises(ValueError, match="seed 1: the run fails without any loss: ZeroDivisionError: planted"):
+        fatal_losses(scenario.with_({"announce.trigger": "change"}), IDLE.replace("2 in", "0.5 in"), seeds=[1], jobs=1)
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_run_that_never_ends_is_a_violation_if_there_is_a_limit(jobs):
+    features = {"runs": 2, "features": ["latency"], "shrinking": 1, "jobs": jobs}
+    search = find_violation(FAILING.with_({"protocol": hangs}), SHORT, **features, timeout=1.0)
+    assert search.violation.failure.startswith("TimedOut")
+    with pytest.raises(TimedOut), within(2.0):
+        find_violation(FAILING.with_({"protocol": hangs}), SHORT, **features | {"jobs": 1})
+
+
 @pytest.mark.whole
 def test_what_no_protocol_can_win_is_not_reported():
     """Only the last pursuer is fast enough, and it is down: the reference is idle, too."""
@@ -404,9 +466,6 @@ def test_a_token_that_is_stuck_is_found():
 
 
 QUICK = {"runs": 20, "seed": 3, "features": ["latency", "loss", "chaser crash"]}
-
-
-SHORT = IDLE.replace("2 in", "1.9 in")
 
 
 def log_of(file, text=SHORT):

@@ -1,6 +1,7 @@
 """The log of a search: what was run is not run again after an interruption."""
 
 import json
+from math import inf
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,8 +12,14 @@ from desim.scenario.scenario import Scenario
 from desim.study.breaking.features import Case
 from desim.study.plan.config_hash import identify, object_hash
 
+FIELDS = {"search", "scenario", "seed", "verdict", "seen", "seconds", "failure"}
+"""The names of what a line has, beside the case."""
 FILE = "cases.jsonl"
 """The name of the file in the folder of a search."""
+
+
+FAILED = Judgement(-inf, inf, 0.0)
+"""The judgement of a run that raised an exception: no property of it is known, and a protocol should not fail."""
 
 
 class CaseRun(NamedTuple):
@@ -23,6 +30,8 @@ class CaseRun(NamedTuple):
     """What was seen in it; see `SIGHTINGS`."""
     seconds: float = 0.0
     """The wall time that it took, s."""
+    failure: str = ""
+    """The exception that it raised, as text; the judgement is then `FAILED`."""
 
 
 class CaseLog:
@@ -47,8 +56,8 @@ class CaseLog:
         for line in text.splitlines():
             entry = _read(line)
             if entry is not None and entry["search"] == self._search:
-                case_run = CaseRun(Judgement(*entry["verdict"]), entry["seen"], entry["seconds"])
-                self._runs[entry["scenario"], entry["seed"]] = case_run
+                told = entry["seen"], entry["seconds"], entry["failure"]
+                self._runs[entry["scenario"], entry["seed"]] = CaseRun(Judgement(*entry["verdict"]), *told)
 
     def __len__(self) -> int:
         return len(self._runs)
@@ -73,4 +82,4 @@ def _read(line: str) -> dict[str, Any] | None:
         entry: dict[str, Any] = json.loads(line)
     except ValueError:
         return None
-    return entry if {"search", "scenario", "seed", "verdict", "seen", "seconds"} <= entry.keys() else None
+    return entry if entry.keys() >= FIELDS else None

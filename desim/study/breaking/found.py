@@ -23,13 +23,16 @@ def scenario_text(violation: Violation, file: str, command: str) -> str:
         file: the name of the file, for the commands in its comments.
         command: the command that found it.
     """
-    verdict, prop = violation.verdict, violation.prop
+    verdict, prop, name = violation.verdict, violation.prop, violation.scenario.protocol_name
+    what = "fails" if violation.failure else f'violates "{prop.text}"'
     lines = [
-        f'{violation.scenario.protocol_name} violates "{prop.text}" here: {judgement_text(verdict, prop)}.',
+        f"{name} {what} here: {told_text(verdict, violation.failure, prop)}.",
         f"Found as case {violation.searched} of: {command}",
         f"Made smaller in {violation.shrunk} runs. What is changed:",
         *(f"  {name}: {_flat(changes)}" for name, changes in violation.case.items()),
-        f"Look: desim replay {shlex.quote(file)}, then add #t={verdict.at:g} to the address",
+        f"Look: desim run {shlex.quote(file)}"
+        if violation.failure
+        else f"Look: desim replay {shlex.quote(file)}, then add #t={verdict.at:g} to the address",
     ]
     return with_comment(violation.scenario, prop, violation.seed, lines)
 
@@ -59,11 +62,11 @@ def case_text(case: Case) -> str:
     return "; ".join(_flat(changes) for changes in case.values()) or "nothing changed"
 
 
-def judgement_text(verdict: Judgement, prop: Property) -> str:
-    """Return a judgement as text."""
+def told_text(verdict: Judgement, failure: str, prop: Property) -> str:
+    """Return as text what a run tells: its judgement, or the exception that it raised."""
     unit = f" {prop.unit}" if prop.unit else ""
     against = "" if verdict.reference is None else f", {prop.against} {_number(verdict.reference)}{unit}"
-    return f"margin {_number(verdict.margin)}{unit} (it has {_number(verdict.measure)}{unit}{against})"
+    return failure or f"margin {_number(verdict.margin)}{unit} (it has {_number(verdict.measure)}{unit}{against})"
 
 
 def _number(value: float) -> str:
@@ -85,8 +88,12 @@ def search_text(search: Search, prop: Property) -> str:
     """Return what a search has found and what it has seen."""
     lines: list[str] = []
     if (violation := search.violation) is not None:
+        what, told = (
+            "failed" if violation.failure else "violated",
+            told_text(violation.verdict, violation.failure, prop),
+        )
         lines += [
-            f"violated in case {violation.searched}: seed {violation.seed}, {judgement_text(violation.verdict, prop)}",
+            f"{what} in case {violation.searched}: seed {violation.seed}, {told}",
             f"smallest after {violation.shrunk} more runs: {case_text(violation.case)}",
         ]
     else:

@@ -4,17 +4,18 @@ import time
 from collections.abc import Sequence
 from contextlib import closing
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple
 
-from desim.analysis.properties import Judgement, judge
+from desim.analysis.properties import judge
 from desim.kernel.core.portable_math import portable_sum
 from desim.scenario.properties import Property, recording
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result, run
-from desim.study.breaking.case_log import CaseLog, CaseRun
+from desim.simulation.watchdog import TimedOut
+from desim.study.breaking.case_log import FAILED, CaseLog, CaseRun
 from desim.study.breaking.features import Case
 from desim.study.breaking.sightings import seen_in
-from desim.study.workers.dispatch import Measurement, Outcome, Task, drive
+from desim.study.workers.dispatch import Measurement, Outcome, Simulate, Task, drive, simulation
 from desim.study.workers.workers import Workers
 
 
@@ -33,64 +34,68 @@ class CaseJudge:
         prop: the property.
         workers: they make the runs.
         log: what was judged before; None: nothing is kept.
+        timeout: the longest wall time of a run, s; None: no limit.
 
     Attributes:
         seconds: the wall time of all runs that were judged, s, that of the runs in the log included.
     """
 
-    def __init__(self, prop: Property, workers: Workers, log: CaseLog | None = None):
-        self._prop, self._workers, self._log = prop, workers, log
+    def __init__(self, prop: Property, workers: Workers, log: CaseLog | None = None, timeout: float | None = None):
+        self._prop, self._workers, self._log, self._timeout = prop, workers, log, timeout
         self.seconds = 0.0
 
-    def __call__(self, scenario: Scenario, seed: int) -> Judgement:
-        """CaseJudge one run.
-
-        Raises:
-            BaseException: what the run raised.
-        """
-        ((verdict, *_),) = self.judge_all([Planned({}, seed, scenario)])
-        return verdict
+    def __call__(self, scenario: Scenario, seed: int) -> CaseRun:
+        """Judge one run; see `judge_all`."""
+        (case_run,) = self.judge_all([Planned({}, seed, scenario)])
+        return case_run
 
     def judge_all(self, cases: Sequence[Planned]) -> list[CaseRun]:
-        """CaseJudge the run of each case, in order.
-
-        Raises:
-            BaseException: what a run raised; the first one, if several did.
-        """
-        runs = self.attempt(cases)
-        for case_run in runs:
-            if isinstance(case_run, BaseException):
-                raise case_run
-        return cast("list[CaseRun]", runs)
-
-    def attempt(self, cases: Sequence[Planned]) -> list[CaseRun | BaseException]:
-        """Do as `judge_all`, and return the exceptions of runs in their places."""
-        told: dict[int, CaseRun | BaseException] = {}
+        """Judge the run of each case, in order. A run that raises an exception, or is too long, has failed."""
+        told: dict[int, CaseRun] = {}
         if self._log is not None:
             logged = ((k, self._log.find(planned.scenario, planned.seed)) for k, planned in enumerate(cases))
             told = {k: case_run for k, case_run in logged if case_run is not None}
         missing = [k for k in range(len(cases)) if k not in told]
         if missing:
             told |= dict(zip(missing, self._run_all([cases[k] for k in missing]), strict=True))
-        self.seconds += portable_sum(told_run.seconds for told_run in told.values() if isinstance(told_run, CaseRun))
+        self.seconds += portable_sum(case_run.seconds for case_run in told.values())
         return [told[k] for k in range(len(cases))]
 
-    def _run_all(self, cases: Sequence[Planned]) -> list[CaseRun | BaseException]:
+    def _run_all(self, cases: Sequence[Planned]) -> list[CaseRun]:
         """Make the run of each case, and append it to the log."""
         tasks = [(with_messages(planned.scenario, self._prop), planned.seed) for planned in cases]
         begin = time.perf_counter()
-        outcomes = outcomes_of(tasks, self._workers, partial(_case_run, self._prop))
+        outcomes = outcomes_of(tasks, self._workers, partial(_case_run, self._prop), simulation(self._timeout))
         seconds = round((time.perf_counter() - begin) / len(cases), 4)
-        runs: list[CaseRun | BaseException] = []
-        for planned, outcome in zip(cases, outcomes, strict=True):
-            if outcome.status != "ok":
-                runs.append(outcome.error or RuntimeError(outcome.traceback))
-                continue
-            case_run = outcome.value._replace(seconds=seconds)
-            runs.append(case_run)
+        runs = [
+            CaseRun(FAILED, [], seconds, failure)
+            if (failure := failure_of(outcome, self._timeout))
+            else outcome.value._replace(seconds=seconds)
+            for outcome in outcomes
+        ]
+        for planned, case_run in zip(cases, runs, strict=True):
             if self._log is not None:
                 self._log.add(planned.scenario, planned.seed, case_run, planned.case)
         return runs
+
+
+def failure_of(outcome: Outcome, timeout: float | None) -> str:
+    """Return how a run has failed: the class and the first line of its exception; empty: it has not.
+
+    Args:
+        outcome: what came of the run.
+        timeout: the longest wall time of a run, s; None: no limit.
+
+    Raises:
+        BaseException: if it was ended from outside.
+    """
+    if outcome.status == "ok":
+        return ""
+    error = outcome.error or RuntimeError(outcome.traceback.strip().splitlines()[-1])
+    is_too_long = timeout is not None and isinstance(error, TimedOut)
+    if not isinstance(error, Exception) and not is_too_long:
+        raise error
+    return ": ".join(["TimedOut" if is_too_long else type(error).__name__, *str(error).strip().splitlines()[:1]])
 
 
 def _case_run(prop: Property, result: Result) -> CaseRun:
@@ -102,27 +107,11 @@ def with_messages(scenario: Scenario, prop: Property) -> Scenario:
     return recording(scenario, [prop]).with_({"record.messages": True})
 
 
-def judged(prop: Property, scenario: Scenario, seed: int) -> Judgement:
-    """Return the judgement of a run."""
-    return judge(prop, run(recording(scenario, [prop]), seed))
-
-
-def outcomes_of(tasks: Sequence[Task], workers: Workers, measure: Measurement) -> list[Outcome]:
+def outcomes_of(
+    tasks: Sequence[Task], workers: Workers, measure: Measurement, simulate: Simulate = run
+) -> list[Outcome]:
     """Return the outcome of each run, in the order of the tasks."""
     by_place: dict[int, Outcome] = {}
-    with closing(drive(tasks, workers, measure)) as outcomes:
+    with closing(drive(tasks, workers, measure, simulate)) as outcomes:
         by_place.update(outcomes)
     return [by_place[place] for place in range(len(tasks))]
-
-
-def in_order(tasks: Sequence[Task], workers: Workers, measure: Measurement) -> list[Any]:
-    """Return the measurement of each run, in the order of the tasks.
-
-    Raises:
-        BaseException: what a run raised.
-    """
-    outcomes = outcomes_of(tasks, workers, measure)
-    for outcome in outcomes:
-        if outcome.status != "ok":
-            raise outcome.error or RuntimeError(outcome.traceback)
-    return [outcome.value for outcome in outcomes]

@@ -34,9 +34,11 @@ from desim.pursuit.team.announcements import Announcements
 from desim.scenario.properties import Property, recording
 from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.simulation.run import Result
+from desim.study.breaking.case_log import FAILED
 from desim.study.breaking.copies import MessageCopy, ReadingTime, copies, looks, readings
-from desim.study.breaking.judging import in_order
+from desim.study.breaking.judging import failure_of, outcomes_of
 from desim.study.breaking.search import GENERATION, checked_property
+from desim.study.workers.dispatch import Outcome, simulation
 from desim.study.workers.executors import workers_for
 from desim.study.workers.progress import advance, progress
 from desim.study.workers.workers import Workers
@@ -60,6 +62,8 @@ class FatalLosses(NamedTuple):
     delay: float
     """The time by which messages are late, and after which they arrive once more, s."""
     verdict: Judgement
+    failure: str = ""
+    """The exception that the run raises, as text; empty: it ends, and violates the property."""
 
     @property
     def faults(self) -> tuple[MessageFault, ...]:
@@ -107,7 +111,8 @@ class LossTable:
         lines = [f"seed {seed}: violated without any loss" for seed in self.broken]
         for fatal in self.fatal:
             these = f"if these are {fates}" if len(self.fates) == 1 else "with these"
-            lines.append(f"seed {fatal.seed}: margin {fatal.verdict.margin:.3g} {these}:")
+            what = f"fails ({fatal.failure})" if fatal.failure else f"margin {fatal.verdict.margin:.3g}"
+            lines.append(f"seed {fatal.seed}: {what} {these}:")
             for copy, fate in zip(fatal.messages, fatal.fates, strict=True):
                 lines.append(f"  {'' if len(self.fates) == 1 else f'{words[fate]}: '}{copy}")
         if not lines:
@@ -129,6 +134,7 @@ def fatal_losses(
     limit: int = LIMIT,
     prune: bool = True,
     jobs: int = 0,
+    timeout: float | None = None,
     on_run: Callable[[], object] = lambda: None,
 ) -> LossTable:
     """Try all choices of at most `most` lost messages, and return those with which a property is violated.
@@ -148,12 +154,13 @@ def fatal_losses(
         prune: whether choices with messages that do not matter, and symmetric ones, are left out; the result is the
             same.
         jobs: the number of worker processes; 0 = the number of cores.
+        timeout: the longest wall time of a run, s; None: no limit. A longer run has failed.
         on_run: called after each run.
 
     Raises:
         TypeError: if it is not a scenario.
         ValueError: if the property does not fit the scenario or cannot fail, the protocol is its own reference, a fate
-            does not exist or lacks a delay, or there are more choices than `limit`.
+            does not exist or lacks a delay, there are more choices than `limit`, or a run fails without any loss.
     """
     scenario_argument(Scenario).check(scenario, "fatal_losses")
     if most < 1:
@@ -172,7 +179,7 @@ def fatal_losses(
                 on_run()
 
         for seed in table.seeds:
-            _Choices(observed, prop, seed, table, workers, ran, prune=skips).try_all(limit)
+            _Choices(observed, prop, seed, table, workers, timeout, ran, prune=skips).try_all(limit)
     return table
 
 
@@ -249,6 +256,8 @@ class _Told(NamedTuple):
     """The number of messages."""
     unread_since: dict[int, float]
     """By number of a lost record: when somebody looked for the last time before a newer one arrived, ns."""
+    failure: str = ""
+    """The exception that it raised, as text; then nothing else is known."""
 
 
 class _Choices:
@@ -260,6 +269,7 @@ class _Choices:
         seed: the seed.
         table: receives the results.
         workers: they make the runs.
+        timeout: the longest wall time of a run, s.
         ran: called with the number of runs that were made.
         prune: whether messages that do not matter, and symmetric choices, are left out.
     """
@@ -271,12 +281,13 @@ class _Choices:
         seed: int,
         table: LossTable,
         workers: Workers,
+        timeout: float | None,
         ran: Callable[[int], object],
         *,
         prune: bool,
     ):
         self._scenario, self._seed, self._table, self._workers, self._ran = scenario, seed, table, workers, ran
-        self._prune = prune
+        self._prune, self._timeout = prune, timeout
         self._delay = 0 if table.delay == inf else nanoseconds(table.delay)  # without one, no fate needs it
         self._measure = partial(_tell, prop, table.fates, self._delay, prune)
 
@@ -284,8 +295,7 @@ class _Choices:
         """Run the choices by size, and add to the table what they tell.
 
         Raises:
-            BaseException: what a run raised.
-            ValueError: if there are more than `limit` runs to make.
+            ValueError: if there are more than `limit` runs to make, or the run fails without any choice.
         """
         table, budget = self._table, self._table.runs + limit
         level: dict[_Key, _Choice] = {frozenset(): _Choice()}
@@ -302,17 +312,21 @@ class _Choices:
                 if not key:
                     table.messages[self._seed] = told.sent
                 if not told.verdict.holds:
-                    self._add_violation(choices[key], told.verdict)
+                    self._add_violation(choices[key], told)
                     fatal.append(key)
                 elif size < table.most:
                     self._extend(level, choices[key], told)
 
-    def _add_violation(self, choice: _Choice, verdict: Judgement) -> None:
+    def _add_violation(self, choice: _Choice, told: _Told) -> None:
+        if told.failure and not choice.steps:
+            raise ValueError(f"seed {self._seed}: the run fails without any loss: {told.failure}")
         if not choice.steps:
             self._table.broken.append(self._seed)
             return
         messages, fates = zip(*choice.steps, strict=True)
-        self._table.fatal.append(FatalLosses(self._seed, messages, fates, self._table.delay, verdict))
+        self._table.fatal.append(
+            FatalLosses(self._seed, messages, fates, self._table.delay, told.verdict, told.failure)
+        )
 
     def _extend(self, level: dict[_Key, _Choice], choice: _Choice, told: _Told) -> None:
         """Add to the next level the choices with one more message that matters, and count the others."""
@@ -342,10 +356,16 @@ class _Choices:
                 else:
                     missing[key] = choice
             tasks = [(self._disturbed(choice), self._seed) for choice in missing.values()]
-            told |= dict(zip(missing, in_order(tasks, self._workers, self._measure), strict=True))
+            outcomes = outcomes_of(tasks, self._workers, self._measure, simulation(self._timeout))
+            told |= {key: self._told_by(outcome) for key, outcome in zip(missing, outcomes, strict=True)}
             self._table.runs += len(missing)
             self._ran(len(missing))
         return {key: told[key] for key in choices}
+
+    def _told_by(self, outcome: Outcome) -> _Told:
+        failure = failure_of(outcome, self._timeout)
+        told: _Told = _Told(FAILED, [], 0, {}, failure) if failure else outcome.value
+        return told
 
     def _symmetric(self, key: _Key, choice: _Choice, told: Mapping[_Key, _Told]) -> _Told | None:
         """Return what the same choice with the loss of a late message tells, if nobody reads this; None: it is read."""

@@ -30,7 +30,7 @@ WITHOUT_WEIGHTS = "policy"
 
 @dataclass(frozen=True)
 class Violation:
-    """A scenario in which a protocol violates a property: the smallest that was found."""
+    """A scenario in which a protocol violates a property, or raises an exception: the smallest that was found."""
 
     scenario: Scenario
     """The scenario, with all changes."""
@@ -45,6 +45,8 @@ class Violation:
     """The number of cases that were run until the first violation."""
     shrunk: int
     """The number of cases that were run to make it smaller."""
+    failure: str = ""
+    """The exception that its run raises, as text; empty: the run ends, and violates the property."""
 
     @property
     def faults(self) -> int:
@@ -54,14 +56,16 @@ class Violation:
     def protocols(self, jobs: int = 0, log: CaseLog | None = None) -> dict[str, Judgement | str]:
         """Return what each installed protocol does in this scenario with this seed; a text: why it cannot be run.
 
+        A protocol of the user's that violates the property is the first one.
+
         Args:
             jobs: the number of worker processes; 0 = the number of cores.
             log: what was run before, which is not run again; it receives what is run.
-
-        Raises:
-            BaseException: what a run raised, unless it is a ValueError.
         """
-        verdicts: dict[str, Judgement | str] = {}
+        name = self.scenario.protocol_name
+        verdicts: dict[str, Judgement | str] = (
+            {} if name in PROTOCOLS.choices() else {name: self.failure or self.verdict}
+        )
         planned: dict[str, Planned] = {}
         for kind in PROTOCOLS.choices():
             if kind in (self.prop.against, WITHOUT_WEIGHTS):
@@ -71,15 +75,10 @@ class Violation:
             except ValueError as error:
                 verdicts[kind] = str(error).splitlines()[0]
         with workers_for(jobs, len(planned)) as workers:
-            runs = CaseJudge(self.prop, workers, log).attempt([*planned.values()])
-        for kind, case_run in zip(planned, runs, strict=True):
-            if isinstance(case_run, CaseRun):
-                verdicts[kind] = case_run.verdict
-            elif isinstance(case_run, ValueError):
-                verdicts[kind] = str(case_run).splitlines()[0]
-            else:
-                raise case_run
-        return verdicts
+            runs = CaseJudge(self.prop, workers, log).judge_all([*planned.values()])
+        return verdicts | {
+            kind: case_run.failure or case_run.verdict for kind, case_run in zip(planned, runs, strict=True)
+        }
 
 
 @dataclass
@@ -108,7 +107,7 @@ class Search:
 
     def add(self, planned: Planned, case_run: CaseRun) -> Tried:
         """Count a case that was run, and return it with its judgement."""
-        tried = Tried(planned.case, planned.seed, case_run.verdict)
+        tried = Tried(planned.case, planned.seed, case_run.verdict, case_run.failure)
         self.tried.append(tried)
         self.runs += 1
         self.featured.update([*planned.case])
@@ -158,12 +157,13 @@ def find_violation(
     features: Sequence[str] | None = None,
     guided: bool = False,
     jobs: int = 0,
+    timeout: float | None = None,
     budget: float = inf,
     shrinking: int = SHRINKING,
     log: CaseLog | None = None,
     on_case: Callable[[Tried], object] = lambda _: None,
 ) -> Search:
-    """Search for a scenario in which the protocol of a scenario violates a property, and make it small.
+    """Search for a scenario in which the protocol of a scenario violates a property or fails, and make it small.
 
         desim.find_violation(desim.load("relay.toml"), "idle at most 2 in total against centralised").violation
 
@@ -180,6 +180,7 @@ def find_violation(
         guided: whether half of the cases are made from those with the least margins up to now; if in doubt, False, as a
             margin that hardly varies misleads.
         jobs: the number of worker processes; 0 = the number of cores. The result does not depend on it.
+        timeout: the longest wall time of a run, s; None: no limit. A longer run has failed.
         budget: the time, s of wall time, after which no further cases begin; that of the runs in `log` counts, so that
             a greater one goes on where a smaller one ended. With it, the result depends on the speed of the machine.
         shrinking: the greatest number of cases to make a found one smaller.
@@ -188,15 +189,15 @@ def find_violation(
 
     Raises:
         TypeError: if it is not a scenario.
-        ValueError: if the property does not fit the scenario or cannot fail, a feature does not exist, a run failed,
-            or the protocol is its own reference.
+        ValueError: if the property does not fit the scenario or cannot fail, a feature does not exist, or the protocol
+            is its own reference.
     """
     scenario_argument(Scenario).check(scenario, "find_violation")
     prop = checked_property(prop, scenario)
     cases = _Cases(scenario, features_of(features, vary or {}, scenario), scenario.seed if seed is None else seed, runs)
     search = Search()
     with progress(runs, "search", "case") as bar, workers_for(jobs, min(runs, GENERATION)) as workers:
-        judge_run = CaseJudge(prop, workers, log)
+        judge_run = CaseJudge(prop, workers, log, timeout)
         while search.violation is None and search.runs < runs:
             if judge_run.seconds >= budget:
                 search.stopped = True
@@ -281,4 +282,4 @@ def _smallest(
     """Return the smallest violation of the kind of one."""
     best, runs = shrunk(scenario, violating, judge_run, budget)
     changed = applied(scenario, best.case)
-    return Violation(changed, best.seed, prop, best.verdict, best.case, violating.case, searched, runs)
+    return Violation(changed, best.seed, prop, best.verdict, best.case, violating.case, searched, runs, best.failure)

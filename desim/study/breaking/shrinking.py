@@ -9,10 +9,13 @@ from typing import Any, NamedTuple
 
 from desim.analysis.properties import Judgement
 from desim.scenario.scenario import Scenario
+from desim.study.breaking.case_log import CaseRun
 from desim.study.breaking.features import SIZES, Case, applied, changed_or_none
 
 SHRINKING = 60
 """The greatest number of cases that are tried to make one smaller."""
+SHORTEST = 0.05
+"""The least horizon of a case that is made smaller, as a share of that of the scenario."""
 
 
 class Tried(NamedTuple):
@@ -21,10 +24,16 @@ class Tried(NamedTuple):
     case: Case
     seed: int
     verdict: Judgement
+    failure: str = ""
+    """The exception that its run raised, as text."""
+
+    def is_broken_alike(self, other: "Tried") -> bool:
+        """Return whether this case is broken as another one: by the same exception, or without one."""
+        return not self.verdict.holds and self.failure.partition(":")[0] == other.failure.partition(":")[0]
 
 
 def shrunk(
-    scenario: Scenario, violating: Tried, judged: Callable[[Scenario, int], Judgement], budget: int = SHRINKING
+    scenario: Scenario, violating: Tried, judged: Callable[[Scenario, int], CaseRun], budget: int = SHRINKING
 ) -> tuple[Tried, int]:
     """Return the smallest case that still violates, and the number of cases that were run; at most `budget`.
 
@@ -49,9 +58,10 @@ def shrunk(
                 continue
             seen.add(repr(changed))
             runs += 1
-            verdict = judged(changed, best.seed)
-            if not verdict.holds:
-                best, worked = Tried(smaller, best.seed, verdict), True
+            case_run = judged(changed, best.seed)
+            tried = Tried(smaller, best.seed, case_run.verdict, case_run.failure)
+            if tried.is_broken_alike(best):
+                best, worked = tried, True
                 break
     return best, runs
 
@@ -71,7 +81,7 @@ def _smaller(scenario: Scenario, tried: Tried) -> Iterator[Case]:
             yield case | {"team": {"team.count": size}}
     for share in (0.25, 0.5, 0.75):
         horizon = float(f"{share * changed.horizon:.2g}")
-        if horizon > tried.verdict.at:
+        if horizon > max(tried.verdict.at, SHORTEST * scenario.horizon):
             yield case | {"horizon": {"horizon": horizon}}
     for name, changes in case.items():
         fault = changes.get("fault", {})
