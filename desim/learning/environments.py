@@ -8,9 +8,10 @@ from typing import Any, ClassVar
 
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.env_registry.registration import aec_registry, parallel_registry, register
+from pettingzoo.utils.env import AECIterable
 
 from desim.learning.episode import rule_of, with_protocol
-from desim.learning.pursuit import RENDER_MODES, Pursuit
+from desim.learning.pursuit import NO_EPISODE, RENDER_MODES, Pursuit
 from desim.scenario.scenario import Scenario
 from protocols.schedules.periodic import Rounds
 
@@ -18,6 +19,13 @@ NAME = "desim_pursuit_v0"
 ENTRY = "desim.learning.make"
 ID = "desim/pursuit-v0"
 """The name in the registries of PettingZoo."""
+
+
+class _SetByReset:
+    """An attribute that `reset` sets; before, it is missing, and the error says why."""
+
+    def __get__(self, env: Any, kind: type | None = None) -> Any:
+        raise AttributeError(NO_EPISODE)
 
 
 class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
@@ -29,6 +37,12 @@ class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
 
     metadata: ClassVar = {"name": NAME, "render_modes": list(RENDER_MODES), "is_parallelizable": False}
 
+    agent_selection: Any = _SetByReset()
+    rewards: Any = _SetByReset()
+    terminations: Any = _SetByReset()
+    truncations: Any = _SetByReset()
+    infos: Any = _SetByReset()
+
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
         """Begin an episode; with a seed, that of `desim run -s SEED`. `options` has no effect."""
         self._begin(seed)
@@ -36,7 +50,7 @@ class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
         self._cumulative_rewards = dict.fromkeys(self.agents, 0.0)
         self.terminations = dict.fromkeys(self.agents, False)
         self.truncations = dict.fromkeys(self.agents, False)
-        self.infos: dict[str, dict[str, Any]] = {name: {} for name in self.agents}
+        self.infos = {name: {} for name in self.agents}
         self._skip_agent_selection: str | None = None
         self._turns = dict.fromkeys(self.agents, 0)
         self.agent_selection = self.agents[0]
@@ -73,6 +87,15 @@ class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
                 self._cumulative_rewards[name] += reward
         if self._agents_leave or episode.turn is None:  # nobody else is dead
             self._deads_step_first()
+
+    def agent_iter(self, max_iter: int = 2**63) -> AECIterable[str, Any, Any]:
+        """Return the iterator over the turns: `agent_selection` again and again, until the episode is over.
+
+        Raises:
+            RuntimeError: if there is no episode; without `reset`, there would be no turn.
+        """
+        self._check_episode()
+        return super().agent_iter(max_iter)
 
     def _select(self) -> None:
         """Go on to the next turn of a pursuer that is in the episode, or to the end.
@@ -136,14 +159,17 @@ class ParallelPursuit(Pursuit, ParallelEnv[str, Any, Any]):
 
         Raises:
             KeyError: if there is no such agent.
+            TypeError: if the actions are no dict.
             ValueError: if an agent has no action, or one that does not exist.
             RuntimeError: if the episode is over, its run has failed, or another thread began it.
         """
         episode = self._ready()
+        if not isinstance(actions, Mapping):
+            raise TypeError(f"a step takes a dict of the actions of all agents, not a {type(actions).__name__}")
+        for name in actions:
+            self._named(name)  # one that has left may be there, a wrong name may not
         if missing := [name for name in self.agents if name not in actions]:
             raise ValueError(f"{missing[0]} has no action: a step takes the actions of all agents")
-        for name in actions:
-            self._number_of(name)  # one that has left may be there, a wrong name may not
         chosen = {self._number_of(name): self._checked(name, actions[name]) for name in self.agents}
         self._rounds += 1
         instant = self._world.now

@@ -9,10 +9,11 @@ import numpy as np
 from gymnasium.spaces import Box, Discrete, Space
 from numpy.typing import NDArray
 
+from desim.config.python_numbers import whole
 from desim.kernel.core.events import Trace
 from desim.kernel.core.seeds import run_seed, seed_of
 from desim.learning.episode import Episode, rule_of
-from desim.learning.rewards import REWARDS, Reward, reward_named, rewards_of
+from desim.learning.rewards import Reward, reward_named, rewards_of
 from desim.learning.spaces import Spaces, Vector
 from desim.learning.steps import StepStart, step_begun, step_ended
 from desim.pursuit.core.events import Ended, Sampled
@@ -26,6 +27,7 @@ from desim.view.pages.replay import replay, with_recordings
 RENDER_MODES = ("rgb_array", "replay")
 FORMS = ("vector", "dict")
 """The forms of observations."""
+NO_EPISODE = "there is no episode: call reset() first"
 
 
 class Pursuit:
@@ -58,13 +60,17 @@ class Pursuit:
             raise ValueError(f"an observation should be {' or '.join(FORMS)} (got {observation!r})")
         if render_mode not in {None, *RENDER_MODES}:
             raise ValueError(f"a render mode should be {' or '.join(RENDER_MODES)} (got {render_mode!r})")
+        for name, value in (("omniscient", omniscient), ("agents_leave", agents_leave)):
+            if not isinstance(value, bool | np.bool_):  # "no" would count as true
+                raise ValueError(f"{name} should be True or False (got {value!r})")
+        max_cycles = None if max_cycles is None else whole(max_cycles, "max_cycles")
         if max_cycles is not None and max_cycles < 1:
             raise ValueError(f"max_cycles should be at least 1 (got {max_cycles})")
         rule_of(scenario)  # it is refused here, and not at the first episode
         self.scenario = scenario
         self._played = scenario if render_mode is None else with_recordings(scenario)
         self._reward, self._agents_leave = reward_named(reward), agents_leave
-        self._is_of_game = reward in REWARDS
+        self._is_of_game = isinstance(reward, str)
         self.max_cycles, self.render_mode = max_cycles, render_mode
         self.possible_agents = [f"pursuer_{i}" for i in range(scenario.team.count)]
         self._ids = {name: i for i, name in enumerate(self.possible_agents)}
@@ -82,11 +88,11 @@ class Pursuit:
 
     def observation_space(self, agent: str) -> Space[Any]:
         """Return the space of observations of a pursuer, always the same object."""
-        return self.observation_spaces[agent]
+        return self.observation_spaces[self._named(agent)]
 
     def action_space(self, agent: str) -> Discrete:
         """Return the space of actions of a pursuer, always the same object: 0 (inactive), or the evader to chase."""
-        return self.action_spaces[agent]
+        return self.action_spaces[self._named(agent)]
 
     def observe(self, agent: str) -> Any:
         """Return what a pursuer knows now, in the space of its observations; nothing changes by it."""
@@ -138,8 +144,12 @@ class Pursuit:
     def _running(self) -> Episode:
         """The episode."""
         if self._episode is None:
-            raise RuntimeError("there is no episode: call reset() first")
+            raise RuntimeError(NO_EPISODE)
         return self._episode
+
+    def _check_episode(self) -> None:
+        """Raise `RuntimeError` if there is no episode."""
+        _ = self._running
 
     def _ready(self) -> Episode:
         """Return the episode, which can go on.
@@ -159,11 +169,15 @@ class Pursuit:
 
     def _number_of(self, agent: str) -> int:
         """Return the id of a pursuer, given its name."""
-        if agent not in self._ids:
+        return self._ids[self._named(agent)]
+
+    def _named(self, agent: Any) -> str:
+        """Return the name of a pursuer; KeyError if there is none with this name."""
+        if not isinstance(agent, str) or agent not in self._ids:
             raise KeyError(
                 f"there is no agent {agent!r}: they are {self.possible_agents[0]} to {self.possible_agents[-1]}"
             )
-        return self._ids[agent]
+        return agent
 
     def _begin(self, seed: int | None) -> None:
         """Begin the next episode.

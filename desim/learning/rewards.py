@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from desim.config.answers import wrong_answer
 from desim.pursuit.game.game import gain, welfare
 
 
@@ -88,7 +89,7 @@ def reward_named(reward: Any) -> Reward:
     if callable(reward):
         function: Reward = reward
         return function
-    if reward not in REWARDS:
+    if not isinstance(reward, str) or reward not in REWARDS:
         raise ValueError(f"a reward should be {', '.join(REWARDS)} or a function of a step (got {reward!r})")
     return REWARDS[reward]
 
@@ -108,7 +109,5 @@ def rewards_of(reward: Reward, step: Step) -> Mapping[int, float]:
     )
     is_number = all(isinstance(value, float | int | np.number) and isfinite(value) for value in values)
     if not is_number or len(values) != count:
-        raise ValueError(
-            f"a reward should be a finite number, or one for each of {count} pursuers, got {answer!r} from {reward!r}"
-        )
+        raise wrong_answer(f"a reward should be a finite number, or one for each of {count} pursuers", answer, reward)
     return dict(enumerate(map(float, values)))

@@ -71,6 +71,7 @@ def test_a_rule_played_in_parallel_leaves_the_native_trace(changes):
     assert lines(env.result) != lines(run(other, 4))
 
 
+@pytest.mark.slow
 def test_observing_changes_nothing():
     scenario = small(**{"sensing.noise": 0.3, "sensing.radius": 12.0, "sensing.estimator": {"kind": "kalman"}})
     scenario = scenario.with_({"record.messages": True})
@@ -184,7 +185,7 @@ def test_an_environment_is_pickled_before_and_after_reset(dump):
         env.reset()
         again = pickle.loads(dump(env))
         assert np.array_equal(again.state(), env.state())
-    env = desim.env(small(), 3, reward=team_reward)
+    env = desim.env(small(horizon=0.5), 3, reward=team_reward)
     env.reset()
     for _ in range(9):
         env.step(1)
@@ -257,7 +258,9 @@ def test_a_reward_of_a_user_is_a_function_of_a_step():
     for wrong in (lambda step: "much", lambda step: [1.0], lambda step: float("nan")):
         env = desim.env(small(), 3, reward=wrong)
         env.reset()
-        with pytest.raises(ValueError, match="a reward should be a finite number, or one for each of 5 pursuers"):
+        with pytest.raises(
+            ValueError, match=r"a finite number, or one for each of 5 pursuers, got .*<lambda> .*, line"
+        ):
             env.step(1)
 
 
@@ -283,12 +286,26 @@ def test_an_action_that_a_mask_excludes_has_the_effect_of_none():
         (lambda: desim.env(small(), observation="list"), ValueError, "should be vector or dict"),
         (lambda: desim.env(small(), render_mode="human"), ValueError, "should be rgb_array or replay"),
         (lambda: desim.env(small(), max_cycles=0), ValueError, "at least 1"),
+        (lambda: desim.env(small(), max_cycles=2.5), ValueError, r"max_cycles should be an integer \(got 2.5\)"),
+        (lambda: desim.env(small(), max_cycles="3"), ValueError, "max_cycles should be an integer"),
+        (
+            lambda: desim.env(small(), agents_leave="no"),
+            ValueError,
+            r"agents_leave should be True or False \(got 'no'\)",
+        ),
+        (lambda: desim.env(small(), omniscient="no"), ValueError, "omniscient should be True or False"),
+        (lambda: desim.env(small(), reward=["team"]), ValueError, "a reward should be wonderful_life, team or"),
+        (lambda: desim.env(small(), rewards="team"), TypeError, "unexpected keyword argument 'rewards', did you mean"),
+        (lambda: desim.env(small(), 1.5), ValueError, r"the seed should be an integer \(got 1.5\)"),
         (lambda: desim.env(small(), -1), ValueError, "seed"),
         (lambda: desim.env({"horizon": 2.0}), TypeError, r"env takes a scenario, not a dict: env\(Scenario"),
         (lambda: desim.env("nowhere.toml"), FileNotFoundError, "No such file"),
         (lambda: desim.env(small(protocol=Server())), TypeError, "has no turns at which an action could be asked for"),
         (lambda: desim.env(small()).step(1), RuntimeError, r"call reset\(\) first"),
         (lambda: desim.env(small()).observe("pursuer_0"), RuntimeError, r"call reset\(\) first"),
+        (lambda: desim.env(small()).agent_iter(), RuntimeError, r"call reset\(\) first"),
+        (lambda: desim.env(small()).last(), AttributeError, r"call reset\(\) first"),
+        (lambda: desim.env(small()).agent_selection, AttributeError, r"call reset\(\) first"),
     ],
 )
 def test_wrong_arguments_are_refused(make, error, text):
@@ -299,7 +316,7 @@ def test_wrong_arguments_are_refused(make, error, text):
 def test_wrong_actions_are_refused():
     env = desim.env(small(), 1)
     env.reset()
-    for action in (2, -1, 0.5, None):
+    for action in (2, -1, 0.5, None, "1", [1], np.array([1]), float("nan")):
         with pytest.raises(ValueError, match="an action should be from 0 to 1"):
             env.step(action)
     parallel = desim.parallel_env(small(), 1)
@@ -308,8 +325,23 @@ def test_wrong_actions_are_refused():
         parallel.step({"pursuer_0": 1})
     with pytest.raises(KeyError, match="there is no agent 'pursuer_9': they are pursuer_0 to pursuer_4"):
         parallel.observe("pursuer_9")
-    with pytest.raises(KeyError, match="there is no agent 'pursuer_9'"):
-        parallel.step(dict.fromkeys([*parallel.agents, "pursuer_9"], 1))
+    for wrong in ("pursuer_9", 0):
+        with pytest.raises(KeyError, match=f"there is no agent {wrong!r}"):
+            parallel.step(dict.fromkeys([*parallel.agents, wrong], 1))
+    with pytest.raises(TypeError, match="a step takes a dict of the actions of all agents, not a list"):
+        parallel.step([1] * 5)
+    for space in (env.action_space, env.observation_space, env.observe):
+        for wrong in (3, ["pursuer_0"]):
+            with pytest.raises(KeyError, match=r"there is no agent .*: they are pursuer_0 to pursuer_4"):
+                space(wrong)
+
+
+def test_actions_and_seeds_may_be_those_of_numpy():
+    env = desim.env(small(), np.int32(3), max_cycles=np.int64(2), agents_leave=np.False_)
+    env.reset(seed=np.int64(4))
+    for action in (np.int64(1), np.array(1), np.uint8(0)):
+        env.step(action)
+    assert (type(env.result.seed), env.result.seed) == (int, 4)
 
 
 def test_it_is_registered_as_pettingzoo_registers():
