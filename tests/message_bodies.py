@@ -131,6 +131,56 @@ class Word(enum.StrEnum):
     YES = "yes"
 
 
+class Route(list):
+    """A list with attributes."""
+
+    def __init__(self, items, **attributes):
+        super().__init__(items)
+        vars(self).update(attributes)
+
+
+class Table(dict):
+    """A dict with attributes."""
+
+    def __init__(self, items, **attributes):
+        super().__init__(items)
+        vars(self).update(attributes)
+
+
+class OfAttributes(dict):
+    """A dict whose items are its attributes."""
+
+    def __init__(self, **items):
+        super().__init__(items)
+        self.__dict__ = self
+
+
+class Length:
+    """A number with a unit, as that of pint."""
+
+    def __init__(self, magnitude):
+        self.magnitude, self.units = magnitude, "meter"
+
+    def __float__(self):
+        return float(self.magnitude)
+
+    def tolist(self):
+        raise AttributeError("a number has no list")
+
+
+class Lengths(np.ndarray):
+    """An array with a unit, as that of astropy, whose items have it, too."""
+
+    unit = "m"
+
+    @property
+    def value(self):
+        return np.asarray(self)
+
+    def tolist(self):
+        raise NotImplementedError("cannot make a list of quantities")
+
+
 class Number(int):
     """An int that may have attributes."""
 
@@ -204,6 +254,16 @@ MUTABLE: dict[str, tuple[Any, Any, int | None]] = {
     "tuple of an object": ((1, Plan(2)), [1, {"class_name": "Plan", "path": [2]}], 16),
     "named tuple of a list": (Named(0, [2]), {"active": 0, "path": [2]}, 16),
     "named tuple with attributes": (NamedWithAttributes(0, 5), {"active": 0, "path": 5}, 16),
+    "list with attributes": (
+        Route([1, 2], cost=3.0, _kept=4),
+        {"class_name": "Route", "items": [1, 2], "cost": 3.0},
+        24,
+    ),
+    "dict with attributes": (Table({"a": 1}, cost=3), {"class_name": "Table", "items": {"a": 1}, "cost": 3}, 17),
+    "dict of attributes": (OfAttributes(a=1), {"a": 1}, 9),
+    "quantity": (Length(3.0), {"value": 3.0, "unit": "meter"}, 8),
+    "array with a unit": (np.array([1.0, 2.0]).view(Lengths), {"value": [1.0, 2.0], "unit": "m"}, 16),
+    "number with a unit": (np.array(1.0).view(Lengths), {"value": 1.0, "unit": "m"}, 8),
     "int with attributes": (Number(5), 5, 8),
     "dict": ({"who": 3, 4: (5, 6)}, {"who": 3, "4": [5, 6]}, 3 + 8 + 8 + 16),
     "fields of announcements": ({"active": [1], "records": [7]}, {"active": [1], "records": [7]}, 6 + 8 + 7 + 8),

@@ -249,6 +249,10 @@ def generator():
         ([].append, "a body of type builtin_function_or_method cannot be sent: the function list.append refers to"),
         ([weakref.ref(generator)], "a body of type list cannot be sent: a weak reference refers to an object that may"),
         (pd.Series([[1], [2]]), "a body of type Series cannot be sent: its copies would share a list"),
+        (
+            pd.DataFrame([[1, 2]], columns=["a", "a"]),
+            "a body of type DataFrame cannot be sent: it has several columns of",
+        ),
     ],
 )
 @pytest.mark.parametrize("way", WAYS)

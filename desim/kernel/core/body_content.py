@@ -65,9 +65,10 @@ def content(value: Any) -> Any:
     The fields of a dataclass, a named tuple, a pydantic or an attrs model by name; an array, a series, a deque or a
     range as a list; a set as a sorted list; a table by columns; bytes in hexadecimal digits; a complex number as its
     real and imaginary part; an enumeration by its value; a date in ISO 8601; a duration in seconds; a fraction, decimal
-    number, path, time zone or UUID as text; a function or a class by its name; a missing number (`pandas.NA`) as None.
-    Any other object is a dict of its attributes with its class as `class_name`; if it has more in it, of the
-    arguments and the state from which pickle would make it again.
+    number, path, time zone or UUID as text; a function or a class by its name; a missing number (`pandas.NA`) as None;
+    a quantity as its value and its unit; a collection with attributes by its items and its public attributes. Any other
+    object is a dict of its attributes with its class as `class_name`; if it has more in it, of the arguments and the
+    state from which pickle would make it again.
 
     Raises:
         ValueError: if the content is not known, or can be read only once.
@@ -77,9 +78,13 @@ def content(value: Any) -> Any:
     kind: Any = type(value)
     if converts_itself(kind):
         return value.plain()
+    if (parts := quantity_of(value)) is not None:
+        return parts
     if callable(getattr(kind, "tolist", None)):
         return value.tolist()
     if hasattr(kind, "columns") and hasattr(kind, "to_dict"):
+        if len({*value.columns}) < len(value.columns):
+            raise ValueError("it has several columns of one name")
         return {name: value[name] for name in value.columns}
     if hasattr(kind, "__array__"):
         return np.asarray(value)
@@ -92,6 +97,29 @@ def content(value: Any) -> Any:
     while name in attributes:
         name += "_"
     return Fields({name: kind.__name__} | attributes)
+
+
+def quantity_of(value: Any) -> Fields | None:
+    """Return the value and the unit of a quantity, as libraries of units have it; None if it is none."""
+    kind: Any = type(value)
+    if not hasattr(kind, "__float__"):
+        return None
+    unit = getattr(value, "units", getattr(value, "unit", None))
+    number = getattr(value, "magnitude", getattr(value, "value", None))
+    return None if unit is None or number is None or callable(number) else Fields(value=number, unit=str(unit))
+
+
+def public_attributes(items: Any) -> Fields:
+    """Return the public attributes of an object of a class that derives from a collection of Python, by name."""
+    if not isinstance(items, list | dict | tuple | set | frozenset) or not type(items).__dictoffset__:
+        return Fields()
+    attributes = {} if vars(items) is items else vars(items)  # a dict may be its own attributes
+    return Fields({name: item for name, item in attributes.items() if name[0] != "_"})
+
+
+def _with_attributes(parts: Any, items: Any) -> Any:
+    attributes = public_attributes(items)
+    return Fields({"class_name": type(items).__name__, "items": parts} | attributes) if attributes else parts
 
 
 def is_missing(value: Any) -> bool:
@@ -186,7 +214,7 @@ content.register(UserString, str)
 @content.register(Sequence)
 def _items(items: Sequence[Any]) -> Any:
     fields = content_fields(items)
-    return list(items) if fields is None else fields
+    return _with_attributes(list(items), items) if fields is None else fields
 
 
 @content.register(Mapping)
@@ -195,13 +223,13 @@ def _mapping(items: Mapping[Any, Any]) -> Any:
     keys = map(in_json_types, items)
     texts = [key if type(key) is str else json.dumps(key) for key in keys]
     if len(set(texts)) < len(texts):
-        return list(map(list, items.items()))
-    return Fields(zip(texts, items.values(), strict=True))
+        return _with_attributes(list(map(list, items.items())), items)
+    return _with_attributes(Fields(zip(texts, items.values(), strict=True)), items)
 
 
 @content.register(Set)
-def _sorted(items: Set[Any]) -> list[Any]:
-    return sorted(map(in_json_types, items), key=_order)
+def _sorted(items: Set[Any]) -> Any:
+    return _with_attributes(sorted(map(in_json_types, items), key=_order), items)
 
 
 def _order(value: Any) -> tuple[Any, ...]:
@@ -290,6 +318,8 @@ def _scalar(scalar: np.generic) -> Any:
 def _array(array: np.ndarray) -> Any:
     if is_missing(array):
         return None
+    if type(array) is not np.ndarray and (parts := quantity_of(array)) is not None:
+        return parts
     if array.ndim == 0:
         return array[()]
     return array.tolist() if array.dtype.kind in "biufcSUO" else list(np.asarray(array))

@@ -10,8 +10,9 @@
 The size of a collection is the sum of the sizes of its items, that of a dict the sum of the sizes of its keys and
 values, and that of an object the sum of the sizes of its fields or attributes, whose names are not sent. A number in an
 array of numpy or a series takes 8 bytes whatever its type, and one in an `array.array` as many as its type has. An
-enumeration has the size of its value. A record inside a body, for instance a forwarded one, includes its own header.
-An object without known content, such as a function, has no size: the sender has to tell it.
+enumeration has the size of its value, and a quantity that of its value without its unit. A record inside a body, for
+instance a forwarded one, includes its own header. An object without known content, such as a function, has no size: the
+sender has to tell it.
 
 For example, a message takes 24 bytes if its body is an action (one number), 32 if it is an action and a capture time,
 and 48 if it is an action, a position (two numbers) and a speed.
@@ -31,7 +32,16 @@ from typing import Any
 import numpy as np
 
 from desim.config.python_numbers import whole
-from desim.kernel.core.body_content import Fields, attributes_of, content, content_fields, is_missing, is_opaque
+from desim.kernel.core.body_content import (
+    Fields,
+    attributes_of,
+    content,
+    content_fields,
+    is_missing,
+    is_opaque,
+    public_attributes,
+    quantity_of,
+)
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.records import Record
 
@@ -81,8 +91,13 @@ def _size(body: Any) -> int:
     if kind is Record:
         return HEADER + _size(body.body)
     if isinstance(body, COLLECTIONS):
-        return NUMBER * len(body) if SCALARS.issuperset(map(type, body)) else portable_sum(map(_size, body))
+        items = NUMBER * len(body) if SCALARS.issuperset(map(type, body)) else portable_sum(map(_size, body))
+        return items if kind in COLLECTIONS else items + _attributes(body)
     return 0 if body is None else size(body)
+
+
+def _attributes(items: Any) -> int:
+    return portable_sum(map(_size, public_attributes(items).values()))
 
 
 @functools.singledispatch
@@ -95,6 +110,8 @@ def size(body: Any) -> int:
     kind: Any = type(body)
     if is_missing(body):
         return NUMBER
+    if (quantity := quantity_of(body)) is not None:
+        return _size(quantity["value"])
     simpler = content(body)
     if type(simpler) is not Fields:
         return _size(simpler)
@@ -167,7 +184,8 @@ def _items(items: Iterable[Any]) -> int:
 
 @size.register
 def _pairs(items: Mapping) -> int:  # type: ignore[type-arg]
-    return portable_sum(_size(key) + _size(value) for key, value in items.items())
+    pairs = portable_sum(_size(key) + _size(value) for key, value in items.items())
+    return pairs if type(items) is dict else pairs + _attributes(items)
 
 
 @size.register
