@@ -18,10 +18,12 @@ only `step` moves, and runs the same network: the same links, faults and draws.
 
 from collections.abc import Hashable, Iterable, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
+from warnings import warn
 
 import numpy as np
 
 from desim.config.arrays import Floats
+from desim.config.errors import KeyedError
 from desim.config.fresh import fresh_copy
 from desim.config.model import MAX_TIME, Value
 from desim.config.python_numbers import real, whole
@@ -506,7 +508,7 @@ def _faults_of(faults: Any) -> tuple[Any, ...]:
     """Return faults, of which some may be given as dicts."""
     if isinstance(faults, str | Mapping) or not isinstance(faults, Iterable):
         raise ValueError(f"faults should be a list of faults, such as [Crash(start=1.0, node=0)] (got {faults!r})")
-    return _Faults(fault=tuple(faults)).fault
+    return _part_of_file(_Faults, fault=tuple(faults)).fault
 
 
 class _Walls(Value):
@@ -519,7 +521,16 @@ def _walls_of(walls: Any) -> tuple[Wall, ...]:
     """Return walls, of which some may be given as dicts."""
     if isinstance(walls, str | Mapping | Wall) or not isinstance(walls, Iterable):
         raise ValueError(f"walls should be a list of walls, such as [Wall(line=[[0, 0], [4, 0]])] (got {walls!r})")
-    return _Walls(wall=tuple(walls)).wall
+    return _part_of_file(_Walls, wall=tuple(walls)).wall
+
+
+def _part_of_file(part: Any, **tables: Any) -> Any:
+    """Return a part of a scenario file; an error names the key, and not the part, which a caller does not know."""
+    try:
+        return part(**tables)
+    except KeyedError as error:
+        problems = [problem._replace(where="") for problem in error.problems]
+    raise KeyedError(*problems)
 
 
 def _links_of(links: Any) -> Links:
@@ -558,6 +569,9 @@ def _described(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, tuple
     if not len(graph):
         raise ValueError("a network should have at least 1 node (got an empty graph)")
     edges, numbers = Edges.of(graph), numbered(graph).numbers
+    for note in edges.notes:
+        if note.startswith("edges have"):  # nodes may have positions, which are given beside the graph
+            warn(note, UserWarning, stacklevel=3)
     labels = tuple(sorted(numbers, key=numbers.__getitem__))
     links = links.model_copy(update={"graph": edges}).numbered(edges.names)
     return links, labels, None if labels == tuple(range(len(labels))) else numbers

@@ -399,6 +399,33 @@ def test_numbers_with_units_and_masked_ones_are_no_positions_and_no_bodies(hide)
         SteppedNetworks(2, 3).publish(hide(np.zeros((2, 3))))
 
 
+def test_attributes_of_edges_that_are_not_read_are_warned_of():
+    graph = nx.path_graph(3)
+    nx.set_node_attributes(graph, (0.0, 0.0), "pos")
+    SteppedNetwork(graph)
+    nx.set_edge_attributes(graph, 0.2, "delay")
+    with pytest.warns(
+        UserWarning, match=r"edges have attributes that are not read: delay \(did you mean latency, in s"
+    ):
+        SteppedNetwork(graph)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ({"nodes": nx.MultiGraph([(0, 1), (0, 1)])}, "edges 0 and 1 are parallel: both join nodes 0 and 1"),
+        ({"nodes": 3, "walls": [{"line": [[0, 0]]}]}, "wall.0: a line should have at least 2 corners"),
+        ({"nodes": 3, "walls": ["LINESTRING (0 0, 1 1)"]}, "wall.0: should be a Wall or a table of its keys"),
+        ({"nodes": 3, "faults": [{"kind": "crash"}]}, "fault.0.start: is missing"),
+    ],
+)
+def test_an_argument_is_refused_in_the_words_of_a_scenario_file(arguments, told):
+    with pytest.raises(ValueError, match=told) as refused:
+        SteppedNetwork(**arguments)
+    assert "validation error" not in str(refused.value)
+    assert not str(refused.value).startswith("_")
+
+
 def test_a_plan_without_an_end_is_refused(monkeypatch):
     monkeypatch.setattr("desim.kernel.models.faults.MAX_FAULTS", 100)
 

@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self, get_args
 
-from pydantic import Field, ModelWrapValidatorHandler, ValidationInfo, model_validator
+from pydantic import Field, ModelWrapValidatorHandler, ValidationError, ValidationInfo, model_validator
 
 from desim.config.choice import OneOf
-from desim.config.errors import KeyedError
+from desim.config.errors import WORDINGS, KeyedError
 from desim.config.model import Flag, Value
 from desim.config.python_numbers import as_python
 from desim.config.trust import resolve_path
@@ -195,7 +195,11 @@ class Edges(Value):
         Raises:
             ValueError: if the graph has parallel edges, or an edge attribute is invalid.
         """
-        return cls.model_validate(graph)
+        try:
+            return cls.model_validate(graph)
+        except ValidationError as error:
+            problems = WORDINGS["call"](error, cls, {})
+        raise KeyedError(*problems)
 
     def __call__(self, size: int) -> "nx.Graph[int]":
         """Return the graph.
