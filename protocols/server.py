@@ -203,8 +203,10 @@ class Server(Value):
         for evader in range(1, me.evader_count + 1):
             beliefs = me.beliefs(self.period, evader, orders)
             times = {me.id: me.capture_time(evader)}
-            for j in orders.keys() & beliefs.keys():
-                times[j] = beliefs[j].capture_time + seconds(idle(beliefs[j].active, orders[j], evader, now, effect))
+            for j, belief in beliefs.items():
+                if j in orders:
+                    lost = idle(belief.active, orders[j], evader, now, effect)
+                    times[j] = belief.capture_time + seconds(lost)
             phi.append(times)
         # Trust judges a claim per evader, so a pursuer may be known for one evader and not for another.
         ids = sorted(set().union(*phi))
@@ -235,12 +237,12 @@ def idle(reported: int, ordered: Sequence[tuple[int, int]], evader: int, now: in
         effect: the time at which an order sent now takes effect, ns.
     """
     total, begun, action = 0, now, reported
-    for start, next_action in (*ordered, (effect, 0)):
-        end = max(start, now)
-        if action != evader and end > begun:
-            total += end - begun
-        begun, action = end, next_action
-    return total
+    for start, next_action in ordered:
+        if start > begun:
+            total += start - begun if action != evader else 0
+            begun = start
+        action = next_action
+    return total + effect - begun if action != evader and effect > begun else total
 
 
 def apply_order(me: Agent, order: TeamOrder) -> None:

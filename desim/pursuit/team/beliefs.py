@@ -7,7 +7,6 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cached_property
 from itertools import pairwise
 from math import inf, nan
-from operator import itemgetter
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -45,6 +44,9 @@ class Belief(NamedTuple):
     """s; nan if unknown."""
     age: float = 0.0
     """Time since the announcement was sent, s; may be negative, because sender and receiver read different clocks."""
+
+
+_new = tuple.__new__  # in half of the time of `Belief(...)`
 
 
 class TeamEstimate(NamedTuple):
@@ -168,16 +170,16 @@ class Beliefs(Knowledge):
                 and then with the ordered actions.
         """
         now, records = self._clock.stamp, self.trusted(period)
-        located = {j: record for j, record in records.items() if isinstance(record.body, Located)}
-        motions = self._motions(located, orders)
-        times = self._view.capture_times_from(list(motions), list(motions.values()), evader)
-        time_of = dict(zip(motions, times, strict=True))
+        motions = self._motions(
+            {j: record for j, record in records.items() if isinstance(record.body, Located)}, orders
+        )
+        times = dict(
+            zip(motions, self._view.capture_times_from(list(motions), list(motions.values()), evader), strict=True)
+        )
+        for j in records.keys() - times.keys():
+            times[j] = self._capture_time(records[j], evader)
         beliefs = {
-            j: Belief(
-                record.body.active,
-                time_of[j] if j in time_of else self._capture_time(record, evader),
-                (now - record.stamp) / SECOND,
-            )
+            j: _new(Belief, (record.body.active, times[j], (now - record.stamp) / SECOND))
             for j, record in records.items()
         }
         if self._judge is None:
@@ -205,10 +207,11 @@ class Beliefs(Knowledge):
         ids = sorted(motion_of)
         motions = [motion_of[j] for j in ids]
         phi = view.capture_times_from(ids, motions, evader)
-        for row, j in enumerate(ids):
-            if j in records and isinstance(records[j].body, TimedAssignment):
-                phi[row] = self._capture_time(records[j], evader)
-        return TeamEstimate(ids, np.array([motion.position for motion in motions]), state.speeds[ids], np.array(phi))
+        for j, record in records.items():
+            if isinstance(record.body, TimedAssignment):
+                phi[ids.index(j)] = self._capture_time(record, evader)
+        speeds = state.speeds if len(ids) == state.size else state.speeds[ids]
+        return TeamEstimate(ids, np.array([motion.position for motion in motions]), speeds, np.array(phi))
 
     def gain(self, utility: Utility = PAPER, evader: int = 1) -> float:
         """Return its believed gain, s, from chasing an evader rather than being inactive; see `Utility`.
@@ -304,13 +307,18 @@ class Beliefs(Knowledge):
         now, reckonings = self._clock.stamp, self._view.reckonings
         motions: dict[int, MotionState] = {}
         for j, record in records.items():
-            reckoning, ordered = reckonings.get(j), orders.get(j, ())
-            if ordered and not _has_action(ordered) and not record.body.active:
-                ordered = ()  # an order to stay changes nothing
-            if reckoning is not None and reckoning[0] is record and reckoning[1] in (now, None) and not ordered:
+            reckoning, ordered = reckonings.get(j), orders.get(j)
+            if ordered and not record.body.active and not _has_action(ordered):
+                ordered = None  # an order to stay changes nothing
+            if (
+                not ordered
+                and reckoning is not None
+                and reckoning[0] is record
+                and (reckoning[1] is None or reckoning[1] == now)
+            ):
                 motions[j] = reckoning[2]
             elif isinstance(record.body, Located):
-                motions[j] = motion = self._reckoned(record, ordered, now)
+                motions[j] = motion = self._reckoned(record, ordered or (), now)
                 if self._view.unlimited and not ordered:
                     stands = not record.body.active and self._view.stands(motion)
                     reckonings[j] = record, None if stands else now, motion
@@ -342,4 +350,7 @@ class Beliefs(Knowledge):
 
 def _has_action(ordered: Sequence[tuple[int, int]]) -> bool:
     """Return whether a teammate has been ordered to chase."""
-    return any(map(itemgetter(1), ordered))
+    for _, action in ordered:  # noqa: SIM110  # a loop takes a third of the time of `any`
+        if action:
+            return True
+    return False
