@@ -17,6 +17,7 @@ Robust to loss: yes, with heartbeats; flooding also without them where there are
 """
 
 from functools import partial
+from math import inf
 from typing import Annotated, Any, ClassVar, Literal, Protocol, Self
 
 from pydantic import Field
@@ -25,7 +26,9 @@ from desim.config.model import Time, Value
 from desim.kernel.core.clock import Phase
 from desim.kernel.core.message_size import size_of
 from desim.kernel.core.ports import ReservedPort
+from desim.kernel.core.records import Record
 from desim.kernel.models.transport import Coded, Depth, Reliable, SendWindow, Transport
+from desim.kernel.state.inbox import Message
 from desim.pursuit.team.agent import Agent, Process
 from desim.pursuit.team.announcements import Forwarded
 
@@ -100,14 +103,25 @@ class Flooding(Value):
     def __call__(self, me: Agent) -> Process:
         """Rebroadcast each new announcement after a random delay."""
         rng = me.stream("flooding")
+        merged: dict[int, float] = {me.id: inf}  # by source: the greatest sequence number of a record received
         passed_on: dict[int, tuple[int, int]] = {}  # by source: sequence number and hops of the last copy rebroadcast
+
+        def goes_on(record: Record, hops: int) -> bool:
+            # As a pair: a newer record always goes on, and a copy of the same one only if it can travel farther.
+            return hops > 1 and record.src != me.id and (record.seq, hops) > passed_on.get(record.src, (0, 0))
+
+        def wanted(message: Message) -> bool:
+            (record,), hops = message.body
+            return record.seq > merged.get(record.src, -1) or goes_on(record, hops)
+
         while True:
-            yield me.arrival(PORT, Phase.RELAY)
+            yield me.arrival(PORT, Phase.RELAY, wanted)
             for message in me.mail(PORT):
                 (record,), hops = message.body
-                me.merge_records([record])
-                # As a pair: a newer record always goes on, and a copy of the same one only if it can travel farther.
-                if hops > 1 and record.src != me.id and (record.seq, hops) > passed_on.get(record.src, (0, 0)):
+                if record.seq > merged.get(record.src, -1):
+                    merged[record.src] = record.seq
+                    me.merge_records([record])
+                if goes_on(record, hops):
                     passed_on[record.src] = (record.seq, hops)
                     again = partial(me.send, None, Forwarded((record,), hops - 1), PORT)
                     me.after(self.jitter * rng.random(), again, Phase.RELAY)  # `uniform` takes 8 times as long

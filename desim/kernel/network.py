@@ -128,7 +128,7 @@ class ReceivingNodes:
     def _forget(self, node: int) -> None:
         """Delete the received records and the unread messages of a node."""
         self._records.forget(node)
-        self._inboxes.drain(node)
+        self._inboxes.clear(node)
 
     def _node(self, node: Any) -> int:
         """Return the id of a node, an integer of any kind, as an `int`.

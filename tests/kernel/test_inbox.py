@@ -57,3 +57,36 @@ def test_a_message_is_not_compared_with_all_that_are_in_flight():
         put(boxes, Compared(1000 + (k * 1471) % 4096), 4096 + k)
         assert box.drain() == []
     assert Compared.count < 200 * 60
+
+
+def test_a_message_that_is_not_wanted_wakes_nobody_and_is_dropped():
+    """Messages arrive at 1 to 6 ns, two of them at 4 ns; every third is wanted, and nothing waits for the last."""
+    clock = Clock()
+    boxes, woken = Inboxes(clock, 1), []
+    (box,) = boxes.at("")
+
+    def process():
+        for _ in range(2):
+            yield box.arrival(wanted=lambda message: message.src % 3 == 0)
+            woken.append((clock.now, [message.src for message in box.drain()]))
+
+    clock.process(process())
+    for number, arrival in enumerate([1, 2, 3, 4, 4, 5, 6], start=1):
+        boxes.deliver(Message(number, 0, None), "", [0], arrival, number)
+    clock.run(until=10)
+    assert woken == [(3, [3]), (5, [6])]
+    assert [message.src for message in box.drain()] == [7]
+
+
+def test_after_a_loss_of_memory_all_messages_are_wanted():
+    clock = Clock()
+    boxes = Inboxes(clock, 1)
+    (box,) = boxes.at("")
+    event = box.arrival(wanted=lambda message: False)
+    put(boxes, 1, 1)
+    clock.run(until=2)
+    boxes.clear(0)
+    put(boxes, 3, 2)
+    clock.run(until=4)
+    assert event.processed
+    assert len(box.drain()) == 1

@@ -5,6 +5,7 @@ Positions are static and no pursuer has a record at first; the latency is L = 0.
 
 from collections import Counter
 from math import inf
+from unittest.mock import patch
 
 import networkx as nx
 import numpy as np
@@ -13,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import kstest
 
-from desim import Scenario, run, summary
+from desim import Scenario, load, run, summary
 from desim.analysis.age import age_mean
 from desim.kernel.core.events import GivenUp, MessageCounts, Sent
 from desim.kernel.core.units import seconds
@@ -23,11 +24,13 @@ from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.kernel.models.transport import Coded, Reliable
+from desim.kernel.state.inbox import Inbox
 from desim.pursuit.core.traits import DisseminationTraits
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording
 from protocols.dissemination import CodedOneHop, Flooding, Gossip, OneHop, ReliableOneHop
+from scenarios.studies.study import SCENARIOS
 
 L = 0.25
 FAR = 1000
@@ -203,6 +206,53 @@ def test_relays_with_clock_errors_forward_records_all_the_same(drift):
     said = [event.body.records[0].seq for event in sent]
     assert len(set(said)) == len(said) > 10
     assert max(said) == 50
+
+
+# Copies that wake nobody.
+
+CRASH = "fault=[{{kind='crash', node=3, start=0.2, end=0.4, scope='robot', memory={}}}]"
+
+
+def flooded(changes, judge=None):
+    """Return the trace of a scenario with flooding, and how often a pursuer waited for announcements.
+
+    judge: replaces the function that tells which messages wake a pursuer.
+    """
+    waits, arrival = [], Inbox.arrival
+
+    def counted(box, priority=None, wanted=None):
+        waits.append(box)
+        return arrival(box, priority, wanted if judge is None or wanted is None else judge(wanted))
+
+    with patch.object(Inbox, "arrival", counted):
+        result = run(load(SCENARIOS / "flooding.toml", ["horizon=0.6", *changes]), 2)
+    return list(result.trace), len(waits)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "changes",
+    [
+        [],
+        ["network.latency=0.01", "announce.dissemination.jitter=0.0", "network.range_check=send"],
+        ["network.latency=0.0", "announce.dissemination.hops=2"],
+        [CRASH.format("false")],
+        [CRASH.format("true"), "network.loss=0.2"],
+    ],
+    ids=["flooding", "at once", "without latency", "without memory", "with memory"],
+)
+def test_copies_that_wake_nobody_change_nothing(changes):
+    """A pursuer is woken by all announcements, or by those that are new to it or are to be forwarded."""
+    trace, waits = flooded(changes)
+    all_wake, more_waits = flooded(changes, lambda _: None)
+    assert trace == all_wake
+    assert waits < 0.6 * more_waits
+
+
+@pytest.mark.slow
+def test_the_comparison_detects_news_that_wakes_nobody():
+    """The control of the test above."""
+    assert flooded([])[0] != flooded([], lambda wanted: lambda message: wanted(message) and message.src % 2)[0]
 
 
 # Within an instant.

@@ -201,6 +201,24 @@ def test_agents_talk_by_message():
     assert heard == [(1, 0.125, "to all"), (2, 0.125, "to one"), (2, 0.125, "to all")]
 
 
+def test_messages_that_are_not_wanted_are_dropped_and_wake_nobody():
+    heard = []
+
+    def protocol(me):
+        if me.id == 0:
+            for number in range(6):
+                me.send(1, number)
+                yield me.sleep(0.1)
+        while me.id == 1:
+            yield me.arrival(wanted=lambda message: message.body % 3 == 2)
+            heard.extend((round(me.now, 3), message.body) for message in me.mail())
+
+    play(protocol, latency=0.125)
+    assert heard == [(0.325, 2), (0.625, 5)]
+    with pytest.raises(ValueError, match="pursuer 0: arrival: wanted should be a function of a message"):
+        play(lambda me: iter([me.arrival(wanted=3)]))
+
+
 def test_decisions_of_one_instant_are_in_id_order_and_see_each_other_at_zero_latency():
     """All three find none active at 1 s; the first chases, and the others learn of it at once."""
 

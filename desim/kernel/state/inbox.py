@@ -1,6 +1,7 @@
 """Inboxes: queues of received messages that wake waiting processes."""
 
 from bisect import bisect_left, insort
+from collections.abc import Callable
 from math import inf
 from typing import Any, NamedTuple
 
@@ -27,6 +28,8 @@ class Message(NamedTuple):
         return self.stamp / SECOND
 
 
+Wanted = Callable[[Message], bool]
+"""A function that tells whether a message is wanted."""
 Letter = tuple[int, int, Message]
 """A message in an inbox, as (arrival time in ns, number of its transmission, message)."""
 FEW = 16
@@ -41,7 +44,7 @@ class Inbox:
     process stops waiting at a time-out.
     """
 
-    __slots__ = ("_env", "_letters", "_priority", "_sorted", "_waited_for", "_wake_time")
+    __slots__ = ("_env", "_letters", "_priority", "_sorted", "_waited_for", "_wake_time", "_wanted")
 
     def __init__(self, env: Clock, node: int):
         self._env = env
@@ -54,22 +57,34 @@ class Inbox:
         """The event that processes wait for; None if no process waits."""
         self._wake_time: float = inf
         """Time of the next scheduled wake-up for a message in flight, ns."""
+        self._wanted: Wanted | None = None
 
-    def arrival(self, priority: int | None = None) -> simpy.Event:
+    def arrival(self, priority: int | None = None, wanted: Wanted | None = None) -> simpy.Event:
         """Return an event that happens when a message arrives, or at once if one is waiting.
 
         Args:
             priority: the SimPy priority of the event. If None, the priority of the previous call is kept; initially it
                 is the priority of the decisions of the node.
+            wanted: a function of a message that tells whether it is wanted. While a process waits, a message that
+                arrives and is not wanted is dropped, and the event does not happen. None: all are wanted.
+
+        Kept equal to a process that all messages wake by
+        `tests/protocols/test_dissemination.py::test_copies_that_wake_nobody_change_nothing`.
         """
         if priority is not None:
             self._priority = priority
+        self._wanted = wanted
         event = self._waited_for
         if event is None:
             event = self._waited_for = simpy.Event(self._env)
         if self._letters:
-            self._expect(self._in_order()[0][0])
+            self._look()
         return event
+
+    def clear(self) -> None:
+        """Drop all waiting messages; from now on all are wanted until `arrival` is called again."""
+        self._wanted = None
+        self.drain()
 
     def drain(self) -> list[Message]:
         """Remove and return the waiting messages, in the order of arrival."""
@@ -104,23 +119,35 @@ class Inbox:
             self._sorted = len(letters)
         return letters
 
-    def _expect(self, arrival: int) -> None:
-        """Schedule a wake-up at an arrival time (ns), unless one is scheduled for that time or earlier.
+    def _look(self) -> None:
+        """Trigger the event that processes wait for if a message has arrived, else schedule a wake-up at the next.
 
-        If the message has already arrived, trigger the event at once.
+        The messages that arrived before and are not wanted are dropped.
         """
-        if arrival <= self._env.now:
-            event, self._waited_for = self._waited_for, None
-            if event is not None:
-                self._env.trigger(event, self._priority)
-        elif arrival < self._wake_time:
+        letters, now, wanted = self._in_order(), self._env.now, self._wanted
+        while letters:
+            arrival, _, message = letters[0]
+            if arrival > now:
+                self._expect(arrival)
+                return
+            if wanted is None or wanted(message):
+                event, self._waited_for = self._waited_for, None
+                if event is not None:
+                    self._env.trigger(event, self._priority)
+                return
+            del letters[0]
+            self._sorted -= 1
+
+    def _expect(self, arrival: int) -> None:
+        """Schedule a wake-up at an arrival time (ns), unless one is scheduled for that time or earlier."""
+        if arrival < self._wake_time:
             self._wake_time = arrival
             Instant(self._env, arrival, Phase.DELIVERY).callbacks.append(self._wake)
 
     def _wake(self, _: simpy.Event) -> None:
         self._wake_time = inf
-        if self._waited_for is not None and self._letters:
-            self._expect(self._in_order()[0][0])
+        if self._waited_for is not None:
+            self._look()
 
 
 class Inboxes:
@@ -146,10 +173,10 @@ class Inboxes:
         """Return whether messages at a port may be delivered after their arrival, since they wake no process."""
         return False
 
-    def drain(self, node: int) -> None:
-        """Delete the waiting messages of a node at all ports."""
+    def clear(self, node: int) -> None:
+        """Drop the waiting messages of a node at all ports."""
         for boxes in self._ports.values():
-            boxes[node].drain()
+            boxes[node].clear()
 
     def in_flight(self) -> int:
         """Return the number of messages in flight, counted once per receiver."""
@@ -161,17 +188,17 @@ class Inboxes:
         Simultaneous messages are ordered by `number`, the number of their transmission. Each receiver gets its own copy
         of a mutable body.
         """
-        boxes, copies = self.at(port), self.has_mutable and not is_immutable(message.body)
+        boxes, copies, now = self.at(port), self.has_mutable and not is_immutable(message.body), self._env.now
         if isinstance(arrival, int) and not copies:
             letter = arrival, number, message
             for node in receivers:
                 box = boxes[node]
                 box._letters.append(letter)
                 if box._waited_for is not None:
-                    box._expect(arrival)
+                    box._expect(arrival) if arrival > now else box._look()
             return
         for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
             box = boxes[node]
             box._letters.append((when, number, message._replace(body=own_copy(message.body)) if copies else message))
             if box._waited_for is not None:
-                box._expect(when)
+                box._expect(when) if when > now else box._look()

@@ -18,7 +18,6 @@ from desim.kernel.core.events import (
 )
 from desim.kernel.state.inbox import Message
 
-
 _new = tuple.__new__  # creates a named tuple in a third of the time
 
 

@@ -7,6 +7,7 @@ import simpy
 from desim.config.python_numbers import real
 from desim.kernel.core.clock import Clock, Instant, NodeClock, Phase
 from desim.kernel.network import Network
+from desim.kernel.state.inbox import Message
 
 RETURN_HINT = " (a protocol that has nothing left to wait for should return)"
 """Hint in error messages about an infinite, nan or negative waiting time."""
@@ -124,9 +125,17 @@ class Timing:
         """Return an event that happens at the present instant, after all decisions of this instant."""
         return self.sleep(0.0, Phase.HEARTBEAT)
 
-    def arrival(self, port: str = "", phase: Phase = Phase.DECISION) -> simpy.Event:
+    def arrival(
+        self, port: str = "", phase: Phase = Phase.DECISION, wanted: Callable[[Message], bool] | None = None
+    ) -> simpy.Event:
         """Return an event that happens as soon as the inbox of a port is not empty.
 
-        `Agent.mail` returns the messages.
+        `Agent.mail` returns the messages. If `wanted` is a function of a message, messages for which it is false are
+        dropped as they arrive, and the event does not happen: to pass over copies costs less than to wake for them.
+
+        Raises:
+            ValueError: if `wanted` is not a function.
         """
-        return self._network.inbox(self.id, port).arrival(phase + self.id)
+        if wanted is not None and not callable(wanted):
+            raise ValueError(f"pursuer {self.id}: arrival: wanted should be a function of a message (got {wanted!r})")
+        return self._network.inbox(self.id, port).arrival(phase + self.id, wanted)
