@@ -90,7 +90,7 @@ class Broken:
     seconds: float
     """The wall time of all runs, s."""
     closest: float
-    """The least margin of the last search, s."""
+    """The least margin of the last search, s; inf: its time was up when it had found something."""
 
 
 def bases() -> dict[str, Scenario]:
@@ -128,8 +128,9 @@ def break_protocol(folder: Path, runs: int, seconds: float, scenario: Scenario, 
                 budget=seconds - spent,
                 log=log,
             )
-            cases, spent, closest = cases + search.runs, spent + search.seconds, search.closest
+            cases, spent, closest = cases + search.runs, spent + search.seconds, inf
             if search.violation is None:
+                closest = search.closest
                 break
             weaknesses.append(Weakness(search.violation, search.violation.protocols(1, log)))
             features = [feature for feature in features if feature not in weaknesses[-1].features]
@@ -144,7 +145,8 @@ def rows_of(broken: Broken) -> list[tuple[str, ...]]:
         idle, case = f"{violation.verdict.measure:.1f}", case_text(violation.case)
         rows.append((broken.name, case, f"{violation.searched}", f"{violation.seed}", idle, f"{_others(weakness)}"))
     found = "no more" if broken.weaknesses else "none"
-    end = f"{found} in {broken.cases:,} cases, {broken.seconds / 60.0:.1f} min; least margin {broken.closest:.2f} s"
+    least = "" if broken.closest == inf else f"; least margin {broken.closest:.2f} s"
+    end = f"{found} in {broken.cases:,} cases, {broken.seconds / 60.0:.1f} min{least}"
     return [*rows, (broken.name, end, *[""] * 4)]
 
 
@@ -239,7 +241,7 @@ def _document(broken: Broken) -> dict[str, Any]:
         "name": broken.name,
         "cases": broken.cases,
         "minutes": round(broken.seconds / 60.0, 2),
-        "closest": broken.closest,
+        "closest": None if broken.closest == inf else broken.closest,
         "weaknesses": [
             {
                 "smallest": weakness.violation.case,

@@ -333,6 +333,23 @@ def test_the_smallest_case_has_only_what_the_violation_needs():
     assert shrunk(SMALL, Tried(case, 1, Verdict(holds=False)), judged, budget=3)[1] == 3
 
 
+def test_a_feature_that_another_one_overrides_is_left_out_without_a_run():
+    case = {"latency": {"network.latency": 0.5}, "random latency": {"network.latency": 0.3}}
+    best, runs = shrunk(SMALL, Tried(case, 1, Verdict(holds=False)), lambda *_: CaseRun(Verdict(holds=True), []))
+    assert best.case == {"random latency": {"network.latency": 0.3}}
+    assert runs == 3, "without any latency, and with two shorter horizons"
+
+
+def test_a_case_that_is_broken_otherwise_is_not_smaller():
+    """The search has found an exception; without the latency, the run only violates the property."""
+    case = {"latency": {"network.latency": 0.5}}
+    failed = Tried(case, 1, Verdict(holds=False), "KeyError: 3")
+    for other, is_kept in (("", True), ("ValueError: 3", True), ("KeyError: 4", False)):
+        told = CaseRun(Verdict(holds=False), [], failure=other)
+        best, _ = shrunk(SMALL, failed, lambda *_, told=told: told)
+        assert ("latency" in best.case) == is_kept
+
+
 # The search.
 
 

@@ -3,7 +3,8 @@
 A shrinker that accepts any violation slips to another failure than the one that was found.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
+from functools import partial
 from math import inf
 from typing import Any, NamedTuple
 
@@ -35,10 +36,10 @@ class Tried(NamedTuple):
 def shrunk(
     scenario: Scenario, violating: Tried, judged: Callable[[Scenario, int], CaseRun], budget: int = SHRINKING
 ) -> tuple[Tried, int]:
-    """Return the smallest case that still violates, and the number of cases that were run; at most `budget`.
+    """Return the smallest case that is broken alike, and the number of cases that were run; at most `budget`.
 
     It leaves out features, then tries fewer pursuers, a shorter horizon, and numbers with fewer digits. What works is
-    kept, and no case is run twice.
+    kept, and all is tried again until nothing works. No scenario is run twice.
 
     Args:
         scenario: the scenario that the cases change.
@@ -46,51 +47,79 @@ def shrunk(
         judged: judges a scenario and a seed.
         budget: the greatest number of cases to run.
     """
-    best, runs, seen = violating, 0, {repr(applied(scenario, violating.case))}
+    best, runs, tried = violating, 0, {repr(applied(scenario, violating.case))}
     worked = True
     while worked:
         worked = False
-        for smaller in _smaller(scenario, best):
+        for simplify in _simplifications(scenario, best):
+            case = simplify(best)
+            changed = None if case is None else changed_or_none(scenario, case)
+            if case is None or changed is None:
+                continue
+            if repr(changed) == repr(applied(scenario, best.case)):  # what was left out had no effect
+                best, worked = best._replace(case=case), True
+                continue
+            if repr(changed) in tried:
+                continue
             if runs == budget:
                 return best, runs
-            changed = changed_or_none(scenario, smaller)
-            if changed is None or repr(changed) in seen:
-                continue
-            seen.add(repr(changed))
+            tried.add(repr(changed))
             runs += 1
             case_run = judged(changed, best.seed)
-            tried = Tried(smaller, best.seed, case_run.verdict, case_run.failure)
-            if tried.is_broken_alike(best):
-                best, worked = tried, True
-                break
+            smaller = Tried(case, best.seed, case_run.verdict, case_run.failure)
+            if smaller.is_broken_alike(best):
+                best, worked = smaller, True
     return best, runs
 
 
-def _smaller(scenario: Scenario, tried: Tried) -> Iterator[Case]:
-    """Yield cases that are simpler than one, the simplest first."""
-    case = tried.case
-    names = [name for name in case if name != "horizon"]
+Simplification = Callable[[Tried], Case | None]
+"""Returns a case that is simpler than one; None if it cannot be made so."""
+
+
+def _simplifications(scenario: Scenario, tried: Tried) -> Iterator[Simplification]:
+    """Yield what makes a case simpler, that which saves most first; each is given the case that is left by then."""
+    names = [name for name in tried.case if name != "horizon"]
     if len(names) > 2:  # half of the features at once
-        for half in (names[::2], names[1::2]):
-            yield {name: changes for name, changes in case.items() if name not in half}
-    for name in names:
-        yield {other: changes for other, changes in case.items() if other != name}
-    changed = applied(scenario, case)
-    for size in SIZES:
-        if size < changed.team.count:
-            yield case | {"team": {"team.count": size}}
-    for share in (0.25, 0.5, 0.75):
-        horizon = float(f"{share * changed.horizon:.2g}")
-        if horizon > max(tried.verdict.at, SHORTEST * scenario.horizon):
-            yield case | {"horizon": {"horizon": horizon}}
-    for name, changes in case.items():
-        fault = changes.get("fault", {})
-        if "end" in fault:
-            yield case | {name: {"fault": {key: value for key, value in fault.items() if key != "end"}}}
-        for digits in (1, 2):
-            rounded = _rounded(changes, digits)
-            if rounded != changes and name != "horizon":  # which might grow
-                yield case | {name: rounded}
+        yield partial(_without, names[::2])
+        yield partial(_without, names[1::2])
+    yield from (partial(_without, [name]) for name in names)
+    yield from (partial(_with_size, scenario, size) for size in SIZES)
+    yield from (partial(_shorter, scenario, share) for share in (0.25, 0.5, 0.75))
+    yield from (partial(_without_end, name) for name in names)
+    yield from (partial(_rounded_in, name, digits) for name in names for digits in (1, 2))
+
+
+def _without(names: Collection[str], tried: Tried) -> Case | None:
+    """Return a case without those of its features that have some names."""
+    case = {name: changes for name, changes in tried.case.items() if name not in names}
+    return None if len(case) == len(tried.case) else case
+
+
+def _with_size(scenario: Scenario, size: int, tried: Tried) -> Case | None:
+    """Return a case with fewer pursuers."""
+    is_smaller = size < applied(scenario, tried.case).team.count
+    return tried.case | {"team": {"team.count": size}} if is_smaller else None
+
+
+def _shorter(scenario: Scenario, share: float, tried: Tried) -> Case | None:
+    """Return a case with a share of its horizon that still has the violation."""
+    horizon = float(f"{share * applied(scenario, tried.case).horizon:.2g}")
+    is_enough = horizon > max(tried.verdict.at, SHORTEST * scenario.horizon)
+    return tried.case | {"horizon": {"horizon": horizon}} if is_enough else None
+
+
+def _without_end(name: str, tried: Tried) -> Case | None:
+    """Return a case in which the fault of a feature never ends."""
+    fault = tried.case.get(name, {}).get("fault", {})
+    endless = {key: value for key, value in fault.items() if key != "end"}
+    return None if endless == fault else tried.case | {name: {"fault": endless}}
+
+
+def _rounded_in(name: str, digits: int, tried: Tried) -> Case | None:
+    """Return a case in which the numbers of a feature have at most some digits."""
+    changes = tried.case.get(name, {})
+    rounded = _rounded(changes, digits)
+    return None if rounded == changes else tried.case | {name: rounded}
 
 
 def _rounded(value: Any, digits: int) -> Any:
