@@ -41,6 +41,9 @@ def main(version: str, runs: int | None, jobs: int, out: Path) -> None:
     measured = bench(runs=runs, executor=jobs, version=version, again=True, folder=out)
     click.echo(measured.table())
     path = suite.folder / COSTS
+    if not path.exists() and measured.runs < suite.runs:
+        click.echo(f"not written: {path} needs all {suite.runs} runs", err=True)
+        return
     if not path.exists():
         write_whole(path, frozen_text(measured.costs).encode())
         click.echo(f"wrote {path}; its digest is {suite.digest_of_costs}", err=True)

@@ -13,6 +13,7 @@ from desim.config.arrays import Floats
 from desim.config.python_numbers import whole
 from desim.config.traits import kind_of
 from desim.scenario.overrides import ScenarioError
+from desim.scenario.scenario import Scenario
 from desim.study.ablation.imperfections import with_perfect_network, without_messages
 from desim.study.comparing.scores import Benchmark, NoPart
 from desim.study.comparing.suite import (
@@ -177,7 +178,13 @@ class Entrants:
             reasons = [absence.why for absence in absences if absence.protocol == protocol]
             if len(reasons) == len(self.suite.scenarios):
                 raise ValueError(f"{protocol} takes part in no scenario: {reasons[0]}")
-        return Benchmark(self.suite.version, costs, tuple(self.protocols), tuple(absences))
+        knows_more = self.suite.is_frozen and count < self.suite.runs
+        frozen = self.suite.costs if knows_more else {}
+        return Benchmark(self.suite.version, costs, tuple(self.protocols), tuple(absences), frozen)
+
+
+def _variant(name: str, protocol: str, network: str, scenario: Scenario) -> Configuration:
+    return Configuration({"scenario": name, "protocol": protocol, "network": network}, scenario)
 
 
 def _first(costs: CostsByProtocol, count: int) -> dict[str, dict[str, Any]]:

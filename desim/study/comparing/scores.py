@@ -11,13 +11,13 @@ robust. `quality` is what a protocol does on a perfect network, and `loss` what 
 
 The interval of such a ratio r is that of the mean of ((Z_i - A_i) - r (Z_i - P_i)) / (Z - P) over the seeds i, the
 linearised ratio of paired values (Cochran 1977, "Sampling Techniques", section 2.11), with Student's t. It needs a
-denominator far from 0: a scenario is kept only if Z - P is more than `APART` standard errors. The total of several
-scenarios is the mean of their scores; its interval is over the means of each seed, because runs of different scenarios
-with one seed have equal initial positions.
+denominator far from 0: a scenario is kept only if Z - P is more than `APART` standard errors in all runs of the
+version. The total of several scenarios is the mean of their scores; its interval is over the means of each seed,
+because runs of different scenarios with one seed have equal initial positions.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf, nan, sqrt
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
@@ -115,6 +115,11 @@ class Benchmark:
     own: tuple[str, ...] = ()
     """The names of the protocols of the caller."""
     absent: tuple[NoPart, ...] = ()
+    frozen: Mapping[str, CostsByProtocol] = field(default_factory=dict)
+    """The costs of all runs of the version by scenario, where they are known and there are more of them.
+
+    Their bounds decide which scenarios are kept, so that a look at few runs has the same scenarios.
+    """
 
     @property
     def runs(self) -> int:
@@ -123,7 +128,8 @@ class Benchmark:
 
     def apart(self, scenario: str) -> float:
         """Return the distance of the bounds of a scenario in standard errors; inf if it is equal for all seeds."""
-        difference = estimate(self._bounds(scenario)[1] - self._bounds(scenario)[0])
+        reference = self.frozen.get(scenario, self.costs[scenario])[REFERENCE]
+        difference = estimate(reference[SILENT] - reference[PERFECT])
         if not difference.standard_error:
             return inf if difference.mean > 0.0 else 0.0
         return difference.mean / difference.standard_error
@@ -186,7 +192,8 @@ class Benchmark:
             ),
             ("score by scenario", [*self._scenario_rows()]),
             (
-                f"bounds: mean cost of {REFERENCE}, s; distance in standard errors",
+                f"bounds: mean cost of {REFERENCE}, s; distance in standard errors"
+                f"{' of all runs of the version' if self.frozen else ''}",
                 [("", "perfect", "as it is", "silent", "distance"), *self._bound_rows()],
             ),
         ]

@@ -87,6 +87,11 @@ class Suite:
         """The SHA-256 hash of the frozen costs."""
         return _digest([self.folder / COSTS])
 
+    @property
+    def is_frozen(self) -> bool:
+        """Whether its costs are there; they are not while a version is made."""
+        return (self.folder / COSTS).exists()
+
     @cached_property
     def costs(self) -> Mapping[str, CostsByProtocol]:
         """The frozen costs by scenario.
