@@ -142,9 +142,9 @@ def raced(rate: float) -> Scenario:
     return load(SCENARIOS / "relay.toml").with_(changes)
 
 
-def late(rate: float) -> Scenario:
-    """Return the scenario of the benchmark with a latency of 1 s, with pursuers that decide at a rate, 1/s."""
-    return load(SCENARIOS / "bench/v1/latency.toml", [f"protocol.schedule.rate={rate}"])
+def late(slot: float) -> Scenario:
+    """Return the scenario of the benchmark with a latency of 1 s, under `argmin` with a slot, s."""
+    return load(SCENARIOS / "bench/v1/latency.toml", [f'protocol={{ kind = "argmin", slot = {slot} }}'])
 
 
 def unsettled(team: str, distance: float) -> Number:

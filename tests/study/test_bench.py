@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from desim import Links, Motion, Recording, Scenario, Team, bench
+from desim import Links, Motion, Recording, Scenario, Team, bench, run
+from desim.analysis.metrics import active_time
 from desim.cli import main
+from desim.study.ablation.imperfections import without_messages
 from desim.study.comparing.bench import Entrants, frozen_matches
 from desim.study.comparing.scores import APART, OMNISCIENT, Benchmark, Ratio
 from desim.study.comparing.suite import AS_IT_IS, PERFECT, REFERENCE, SILENT, Suite, cost_of_runs, frozen_text
@@ -17,9 +19,9 @@ from desim.study.workers.executors import workers_for
 from scenarios.freeze import differences
 
 SUITE = Suite.of()
-DIGEST = "35400b21f11eea5eb5367c255b7392df07bf170b1ccdbdd113fbed650d5009ae"
+DIGEST = "67e6167e6fe8cc84396091e82b9bd41afeb18c1275f5dcd1235a6ccb6a4160e7"
 """Of the scenarios and the protocols of version 1: whoever changes them makes version 2."""
-DIGEST_OF_COSTS = "f7deeb05a3ac651bb008dcf2b2cd2d1ff4a3a4d3e530554b78daf52260289ae5"
+DIGEST_OF_COSTS = "175142756a7fc78d7e0b19111b51526ae84b70f03176089dd95d3706805f9d9f"
 """Of the costs of version 1, and so of its table."""
 
 # Frozen.
@@ -46,6 +48,31 @@ def test_the_reference_repeats_its_first_frozen_runs():
     costs = {name: {REFERENCE: {AS_IT_IS: SUITE.costs[name][REFERENCE][AS_IT_IS] + 1e-6}} for name in SUITE.costs}
     vars(other)["costs"] = costs
     assert not frozen_matches(other, ["latency"])
+
+
+def test_few_runs_are_scored_in_the_same_scenarios():
+    """A scenario is kept or not by all runs of the version; by two runs alone, the bounds are too close together."""
+    few = bench(runs=2)
+    assert few.kept == tuple(SUITE.scenarios)
+    assert few.runs == 2
+    assert "distance in standard errors of all runs of the version" in few.table()
+    assert Benchmark("1", few.costs).kept != few.kept
+
+
+def test_pursuers_know_of_each_other_only_what_is_announced():
+    assert all(scenario.announce.is_located for scenario in SUITE.scenarios.values())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SUITE.scenarios)
+def test_a_rule_that_compares_positions_needs_messages_as_the_others_do(name):
+    """Without messages nobody knows of the others, so all chase. The control: of teammates that are seen, one does."""
+    silent = without_messages(SUITE.scenarios[name])
+    unheard = silent.with_({"protocol": SUITE.protocols["argmin"]})
+    seen = unheard.with_({"announce.payload": "action"})
+    alone, compared, best = (active_time(run(scenario)) for scenario in (silent, unheard, seen))
+    assert compared == pytest.approx(alone, rel=0.1)
+    assert best < alone / 3.0
 
 
 @pytest.mark.whole
