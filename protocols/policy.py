@@ -93,10 +93,14 @@ class Policy(Rule):
     """Path of a JSON file with `features`, `layers` and perhaps `activation`, relative to the scenario file. It is
     read once, when the scenario is created."""
     features: Annotated[tuple[str, ...], FirstError()] = ("evader.lead", "evader.late")
-    """Instead of a file: the names of the n inputs, as in "evader.lead", "own.time_left" or "pursuer_3.age"; see
-    `desim.pursuit.team.observation`."""
+    """The names of the n inputs, as in "evader.lead", "own.time_left" or "pursuer_3.age"; see
+    `desim.pursuit.team.observation`.
+
+    They are in the file, if there is one."""
     layers: tuple[Layer, ...] = FIRST_AND_IN_TIME
-    """Instead of a file: the layers, from the input to the output; a linear rule has one."""
+    """The layers, from the input to the output; a linear rule has one.
+
+    They are in the file, if there is one."""
     activation: Literal["tanh", "relu"] = "relu"
     """The function that is applied to the outputs of all layers but the last."""
 
@@ -108,7 +112,11 @@ class Policy(Rule):
         given = [name for name in CONTENT if name in fields]
         if given:
             raise ValueError(f"should have a file or {given[0]}, not both")
-        return fields | {"file": None} | _content(resolve_path(fields["file"], info))
+        try:
+            content = _content(resolve_path(fields["file"], info))
+        except ValueError as error:
+            raise KeyedError(Problem(str(error), "file")) from error
+        return fields | {"file": None} | content
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -275,7 +283,7 @@ def _content(path: Path) -> dict[str, Any]:
     """Return the content of a file of weights.
 
     Raises:
-        ValueError: if the file cannot be read, is not JSON, or does not have the keys of weights.
+        ValueError: if the file cannot be read, is not JSON, or has no valid weights; the text begins with the file.
     """
     try:
         content = json.loads(text_of_file(path), parse_constant=_refuse_constant)
@@ -288,7 +296,11 @@ def _content(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path} has an unknown key {unknown[0]!r}{did_you_mean(unknown[0], CONTENT)}")
     if missing := [key for key in CONTENT[:2] if key not in content]:
         raise ValueError(f"{path} has no {missing[0]}")
-    return content
+    try:
+        policy = Policy(**content)
+    except KeyedError as error:
+        raise ValueError(f"{path}: {error.problems[0]._replace(where='')}") from error
+    return {name: getattr(policy, name) for name in CONTENT}
 
 
 def _refuse_constant(name: str) -> float:

@@ -129,13 +129,18 @@ GOOD = {"features": ["own.x"], "layers": [{"weights": [[1.0]], "bias": [0.0]}]}
         (json.dumps(GOOD).replace("[[1.0]]", "[[1.0, 2.0]]"), "layer 0 has 2 inputs, but there are 1 features"),
         (json.dumps(GOOD).replace("[0.0]", "[0.0, 1.0]"), "bias should have a number for each of 1 rows, has 2"),
         ("[" * 100_000, "is not JSON"),
+        (json.dumps(GOOD).replace("own.x", "own.y1"), "there is no feature 'own.y1', did you mean 'y'"),
+        (json.dumps(GOOD).replace("1.0", "1e300"), "layers.0.weights.0.0: should be less than or equal"),
+        (json.dumps(GOOD | {"layers": GOOD["layers"][0]}), "layers: should be a list of tables"),
     ],
 )
 def test_a_file_that_is_wrong_is_refused(content, why, tmp_path):
     (tmp_path / "w.json").write_text(content)
     (tmp_path / "a.toml").write_text('[protocol]\nkind = "policy"\nfile = "w.json"\n')
-    with pytest.raises(ScenarioError, match=why):
+    with pytest.raises(ScenarioError, match=rf"a.toml:3: protocol.file: \S*w.json.*{why}"):
         load(tmp_path / "a.toml")
+    with pytest.raises(KeyedError, match=rf"Policy: file: \S*w.json.*{why}"):
+        Policy(file=str(tmp_path / "w.json"))
 
 
 @pytest.mark.parametrize(
