@@ -8,11 +8,13 @@ As a program it makes such a file of a file of weights, through a network of tor
 
 from collections.abc import Iterator
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
 import click
 import numpy as np
+from pydantic import field_validator
 
 from desim.pursuit.team.agent import Agent
 from desim.pursuit.team.observation import observation, observation_names
@@ -27,6 +29,12 @@ class OnnxRule(Rule):
     model: str = "policy.onnx"
     """Path of the file."""
 
+    @field_validator("model")
+    @classmethod
+    def _names_its_inputs(cls, model: str) -> str:
+        features_of(session(model), model)
+        return model
+
     def depends_on(self) -> tuple[str, ...]:
         """Return the file, so that its content is part of the identity of a run."""
         return (self.model,)
@@ -38,8 +46,11 @@ class OnnxRule(Rule):
             ValueError: if the network has inputs that the game has not.
         """
         network = session(self.model)
-        features = network.get_modelmeta().custom_metadata_map["features"].split()
-        columns = [observation_names(me.team_size, me.evader_count).index(name) for name in features]
+        names = observation_names(me.team_size, me.evader_count)
+        features = features_of(network, self.model)
+        if absent := [name for name in features if name not in names]:
+            raise ValueError(f"{self.model} has the input {absent[0]!r}, which the game has not")
+        columns = list(map(names.index, features))
         (entry,) = network.get_inputs()
         while True:
             numbers = np.array(observation(me), dtype=np.float32)[columns]
@@ -49,12 +60,29 @@ class OnnxRule(Rule):
 
 @lru_cache
 def session(path: str) -> Any:
-    """Return the network of a file, which all pursuers share."""
+    """Return the network of a file, which all pursuers share.
+
+    Raises:
+        ValueError: if onnxruntime is not installed, or cannot read the file.
+    """
+    if find_spec("onnxruntime") is None:
+        raise ValueError("onnxruntime is missing: pip install onnxruntime")
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1  # runs are parallel already
-    return onnxruntime.InferenceSession(path, options)
+    try:
+        return onnxruntime.InferenceSession(path, options)
+    except Exception as error:  # those of onnxruntime have no class in common
+        raise ValueError(f"{path} cannot be read: {error}") from error
+
+
+def features_of(network: Any, path: str) -> list[str]:
+    """Return the names of the inputs of a network; ValueError if its file does not have them."""
+    metadata = network.get_modelmeta().custom_metadata_map
+    if "features" not in metadata:
+        raise ValueError(f'{path} does not name its inputs: its metadata should have "features"')
+    return str(metadata["features"]).split()
 
 
 def torch_network(policy: Policy) -> Any:

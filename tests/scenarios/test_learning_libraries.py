@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from desim import load, run
+from desim.config.errors import KeyedError
 from protocols import Policy
 from scenarios.onnx_rule import OnnxRule
 from scenarios.studies import library_runs
@@ -138,3 +139,15 @@ def test_a_network_of_onnx_reads_its_inputs_by_their_names(tmp_path, monkeypatch
     rule = OnnxRule(model=str(tmp_path / "policy.onnx"), schedule=ROUNDS)
     results = [run(scenario.with_({"protocol": protocol}), 3) for protocol in (rule, Policy(schedule=ROUNDS))]
     assert list(results[0].trace) == list(results[1].trace)
+
+
+def test_a_file_that_is_no_such_network_is_refused(tmp_path, monkeypatch):
+    session = Session()
+    session.get_modelmeta = lambda: SimpleNamespace(custom_metadata_map={})
+    monkeypatch.setattr("scenarios.onnx_rule.session", lambda path: session)
+    with pytest.raises(KeyedError, match=r"model: policy.onnx does not name its inputs"):
+        OnnxRule(model="policy.onnx")
+    monkeypatch.undo()
+    monkeypatch.setattr("scenarios.onnx_rule.find_spec", lambda name: None)
+    with pytest.raises(KeyedError, match="onnxruntime is missing: pip install onnxruntime"):
+        OnnxRule(model=str(tmp_path / "absent.onnx"))
