@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from math import isnan, nan
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from desim.config.arguments import naming_arguments
@@ -74,7 +74,8 @@ def fates(
 
     Args:
         messages: rows (t, src, dst, size), ascending in time: s, nodes, and bytes; the dst None is all neighbours. A
-            frame of pandas has these columns in this order; a dst that is missing there is None.
+            frame, a dict or a named tuple with these names has them in any order, and perhaps others; a dst that is
+            missing in a frame is None.
         nodes: as in `SteppedNetwork`.
         links: as in `SteppedNetwork`.
         wait: how long the network is observed after the last message, s.
@@ -130,9 +131,23 @@ def fates(
 
 
 def _rows(messages: Any) -> Iterable[Any]:
-    """Return the rows of messages, which may be a frame of pandas."""
-    rows: Iterable[Any] = messages.itertuples(index=False, name=None) if hasattr(messages, "itertuples") else messages
-    return rows
+    """Return the rows of messages, which may be a frame of pandas or polars, or an array with named fields.
+
+    Raises:
+        ValueError: if they are no rows, but the name of a file for instance.
+    """
+    if isinstance(messages, str | bytes | PurePath) or not isinstance(messages, Iterable):
+        raise ValueError(
+            f"messages should be rows of {', '.join(COLUMNS)} (got {messages!r}); `desim fates` reads files"
+        )
+    names = getattr(getattr(messages, "dtype", None), "names", None)
+    columns = list(getattr(messages, "columns", ()) if names is None else names)
+    table: Any = messages[list(COLUMNS)] if set(COLUMNS) <= set(columns) else messages  # type: ignore[index]
+    if names is not None:
+        return list(table.tolist())
+    if hasattr(table, "itertuples"):  # of pandas
+        return iter(table.itertuples(index=False, name=None))
+    return iter(table.iter_rows() if hasattr(table, "iter_rows") else table)  # of polars, or any rows
 
 
 def _logged(values: Any) -> LoggedMessage:
@@ -141,6 +156,10 @@ def _logged(values: Any) -> LoggedMessage:
     Raises:
         ValueError: if it is not one.
     """
+    if isinstance(values, Mapping) and set(COLUMNS) <= values.keys():
+        values = [values[column] for column in COLUMNS]
+    elif set(COLUMNS) <= set(getattr(values, "_fields", ())):
+        values = [getattr(values, column) for column in COLUMNS]
     row = tuple(values) if isinstance(values, Iterable) and not isinstance(values, str) else ()
     if len(row) != len(COLUMNS):
         raise ValueError(f"a message should be {', '.join(COLUMNS)}")

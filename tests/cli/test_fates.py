@@ -2,6 +2,8 @@
 
 import csv
 from math import isnan, nan
+from pathlib import Path
+from typing import NamedTuple
 
 import pandas as pd
 import pytest
@@ -89,3 +91,51 @@ def test_the_rows_of_a_log_may_be_a_frame_of_pandas():
 def test_a_row_that_is_no_message_is_refused(rows):
     with pytest.raises(ValueError, match=r"message 0 .*: a message should be t, src, dst, size"):
         fates(rows, 3)
+
+
+class Logged(NamedTuple):
+    """A message of a user's log, with its fields in another order."""
+
+    dst: int
+    src: int
+    size: int
+    t: float
+    robot: str = "a"
+
+
+def test_names_of_columns_and_fields_count_and_not_their_order():
+    """Senders and receivers are integers both, so an exchange would not be noticed."""
+    rows = [(0.0, 0, 2, 24), (1.0, 2, 1, 24)]
+    expected = fates(rows, 3, Links(latency=0.5))
+    messages = [Logged(dst, src, size, t) for t, src, dst, size in rows]
+    frame = pd.DataFrame(messages)
+    for others in (messages, [message._asdict() for message in messages], frame, frame.to_records(index=False)):
+        assert fates(others, 3, Links(latency=0.5)) == expected
+    assert fates(frame[["t", "src", "dst", "size"]].rename(columns=str.upper), 3, Links(latency=0.5)) == expected
+
+
+class Polars:
+    """A frame as that of polars."""
+
+    def __init__(self, frame):
+        self._frame, self.columns = frame, list(frame.columns)
+
+    def __getitem__(self, columns):
+        return Polars(self._frame[columns])
+
+    def __iter__(self):
+        raise AssertionError("its items are columns")
+
+    def iter_rows(self):
+        return self._frame.itertuples(index=False, name=None)
+
+
+def test_a_frame_may_be_one_of_polars():
+    frame = pd.DataFrame({"size": [24], "t": [0.0], "src": [0], "dst": [1]})
+    assert fates(Polars(frame), 2) == fates([(0.0, 0, 1, 24)], 2)
+
+
+@pytest.mark.parametrize("messages", ["log.csv", Path("log.csv"), None, 3])
+def test_what_has_no_rows_is_refused(messages):
+    with pytest.raises(ValueError, match="messages should be rows of t, src, dst, size"):
+        fates(messages, 2)
