@@ -173,9 +173,12 @@ def test_a_wall_that_is_none_is_refused_with_what_is_allowed(case):
         ("0 0\n1\n", "a.txt", "line 2: a corner should have two numbers, x y .has 1"),
         ("0 0\n1 1,5x\n", "a.txt", "line 2"),
         ("\n", "a.txt", "has no shape"),
-        ('{"type": "LineString", "coordinates": [[0, 0], [1, 1]]}', "a.geojson", "degrees.*: save it as WKT in m"),
         ('<svg><rect width="4"/></svg>', "a.svg", "<rect> is not read: convert objects to paths"),
         ('<svg><path transform="scale(2)" d="M0 0H1"/></svg>', "a.svg", "transform is not read"),
+        ('<svg><g style="fill:none;display:none"><path d="M0 0H1"/></g></svg>', "a.svg", "'display:none' hides a part"),
+        ('<svg><path visibility="hidden" d="M0 0H1"/></svg>', "a.svg", "'visibility=\"hidden' hides a part"),
+        ('{"type": "LineString", "coordinates": [[13.4, 52.5], [13.5, 52.5]]}', "a.geojson", "GeoJSON.* in degrees"),
+        ("t,x,y\n0,4,0\n", "a.csv", "line 1: a corner should have two numbers, x y .has 3"),
         ("<svg></svg>", "a.svg", "has no <path"),
     ],
 )

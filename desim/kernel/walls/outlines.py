@@ -231,6 +231,10 @@ _UNDRAWN = re.compile(
 )
 """Comments, and elements that are not drawn where they stand."""
 _DATA = re.compile(r"""\sd\s*=\s*("[^"]*"|'[^']*')""")
+_HIDDEN = re.compile(
+    r"""\b(display\s*[:=]\s*["']?\s*none|visibility\s*[:=]\s*["']?\s*(hidden|collapse))\b""", re.IGNORECASE
+)
+_WKT_BEGIN = re.compile(r"[A-Za-z]\w*\s*(Z|M|ZM|EMPTY)?\s*(\(|;|=|$)", re.IGNORECASE)
 _OTHERS = re.compile(r"<\s*(rect|circle|ellipse|line|polyline|polygon|use|image|text)\b", re.IGNORECASE)
 
 
@@ -256,11 +260,15 @@ def file_text(file: Path) -> tuple[str, str]:
     if not first:
         raise ValueError(f"{file} has no shape")
     if first[0] in "{[":
-        raise ValueError(f"{file}: GeoJSON is not read, as its coordinates are degrees (RFC 7946): save it as WKT in m")
+        raise ValueError(
+            f"{file}: GeoJSON is not read, as its positions are in degrees (RFC 7946): project them to m, and write them"
+            " as WKT (in Python, `geometry.wkt` of shapely)"
+        )
     if _COLUMNS.fullmatch(first):
         lines[next(k for k, line in enumerate(lines) if line.strip())] = ""
-    elif first[0].isalpha():
-        return "wkt", "\n".join(lines).strip()
+    elif _WKT_BEGIN.match(first):
+        return "wkt", "
+".join(lines).strip()
     return "wkt", _wkt_of_numbers(lines, file)
 
 
@@ -272,6 +280,8 @@ def _svg_text(text: str, file: Path) -> str:
     text = _UNDRAWN.sub("", text)
     if "transform" in text:
         raise ValueError(f"{file}: the attribute transform is not read: apply transformations in the editor")
+    if hidden := _HIDDEN.search(text):
+        raise ValueError(f"{file}: {hidden[0]!r} hides a part, which would be a wall: delete that part, or show it")
     if other := _OTHERS.search(text):
         raise ValueError(f"{file}: <{other[1]}> is not read: convert objects to paths in the editor")
     data = [match[1][1:-1] for path in _PATH.findall(text) if (match := _DATA.search(path))]
