@@ -1,5 +1,6 @@
 """Scripts give numbers of numpy and others to the functions of the package: a run is the same, or is refused."""
 
+from datetime import timedelta
 from decimal import Decimal
 from fractions import Fraction
 
@@ -8,10 +9,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import desim
 from desim import Announcements, Edges, Links, Recording, Scenario, Team, explain, run, summary, sweep
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.seeds import stream
 from desim.kernel.core.trace_file import line_of
+from desim.kernel.core.units import SECOND
 from desim.kernel.network import Network
 from desim.results import run_folder
 
@@ -183,6 +186,44 @@ def test_what_is_no_number_is_refused_with_a_sentence(act, why):
 
     with pytest.raises(ValueError, match=why):
         run(SHORT.model_copy(update={"protocol": protocol}), 1)
+
+
+NUMBERS = {
+    "max_cycles": (2, lambda value: desim.parallel_env(SHORT, 1, max_cycles=value).max_cycles),
+    "most": (1, lambda value: desim.fatal_losses(SHORT, IDLE, most=value, limit=99, jobs=1).most),
+    "delay": (0.5, lambda value: desim.fatal_losses(SHORT, IDLE, delay=value, limit=99, jobs=1).delay),
+    "zone": (0.5, lambda value: race(zone=value).zone),
+    "confidence": (0.875, lambda value: race(zone=0.5, confidence=value).confidence),
+    "first": (4, lambda value: race(zone=0.5, first=value).first),
+    "horizon": (2.5, lambda value: desim.SteppedNetwork(3, horizon=value)._horizon / SECOND),
+    "wait": (2.5, lambda value: len(desim.fates([(0.0, 0, 1, 8)], 2, wait=value)) * 2.5),
+}
+"""By argument of a function: a number that it takes, and a function that returns what becomes of it."""
+IDLE = "idle at most 0.2 in total"
+
+
+def race(**numbers):
+    """Return a race whose result says how many runs a procedure of two stages would take."""
+    brief = SHORT.with_({"horizon": 0.02})
+    result = desim.race(brief, {"team.count": [3, 4]}, "messages_sent", maximise=True, most=8, **{"first": 4} | numbers)
+    assert result.document()
+    return result
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NUMBERS)
+def test_a_number_in_a_call_is_one_of_any_kind_or_refused(name):
+    value, outcome = NUMBERS[name]
+    kinds = (np.int8, np.array) if type(value) is int else (np.float32, Decimal)
+    for kind in kinds:
+        assert outcome(kind(value)) == value
+        assert type(outcome(kind(value))) in {int, float}
+    for wrong in (str(value), timedelta(seconds=value), True):
+        with pytest.raises(ValueError, match=r"should be (a number|an integer)"):
+            outcome(wrong)
+    if type(value) is float:
+        with pytest.raises(ValueError, match=r"should be a number up to 1\.8e308 \(got one of 401 digits\)"):
+            outcome(10**400)
 
 
 def test_a_node_of_a_network_is_an_integer_of_any_kind():

@@ -104,7 +104,10 @@ def real(value: Any, name: str) -> float:
     number = as_python(value)
     if type(number) is not float and type(number) is not int:
         raise ValueError(f"{name} should be a number (got {value!r})")
-    return float(number)
+    try:
+        return float(number)
+    except OverflowError as error:
+        raise ValueError(f"{name} should be a number up to 1.8e308 (got one of {len(str(number))} digits)") from error
 
 
 def _is_plain(values: list[Any] | tuple[Any, ...]) -> bool:

@@ -179,10 +179,15 @@ def test_times_that_count_from_a_date_start_with_the_earliest_and_others_with_0(
 
 
 TIMES_OF_NOTHING = {
+    "one number for a date and a time": (
+        ["20240517120000", "20240517120001"],
+        "'20240517120000' is probably a date: write 2024-05-17T12:00:00 instead",
+    ),
+    "one number for a date and minutes": (["202405171200", "202405171201"], "write 2024-05-17T12:00:00 instead"),
     "one number for a date": (["20240517", "20240518"], "probably dates: write 2024-05-17 instead of 20240517"),
     "microseconds": (["150000000", "150100000"], "the times begin at 1500*e?.*: they are probably in ms, us or ns"),
     "microseconds before 2001": (["999999999"], "they are probably in ms, us or ns"),
-    "milliseconds in the year 2611": (["20240517123000"], "is too great for a time in s"),
+    "milliseconds in the year 2635": (["20999999999999"], "is too great for a time in s"),
 }
 
 

@@ -323,6 +323,9 @@ def test_wrong_actions_are_refused():
     parallel.reset()
     with pytest.raises(ValueError, match="pursuer_1 has no action"):
         parallel.step({"pursuer_0": 1})
+    for actions in (None, [1, 1, 1, 1, 1], 1):
+        with pytest.raises(ValueError, match="actions should be a dict by agent"):
+            parallel.step(actions)
     with pytest.raises(KeyError, match="there is no agent 'pursuer_9': they are pursuer_0 to pursuer_4"):
         parallel.observe("pursuer_9")
     for wrong in ("pursuer_9", 0):

@@ -47,6 +47,10 @@ DATE = re.compile(
 DATE_FORM = "2024-05-17T12:30:00.25Z"
 COMPACT_DATE = re.compile(r"(?:19|20)\d\d(?:0[1-9]|1[0-2])(?:0[1-9]|[12]\d|3[01])", re.ASCII)
 """Matches a date that is written as one number."""
+COMPACT_TIME = re.compile(
+    r"((?:19|20)\d\d)(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])([01]\d|2[0-3])([0-5]\d)([0-5]\d)?", re.ASCII
+)
+"""Matches a date with a time of day that is written as one number."""
 YEAR_1, YEAR_1970 = datetime(1, 1, 1), datetime(1970, 1, 1)
 
 
@@ -141,6 +145,10 @@ def time_of(text: str, unit: Unit = "s") -> Decimal:
         return _seconds_of_date(text.strip())
     if not is_plain(text):
         raise not_a_number(text)
+    if match := COMPACT_TIME.fullmatch(text):
+        year, month, day, hour, minute, second = match.groups()
+        date = f"{year}-{month}-{day}T{hour}:{minute}:{second or '00'}"
+        raise ValueError(f"{text!r} is probably a date: write {date} instead")
     if is_late:
         raise ValueError(f"{text!r} is too great for a time in {unit}; numbers since 1970 may be in ms, us or ns")
     return seconds

@@ -267,8 +267,7 @@ def file_text(file: Path) -> tuple[str, str]:
     if _COLUMNS.fullmatch(first):
         lines[next(k for k, line in enumerate(lines) if line.strip())] = ""
     elif _WKT_BEGIN.match(first):
-        return "wkt", "
-".join(lines).strip()
+        return "wkt", "\n".join(lines).strip()
     return "wkt", _wkt_of_numbers(lines, file)
 
 

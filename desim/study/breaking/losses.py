@@ -25,6 +25,7 @@ from typing import Literal, NamedTuple, get_args
 
 from desim.analysis.properties import Judgement, Stated, judge
 from desim.config.arguments import naming_arguments, scenario_argument
+from desim.config.python_numbers import real, whole
 from desim.config.traits import kind_of
 from desim.kernel.core.events import LOST
 from desim.kernel.core.units import nanoseconds
@@ -163,8 +164,9 @@ def fatal_losses(
             does not exist or lacks a delay, there are more choices than `limit`, or a run fails without any loss.
     """
     scenario_argument(Scenario).check(scenario, "fatal_losses")
-    if most < 1:
+    if (most := whole(most, "most")) < 1:
         raise ValueError(f"most should be at least 1 (got {most})")
+    delay, limit = real(delay, "delay"), whole(limit, "limit")
     fates = _checked_fates(fates, delay)
     prop = checked_property(prop, scenario)
     table = LossTable(most, (scenario.seed,) if seeds is None else tuple(seeds), fates, delay)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from desim.analysis.metrics import Metrics, check_numeric, more_is, unit_of, words
 from desim.config.arguments import naming_arguments
+from desim.config.python_numbers import real, whole
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.sweep_table import Design
@@ -153,7 +154,8 @@ def carry_out_race(
         ValueError: if a number is out of its range, or the metric has no or an infinite value in a run.
         RunError: if a run fails.
     """
-    count = len(plan.configurations)
+    count, first = len(plan.configurations), whole(first, "first")
+    zone, confidence = real(zone, "zone"), real(confidence, "confidence")
     with progress(None, plan.base.name, "run") as bar:
         samples = _Samples(plan, store, workers, metric, first, timeout, bar)
         selection = kim_nelson(
