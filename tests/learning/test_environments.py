@@ -324,7 +324,7 @@ def test_wrong_actions_are_refused():
     with pytest.raises(ValueError, match="pursuer_1 has no action"):
         parallel.step({"pursuer_0": 1})
     for actions in (None, [1, 1, 1, 1, 1], 1):
-        with pytest.raises(ValueError, match="actions should be a dict by agent"):
+        with pytest.raises(TypeError, match="a step takes a dict of the actions of all agents"):
             parallel.step(actions)
     with pytest.raises(KeyError, match="there is no agent 'pursuer_9': they are pursuer_0 to pursuer_4"):
         parallel.observe("pursuer_9")

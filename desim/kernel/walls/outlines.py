@@ -261,8 +261,8 @@ def file_text(file: Path) -> tuple[str, str]:
         raise ValueError(f"{file} has no shape")
     if first[0] in "{[":
         raise ValueError(
-            f"{file}: GeoJSON is not read, as its positions are in degrees (RFC 7946): project them to m, and write them"
-            " as WKT (in Python, `geometry.wkt` of shapely)"
+            f"{file}: GeoJSON is not read, as its positions are in degrees (RFC 7946): project them to m, and write"
+            " them as WKT (in Python, `geometry.wkt` of shapely)"
         )
     if _COLUMNS.fullmatch(first):
         lines[next(k for k, line in enumerate(lines) if line.strip())] = ""
