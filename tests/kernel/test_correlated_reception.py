@@ -227,6 +227,11 @@ def test_a_stronger_frame_is_one_whose_channel_is_better():
         (lambda: Links(range=9.0, reception=lambda d, r: d < r, fading="correlated"), "reception"),
         (lambda: Coherence(frequency=0.0), "frequency"),
         (lambda: Coherence(frequency=-2.4e9), "frequency"),
+        (
+            lambda: Coherence(frequency=2.4),
+            "frequency: should be greater than or equal to 1000000; Carrier frequency f, Hz",
+        ),
+        (lambda: Coherence(frequency=868), "frequency: should be greater than or equal to 1000000"),
         (lambda: Coherence(doppler=0.0), "doppler"),
         (lambda: Coherence(doppler=float("nan")), "doppler"),
         (lambda: Coherence(decorrelation=0.0), "decorrelation"),

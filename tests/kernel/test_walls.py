@@ -154,6 +154,10 @@ BAD = {
     "a negative loss": ({"line": SQUARE, "loss": -1.0}, "loss: should be"),
     "an unknown material": ({"line": SQUARE, "material": "stone"}, "'concrete', 'brick'"),
     "loss and material": ({"line": SQUARE, "material": "brick", "loss": 3.0}, "a loss or a material, not both"),
+    "thickness in cm": (
+        {"line": SQUARE, "material": "brick", "thickness": 24.0},
+        "thickness: should be less than or equal to 10; Thickness of the slab, m",
+    ),
     "no thickness": ({"line": SQUARE, "material": "brick", "thickness": 0.0}, "thickness: should be greater than 0"),
     "too low": ({"line": SQUARE, "material": "glass", "frequency": 50e6}, "glass is known from 0.1 to 100 GHz"),
     "too high": ({"line": SQUARE, "material": "brick", "frequency": 60e9}, r"from 0.4 to 40 GHz .got 6e.10 Hz"),

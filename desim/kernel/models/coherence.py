@@ -18,8 +18,8 @@ Variation = Literal["fading", "shadowing"]
 """What varies about the mean power of a message: the sum of waves within a wavelength, or obstacles within metres."""
 LIGHT = 299_792_458.0
 """Speed of light, m/s."""
-Frequency = Annotated[float, Field(ge=1.0, le=1e12, strict=True)]
-"""Hz"""
+Frequency = Annotated[float, Field(ge=1e6, le=1e12, strict=True)]
+"""Hz: a smaller number is one in MHz or GHz."""
 
 
 class ChannelState(NamedTuple):

@@ -6,7 +6,7 @@ from math import inf
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, ValidationInfo, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from desim.config.model import MAX_COORDINATE, Coordinate, FirstError, Length, Limit, NotEmpty, Positive, Value
 from desim.config.trust import resolve_path
@@ -18,6 +18,8 @@ Corner = tuple[Coordinate, Coordinate]
 """The position [x, y] of a corner, m."""
 What = Literal["radio", "sight", "motion"]
 """What a wall may block."""
+Thickness = Annotated[float, Field(gt=0, le=10, allow_inf_nan=False, strict=True)]
+"""m: a greater number is one in cm or mm."""
 SHAPE_KEYS = ("line", "polygon", "wkt", "svg", "file")
 """The keys one of which describes the shapes of a wall."""
 
@@ -58,7 +60,7 @@ class Wall(Value):
     straight line from sender to receiver is counted. A solid polygon is entered and left, so it counts twice."""
     material: Material | None = None
     """Instead of a loss: a material of ITU-R P.2040-3, of which the wall is a slab of some thickness."""
-    thickness: Length = 0.1
+    thickness: Thickness = 0.1
     """Thickness of the slab, m; only with a material. Its shape remains that of the line."""
     frequency: Positive = 2.4e9
     """Frequency of the radio, Hz; only with a material.
