@@ -27,6 +27,7 @@ from types import (
     NoneType,
 )
 from typing import Any, Literal, TypeVar
+from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import numpy as np
 from pydantic import BaseModel
@@ -272,8 +273,8 @@ class _Copier(pickle.Pickler):
                 return CellType, ()
         if kind is MethodType:
             return MethodType, (_Kept(value.__func__), value.__self__)
-        if kind is MappingProxyType:
-            return MappingProxyType, (dict(value),)
+        if kind in {MappingProxyType, WeakKeyDictionary, WeakValueDictionary}:
+            return kind, (dict(value),)
         if kind is CACHED:
             return _cached, (value.__wrapped__, value.cache_parameters())
         if kind.__module__ == "itertools":  # Python 3.14 cannot copy them, and 3.12 warns of it

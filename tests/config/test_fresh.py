@@ -9,6 +9,7 @@ import random
 import re
 import sys
 import threading
+import weakref
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextvars import ContextVar
 from types import FunctionType, ModuleType
@@ -152,7 +153,31 @@ class Model(BaseModel):
         return self._calls
 
 
+class Weak:
+    """Remembers something of an object for as long as that exists."""
+
+    def __init__(self):
+        self.key = Remembering()
+        self.calls = weakref.WeakKeyDictionary({self.key: 0})
+
+    def __call__(self):
+        self.calls[self.key] += 1
+        return self.calls[self.key]
+
+
+def dispatching():
+    count = nonlocal_counter()
+
+    @functools.singledispatch
+    def turn(number=1):
+        return count()
+
+    return functools.partial(turn, 1)
+
+
 STATEFUL = {
+    "weak keys": Weak,
+    "dispatching": dispatching,
     "instance": Remembering,
     "method": lambda: Remembering().turn,
     "partial": lambda: functools.partial(Remembering()),
