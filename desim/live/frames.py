@@ -11,16 +11,16 @@ from desim.pursuit.sensing.world_state import WorldState
 
 
 class WorldFrame(NamedTuple):
-    """The state of the world at one time; positions and velocities as lists [x, y], for all pursuers, then evaders."""
+    """The state of the world at one time; positions and velocities as x, y, x, y ... of all pursuers, then evaders."""
 
     t: int
     """ns"""
-    places: list[list[float]]
-    commands: list[list[float]]
+    places: list[float]
+    commands: list[float]
     """Commanded velocities relative to the flow, m/s."""
-    drifts: list[list[float]] | None
+    drifts: list[float] | None
     """Velocities of the flow, m/s; None: there is none."""
-    courses: list[list[list[float]]] | None
+    courses: list[list[float]] | None
     """Velocities and headings of players with inertia; None: they have none."""
     profile: list[int]
     """Actions of the pursuers."""
@@ -31,7 +31,7 @@ class WorldFrame(NamedTuple):
     captured: dict[str, int]
     """When each captured evader was captured, ns, by its number."""
     segments: list[list[Any]]
-    """The present motion step of each evader, as `TrackSegment`; empty before the first."""
+    """The present motion step of each evader, as the fields of `TrackSegment`; empty before the first."""
 
 
 def frame_of(state: WorldState, obeyed: list[int]) -> WorldFrame:
@@ -41,15 +41,15 @@ def frame_of(state: WorldState, obeyed: list[int]) -> WorldFrame:
     segments = [getattr(body.path, "last", None) for body in state.bodies]
     return WorldFrame(
         state.now,
-        pairs_of(players.positions()),
-        pairs_of(players.commands),
-        None if players.drifts is None else pairs_of(players.drifts),
-        None if courses is None else [pairs_of(courses.velocities), pairs_of(courses.headings)],
+        numbers_of(players.positions()),
+        numbers_of(players.commands),
+        None if players.drifts is None else numbers_of(players.drifts),
+        None if courses is None else [numbers_of(courses.velocities), numbers_of(courses.headings)],
         state.profile,
         obeyed,
         state.broken.nonzero()[0].tolist(),
         {str(body.number): body.captured for body in state.bodies if body.captured is not None},
-        [[] if segment is None else _segment_list(segment) for segment in segments],
+        [segment_list(segment) for segment in segments],
     )
 
 
@@ -112,23 +112,24 @@ class Mirror:
             self.state.set_actions(np.array(profile, dtype=np.int64))
 
 
-def pairs_of(points: Points) -> list[list[float]]:
-    """Return complex numbers as lists [x, y]."""
-    return np.column_stack([points.real, points.imag]).tolist()  # type: ignore[no-any-return]
+def numbers_of(points: Points) -> list[float]:
+    """Return the coordinates of complex numbers, x, y, x, y ..."""
+    return np.ascontiguousarray(points).view(float).tolist()  # type: ignore[no-any-return]
 
 
-def points_of(pairs: Any) -> Points:
-    """Return lists [x, y] as complex numbers."""
-    numbers = np.array(pairs, dtype=float).reshape(-1, 2)
-    return numbers[:, 0] + 1j * numbers[:, 1]
+def points_of(numbers: Any) -> Points:
+    """Return complex numbers from their coordinates."""
+    return np.array(numbers, dtype=float).ravel().view(complex)  # type: ignore[no-any-return]
 
 
-def _segment_list(segment: TrackSegment) -> list[Any]:
-    points = np.array([segment.evader, segment.aim, segment.velocity])
-    return [segment.begun, *pairs_of(points), segment.end]
+def segment_list(segment: TrackSegment | None) -> list[Any]:
+    """Return a motion step of an evader as JSON types; None: there is none."""
+    if segment is None:
+        return []
+    begun, evader, aim, velocity, end = segment
+    return [begun, evader.real, evader.imag, aim.real, aim.imag, velocity.real, velocity.imag, end]
 
 
-def _segment_of(segment: list[Any]) -> TrackSegment:
-    begun, *pairs, end = segment
-    evader, aim, velocity = points_of(pairs).tolist()
-    return TrackSegment(begun, evader, aim, velocity, end)
+def _segment_of(fields: list[Any]) -> TrackSegment:
+    begun, x, y, aim_x, aim_y, velocity_x, velocity_y, end = fields
+    return TrackSegment(begun, complex(x, y), complex(aim_x, aim_y), complex(velocity_x, velocity_y), end)

@@ -7,10 +7,10 @@ the time that a datagram takes is absorbed in the latency, unless the latency is
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from desim.kernel.core.events import LOST, Cause, Trace
-from desim.kernel.core.records import Record
+from desim.kernel.core.records import Record, per_receiver
 from desim.kernel.link_layer.link_layer import LinkLayer
 from desim.kernel.link_layer.propagation import LinkSampler
 from desim.kernel.models.links import Links
@@ -28,17 +28,17 @@ MAX_AHEAD = 5_000_000_000
 class SentDatagram(NamedTuple):
     """A transmission as its sender knows it."""
 
-    number: int
-    """The number of its datagram; see `desim.live.wire.Parcel`."""
     t: int
     dst: tuple[int, ...]
     causes: dict[int, Cause]
     """The causes of the losses that are known at transmission, by receiver."""
     created: int
-    size: int
-    datagram: Any
-    """Its bytes; in a report to the referee, their hexadecimal digits."""
-    to_one: bool
+    datagram: bytes
+
+    @property
+    def number(self) -> int:
+        """The number of its datagram; see `desim.live.wire.Parcel`."""
+        return int.from_bytes(self.datagram[:8], "big")
 
 
 class DatagramFate(NamedTuple):
@@ -74,7 +74,7 @@ class SocketLinkLayer(LinkLayer):
         seed: the seed of the network.
         node: the number of this node.
         wire: writes and reads datagrams.
-        post: sends a datagram to a node.
+        post: sends a datagram to some nodes.
         draws: whether losses and latencies are drawn; if not, the links are real.
 
     Attributes:
@@ -82,6 +82,7 @@ class SocketLinkLayer(LinkLayer):
         outcomes: what has become of what has arrived, likewise.
         drops: the numbers of dropped datagrams.
         errors: by how much each delivery was later than its time, ns.
+        trusts_stamps: whether the stamps of records, which are by the clocks of their sources, show the true time.
     """
 
     def __init__(
@@ -94,12 +95,12 @@ class SocketLinkLayer(LinkLayer):
         *,
         node: int,
         wire: Wire,
-        post: Callable[[bytes, int], object],
+        post: Callable[[bytes, list[int]], object],
         draws: bool = True,
     ):
         super().__init__(state, links, sampler, trace, seed)
         self._node, self._wire, self._post, self._draws = node, wire, post, draws
-        self._inboxes, self._copies, self._duplicates = state.inboxes, sampler.duplicates_messages, False
+        self._me, self._copies, self._duplicates = [node], draws and sampler.duplicates_messages, False
         self._log.loss_watchers = [self._note_loss]
         state.records.expect_any_order()  # between two sockets, one datagram may overtake another
         self._seen: dict[int, dict[int, None]] = {}
@@ -107,6 +108,7 @@ class SocketLinkLayer(LinkLayer):
         self.outcomes: list[DatagramFate] = []
         self.errors: list[int] = []
         self.drops = Drops()
+        self.trusts_stamps = True
 
     # Sending.
 
@@ -120,23 +122,20 @@ class SocketLinkLayer(LinkLayer):
         causes: dict[int, Cause] = {} if reachable else dict.fromkeys(receivers, "out_of_range")
         apart = None if self._fault_state is None else self._fault_state.separated(src, receivers)
         causes |= {node: cause for node, cause in zip(receivers, apart or (), strict=bool(apart)) if cause}
-        number = int.from_bytes(datagram[:8], "big")
-        sent = SentDatagram(number, self._env.now, tuple(receivers), causes, created, len(datagram), datagram, to_one)
-        self.departures.append(sent)
-        for node in receivers:
-            if node not in causes:
-                self._post(datagram, node)
+        self.departures.append(SentDatagram(self._env.now, tuple(receivers), causes, created, datagram))
+        self._post(datagram, [node for node in receivers if node not in causes] if causes else receivers)
 
     # Receiving.
 
-    def receive(self, datagram: bytes, sender: int | None) -> None:
-        """Take a datagram that has arrived now; drop it if it is malformed, a replay, or not from whom it names.
+    def receive(self, datagram: bytes, sender: int | None, now: int | None = None) -> None:
+        """Take a datagram that has arrived; drop it if it is malformed, a replay, or not from whom it names.
 
         Args:
             datagram: its bytes.
             sender: the node with the address from which it came; None: none has it.
+            now: when it arrived, ns, not before the present of the clock; None: now.
         """
-        drops = self.drops
+        now, drops = self._env.now if now is None else now, self.drops
         if sender is None or sender == self._node:
             self.drops = drops._replace(foreign=drops.foreign + 1)
             return
@@ -145,18 +144,18 @@ class SocketLinkLayer(LinkLayer):
         except WireError:
             self.drops = drops._replace(malformed=drops.malformed + 1)
             return
+        is_record = isinstance(parcel.content, Record)
         if parcel.src != sender:
             self.drops = drops._replace(foreign=drops.foreign + 1)
-        elif self._is_early(parcel):
+        elif not is_record and parcel.start > now + MAX_AHEAD:  # the stamp of a record may be of a skewed clock
             self.drops = drops._replace(malformed=drops.malformed + 1)
         elif self._is_replay(parcel):
             self.drops = drops._replace(replayed=drops.replayed + 1)
         else:
-            self._arrive(parcel, len(datagram))
-
-    def _is_early(self, parcel: Parcel) -> bool:
-        """Return whether a message, whose stamp is not of a skewed clock, was transmitted far in the future."""
-        return not isinstance(parcel.content, Record) and parcel.start > self._env.now + MAX_AHEAD
+            start = min(parcel.start, now) if self.trusts_stamps or not is_record else now
+            self._deliver(parcel, len(datagram), start, now)
+            if self._copies and self._sampler.duplicates(sender, self._me, start, len(datagram)):
+                self._deliver(parcel, len(datagram), start, now, is_copy=True)
 
     def _is_replay(self, parcel: Parcel) -> bool:
         """Return whether a datagram has arrived before; note that it has arrived now."""
@@ -168,50 +167,36 @@ class SocketLinkLayer(LinkLayer):
             del seen[next(iter(seen))]
         return False
 
-    def _arrive(self, parcel: Parcel, size: int) -> None:
-        """Draw the fate of a datagram, and schedule its delivery."""
-        start = self._start_of(parcel)
-        me, src = [self._node], parcel.src
-        if self._deliver(parcel, size, start, parcel.number):
-            return
-        if self._copies and self._draws and self._sampler.duplicates(src, me, start, size):
-            self._deliver(parcel, size, start, parcel.number, is_copy=True)
-
-    def _start_of(self, parcel: Parcel) -> int:
-        """Return when a transmission started, ns: as it says, if the clock of its sender shows the true time."""
-        now = self._env.now
-        return min(parcel.start, now) if self.trusts_stamps or not isinstance(parcel.content, Record) else now
-
-    trusts_stamps = True
-    """Whether the stamps of records, which are by the clocks of their sources, show the true time."""
-
-    def _deliver(self, parcel: Parcel, size: int, start: int, number: int, *, is_copy: bool = False) -> bool:
-        """Lose a datagram, and return True, or schedule its delivery."""
-        me, now, src, sampler = [self._node], self._env.now, parcel.src, self._sampler
-        transmission = Transmission(
-            number, src, start, size, me, parcel.content, parcel.port, reachable=True, to_one=parcel.to_one
-        )
-        arrival: Any = start
+    def _deliver(self, parcel: Parcel, size: int, start: int, now: int, *, is_copy: bool = False) -> None:
+        """Lose a datagram that was transmitted at a time (ns), or schedule its delivery."""
+        number, src, _, content, port, to_one = parcel
+        me, arrival = self._me, now
         if self._draws:
-            # Both are drawn, also if the message is lost, as where it is sent.
-            arrival = sampler.arrivals(src, me, start, 0, size)
-            arrival = arrival if isinstance(arrival, int) else arrival[0]
-            lost = sampler.losses(src, me, start, size)
-            if lost is not None and lost[0]:
-                self.outcomes.append(
-                    DatagramFate(number, src, self._node, LOST, sampler.cause(src, self._node), is_copy)
-                )
-                return not is_copy
-            if sampler.keeps_order:
-                (arrival,) = sampler.in_order(src, me, [arrival])  # type: ignore[misc]  # a list, as given
-        self.errors.append(max(now - arrival, 0))
-        arrival = max(arrival, now)
+            drawn, cause = self._drawn(src, start, size)
+            if cause:
+                self.outcomes.append(DatagramFate(number, src, self._node, LOST, cause, is_copy))
+                return
+            self.errors.append(max(now - drawn, 0))
+            arrival = max(drawn, now)
         self.outcomes.append(DatagramFate(number, src, self._node, arrival, "", is_copy))
+        transmission = Transmission(number, src, start, size, me, content, port, True, to_one)
         if self._fault_state is None:
             self.delivery.schedule(transmission, me, [arrival], {}, 0)
         else:  # a fault may have begun since the transmission: that is decided on arrival
             self.delivery.arrivals.schedule(transmission, me, [arrival], 0)
-        return False
+
+    def _drawn(self, src: int, start: int, size: int) -> tuple[int, Cause]:
+        """Draw the arrival time, ns, of a datagram that was transmitted at a time, and the cause of its loss, or ""."""
+        # Both are drawn, also if the message is lost, as where it is sent.
+        me, sampler = self._me, self._sampler
+        arrival = sampler.arrivals(src, me, start, 0, size)
+        lost = sampler.losses(src, me, start, size)
+        if lost is not None and lost[0]:
+            return LOST, sampler.cause(src, self._node)
+        if sampler.keeps_order:
+            arrival = sampler.in_order(src, me, arrival)
+        (when,) = per_receiver(arrival, 1)
+        return when, ""
 
     def _note_loss(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
         """Note a loss on arrival."""

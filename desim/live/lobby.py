@@ -2,18 +2,18 @@
 
 import asyncio
 import hmac
-import json
 import secrets
 import socket
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from signal import Signals
 from time import monotonic_ns
 from typing import Any
 
+from desim.live.lines import Lines, line_of
 from desim.live.nursery import Nursery
-from desim.live.pursuer import LINE
 from desim.live.sockets import udp_socket
 from desim.live.start import PursuerStart, digest
 from desim.scenario.scenario import Scenario
@@ -29,20 +29,6 @@ BACKLOG = 1 << 20
 
 class LiveError(RuntimeError):
     """A live run could not begin, or a protocol has raised an exception."""
-
-
-@dataclass
-class _Connection:
-    """A pursuer that has joined."""
-
-    writer: asyncio.StreamWriter
-    address: list[Any]
-    is_done: bool = False
-    """Whether it has reported its last, or was lost."""
-
-    def tell(self, *words: Any) -> None:
-        """Send a line."""
-        self.writer.write(json.dumps(words).encode() + b"\n")
 
 
 class Lobby:
@@ -67,7 +53,8 @@ class Lobby:
     ):
         self._scenario, self._hosts, self._hear, self._lose = scenario, hosts, hear, lose
         self._token = secrets.token_hex(16)
-        self._joined: dict[int, _Connection] = {}
+        self._connections: list[Lines] = []
+        self._joined: dict[int, _Pursuer] = {}
         self._ready: set[int] = set()
         self._statuses: dict[int, int] = {}
         self._changed = asyncio.Event()
@@ -99,7 +86,8 @@ class Lobby:
             pursuer for pursuer, host in enumerate(self._hosts) if not namespaces[pursuer] and not _is_local(host)
         ]
         home = _address_towards(self._hosts[self._distant[0]]) if self._distant else LOCAL
-        self._server = await asyncio.start_server(self._welcome, "0.0.0.0" if self._distant else LOCAL, 0, limit=LINE)
+        loop = asyncio.get_running_loop()
+        self._server = await loop.create_server(self._welcome, "0.0.0.0" if self._distant else LOCAL, 0)
         referee = home, int(self._server.sockets[0].getsockname()[1])
         starts = [
             PursuerStart(referee, self._token, pursuer, seed, host, draws, namespaces[pursuer])
@@ -112,17 +100,16 @@ class Lobby:
             await nursery.start(self._scenario, local, self._ended)
         await self._until(lambda: len(self._joined) == len(starts), HOSTS if self._distant else JOINING)
         addresses = [self._joined[pursuer].address for pursuer in range(len(starts))]
-        for pursuer, connection in self._joined.items():
-            connection.tell("start", addresses, pursuer not in self._distant)
+        for pursuer, joined in self._joined.items():
+            joined.lines.tell("start", addresses, pursuer not in self._distant)
         await self._until(lambda: len(self._ready) == len(starts), JOINING)
 
     def tell_all(self, *words: Any, may_skip: bool = False) -> None:
         """Send a line to all pursuers; with `may_skip`, not to those that are far behind with reading."""
-        line = json.dumps(words).encode() + b"\n"
-        for connection in self._joined.values():
-            behind = connection.writer.transport.get_write_buffer_size() > BACKLOG
-            if not (connection.is_done or (may_skip and behind)):
-                connection.writer.write(line)
+        line = line_of(*words)
+        for pursuer in self._joined.values():
+            if not (pursuer.is_done or (may_skip and pursuer.lines.unread > BACKLOG)):
+                pursuer.lines.write(line)
 
     async def reports(self, limit: float) -> list[int]:
         """Wait until all pursuers have reported their last; return those that have not within a limit, s."""
@@ -136,11 +123,11 @@ class Lobby:
         self.is_over = True
         if hasattr(self, "_server"):
             self._server.close()
-        for connection in self._joined.values():
-            connection.writer.close()
+        for lines in self._connections:
+            lines.close()
 
     def _missing(self) -> list[int]:
-        return sorted(pursuer for pursuer, connection in self._joined.items() if not connection.is_done)
+        return sorted(number for number, pursuer in self._joined.items() if not pursuer.is_done)
 
     def _ended(self, pursuer: int, status: int) -> None:
         """Note how a process has ended."""
@@ -166,64 +153,79 @@ class Lobby:
             text = ", ".join(map(str, late))
             raise LiveError(f"no process of pursuer {text} has joined within {limit:g} s") from None
 
-    async def _welcome(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve a process that connects."""
-        pursuer: int | None = None
-        try:
-            pursuer = self._admit(writer, *json.loads(await reader.readline()))
-            while pursuer is not None and (line := await reader.readline()):
-                self._take(pursuer, *json.loads(line))
-        except (OSError, ValueError, TypeError, asyncio.IncompleteReadError):
-            pass  # a stranger, or a process that was lost in the middle of a line
-        finally:
-            writer.close()
-            if pursuer is not None:
-                await self._leave(pursuer)
+    # Connections.
 
-    def _admit(
-        self, writer: asyncio.StreamWriter, word: str, pursuer: int, token: str, scenario: str, address: list[Any]
-    ) -> int | None:
-        """Return the number of a pursuer that joins; None if it does not belong to the run."""
-        why = ""
-        if word != "hello" or not hmac.compare_digest(str(token).encode(), self._token.encode()):
-            why = "the referee does not know this process"
-        elif pursuer not in range(len(self._hosts)) or pursuer in self._joined:
-            why = f"the run has no pursuer {pursuer}, or has it already"
-        elif scenario and scenario != digest(self._scenario):
-            why = "the scenario of the run is another one"
-        connection = _Connection(writer, address)
+    def _welcome(self) -> Lines:
+        """Return the end of a connection of a process that has yet to say who it is."""
+        lines = Lines(lambda *words: self._admit(lines, *words))
+        self._connections.append(lines)
+        return lines
+
+    def _admit(self, lines: Lines, word: str, *values: Any) -> None:
+        """Let a process join the run, or refuse it."""
+        match word, *values:
+            case "hello", int(pursuer), str(token), scenario, address:
+                why = self._refusal(pursuer, token, scenario)
+            case _:
+                why = "it does not speak as a pursuer does"
         if why:
-            connection.tell("refused", why)
-            return None
-        self._joined[pursuer] = connection
+            lines.tell("refused", why)
+            lines.close()
+            return
+        self._joined[pursuer] = _Pursuer(lines, address)
+        lines.hear, lines.lost = partial(self._take, pursuer), partial(self._leave, pursuer)
         self._changed.set()
-        return pursuer
+
+    def _refusal(self, pursuer: int, token: str, scenario: str) -> str:
+        """Return why a process cannot join as a pursuer; "" if it can."""
+        if not hmac.compare_digest(token.encode(), self._token.encode()):
+            return "the referee does not know this process"
+        if pursuer not in range(len(self._hosts)) or pursuer in self._joined:
+            return f"the run has no pursuer {pursuer}, or has it already"
+        return "the scenario of the run is another one" if scenario and scenario != digest(self._scenario) else ""
 
     def _take(self, pursuer: int, word: str, *values: Any) -> None:
         """Take a line of a pursuer."""
-        connection = self._joined[pursuer]
+        joined = self._joined[pursuer]
         if word == "ping":
-            connection.tell("pong", monotonic_ns())
-        elif word == "ready":
+            joined.lines.tell("pong", monotonic_ns())
+            return
+        if word == "ready":
             self._ready.add(pursuer)
         elif word == "error":
             self.errors.append(f"pursuer {pursuer}: {' '.join([values[0], *values[1]])}")
         else:
-            connection.is_done |= word == "done"
+            joined.is_done |= word == "done"
             self._hear(pursuer, word, *values)
         self._changed.set()
 
-    async def _leave(self, pursuer: int) -> None:
+    def _leave(self, pursuer: int) -> None:
         """Note that the process of a pursuer has closed its connection."""
-        connection = self._joined[pursuer]
-        if not self.is_over and (self.errors or not connection.is_done):
-            connection.is_done = True
-            for _ in range(20):  # until the nursery has told how it ended
-                if pursuer in self._statuses or pursuer in self._distant:
-                    break
-                await asyncio.sleep(0.01)
-            self._lose(pursuer, ending(self._statuses.get(pursuer)))
+        joined = self._joined[pursuer]
+        if not self.is_over and (self.errors or not joined.is_done):
+            joined.is_done = True
+            joined.loss = asyncio.create_task(self._tell_loss(pursuer))
         self._changed.set()
+
+    async def _tell_loss(self, pursuer: int) -> None:
+        """Tell how the process of a pursuer ended, once the nursery has told it."""
+        for _ in range(20):
+            if pursuer in self._statuses or pursuer in self._distant:
+                break
+            await asyncio.sleep(0.01)
+        self._lose(pursuer, ending(self._statuses.get(pursuer)))
+
+
+@dataclass
+class _Pursuer:
+    """A pursuer that has joined."""
+
+    lines: Lines
+    address: list[Any]
+    is_done: bool = False
+    """Whether it has reported its last, or was lost."""
+    loss: asyncio.Task[None] | None = None
+    """Tells how it was lost."""
 
 
 def ending(status: int | None) -> str:

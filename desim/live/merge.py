@@ -47,10 +47,9 @@ class Logs:
 
     def sent(self, pursuer: int, rows: Iterable[Any]) -> None:
         """Take the transmissions of a pursuer."""
-        for number, t, dst, causes, created, size, datagram, to_one in rows:
+        for t, dst, causes, created, datagram in rows:
             lost = {int(node): cause for node, cause in causes.items()}
-            sent = SentDatagram(number, t, tuple(dst), lost, created, size, bytes.fromhex(datagram), to_one)
-            self.departures.append((pursuer, sent))
+            self.departures.append((pursuer, SentDatagram(t, tuple(dst), lost, created, bytes.fromhex(datagram))))
 
     def arrived(self, rows: Iterable[Any]) -> None:
         """Take the outcomes of datagrams; a loss on arrival replaces an arrival."""
@@ -121,7 +120,7 @@ class Logs:
         self, src: int, sent: SentDatagram, fates: Mapping[int, "_Fate"], number: int, traffic: "_Traffic"
     ) -> Iterable[tuple[int, int, Event]]:
         content = self._wire.decode(sent.datagram).content
-        arrivals, size, created = {node: fate.arrival for node, fate in fates.items()}, sent.size, sent.created
+        arrivals, size, created = {node: fate.arrival for node, fate in fates.items()}, len(sent.datagram), sent.created
         traffic.transmit(sent, fates.values())
         if isinstance(content, Record):
             times = tuple(arrivals.values())
@@ -171,7 +170,7 @@ class _Traffic:
     def transmit(self, sent: SentDatagram, fates: Iterable[_Fate]) -> None:
         """Count a transmission."""
         self._transmissions += 1
-        self._bytes += sent.size
+        self._bytes += len(sent.datagram)
         for fate in fates:
             self._sent += 1
             if fate.arrival > self.end:

@@ -12,9 +12,9 @@ async with node.open(("127.0.0.1", 9000), peers):
 
 import asyncio
 import socket
-from collections import deque
-from collections.abc import AsyncIterator, Callable, Sequence
-from contextlib import ExitStack, asynccontextmanager, suppress
+from collections.abc import AsyncIterator, Callable, Iterable, Sequence
+from contextlib import ExitStack, asynccontextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -32,14 +32,15 @@ from desim.kernel.link_layer.propagation import LinkSampler
 from desim.kernel.models.faults import is_skewed
 from desim.kernel.models.links import Links
 from desim.kernel.state.network_state import NetworkState
-from desim.live.frames import Mirror, WorldFrame, pairs_of, points_of
+from desim.live.frames import Mirror, WorldFrame, frame_of, numbers_of, points_of, segment_list
 from desim.live.link import SocketLinkLayer
 from desim.live.refusals import check_live
-from desim.live.sockets import Receiver, udp_socket
+from desim.live.sockets import Datagrams, resolved, udp_socket
 from desim.live.start import Address
 from desim.live.wall_clock import Lateness, WallClock
-from desim.live.wire import Wire
+from desim.live.wire import Wire, is_record
 from desim.pursuit.core.traits import DisseminationTraits
+from desim.pursuit.motion.dead_reckoning import TrackSegment
 from desim.pursuit.motion.guidance import guided_velocity
 from desim.pursuit.sensing.views import GlobalState, View
 from desim.pursuit.team.agent import Agent
@@ -49,6 +50,8 @@ from desim.simulation.wiring import make_agents, make_network
 from desim.simulation.world import initial_state, possible_action
 from protocols.dissemination import PORT as ANNOUNCEMENTS
 
+MAX_UNREAD = 256
+"""Number of datagrams that wait to be read at most."""
 DRAIN = 0.02
 """Time for which a node reads its socket after the end, so that the fates of what was on the way are known, s."""
 
@@ -98,8 +101,9 @@ class Node:
         self._scenario, self._state = scenario, (state := initial_state(env, scenario, seed))
         self._mirror = Mirror(state, pursuer)
         self.trace = Trace()
-        self._received: deque[tuple[bytes, int | None]] = deque()
-        self._transport: asyncio.DatagramTransport | None = None
+        self._unread: list[tuple[bytes, int | None, int | None]] = []
+        """Datagrams with their senders, and when they arrived, ns; None: before the start."""
+        self._datagrams: Datagrams | None = None
         self._peers: list[Address] = []
         self._number_of: dict[Address, int] = {}
         self._wire = Wire.of(scenario)
@@ -164,7 +168,7 @@ class Node:
             BaseException: what the protocol raises.
         """
         with self._opened:
-            await self.bind(address)
+            self.bind(udp_socket(address))
             if peers:
                 self.connect(peers)
             running = asyncio.create_task(self.run(now))
@@ -174,46 +178,41 @@ class Node:
                 self.stop()
                 await running
 
-    async def bind(self, address: Address, bound: socket.socket | None = None) -> Address:
-        """Listen at an address, or on a socket that is bound already; return the address."""
-        loop = asyncio.get_running_loop()
-        bound = bound or udp_socket(address)
-        self._transport, _ = await loop.create_datagram_endpoint(lambda: Receiver(self.arrived), sock=bound)
-        host, port, *_ = self._transport.get_extra_info("sockname")
-        return str(host), int(port)
+    def bind(self, bound: socket.socket) -> Address:
+        """Listen on a socket; return its address."""
+        self._datagrams = Datagrams(bound, self.arrived)
+        return self._datagrams.address
 
     def connect(self, peers: Sequence[Address]) -> None:
         """Name the addresses of all pursuers, in order.
 
         Raises:
             ValueError: if there are more or fewer of them than pursuers.
+            OSError: if a host is not known.
         """
         if len(peers) != self._state.size:
             raise ValueError(f"peers should be the addresses of {self._state.size} pursuers (got {len(peers)})")
-        self._peers = [(str(host), int(port)) for host, port in peers]
+        self._peers = [resolved(peer) for peer in peers]
         self._number_of = {peer: number for number, peer in enumerate(self._peers)}
 
-    async def run(
-        self, now: Callable[[], int] | None = None, *, caught_up: Callable[[], object] = lambda: None
-    ) -> None:
+    async def run(self, now: Callable[[], int] | None = None) -> None:
         """Run the protocol until `stop` is called, or the horizon is reached.
 
         Args:
             now: as for `open`.
-            caught_up: called each time that the clock has caught up with the wall clock.
 
         Raises:
             BaseException: what the protocol raises.
         """
-        self.clock = WallClock(self._env, self._over, now)
+        self.clock = WallClock(self._env, self._over, now, self._read)
         try:
-            await self.clock.follow(self._take, caught_up)
+            await self.clock.ended
             await asyncio.sleep(DRAIN)
-            self._take()
+            self._read()
         finally:
             self.stop()
-            if self._transport is not None:
-                self._transport.close()
+            if self._datagrams is not None:
+                self._datagrams.close()
 
     def stop(self, at: int | None = None) -> None:
         """End the run of this node.
@@ -233,24 +232,29 @@ class Node:
         """Whether the node has stopped, or the horizon is reached."""
         return self._over.triggered
 
-    def _post(self, datagram: bytes, node: int) -> None:
-        """Send a datagram to a node; where it cannot be sent, it is lost."""
-        if self._transport is not None and self._peers:
-            with suppress(OSError):
-                self._transport.sendto(datagram, self._peers[node])
+    def _post(self, datagram: bytes, nodes: Iterable[int]) -> None:
+        """Send a datagram to some nodes, as far as their addresses are known."""
+        if self._datagrams is not None and self._peers:
+            self._datagrams.send(datagram, [self._peers[node] for node in nodes])
 
     def arrived(self, datagram: bytes, address: Address) -> None:
-        """Take a datagram from the socket."""
-        self._received.append((datagram, self._number_of.get(address)))
-        if self.clock is not None:
-            self.clock.wake()
+        """Take a datagram from the socket.
 
-    def _take(self) -> bool:
-        """Pass what has arrived to the link layer; return whether there was anything."""
-        any_received = bool(self._received)
-        while self._received:
-            self.link.receive(*self._received.popleft())
-        return any_received
+        A record that certainly arrives wakes no process. It is read when the clock goes on, together with others, which
+        takes a quarter of the time.
+        """
+        clock = self.clock
+        self._unread.append((datagram, self._number_of.get(address), None if clock is None else clock.now()))
+        can_wait = is_record(datagram) and self.link.delivery.is_certain and len(self._unread) < MAX_UNREAD
+        if clock is not None and not can_wait:
+            clock.meet()
+
+    def _read(self) -> None:
+        """Hand the datagrams that have arrived to the link layer."""
+        assert self.clock is not None
+        unread, self._unread = self._unread, []
+        for datagram, sender, when in unread:
+            self.link.receive(datagram, sender, max(self.clock.now(), 0) if when is None else when)
 
     # What the robot tells, and what it is told.
 
@@ -266,9 +270,10 @@ class Node:
 
     def show(self, frame: WorldFrame) -> None:
         """Let the world be as in a frame of the referee."""
-        self._mirror.show(frame)
-        if self.clock is not None:
-            self.clock.wake()
+        if self.clock is None:
+            self._mirror.show(frame)
+        else:
+            self.clock.meet(partial(self._mirror.show, frame))
 
     def sense(self, position: Any, evaders: Any, teammates: Any = None, velocities: Any = None) -> None:
         """Tell the node where the pursuer and the evaders are now.
@@ -285,44 +290,20 @@ class Node:
         Raises:
             ValueError: if an argument has another shape, or is not finite.
         """
-        state, me = self._state, self.pursuer
-        here, there = _points("position", [position], 1), _points("evaders", evaders, state.evader_count)
+        state, now = self._state, self._env.now
         places = state.players.positions().copy()
+        commands = np.zeros_like(places)
         if teammates is not None:
             places[: state.size] = _points("teammates", teammates, state.size)
-        places[me], places[state.size :] = here.item(0), there
-        commands = np.zeros_like(places)
+        places[self.pursuer] = _points("position", [position], 1).item(0)
+        places[state.size :] = _points("evaders", evaders, state.evader_count)
         if velocities is not None:
             commands[state.size :] = _points("velocities", velocities, state.evader_count)
-        now = self._env.now
-        horizon = min(now + nanoseconds(self._scenario.motion.step), self._horizon)
-        segments = [
-            [now, *pairs_of(np.array([place, place, velocity])), horizon]
-            for place, velocity in zip(there.tolist(), commands[state.size :].tolist(), strict=True)
-        ]
-        everybody = range(state.size + state.evader_count)
-        courses = None
-        if not state.dynamics.is_simple:
-            velocity, heading = state.players.courses(everybody)
-            courses = [pairs_of(velocity), pairs_of(heading)]
-        obeyed = [self._mirror.orders] * state.size
-        drifts = None if state.players.drifts is None else pairs_of(state.players.drifts)
-        broken = state.broken.nonzero()[0].tolist()
-        captured = {str(body.number): body.captured for body in state.bodies if body.captured is not None}
-        self.show(
-            WorldFrame(
-                now,
-                pairs_of(places),
-                pairs_of(commands),
-                drifts,
-                courses,
-                state.profile,
-                obeyed,
-                broken,
-                captured,
-                segments,
-            )
-        )
+        end = min(now + nanoseconds(self._scenario.motion.step), self._horizon)
+        seen = zip(places[state.size :].tolist(), commands[state.size :].tolist(), strict=True)
+        segments = [segment_list(TrackSegment(now, place, place, velocity, end)) for place, velocity in seen]
+        frame = frame_of(state, [self._mirror.orders] * state.size)
+        self.show(frame._replace(places=numbers_of(places), commands=numbers_of(commands), segments=segments))
 
     def captured(self, evader: int) -> None:
         """Tell the node that an evader has been captured.

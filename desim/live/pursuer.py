@@ -1,31 +1,33 @@
 """The process of one pursuer: a node, and a connection to the referee over which frames come and orders go."""
 
 import asyncio
-import json
 import os
 import sys
-from contextlib import suppress
 from time import monotonic_ns, process_time
 from traceback import format_exception_only
 from typing import Any
 
+from desim.kernel.core.clock import RARE_COLLECTION
 from desim.kernel.core.events import Broadcast, Lost, Sent
 from desim.kernel.core.trace_file import line_of
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.faults import FaultEnded, FaultStarted
 from desim.live.frames import WorldFrame
+from desim.live.lines import Lines
 from desim.live.namespaces import within_namespace
 from desim.live.node import Node
 from desim.live.sockets import udp_socket
 from desim.live.start import PursuerStart
 from desim.scenario.scenario import Scenario
 
-LINE = 1 << 24
-"""Largest length of a line between a pursuer and the referee, bytes."""
+REPORTS = 0.25
+"""Time between two reports of what has happened, s; what was not reported by a process that is killed is lost."""
 SILENCE = 1.0
 """Time without a frame after which a pursuer tells that the referee stalls, s."""
 GIVE_UP = 30.0
 """Time without a frame after which a pursuer ends, s."""
+LEAVING = 2.0
+"""Time in which the referee should have read the last report, s."""
 EXCHANGES = 8
 """Number of time stamps that a pursuer on another host exchanges with the referee."""
 ALONE, LOST_REFEREE = 3, 4
@@ -36,10 +38,8 @@ OF_NETWORK = (Broadcast, Sent, Lost, FaultStarted, FaultEnded)
 
 def play(scenario: Scenario, start: PursuerStart) -> int:
     """Run one pursuer to the end of the run; return the exit code of the process."""
-    try:
+    with RARE_COLLECTION:
         return asyncio.run(_Pursuer(scenario, start).play())
-    except (ConnectionError, asyncio.IncompleteReadError):
-        return LOST_REFEREE
 
 
 class _Pursuer:
@@ -48,124 +48,117 @@ class _Pursuer:
     def __init__(self, scenario: Scenario, start: PursuerStart):
         self._start, self._begin, self._offset = start, 0, 0
         self._node = Node(scenario, start.pursuer, start.seed, draws=start.draws, on_action=self._order)
-        self._heard = 0.0
-        self._is_silent = False
+        self._heard = self._reported = 0.0
+        self._is_told = False
+        """Whether it has told that the referee stalls."""
 
     async def play(self) -> int:
         """Join the run, and play until it is over."""
-        start = self._start
+        start, heard = self._start, asyncio.Queue[Any]()
+        self._lines = lines = Lines(lambda *words: heard.put_nowait(words), lambda: heard.put_nowait(("gone",)))
         try:
-            self._reader, self._writer = await asyncio.open_connection(*start.referee, limit=LINE)
+            await asyncio.get_running_loop().create_connection(lambda: lines, *start.referee)
         except OSError as error:
-            print(f"pursuer {start.pursuer}: no referee at {start.referee[0]}: {error}", file=sys.stderr)
-            return ALONE
+            return self._fail(f"no referee at {start.referee[0]}: {error}")
         with within_namespace(start.namespace):
             bound = udp_socket((start.host, 0))
-        address = await self._node.bind((start.host, 0), bound)
-        self._tell("hello", start.pursuer, start.token, start.scenario, list(address))
-        word, *values = await self._hear()
-        while word != "start":
-            if word == "refused":
-                print(f"pursuer {start.pursuer}: {values[0]}", file=sys.stderr)
-                return ALONE
-            word, *values = await self._hear()
-        addresses, shares_clock = values
-        self._offset = 0 if shares_clock else await self._measured_offset()
-        self._node.connect([(host, port) for host, port in addresses])  # before others may send
-        self._tell("ready")
-        word, self._begin = await self._hear()
-        return await self._run()
+        lines.tell("hello", start.pursuer, start.token, start.scenario, self._node.bind(bound))
+        while True:
+            match await heard.get():
+                case "start", addresses, shares_clock:
+                    self._offset = 0 if shares_clock else await self._measured_offset(heard)
+                    self._node.connect([(host, port) for host, port in addresses])  # before others may send
+                    lines.tell("ready")
+                case "begin", begin:
+                    self._begin = begin
+                    return await self._run(heard)
+                case "refused", why:
+                    return self._fail(why)
+                case _:
+                    return LOST_REFEREE
 
-    async def _run(self) -> int:
-        node, loop = self._node, asyncio.get_running_loop()
-        self._spent = process_time()
-        self._heard = loop.time()
-        running = asyncio.create_task(node.run(self._now, caught_up=self._report))
-        listening = asyncio.create_task(self._listen())
-        watching = asyncio.create_task(self._watch())
-        code = 0
-        try:
-            await asyncio.wait({running, listening}, return_when=asyncio.FIRST_COMPLETED)
-            if listening.done() and listening.exception():  # the referee has gone
-                code = LOST_REFEREE
-                node.stop()
-            await running
-        except BaseException as error:
-            self._tell("error", "".join(format_exception_only(error)).strip(), getattr(error, "__notes__", []))
-            raise
-        finally:
-            watching.cancel()
-            self._report()
-            counts, drops = node.transport_counts(), node.link.drops
-            lateness = [] if node.clock is None else node.clock.lateness
-            cpu = process_time() - self._spent
-            self._tell("done", None if counts is None else list(counts), list(drops), lateness, node.link.errors, cpu)
-            with suppress(OSError):
-                await asyncio.wait_for(self._writer.drain(), 2.0)
-                self._writer.close()
-                await self._writer.wait_closed()
-            listening.cancel()
-        return code
+    def _fail(self, why: str) -> int:
+        print(f"pursuer {self._start.pursuer}: {why}", file=sys.stderr)
+        return ALONE
 
-    def _now(self) -> int:
-        return monotonic_ns() + self._offset - self._begin
-
-    async def _measured_offset(self) -> int:
+    async def _measured_offset(self, heard: "asyncio.Queue[Any]") -> int:
         """Return by how much the clock of the referee is ahead, ns: that of the fastest of several exchanges."""
         best = (1 << 62, 0)
         for _ in range(EXCHANGES):
             sent = monotonic_ns()
-            self._tell("ping")
-            _, there = await self._hear()
+            self._lines.tell("ping")
+            _, there = await heard.get()
             back = monotonic_ns()
             best = min(best, (back - sent, there - (sent + back) // 2))
         return best[1]
 
-    async def _listen(self) -> None:
-        """Take the frames of the referee until the run is over."""
-        while True:
-            word, *values = await self._hear()
-            self._heard, self._is_silent = asyncio.get_running_loop().time(), False
-            if word == "frame":
-                self._node.show(WorldFrame(*values))
-            elif word == "over":
-                self._node.stop(*values)
-                return
+    # The run.
+
+    async def _run(self, heard: "asyncio.Queue[Any]") -> int:
+        """Play until the run is over; return the exit code."""
+        node, spent = self._node, process_time()
+        self._heard = self._reported = asyncio.get_running_loop().time()
+        running = asyncio.create_task(node.run(lambda: monotonic_ns() + self._offset - self._begin))
+        self._lines.hear, self._lines.lost = self._take, node.stop
+        while not heard.empty():
+            self._take(*heard.get_nowait())
+        watching = asyncio.create_task(self._watch())
+        try:
+            await running
+        except BaseException as error:
+            text = "".join(format_exception_only(error)).strip()
+            self._lines.tell("error", text, getattr(error, "__notes__", []))
+            raise
+        finally:
+            watching.cancel()
+            was_lost = self._lines.ended.done()
+            await self._leave(process_time() - spent)
+        return LOST_REFEREE if was_lost else 0
+
+    def _take(self, word: str, *values: Any) -> None:
+        """Take a line of the referee."""
+        self._heard, self._is_told = asyncio.get_running_loop().time(), False
+        if word == "over":
+            self._node.stop(*values)
+        elif word == "frame":
+            self._node.show(WorldFrame(*values))
+            if self._heard > self._reported + REPORTS:
+                self._reported = self._heard
+                self._report()
+        else:
+            self._node.stop()
 
     async def _watch(self) -> None:
         """Tell if the referee falls silent, and end if it stays so."""
         while True:
             await asyncio.sleep(SILENCE / 4)
             silent = asyncio.get_running_loop().time() - self._heard
-            if silent > SILENCE and not self._is_silent and self._now() > 0:
-                self._is_silent = True
-                print(f"pursuer {self._start.pursuer}: no frame of the referee for {silent:.1f} s", file=sys.stderr)
+            if silent > SILENCE and not self._is_told:
+                self._is_told = True
+                self._fail(f"no frame of the referee for {silent:.1f} s")
             if silent > GIVE_UP:
                 os._exit(LOST_REFEREE)
 
     def _order(self, action: int) -> None:
-        self._tell("order", nanoseconds(self._node.now), action)
+        self._lines.tell("order", nanoseconds(self._node.now), action)
+
+    # Reports.
 
     def _report(self) -> None:
         """Send what has happened since the last report."""
         link, trace = self._node.link, self._node.trace
-        if link.departures:
-            self._tell("sent", [sent._replace(datagram=bytes.hex(sent.datagram)) for sent in link.departures])
-            link.departures.clear()
-        if link.outcomes:
-            self._tell("outcomes", link.outcomes)
-            link.outcomes.clear()
-        if trace.events:
-            lines = [line_of(event) for event in trace.events if not isinstance(event, OF_NETWORK)]
-            trace.events.clear()
-            if lines:
-                self._tell("events", lines)
+        sent = [(*rest, datagram.hex()) for *rest, datagram in link.departures]
+        lines = [line_of(event) for event in trace.events if not isinstance(event, OF_NETWORK)]
+        self._lines.tell("report", sent, link.outcomes, lines)
+        for taken in (link.departures, link.outcomes, trace.events):
+            taken.clear()
 
-    def _tell(self, *words: Any) -> None:
-        self._writer.write(json.dumps(words).encode() + b"\n")
-
-    async def _hear(self) -> Any:
-        line = await self._reader.readline()
-        if not line:
-            raise ConnectionError("the referee has gone")
-        return json.loads(line)
+    async def _leave(self, cpu: float) -> None:
+        """Send the last report, and how the run went, and close the connection."""
+        node, lines = self._node, self._lines
+        self._report()
+        counts, lateness = node.transport_counts(), [] if node.clock is None else node.clock.lateness
+        numbers = None if counts is None else list(counts)
+        lines.tell("done", numbers, list(node.link.drops), lateness, node.link.errors, cpu)
+        lines.close()
+        await asyncio.wait({lines.ended}, timeout=LEAVING)

@@ -1,7 +1,7 @@
 """The referee of a live run: it moves the players, answers what the pursuers sense, and ends the run."""
 
-from collections import deque
 from collections.abc import Callable, Generator, Sequence
+from functools import partial
 from time import monotonic_ns
 from typing import Any
 
@@ -21,6 +21,7 @@ from desim.live.refusals import check_live
 from desim.live.result import REFEREE, Conduct, LiveResult
 from desim.live.wall_clock import WallClock
 from desim.live.wire import Wire
+from desim.pursuit.core.events import BrokeDown, Captured
 from desim.pursuit.sensing.views import View
 from desim.scenario.scenario import Scenario
 from desim.simulation.run_end import RunEnd
@@ -28,8 +29,8 @@ from desim.simulation.team_processes import TeamProcesses
 from desim.simulation.wiring import make_network
 from desim.simulation.world import World, initial_state
 
-FRAME = 20_000_000
-"""Time between two frames, ns, or a motion step if that is longer."""
+FRAME = 50_000_000
+"""Time between two frames, ns, or a motion step if that is longer; each change of an action has a frame of its own."""
 LEAD = 0.05
 """Time between the last pursuer that joins and the start of the run, s."""
 LINGER = 2.0
@@ -70,8 +71,6 @@ class Referee:
         self._conduct = Conduct()
         self._logs = Logs(Wire.of(scenario))
         self._lobby = Lobby(scenario, hosts or [LOCAL] * size, self._hear, self._lose)
-        self._orders: deque[tuple[int, int, int]] = deque()
-        self._gone: deque[tuple[int, str]] = deque()
         self._obeyed = [0] * size
         self._clock: WallClock | None = None
 
@@ -100,14 +99,14 @@ class Referee:
     async def _run(self, scenario: Scenario, begin: int) -> list[Event]:
         """Move the players until the run is over; return the events of the world."""
         self._env = env = Clock()
-        self._end, self._trace = end, trace = RunEnd(env), Trace()
+        self._end, self._trace = end, trace = RunEnd(env), Trace([self._watch])
         self._state = state = initial_state(env, scenario, self._seed)
         self._world = world = World(env, scenario, state, [View(state, scenario.prune)] * state.size, trace, end)
         self._inject(scenario, world, trace)
         world.begin()
         env.process(self._frames(max(FRAME, nanoseconds(scenario.motion.step))))
-        self._clock = clock = WallClock(env, end.over, lambda: monotonic_ns() - begin)
-        await clock.follow(self._take)
+        self._clock = WallClock(env, end.over, lambda: monotonic_ns() - begin)
+        await self._clock.ended
         world.sample()
         assert end.event is not None
         self._lobby.tell_all("over", end.event.t)
@@ -123,21 +122,29 @@ class Referee:
         """Send a frame each period (ns)."""
         for when in range(0, self._state.horizon + period, period):
             yield Instant(self._env, when, Phase.SAMPLE + 1)
-            self._lobby.tell_all("frame", *frame_of(self._state, self._obeyed), may_skip=True)
+            self._show()
 
-    def _take(self) -> bool:
-        """Obey the orders of the pursuers, and take those down whose process was lost."""
-        any_taken = bool(self._orders or self._gone)
-        while self._orders:
-            pursuer, decided, action = self._orders.popleft()
-            self._obeyed[pursuer] += 1
-            before = self._state.profile[pursuer]
-            self._world.set_action(pursuer, action)
-            if self._state.profile[pursuer] != before:
-                self._conduct.orders.append(max(self._env.now - decided, 0))
-        while self._gone:
-            self._crash(*self._gone.popleft())
-        return any_taken
+    def _show(self, _: object = None) -> None:
+        """Send a frame."""
+        self._lobby.tell_all("frame", *frame_of(self._state, self._obeyed), may_skip=True)
+
+    def _show_soon(self) -> None:
+        """Send a frame after all other events of this instant, because the action of a pursuer changes."""
+        Instant(self._env, self._env.now, Phase.SAMPLE + 1).callbacks.append(self._show)
+
+    def _watch(self, event: Event) -> None:
+        """Show at once what a pursuer could not foresee."""
+        if isinstance(event, Captured | BrokeDown):
+            self._show_soon()
+
+    def _obey(self, pursuer: int, decided: int, action: int) -> None:
+        """Let a pursuer act as it has decided at a time, ns."""
+        self._obeyed[pursuer] += 1
+        before = self._state.profile[pursuer]
+        self._world.set_action(pursuer, action)
+        if self._state.profile[pursuer] != before:
+            self._conduct.orders.append(max(self._env.now - decided, 0))
+            self._show_soon()
 
     def _crash(self, pursuer: int, how: str) -> None:
         """Take a pursuer down whose process was lost."""
@@ -155,14 +162,12 @@ class Referee:
     def _hear(self, pursuer: int, word: str, *values: Any) -> None:
         """Take a line of a pursuer."""
         if word == "order":
-            self._orders.append((pursuer, *values))
-            self._wake()
-        elif word == "sent":
-            self._logs.sent(pursuer, *values)
-        elif word == "outcomes":
-            self._logs.arrived(*values)
-        elif word == "events":
-            self._logs.lines += values[0]
+            self._meet(partial(self._obey, pursuer, *values))
+        elif word == "report":
+            departures, outcomes, lines = values
+            self._logs.sent(pursuer, departures)
+            self._logs.arrived(outcomes)
+            self._logs.lines += lines
         elif word == "done":
             counts, drops, lateness, errors, self._conduct.cpu[pursuer] = values
             self._logs.transports += [] if counts is None else [TransportCounts(*counts)]
@@ -170,12 +175,11 @@ class Referee:
             self._conduct.note(pursuer, lateness, errors)
 
     def _lose(self, pursuer: int, how: str) -> None:
-        self._gone.append((pursuer, how))
-        self._wake()
+        self._meet(partial(self._crash, pursuer, how))
 
-    def _wake(self) -> None:
+    def _meet(self, act: Callable[[], object]) -> None:
         if self._clock is not None:
-            self._clock.wake()
+            self._clock.meet(act)
 
     async def _finish(self, world: list[Event]) -> LiveResult:
         """Wait for the reports of the pursuers, and merge all events."""

@@ -35,66 +35,91 @@ class Lateness(NamedTuple):
 
 
 class WallClock:
-    """Lets a clock of SimPy follow the wall clock.
+    """Lets a clock of SimPy follow the wall clock, from its creation in a coroutine until an event.
 
     An event happens at the time for which it was planned, by the clock, and a little later by the wall clock. Between
-    two events the clock stands at the last one; `advance` lets it catch up, so that what arrives from outside arrives
-    at the time of the wall clock.
+    two events the clock stands at the last one. What comes from outside happens by `meet`, at the time of the wall
+    clock. Nothing here is a task of asyncio: a timer of the loop waits for the next event.
 
     Args:
-        env: the clock, at time 0.
+        env: the clock.
         over: the event after which the clock stops.
         now: returns the time of the wall clock, ns; None: the time since now, by the monotonic clock.
+        before: called before the clock goes on.
 
     Attributes:
         lateness: how late each timer was, ns.
+        ended: is done when the clock has stopped, and then raises what a process of the clock has raised.
     """
 
-    def __init__(self, env: Clock, over: "simpy.Event", now: Callable[[], int] | None = None):
+    def __init__(
+        self,
+        env: Clock,
+        over: "simpy.Event",
+        now: Callable[[], int] | None = None,
+        before: Callable[[], object] = lambda: None,
+    ):
         begin = monotonic_ns()
-        self._env, self._over, self.now = env, over, now or (lambda: monotonic_ns() - begin)
+        self._env, self._over, self._before = env, over, before
+        self.now: Callable[[], int] = now or (lambda: monotonic_ns() - begin)
         self.lateness: list[int] = []
-        self._woken = asyncio.Event()
+        self._loop = asyncio.get_running_loop()
+        self.ended: asyncio.Future[None] = self._loop.create_future()
+        self._timer: asyncio.TimerHandle | None = None
+        self._due: float = -1.0
+        """When the timer rings, ns."""
+        self._is_busy = False
+        self.wake()
 
     def advance(self) -> None:
         """Let all events happen that are due, and let the clock show the present time."""
-        env, over = self._env, self._over
-        while not over.processed and (due := env.peek()) <= (now := self.now()):
-            if len(self.lateness) < MAX_KEPT and due > env.now:
+        env, over, now = self._env, self._over, self.now()
+        while (due := env.peek()) <= now and not over.processed:
+            if due > env.now and len(self.lateness) < MAX_KEPT:
                 self.lateness.append(int(now - due))
             env.advance(int(due), over)
-        env.advance(self.now(), over)
+            now = self.now()
+        env.advance(now, over)
 
     def wake(self) -> None:
-        """End the wait of `follow`, because something was planned or the clock is to stop."""
-        self._woken.set()
+        """Perform what has been planned since, once the caller has returned."""
+        self._loop.call_soon(self.meet)
 
-    async def follow(self, take: Callable[[], bool], caught_up: Callable[[], object] = lambda: None) -> None:
-        """Follow the wall clock until the clock stops.
+    def meet(self, act: Callable[[], object] | None = None) -> None:
+        """Let something happen now, after all that is due; nothing, if the clock has stopped.
 
-        Args:
-            take: called when the clock has caught up; takes what has arrived from outside, and returns whether there
-                was anything.
-            caught_up: called after that, before the clock waits.
-
-        Raises:
-            BaseException: what a process of the clock raises.
+        It may be called by a process of the clock, too.
         """
-        while True:
-            self._woken.clear()
+        if self._is_busy and act is not None:
+            act()
+        if self._is_busy or self.ended.done():
+            return
+        self._is_busy = True
+        try:
+            self._before()
             self.advance()
-            while not self._over.processed and take():
+            if act is not None and not self._over.processed:
+                act()
                 self.advance()
-            caught_up()
-            if self._over.processed:
-                return
-            due = self._env.peek()
-            wait = None if due == float("inf") else (due - self.now()) / SECOND
-            if wait is not None and wait <= 0.0:
-                await asyncio.sleep(0)
-                continue
-            try:
-                async with asyncio.timeout(wait):
-                    await self._woken.wait()
-            except TimeoutError:
-                pass
+        except BaseException as error:
+            self.ended.set_exception(error)
+        else:
+            self._wait()
+        finally:
+            self._is_busy = False
+
+    def _wait(self) -> None:
+        """Set the timer to the next event, or tell that the clock has stopped."""
+        due = self._env.peek()
+        if self._timer is not None and (due != self._due or self._over.processed):
+            self._timer.cancel()
+            self._timer = None
+        if self._over.processed:
+            self.ended.set_result(None)
+        elif self._timer is None and due < float("inf"):
+            self._timer = self._loop.call_later(max(due - self.now(), 0) / SECOND, self._ring)
+        self._due = due
+
+    def _ring(self) -> None:
+        self._timer = None
+        self.meet()

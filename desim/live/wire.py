@@ -80,6 +80,8 @@ MAX_NODES = 1 << 9
 MARK = 1 << 31
 """The set bit with which a header begins."""
 MAX_INTEGER = 1 << 62
+LARGEST = 65_507
+"""Bytes of the largest datagram."""
 MICROSECOND = 1_000
 MAX_ANSWERED = 4096
 """Number of answers of clock synchronisation whose t3 is remembered until they are delivered."""
@@ -181,6 +183,8 @@ class Wire:
         datagram = _HEADER.pack(word, seq, content.stamp) + head + data
         if len(datagram) > size or (len(datagram) < size and number != OWN):
             raise WireError(f"{type(body).__name__} counts {size} bytes, and has {len(datagram)}")
+        if size > LARGEST:
+            raise WireError(f"{type(body).__name__} has {size} bytes; a datagram has at most {LARGEST}")
         return datagram.ljust(size, b"\0")
 
     def _carried(self, frame: TransportFrame, content: Message, size: int) -> tuple[Kind, int, int, int, Any]:
@@ -306,6 +310,11 @@ class Wire:
             end = HEADER + layout.size
             yield Record(src, seq, stamp, self._read(number, data[HEADER:end]))
             data = data[end:]
+
+
+def is_record(datagram: bytes) -> bool:
+    """Return whether a datagram carries a record, by its kind."""
+    return len(datagram) >= HEADER and datagram[2] >> 5 == Kind.RECORD
 
 
 def _bits(frame: Acknowledgement, size: int) -> bytes:

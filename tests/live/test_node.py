@@ -58,6 +58,24 @@ def test_the_share_of_lost_datagrams_is_that_of_the_model():
     assert abs(wrong - p) > 3 * error  # the control
 
 
+def test_a_copy_is_drawn_and_lost_independently_of_its_original():
+    p, count = 0.5, 2000
+    error = sqrt(p**2 * (1 - p**2) / count)  # 0.0097
+    node = node_with(loss=Bernoulli(p=p), duplicate=Bernoulli(p=1.0))
+    for seq in range(1, count + 1):
+        node.link.receive(announcement(seq), 0)
+    arrived = {outcome.number for outcome in node.link.outcomes if outcome.arrival != LOST}
+    assert abs(1 - len(arrived) / count - p**2) < 3 * error  # p, if a lost message had no copy
+
+
+def test_a_node_whose_links_are_real_draws_nothing_and_does_not_take_their_latency_for_lateness():
+    node = Node(scenario(), 1, 5, draws=False)
+    node._env.advance(70_000_000)
+    node.link.receive(announcement(1), 0)
+    assert [outcome.arrival for outcome in node.link.outcomes] == [70_000_000]
+    assert node.link.errors == []
+
+
 def test_datagrams_arrive_at_the_stamp_plus_the_latency_and_nodes_draw_independently():
     nodes = [Node(scenario(), k, 5) for k in (1, 2)]
     latency = Uniform(low=0.1, high=0.3)
@@ -186,6 +204,7 @@ def test_a_node_that_is_late_performs_what_is_due_before_the_end():
     assert 800_000_000 < max(times) <= 900_000_000  # a heartbeat each 0.1 s
 
 
+@pytest.mark.slow
 def test_walls_block_the_radio_of_a_node_as_in_a_simulation():
     tables = scenario(team={"positions": [[1.0, 1.0], [3.0, 1.0], [3.0, 2.0]]}).plain()
     tables["network"]["range"] = 10.0
@@ -242,7 +261,7 @@ REFUSED = [
     ("protocol.kind", {"protocol": {"kind": "centralised"}}),
     ("team.count", {"team": {"count": 513}}),
     ("sensing", {"sensing": {"radius": 3.0}}),
-    ("sensing", {"wall": [{"line": [[2, 0], [2, 5]]}]}),  # blocks sight
+    pytest.param("sensing", {"wall": [{"line": [[2, 0], [2, 5]]}]}, marks=pytest.mark.slow),  # blocks sight
     ("evader.0.strategy", {"evader": {"strategy": {"kind": "listener"}}}),
     ("network.medium", {"network": {"medium": {"kind": "bitrate", "bitrate": 1e6}}}),
     (

@@ -206,6 +206,13 @@ def test_a_body_of_an_unknown_class_is_refused_when_it_is_sent():
         wire.encode(Message(2, 5, Random(3)), "", 100, to_one=False)
 
 
+def test_a_body_that_is_larger_than_a_datagram_is_refused():
+    pytest.importorskip("msgspec")
+    wire = Wire(NODES, EVADERS, OwnBodies(protocol))
+    with pytest.raises(WireError, match=r"str has 70\d+ bytes; a datagram has at most 65507"):
+        wire.encode(Message(2, 5, "x" * 70_000), "", 100, to_one=False)
+
+
 def test_without_msgspec_a_body_of_a_user_names_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "msgspec", None)
     wire = Wire(NODES, EVADERS, OwnBodies(protocol))

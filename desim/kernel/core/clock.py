@@ -7,7 +7,7 @@ No other module of `desim` uses private parts of SimPy.
 """
 
 import gc
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from enum import IntEnum
 from heapq import heappush
 from operator import attrgetter
@@ -124,11 +124,12 @@ class Clock(simpy.Environment):
             BaseException: as `run`.
         """
         queue = self._queue
-        with _as_raised() if queue and queue[0][0] <= time else nullcontext():
-            while queue and queue[0][0] <= time:
-                if until is not None and until.processed:
-                    return
-                self.step()
+        if queue and queue[0][0] <= time:
+            with _as_raised():
+                while queue and queue[0][0] <= time:
+                    if until is not None and until.processed:
+                        return
+                    self.step()
         if until is None or not until.processed:
             self._now = max(self._now, time)
 
