@@ -69,6 +69,7 @@ __all__ = [
     "METRICS",
     "Metric",
     "MetricError",
+    "NoMetricError",
     "Summary",
     "acknowledgements",
     "active_time",
@@ -417,6 +418,17 @@ for _name in METRICS:
     setattr(Summary, _name, _attribute(_name))
 
 
+class NoMetricError(ValueError):
+    """Raised if there is no numeric metric of a name."""
+
+    def __init__(self, name: str, text: str) -> None:
+        super().__init__(text)
+        self.name = name
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.name, str(self))
+
+
 class MetricError(RuntimeError):
     """Raised when a user's metric fails or returns a wrong type; the text names metric, scenario and seed."""
 
@@ -496,7 +508,12 @@ def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType
 
 
 def check_numeric(metric: str, added: Iterable[str] = ()) -> None:
-    """Raise ValueError unless a name is that of a built-in metric with `is_number`, or one of the names in `own`."""
+    """Check that a name is that of a built-in metric with `is_number`, or one of the names in `added`.
+
+    Raises:
+        NoMetricError: if it is not.
+        ValueError: if it is no name.
+    """
     asked: Any = metric
     if not isinstance(asked, str):
         name = getattr(asked, "__name__", "mine")
@@ -504,7 +521,8 @@ def check_numeric(metric: str, added: Iterable[str] = ()) -> None:
     numeric = [*(name for name, metric in METRICS.items() if metric.is_number), *added]
     if metric not in numeric:
         hint = did_you_mean(metric, numeric)
-        raise ValueError(f"there is no numeric metric {metric!r}{hint}; there are {', '.join(numeric)}")
+        text = f"there is no numeric metric {metric!r}{hint}; there are {', '.join(numeric)}"
+        raise NoMetricError(metric, text)
 
 
 def plain(numbers: Summary) -> dict[str, Any]:

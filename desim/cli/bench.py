@@ -1,27 +1,18 @@
 """`desim bench`: protocols compared in the scenarios of the benchmark."""
 
 import json
-import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from desim.cli.options import (
-    ALLOW_IMPORT,
-    CLUSTER,
-    FAILED,
-    JOBS,
-    JSON,
-    MIX_VERSIONS,
-    TIMEOUT,
-    echo,
-    fail,
-    make_folder,
-    protocol_of,
-    storing,
-    write,
-)
+from desim.cli.execution import Execution, executing, failures_told
+from desim.cli.options import ALLOW_IMPORT, JSON, echo, fail, make_folder, protocol_of, storing, write
+from desim.cli.usage import problem
+
+if TYPE_CHECKING:
+    from desim.study.comparing.scores import Benchmark
+    from desim.study.comparing.suite import Suite
 
 
 @click.command()
@@ -37,13 +28,10 @@ from desim.cli.options import (
 )
 @click.option("--version", metavar="N", default="1", show_default=True, help="The version of the benchmark.")
 @click.option("--again", is_flag=True, help="Perform the runs of the built-in protocols, too; minutes of computation.")
-@JOBS
-@CLUSTER
+@executing
 @click.option(
     "-o", "--out", type=click.Path(path_type=Path), help="Folder of the stores and the table; default: out/bench/vN."
 )
-@TIMEOUT
-@MIX_VERSIONS
 @JSON
 @ALLOW_IMPORT
 def bench(
@@ -51,68 +39,87 @@ def bench(
     runs: int | None,
     version: str,
     again: bool,
-    jobs: int,
-    cluster: str | None,
+    execution: Execution,
     out: Path | None,
-    timeout: float | None,
-    mix_versions: bool,
     as_json: bool,
 ) -> None:
     """Score protocols between the bounds of ten scenarios, beside all built-in ones. Resumes.
 
     Without --protocol and --again it prints the table of the version.
     """
-    from desim.study.comparing.bench import bench as compared
-    from desim.study.comparing.bench import frozen_matches
     from desim.study.comparing.suite import Suite
-    from desim.study.sweeps.sweep import RunError
 
     try:
         suite = Suite.of(version)
     except ValueError as error:
         raise click.BadParameter(str(error), param_hint="--version") from error
-    entered: Any = [protocol_of(text, "--protocol") for text in protocols]
+    entered = [protocol_of(text, "--protocol") for text in protocols]
+    if not (entered or again):
+        _print(_measured(suite, [], runs, execution), as_json=as_json)
+        return
     folder = Path("out") / "bench" / f"v{suite.version}" if out is None else out
-    if protocols or again:
-        make_folder(folder)
-    if protocols and not again and not frozen_matches(suite):
+    make_folder(folder)
+    if not again:
+        _check_repeats(suite)
+    benchmark = _measured(suite, entered, runs, execution, folder, again=again)
+    _print(benchmark, as_json=as_json)
+    _write(benchmark, folder)
+
+
+def _check_repeats(suite: "Suite") -> None:
+    """Warn if runs of this desim do not have the frozen costs of a version."""
+    from desim.study.comparing.bench import frozen_matches
+
+    if not frozen_matches(suite):
         echo(
             "warning: this desim does not repeat the frozen runs of the built-in protocols, so the rows differ in more"
             " than the protocols: --again performs all runs",
             err=True,
         )
-    try:
-        with storing(folder):
-            benchmark = compared(
+
+
+def _measured(
+    suite: "Suite",
+    entered: list[Any],
+    runs: int | None,
+    execution: Execution,
+    folder: Path | None = None,
+    *,
+    again: bool = False,
+) -> "Benchmark":
+    """Return the costs of all protocols; end the program if a run fails, or an option is invalid."""
+    from desim.study.comparing.bench import bench as compared
+
+    with storing(folder), failures_told(lambda: f"the finished runs are in {folder}"):
+        try:
+            return compared(
                 entered,
                 runs,
-                jobs if cluster is None else cluster,
+                execution.executor,
                 version=suite.version,
                 again=again,
-                folder=folder if protocols or again else None,
-                timeout=timeout,
-                mix_versions=mix_versions,
+                folder=folder,
+                timeout=execution.timeout,
+                mix_versions=execution.mix_versions,
             )
-    except KeyboardInterrupt as error:
-        error.add_note(f"the stores are in {folder}; the same command resumes")
-        raise
-    except RunError as error:
-        echo(str(error), err=True)
-        sys.exit(FAILED)
-    except ValueError as error:
-        fail(str(error))
-    text = json.dumps(benchmark.document(), indent=2)
-    echo(text if as_json else benchmark.table())
-    if protocols or again:
-        _write(benchmark, text, folder)
+        except ValueError as error:
+            fail(problem(error))
 
 
-def _write(benchmark: Any, document: str, folder: Path) -> None:
+def _print(benchmark: "Benchmark", *, as_json: bool) -> None:
+    echo(_as_json(benchmark) if as_json else benchmark.table())
+
+
+def _as_json(benchmark: "Benchmark") -> str:
+    return json.dumps(benchmark.document(), indent=2)
+
+
+def _write(benchmark: "Benchmark", folder: Path) -> None:
     """Write the table, the numbers and the figure to a folder."""
     from desim.results.run_folder import can_plot
 
     write(f"{benchmark.table()}\n".encode(), folder / "bench.txt")
-    write(f"{document}\n".encode(), folder / "bench.json")
+    write(f"{_as_json(benchmark)}\n".encode(), folder / "bench.json")
     if can_plot() and benchmark.kept:
         from desim.analysis.drawing.plots import save
 

@@ -6,26 +6,22 @@ from pathlib import Path
 
 import click
 
+from desim.cli.execution import Execution, executing
 from desim.cli.options import (
     ALLOW_IMPORT,
-    CLUSTER,
     COUNT,
     FAILED,
     FILE,
-    JOBS,
     JSON,
     METRIC,
-    MIX_VERSIONS,
     SEED,
     SET,
-    TIMEOUT,
     echo,
     fail,
     folder_for,
     shown_metrics,
     source_of,
     storing,
-    working,
 )
 from desim.config.file_names import STORE
 from desim.config.trust import write_whole
@@ -35,12 +31,9 @@ from desim.config.trust import write_whole
 @FILE
 @click.option("-n", "--runs", type=click.IntRange(2, COUNT.max), help="Runs of each variant; default: 100.")
 @SEED
-@JOBS
-@CLUSTER
+@executing
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder of the results; default: out/NAME/explain.")
 @METRIC
-@TIMEOUT
-@MIX_VERSIONS
 @JSON
 @ALLOW_IMPORT
 @SET
@@ -48,12 +41,9 @@ def explain(
     file: Path,
     runs: int | None,
     seed: int | None,
-    jobs: int,
-    cluster: str | None,
+    execution: Execution,
     out: Path | None,
     metrics: tuple[str, ...],
-    timeout: float | None,
-    mix_versions: bool,
     as_json: bool,
     overrides: tuple[str, ...],
 ) -> None:
@@ -74,14 +64,14 @@ def explain(
         fail(str(with_place(error, source)))
     folder = out or folder_for(scenario, None) / "explain"
     with storing(folder), Store(folder / STORE) as store:
-        variants.plan.register(store, mix_versions=mix_versions)
+        variants.plan.register(store, mix_versions=execution.mix_versions)
         made = provenance.document(
             "explain", scenario, seed=variants.plan.root, runs=variants.plan.reps, folder=file.parent
         )
         provenance.write(folder, made)
         store.note_command(str(Path.cwd()), sys.argv)
-        with working(jobs, cluster, store, variants.plan.runs) as workers:
-            explanation = variants.carry_out(store, workers, shown, timeout=timeout)
+        with execution.workers(store, variants.plan.runs) as workers:
+            explanation = variants.carry_out(store, workers, shown, timeout=execution.timeout)
         text = json.dumps(explanation.document(), indent=2)
         write_whole(folder / "explain.json", f"{text}\n".encode())
         write_whole(folder / "explain.txt", f"{explanation.table()}\n".encode())

@@ -12,22 +12,20 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from desim.cli.execution import Execution, executing
 from desim.cli.options import (
     AGAINST,
     ALLOW_IMPORT,
-    CLUSTER,
     COUNT,
     DESIGN,
     FAILED,
     FILE,
     GRID,
-    JOBS,
     JSON,
     METRIC,
     MIX_VERSIONS,
     SEED,
     SET,
-    TIMEOUT,
     echo,
     fail,
     folder_for,
@@ -35,17 +33,16 @@ from desim.cli.options import (
     shown_metrics,
     source_of,
     storing,
-    working,
 )
 from desim.config.file_names import STORE, TRACE
 from desim.config.trust import write_whole
 
 if TYPE_CHECKING:
+    from desim.scenario.overrides import Source
     from desim.study.comparing.control import Controlled, ControlPlan
     from desim.study.results.result import SweepResult
     from desim.study.store.store import Store
     from desim.study.sweeps.sweep import Job, SweepPlan
-    from desim.study.workers.workers import Workers
 
 
 PRECISION = "should be METRIC:HALFWIDTH, active_time:0.1 for instance"
@@ -89,8 +86,7 @@ class Precision(click.ParamType[tuple[str, float]]):
     help="Runs of each configuration, or their maximum with --until; default: sweep.reps, or 10000 with --until.",
 )
 @SEED
-@JOBS
-@CLUSTER
+@executing
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder of the store; default: out/NAME.")
 @click.option(
     "--until",
@@ -117,9 +113,7 @@ class Precision(click.ParamType[tuple[str, float]]):
 )
 @click.option("--control-runs", type=COUNT, help="Runs of the control; default: ten times those of a configuration.")
 @METRIC
-@MIX_VERSIONS
 @JSON
-@TIMEOUT
 @ALLOW_IMPORT
 @SET
 def sweep(
@@ -128,8 +122,7 @@ def sweep(
     design: str | None,
     runs: int | None,
     seed: int | None,
-    jobs: int,
-    cluster: str | None,
+    execution: Execution,
     out: Path | None,
     until: tuple[str, float] | None,
     shard: tuple[int, int] | None,
@@ -140,9 +133,7 @@ def sweep(
     control: str | None,
     control_runs: int | None,
     metrics: tuple[str, ...],
-    mix_versions: bool,
     as_json: bool,
-    timeout: float | None,
     overrides: tuple[str, ...],
 ) -> None:
     """Run each configuration of the grid of a scenario (`sweep.grid`, --grid) many times.
@@ -151,21 +142,84 @@ def sweep(
     """
     from desim.analysis.tables import counted
     from desim.results import provenance
-    from desim.scenario.overrides import ScenarioError
     from desim.study.results.runs import SHOWN
     from desim.study.store.store import Store
     from desim.study.sweeps.claims import carry_out_claimed
-    from desim.study.sweeps.sweep import MAX_RUNS, SweepPlan, carry_out, check_target
+    from desim.study.sweeps.sweep import carry_out
 
     if until and ":" in until[0]:
         chosen_metric, width = until
         metrics, until = tuple(dict.fromkeys((*metrics, chosen_metric))), (chosen_metric.rpartition(":")[2], width)
     source, scenario = source_of(file, overrides, metrics, grid, design)
     shown = shown_metrics(scenario, metrics, SHOWN)
+    _check_parts(until, shard, claim)
+    reference = dict(against) or None
+    plan = _planned(source, runs, seed, until, reference)
+    control_plan = _control_plan(plan, control, control_runs, is_partial=bool(until or shard))
+    folder = folder_for(scenario, out)
+    path = folder / (f"sweep.{shard[0]}-of-{shard[1]}.sqlite" if shard else STORE)
+    start = time.perf_counter()
+    if dry_run:
+        with storing(folder), Store(path if path.exists() else None, read_only=path.exists()) as store:
+            plan.check(store, mix_versions=execution.mix_versions)
+            text = _plan_text(plan, plan.shard(*(shard or (1, 1))), plan.done(store, shown), until)
+        echo(text)
+        return
+    with storing(folder), Store(path) as store:
+        before = len(store)
+        plan.register(store, mix_versions=execution.mix_versions)
+
+        def note() -> None:
+            store.note_command(str(Path.cwd()), sys.argv)
+            made = provenance.document("sweep", scenario, seed=plan.root, runs=plan.runs, folder=file.parent)
+            provenance.write(folder, made)
+
+        common: dict[str, Any] = {"fail_fast": fail_fast, "timeout": execution.timeout, "metrics": shown}
+        with execution.workers(store, plan.runs) as workers:
+            if claim:
+                result = carry_out_claimed(plan, store, workers, claim, **common, on_start=note)
+            else:
+                result = carry_out(plan, store, workers, until=until, shard=shard or (1, 1), **common, on_start=note)
+        done = store.added
+        everything = None if shard or claim else _whole_of(result, store)
+    controlled = None if control_plan is None else _controlled(control_plan, result, folder, execution, metrics)
+    _print_result(result, controlled, shown, reference, as_json=as_json)
+    took = time.perf_counter() - start
+    speed = f"{counted(done, 'run')} in {took:.1f} s ({done / took:.1f}/s)"
+    echo(f"{speed}, {before} already stored; store: {path}", err=True)
+    with storing(folder):
+        if controlled is not None:
+            write_whole(folder / "control.txt", f"{controlled.table()}\n".encode())
+        if everything is not None:
+            _write_summary(result, everything, shown, reference, folder)
+    if result.failed:
+        echo(
+            f"{counted(len(result.failed), 'run')} failed; the same command retries them;"
+            f" `desim report {shlex.quote(str(folder))}` shows their tracebacks",
+            err=True,
+        )
+        sys.exit(FAILED)
+
+
+def _check_parts(until: tuple[str, float] | None, shard: tuple[int, int] | None, claim: Path | None) -> None:
+    """End the program if options exclude each other, each of which says which runs are performed."""
     if until and shard:
         fail("--until needs all runs, and --shard performs a part of them only: they exclude each other")
     if claim and (shard or until):
         fail(f"--claim shares the runs with other commands: it excludes --{'shard' if shard else 'until'}")
+
+
+def _planned(
+    source: "Source",
+    runs: int | None,
+    seed: int | None,
+    until: tuple[str, float] | None,
+    reference: Mapping[str, str] | None,
+) -> "SweepPlan":
+    """Return the plan of a sweep, and print its warnings; end the program if an option does not fit."""
+    from desim.scenario.overrides import ScenarioError
+    from desim.study.sweeps.sweep import MAX_RUNS, SweepPlan, check_target
+
     try:
         plan = SweepPlan.of(source, reps=(runs or MAX_RUNS) if until else runs, seed=seed)
     except ScenarioError as error:
@@ -177,61 +231,32 @@ def sweep(
             check_target(*until, plan.metrics)
         except ValueError as error:
             raise click.BadParameter(f"{PRECISION}: {error}", param_hint="'--until'") from error
-    reference = dict(against) or None
     try:
         plan.check_reference(reference)
     except ValueError as error:
         fail(f"--against: {error}")
-    control_plan = _control_plan(plan, control, control_runs, is_partial=bool(until or shard))
-    folder = folder_for(scenario, out)
-    path = folder / (f"sweep.{shard[0]}-of-{shard[1]}.sqlite" if shard else STORE)
-    start = time.perf_counter()
-    if dry_run:
-        with storing(folder), Store(path if path.exists() else None, read_only=path.exists()) as store:
-            plan.check(store, mix_versions=mix_versions)
-            text = _plan_text(plan, plan.shard(*(shard or (1, 1))), plan.done(store, shown), until)
-        echo(text)
+    return plan
+
+
+def _print_result(
+    result: "SweepResult",
+    controlled: "Controlled | None",
+    shown: tuple[str, ...],
+    reference: Mapping[str, str] | None,
+    *,
+    as_json: bool,
+) -> None:
+    """Print the tables of a sweep and of its control, or both as JSON."""
+    if not as_json:
+        tables = [result.table(shown, against=reference), *([] if controlled is None else [controlled.table()])]
+        echo("\n\n".join(tables))
         return
-    with storing(folder), Store(path) as store:
-        before = len(store)
-        plan.register(store, mix_versions=mix_versions)
-
-        def note() -> None:
-            store.note_command(str(Path.cwd()), sys.argv)
-            made = provenance.document("sweep", scenario, seed=plan.root, runs=plan.runs, folder=file.parent)
-            provenance.write(folder, made)
-
-        with working(jobs, cluster, store, plan.runs) as workers:
-            common: dict[str, Any] = {"fail_fast": fail_fast, "timeout": timeout, "metrics": shown, "on_start": note}
-            if claim:
-                result = carry_out_claimed(plan, store, workers, claim, **common)
-            else:
-                result = carry_out(plan, store, workers, until=until, shard=shard or (1, 1), **common)
-            controlled = None if control_plan is None else _controlled(control_plan, result, folder, workers, metrics)
-        done = store.added
-        everything = None if shard or claim else _whole_of(result, store)
-    table = result.table(shown, against=reference)
     document = result.document(shown)
     if controlled is not None:
-        table, document["control"] = f"{table}\n\n{controlled.table()}", controlled.document()
-        with storing(folder):
-            write_whole(folder / "control.txt", f"{controlled.table()}\n".encode())
-    echo(json.dumps(document, indent=2) if as_json else table)
-    for warning in result.warnings(shown) if as_json else ():
+        document["control"] = controlled.document()
+    echo(json.dumps(document, indent=2))
+    for warning in result.warnings(shown):
         echo(f"warning: {warning}", err=True)
-    took = time.perf_counter() - start
-    speed = f"{counted(done, 'run')} in {took:.1f} s ({done / took:.1f}/s)"
-    echo(f"{speed}, {before} already stored; store: {path}", err=True)
-    if everything is not None:
-        with storing(folder):
-            _write_summary(result, everything, shown, reference, folder)
-    if result.failed:
-        echo(
-            f"{counted(len(result.failed), 'run')} failed; the same command retries them;"
-            f" `desim report {shlex.quote(str(folder))}` shows their tracebacks",
-            err=True,
-        )
-        sys.exit(FAILED)
 
 
 def _control_plan(
@@ -255,11 +280,7 @@ def _control_plan(
 
 
 def _controlled(
-    control_plan: "ControlPlan",
-    result: "SweepResult",
-    folder: Path,
-    workers: "Workers",
-    metrics: tuple[str, ...],
+    control_plan: "ControlPlan", result: "SweepResult", folder: Path, execution: Execution, metrics: tuple[str, ...]
 ) -> "Controlled":
     """Perform the runs of the control that its store lacks, and return the corrected means."""
     from desim.config.file_names import folder_name
@@ -267,9 +288,10 @@ def _controlled(
     from desim.study.store.store import Store
 
     names = tuple(dict.fromkeys(metric.rpartition(":")[2] for metric in metrics))
-    with Store(folder / f"control-{folder_name(control_plan.name)}.sqlite") as store:
-        control_plan.plan.register(store)
-        return control_plan.carry_out(result, store, workers, names or SHOWN)
+    with storing(folder), Store(folder / f"control-{folder_name(control_plan.name)}.sqlite") as store:
+        control_plan.plan.register(store, mix_versions=execution.mix_versions)
+        with execution.workers(store, control_plan.plan.runs) as workers:
+            return control_plan.carry_out(result, store, workers, names or SHOWN, timeout=execution.timeout)
 
 
 @click.command()

@@ -2,12 +2,10 @@
 
 import json
 import shlex
-import sys
 import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from traceback import extract_tb, format_list
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,7 +15,6 @@ from desim.cli.options import (
     JOBS,
     JSON,
     METRIC,
-    RAISED,
     SEED,
     SET,
     TIMEOUT,
@@ -34,7 +31,7 @@ from desim.cli.options import (
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from desim.analysis.metrics import MetricError, Summary
+    from desim.analysis.metrics import Summary
     from desim.results.provenance import Document
     from desim.scenario.scenario import Scenario
 
@@ -77,7 +74,7 @@ def run(
     overrides: tuple[str, ...],
 ) -> None:
     """Run a scenario FILE, or repeat the runs of a run.json, and print the metrics."""
-    from desim.analysis.metrics import MetricError, plain
+    from desim.analysis.metrics import plain
     from desim.analysis.tables import batch_table, run_table
     from desim.simulation.watchdog import within
 
@@ -106,8 +103,6 @@ def run(
         if not isinstance(error, WriteError):
             raise
         fail(f"--out {error.filename or out}: cannot be written: {error.strerror}")
-    except MetricError as error:
-        _fail_in(error)
     if as_json:
         table = json.dumps(
             {"scenario": scenario.plain(), "runs": [plain(metrics_of_run) for metrics_of_run in results]}, indent=2
@@ -115,14 +110,6 @@ def run(
     echo(table)
     if out is not None:
         echo(f"wrote {out}", err=True)
-
-
-def _fail_in(error: "MetricError") -> NoReturn:
-    """Print the traceback of an exception in a user's metric, and end the program with exit code `RAISED`."""
-    cause = error.__cause__
-    calls = [] if cause is None else extract_tb(cause.__traceback__)[2:]  # the first two calls are in desim
-    echo("".join([*format_list(calls), str(error)]), err=True)
-    sys.exit(RAISED)
 
 
 def _make_output(out: Path, scenario: "Scenario", count: int, folder: Path) -> "tuple[Path, Document]":

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from desim.cli import completion
+from desim.cli.usage import metric_option, problem, spelled
 from desim.config.file_names import files, folder_name
 from desim.config.trust import escaped, write_whole
 from desim.simulation.watchdog import checked_limit, within
@@ -18,8 +19,6 @@ from desim.simulation.watchdog import checked_limit, within
 if TYPE_CHECKING:
     from desim.scenario.overrides import Source
     from desim.scenario.scenario import Scenario
-    from desim.study.store.store import Store
-    from desim.study.workers.workers import Workers
 
 COUNT = click.IntRange(1, 1_000_000)
 """The number of runs, with the bounds of `sweep.reps`, which is slow to import."""
@@ -82,12 +81,6 @@ SEED = click.option(
     help="Seed of the run, or root seed of several: run k then has the seed 1,000,000 s + k; default: the file's.",
 )
 JOBS = click.option("-j", "--jobs", type=click.IntRange(min=0), default=1, help="Worker processes; 0 = one per core.")
-CLUSTER = click.option(
-    "--cluster",
-    metavar="tcp://...",
-    help="Run on the workers of a Dask scheduler (the extra `cluster`). Any client that reaches its port can run code"
-    " there: use a trusted network, or TLS (tls://...).",
-)
 JSON = click.option(
     "--json", "as_json", is_flag=True, help="Print the result as JSON on stdout, and messages on stderr."
 )
@@ -287,14 +280,14 @@ def add_metrics(source: "Source", metrics: tuple[str, ...]) -> None:
             if ":" not in metric:
                 check_numeric(metric, installed_metrics())
         except ValueError as error:
-            fail(f"--metric {metric}: {error}, and MODULE:FUNCTION")
+            fail(f"{metric_option()} {metric}: {error}, and MODULE:FUNCTION")
     added = [name for name in metrics if name not in METRICS]
     table = source.tables.setdefault("record", {}) if added else None
     named = table.get("metrics", []) if isinstance(table, dict) else None
     if isinstance(table, dict) and isinstance(named, list):
         table["metrics"] = [*named, *added]
         source.origins.update(
-            (("record", "metrics", k), f"--metric {name}") for k, name in enumerate(added, len(named))
+            (("record", "metrics", k), f"{metric_option()} {name}") for k, name in enumerate(added, len(named))
         )
 
 
@@ -399,7 +392,16 @@ def making(page: str) -> Iterator[None]:
         extra = "film" if error.name == "imageio_ffmpeg" else "plot"
         fail(f"a {page} needs {error.name}: pip install 'pursuit-desim[{extra}]'")
     except ValueError as error:
-        fail(str(error))
+        fail(problem(error))
+
+
+@contextmanager
+def of_option(name: str, value: object) -> Iterator[None]:
+    """End the program on a ValueError about the value of an option, whose name then precedes the message."""
+    try:
+        yield
+    except ValueError as error:
+        fail(f"{spelled(name)} {value}: {error}")
 
 
 @contextmanager
@@ -410,30 +412,6 @@ def storing(folder: Path | None = None) -> Iterator[None]:
     except OSError as error:
         file = error.filename or folder
         fail(f"{file}: {error.strerror}" if error.strerror else str(error))  # desim's own errors have no strerror
-
-
-@contextmanager
-def working(jobs: int, cluster: str | None, store: "Store", runs: int) -> Iterator["Workers"]:
-    """Yield the workers for the runs of a sweep or an explanation.
-
-    A KeyboardInterrupt receives a note on how to resume. A RunError, such as that of --fail-fast, ends the program.
-    """
-    from desim.study.sweeps.sweep import RunError
-    from desim.study.workers.executors import workers_for
-
-    try:
-        try:
-            connected = workers_for(jobs if cluster is None else cluster, runs)
-        except ValueError:
-            fail(f"{cluster}: no scheduler answers: an address is for instance tcp://192.168.0.5:8786")
-        with connected as workers:
-            yield workers
-    except KeyboardInterrupt as error:
-        error.add_note(f"{len(store)} runs are in {store.path}; the same command resumes")
-        raise
-    except RunError as error:
-        echo(f"{str(error).rstrip()}\n{len(store)} runs are in {store.path}", err=True)
-        sys.exit(FAILED)
 
 
 def echo(text: str, *, err: bool = False, end: str = "\n") -> None:

@@ -1,23 +1,31 @@
 """The response of `desim` and of the studies in `scenarios` to interrupts, time-outs and a closed or full stdout.
 
 The end of a trace (`TraceEndError`) ends the program, too, because a scenario asks for it, and so does a model of a
-user that returns what it cannot return (`AnswerError`), whose message names its file and line.
+user that returns what it cannot return (`AnswerError`), whose message names its file and line. A metric of a user that
+raises an exception (`MetricError`) ends it with the calls in the user's code.
 """
 
 import os
 import sys
 import warnings
-from traceback import extract_tb
+from traceback import extract_tb, format_list
 from typing import Any
 
 import click
 
 from desim.cli.options import NO_MEMORY, OUT_OF_TIME, RAISED, echo, fail
-from desim.cli.usage import advised
+from desim.cli.usage import WORDS, advised
 from desim.config.errors import AnswerError
 from desim.config.interrupts import exit_code, raising
 from desim.config.packages import HiddenPackageError
 from desim.simulation.watchdog import OUT_OF_MEMORY, TimedOut
+
+
+def _echo_calls(error: Exception) -> None:
+    """Print an error in a user's metric after the calls in the user's code that led to it."""
+    cause = error.__cause__
+    calls = [] if cause is None else extract_tb(cause.__traceback__)[2:]  # the first two calls are in desim
+    echo("".join([*format_list(calls), str(error)]), err=True)
 
 
 class Program(click.Command):
@@ -52,6 +60,13 @@ class Program(click.Command):
         except AnswerError as error:
             echo(" ".join([str(error), *getattr(error, "__notes__", ())]), err=True)
             ctx.exit(RAISED)
+        except RuntimeError as error:
+            from desim.analysis.metrics import MetricError  # slow to import
+
+            if not isinstance(error, MetricError):
+                raise
+            _echo_calls(error)
+            ctx.exit(RAISED)
         except ValueError as error:
             from desim.kernel.measured.playback import TraceEndError  # slow to import
 
@@ -59,12 +74,17 @@ class Program(click.Command):
                 raise
             fail(str(error))
 
-    def make_context(self, *args: Any, **options: Any) -> click.Context:
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
         """Return the context of the command; an error says what to type instead."""
+        words = tuple(args)  # parsing empties the list
         try:
-            return super().make_context(*args, **options)
+            context = super().make_context(info_name, args, parent, **extra)
         except click.UsageError as error:
             raise advised(error) from None
+        context.meta[WORDS] = words
+        return context
 
     def main(self, *args: Any, **options: Any) -> Any:
         """Run the command with the arguments of the program."""

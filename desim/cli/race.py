@@ -5,29 +5,23 @@ from pathlib import Path
 
 import click
 
+from desim.cli.execution import Execution, executing
 from desim.cli.options import (
     ALLOW_IMPORT,
-    CLUSTER,
     DESIGN,
     FILE,
     GRID,
-    JOBS,
     JSON,
-    MIX_VERSIONS,
     ONE_METRIC,
     SEED,
     SET,
-    TIMEOUT,
     added_metrics,
-    echo,
     fail,
     folder_for,
     source_of,
-    storing,
-    working,
 )
-from desim.cli.result_files import present
-from desim.config.file_names import STORE
+from desim.cli.result_files import adding_to, present
+from desim.cli.usage import problem
 
 
 @click.command()
@@ -54,11 +48,8 @@ from desim.config.file_names import STORE
     "-n", "--runs", type=click.IntRange(2, 1_000_000), default=10_000, show_default=True, help="Most runs of each."
 )
 @SEED
-@JOBS
-@CLUSTER
+@executing
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder of the store; default: out/NAME.")
-@TIMEOUT
-@MIX_VERSIONS
 @JSON
 @ALLOW_IMPORT
 @SET
@@ -73,11 +64,8 @@ def race(
     first: int,
     runs: int,
     seed: int | None,
-    jobs: int,
-    cluster: str | None,
+    execution: Execution,
     out: Path | None,
-    timeout: float | None,
-    mix_versions: bool,
     as_json: bool,
     overrides: tuple[str, ...],
 ) -> None:
@@ -87,38 +75,21 @@ def race(
     repeated, so the same command resumes.
     """
     from desim.results import provenance
-    from desim.study.selection.race import carry_out_race, check_race
-    from desim.study.store.store import Store
+    from desim.study.selection.race import RaceRules, carry_out_race
     from desim.study.sweeps.sweep import SweepPlan
 
     source, scenario = source_of(file, overrides, added_metrics(metric), grid, design)
-    name = metric.rpartition(":")[2]
     try:
         plan = SweepPlan.of(source, reps=runs, seed=seed)
-        is_greatest = check_race(plan, name, zone, confidence, maximise)
+        rules = RaceRules.of(plan, metric.rpartition(":")[2], zone, confidence, maximise, first)
     except ValueError as error:
-        fail(str(error))
+        fail(problem(error, most="runs"))
     folder = folder_for(scenario, out)
-    with storing(folder), Store(folder / STORE) as store:
-        before = len(store)
-        plan.register(store, mix_versions=mix_versions)
+    with adding_to(folder) as store:
+        plan.register(store, mix_versions=execution.mix_versions)
         store.note_command(str(Path.cwd()), sys.argv)
-        try:
-            with working(jobs, cluster, store, plan.runs) as workers:
-                result = carry_out_race(
-                    plan,
-                    store,
-                    workers,
-                    name,
-                    zone=zone,
-                    confidence=confidence,
-                    maximise=is_greatest,
-                    first=first,
-                    timeout=timeout,
-                )
-        except ValueError as error:
-            fail(str(error))
+        with execution.workers(store, plan.runs) as workers:
+            result = carry_out_race(plan, store, workers, rules, timeout=execution.timeout)
         made = provenance.document("race", scenario, seed=plan.root, runs=result.runs, folder=file.parent)
         provenance.write(folder, made)
-        echo(f"{store.added} runs were performed, {before} were already stored; store: {folder / STORE}", err=True)
-        present(result, folder, "race", as_json=as_json)
+    present(result, folder, "race", as_json=as_json)

@@ -5,28 +5,23 @@ from pathlib import Path
 
 import click
 
+from desim.cli.execution import Execution, executing
 from desim.cli.options import (
     ALLOW_IMPORT,
-    CLUSTER,
+    COUNT,
     FILE,
     GRID,
-    JOBS,
     JSON,
-    MIX_VERSIONS,
     ONE_METRIC,
     SEED,
     SET,
-    TIMEOUT,
     added_metrics,
-    echo,
     fail,
     folder_for,
     source_of,
-    storing,
-    working,
 )
-from desim.cli.result_files import present
-from desim.config.file_names import STORE
+from desim.cli.result_files import adding_to, present
+from desim.cli.usage import problem
 
 
 @click.command()
@@ -47,15 +42,12 @@ from desim.config.file_names import STORE
     show_default=True,
     help="Trajectories of the screening; 0 = no screening.",
 )
-@click.option("-n", "--runs", type=click.IntRange(1, 1_000_000), default=4, show_default=True, help="Runs at a point.")
+@click.option("-n", "--runs", type=COUNT, default=4, show_default=True, help="Runs at a point.")
 @SEED
-@JOBS
-@CLUSTER
+@executing
 @click.option(
     "-o", "--out", type=click.Path(path_type=Path), help="Folder of the store; default: out/NAME/sensitivity."
 )
-@TIMEOUT
-@MIX_VERSIONS
 @JSON
 @ALLOW_IMPORT
 @SET
@@ -67,11 +59,8 @@ def sensitivity(
     trajectories: int,
     runs: int,
     seed: int | None,
-    jobs: int,
-    cluster: str | None,
+    execution: Execution,
     out: Path | None,
-    timeout: float | None,
-    mix_versions: bool,
     as_json: bool,
     overrides: tuple[str, ...],
 ) -> None:
@@ -82,25 +71,18 @@ def sensitivity(
     """
     from desim.results import provenance
     from desim.study.sensitivity.analysis import Analysis
-    from desim.study.store.store import Store
 
     source, scenario = source_of(file, overrides, added_metrics(metric), grid)
     try:
         analysis = Analysis.of(source, None, metric.rpartition(":")[2], points, trajectories, runs, seed)
     except ValueError as error:
-        fail(str(error))
+        fail(problem(error))
     folder = out or folder_for(scenario, None) / "sensitivity"
-    with storing(folder), Store(folder / STORE) as store:
-        before = len(store)
-        try:
-            with working(jobs, cluster, store, 1_000_000) as workers:
-                result = analysis.carry_out(store, workers, timeout=timeout, mix_versions=mix_versions)
-        except ValueError as error:
-            fail(str(error))
+    with adding_to(folder) as store:
+        with execution.workers(store) as workers:
+            result = analysis.carry_out(store, workers, timeout=execution.timeout, mix_versions=execution.mix_versions)
         store.note_command(str(Path.cwd()), sys.argv)
         root = analysis.plan.root
-        provenance.write(
-            folder, provenance.document("sensitivity", scenario, seed=root, runs=len(store), folder=file.parent)
-        )
-        echo(f"{store.added} runs were performed, {before} were already stored; store: {folder / STORE}", err=True)
-        present(result, folder, "sensitivity", as_json=as_json)
+        made = provenance.document("sensitivity", scenario, seed=root, runs=len(store), folder=file.parent)
+        provenance.write(folder, made)
+    present(result, folder, "sensitivity", as_json=as_json)

@@ -1,5 +1,6 @@
 """The messages about wrong words on the command line: what to type instead, for all commands and studies."""
 
+import re
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -52,6 +53,10 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
     }
 )
 """Names that users try, each with the command that they mean."""
+WORDS = "desim.words"
+"""The key of the words of the command line in the context of a command."""
+ARGUMENT = re.compile(r"\A(?P<first>\w+)|`(?P<quoted>\w+)`")
+"""Matches an argument of a function in the message of an error."""
 
 
 def no_command(word: str) -> str | None:
@@ -118,7 +123,57 @@ def _about_value(message: str, param: click.Parameter) -> str:
 
 
 def options_given(names: Collection[str]) -> dict[str, str]:
-    """Return those of some parameters that the command line has, and how it writes each, such as {"runs": "--runs"}."""
+    """Return those of some parameters that the command line has, and how it writes each, such as {"runs": "-n"}."""
     context = click.get_current_context()
-    options = {parameter.name: parameter.opts[-1] for parameter in context.command.params if parameter.name}
-    return {name: options[name] for name in names if context.get_parameter_source(name) is ParameterSource.COMMANDLINE}
+    there = [parameter.name for parameter in context.command.params]
+    typed = (name for name in names if context.get_parameter_source(name) is ParameterSource.COMMANDLINE)
+    return {name: spelled(name) for name in typed if name in there}
+
+
+def spelled(name: str) -> str:
+    """Return an option of the current command as the command line writes it, "-n" for instance, or its long form.
+
+    Args:
+        name: the name of the parameter.
+    """
+    context = click.get_current_context()
+    option = next(parameter for parameter in context.command.params if parameter.name == name)
+    for word in reversed(context.meta.get(WORDS, ())):
+        for form in (*option.opts, *option.secondary_opts):
+            if word.partition("=")[0] == form or (word.startswith(form) and not form.startswith("--")):
+                return form
+    return " or ".join((max(option.opts, key=len), *option.secondary_opts))
+
+
+def as_typed(message: str, **parameters: str) -> str:
+    """Return the message of an error with options of the current command in place of the arguments that it names.
+
+    An argument is named by the first word of a message, or between backticks.
+
+    Args:
+        message: the message.
+        parameters: the parameters of the command by argument where the names differ.
+    """
+    names = {parameter.name: str(parameter.name) for parameter in click.get_current_context().command.params}
+    names |= parameters
+
+    def option(match: re.Match[str]) -> str:
+        name = match["first"] or match["quoted"]
+        return spelled(names[name]) if name in names else match[0]
+
+    return ARGUMENT.sub(option, message)
+
+
+def metric_option() -> str:
+    """Return the option of the current command that names a metric, as the command line writes it."""
+    names = {parameter.name for parameter in click.get_current_context().command.params}
+    return spelled(next(name for name in ("metric", "metrics", "y") if name in names))
+
+
+def problem(error: ValueError, **parameters: str) -> str:
+    """Return the message of an error with the options of the command; see `as_typed`."""
+    from desim.analysis.metrics import NoMetricError  # slow to import
+
+    if isinstance(error, NoMetricError):
+        return f"{metric_option()} {error.name}: {error}"
+    return as_typed(str(error), **parameters)

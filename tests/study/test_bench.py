@@ -235,8 +235,24 @@ def test_a_protocol_that_does_nothing_is_worse_than_one_without_messages(monkeyp
     assert made.totals["idle"].score.value < 0.0
     assert "\n> idle" in made.table()
     assert {path.name for path in tmp_path.glob("*.sqlite")} == {"latency.sqlite", "partition.sqlite"}
-    with pytest.raises(RunError, match="the run failed: RuntimeError: for good"):
+    told = r"the run of scenario = latency, protocol = failing, network = as it is with seed 1\d+ failed: .*for good \("
+    with pytest.raises(RunError, match=told):
         bench(failing, runs=2)
+
+
+@pytest.mark.parametrize(
+    ("protocols", "why"),
+    [
+        ("sapp", r"sapp takes part in no scenario: protocol.kind: there is no 'sapp', did you mean 'sap'\?"),
+        ({"mine": "sapp"}, "mine takes part in no scenario: protocol.kind: there is no"),
+        (Own, r"Own takes part in no scenario: protocol: should be an instance: Own\(\) instead of Own"),
+        (3, "protocol: should be a table with a kind"),
+        ({"kind": "sap", "tauu": 1}, "protocol.tauu: unknown key, did you mean 'tau'"),
+    ],
+)
+def test_what_is_no_protocol_is_told(protocols, why):
+    with pytest.raises(ValueError, match=why):
+        bench(protocols, runs=2)
 
 
 def test_names_that_are_there_already_get_a_number():
@@ -268,7 +284,8 @@ def test_the_command_prints_the_table_of_the_version():
     ("arguments", "why"),
     [
         (["--version", "2"], "there is no version 2 of the benchmark; allowed: 1"),
-        (["-n", 1000], "runs should be 2 to 16"),
+        (["-n", 1000], "-n should be 2 to 16"),
+        (["--runs", 1000], "--runs should be 2 to 16"),
         (["-n", 1], "1 is not in the range"),
         (["--protocol", "sapp"], "--protocol sapp: protocol.kind: there is no 'sapp', did you mean 'sap'?"),
         (["--protocol", "my_rules:Mine"], "allow-import"),
@@ -291,6 +308,48 @@ def nearest(me):
         me.assign(all(me.capture_time() <= phi for phi in others))
         me.announce()
 """
+
+
+BAD = """
+def late(me):
+    yield me.sleep(0.2)
+    raise RuntimeError("no idea")
+
+def wrong(me):
+    yield me.sleep(0.2)
+    me.assign("chase")
+
+def plain(me):
+    return 3
+
+def nothing():
+    yield 1
+
+THREE = 3
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "code", "why"),
+    [
+        ("late", 3, "protocol = late, network = as it is with seed 1000000 failed: RuntimeError: no idea ("),
+        ("wrong", 3, "protocol = wrong, network = as it is with seed 1000000 failed:"),
+        ("plain", 3, "protocol = plain, network = as it is with seed 1000000 failed:"),
+        ("nothing", 2, "--protocol bad.py:nothing: protocol: should accept a call with (me)"),
+        ("THREE", 2, "--protocol bad.py:THREE: protocol: 'bad:THREE' should be callable (got 3)"),
+        ("none", 2, "--protocol bad.py:none: protocol"),
+    ],
+)
+def test_a_protocol_that_fails_is_told_in_a_sentence(tmp_path, monkeypatch, name, code, why):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("desim.study.comparing.bench.frozen_matches", lambda _: True)
+    (tmp_path / "bad.py").write_text(BAD)
+    result = command("--protocol", f"bad.py:{name}", "-n", 2, "--allow-import", "-o", "x")
+    assert result.exit_code == code
+    assert why in result.stderr
+    assert "Traceback" not in result.output
+    assert (result.stderr.splitlines()[-1] == "the finished runs are in x") == (code == 3)
 
 
 @pytest.mark.whole

@@ -96,7 +96,7 @@ def test_an_interrupted_sweep_reports_it_in_one_line_and_keeps_its_runs(tmp_path
     assert kept == configurations
     assert 5 <= len(done) < 50
     assert set(done) < set(runs)
-    end = f"{len(done)} runs are in {out / 'sweep.sqlite'}; the same command resumes\n"
+    end = f"{len(done)} finished runs are in {out / 'sweep.sqlite'}; the same command resumes\n"
     within_a_run = r"(at \S+ s of simulated time, in .*; )?"
     assert re.fullmatch(f"interrupted{how}: {within_a_run}{re.escape(end)}", told)
 

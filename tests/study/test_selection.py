@@ -142,7 +142,7 @@ def test_two_stages_take_what_clark_and_yang_say():
         ({"confidence": 0.5}, "between 1/2"),
         ({"confidence": 1.0}, "between 1/2"),
         ({"first": 1}, "first should be at least 2"),
-        ({"most": 5}, "most should be at least first, 20"),
+        ({"most": 5}, "most should be at least `first`, 20"),
     ],
 )
 def test_what_is_no_selection_is_refused(options, why):
@@ -246,7 +246,10 @@ def failing(_):
         (lambda: race(SHORT, {"team.count": [2]}, zone=0.1), "at least two configurations, and the grid has one, team"),
         (lambda: race(SHORT, COUNTS, "activ_time", zone=0.1), "no numeric metric 'activ_time', did you mean"),
         (lambda: race(SHORT, COUNTS, "capturers", zone=0.1), "no numeric metric 'capturers'"),
-        (lambda: race(SHORT, COUNTS, zone=0.0), "zone should be positive: it is the smallest difference .* s "),
+        (
+            lambda: race(SHORT, COUNTS, zone=0.0),
+            "zone should be positive and finite: it is the smallest difference .* s ",
+        ),
         (lambda: race(SHORT, COUNTS, zone=0.1, confidence=0.3), "between 1/3"),
         (lambda: race(SHORT, COUNTS, size_and_luck, zone=0.2), 'metric should be a name: "size_and_luck", with'),
         (lambda: raced(maximise=None), "score: whether more of it is better is not known"),
@@ -255,11 +258,19 @@ def failing(_):
         (lambda: raced(metrics={"score": endless}), "with seed 2 is inf, and a mean needs finite values"),
         (lambda: race(SHORT, {"team.count": [0, 2]}, zone=0.1), "should be greater than or equal to 1"),
         (lambda: race(SHORT, {"network.loss.p": "0:1"}, zone=0.1), "a range without steps"),
+        (lambda: race(SHORT, COUNTS, zone=0.1, most=5), "most should be at least `first`, 20"),
+        (lambda: race(SHORT, COUNTS, zone=0.1, maximise="yes"), "maximise should be True, False or None"),
+        (lambda: raced(maximise=None), "is not known: give `maximise`"),
     ],
 )
 def test_what_is_no_race_is_refused(call, why):
     with pytest.raises(ValueError, match=why):
         call()
+
+
+def test_a_race_of_a_file_says_how_to_load_it():
+    with pytest.raises(TypeError, match=r"race takes a scenario, not a path: race\(load\('game.toml'\)\)"):
+        race("game.toml", COUNTS, zone=0.1)
 
 
 def test_a_race_with_independent_seeds_says_so():
@@ -277,9 +288,12 @@ def test_a_race_with_independent_seeds_says_so():
     assert "with the same seeds" not in result.sentences()[2]
 
 
-def test_a_run_that_fails_ends_the_race():
-    with pytest.raises(RunError, match=r"the run of team.count = 2 with seed 0 failed"):
+def test_a_run_that_fails_ends_the_race_with_a_sentence():
+    told = r"the run of team.count = 2 with seed 0 failed: MetricError: metric 'score' of 'unnamed' with seed 0: Runt"
+    with pytest.raises(RunError, match=told) as raised:
         raced(metrics={"score": failing})
+    assert "\n" not in str(raised.value)
+    assert raised.value.__notes__[0].startswith("Traceback")
 
 
 def test_a_race_over_a_design_is_one_over_its_points():

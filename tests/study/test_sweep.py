@@ -321,8 +321,12 @@ def test_runs_that_failed_are_tried_again_and_only_those(tmp_path, monkeypatch):
 
 def test_the_first_failure_ends_the_sweep_if_it_should(tmp_path):
     scenario = BASE.model_copy(update={"protocol": Moody()})
-    with pytest.raises(RunError, match=r"(?s)capture\.radius = 0\.1 with seed 5000001 failed \(error\).*not today"):
+    with pytest.raises(
+        RunError, match=r"capture\.radius = 0\.1 with seed 5000001 failed: ValueError: not today"
+    ) as raised:
         sweep(scenario, {"capture.radius": [0.1]}, 9, store=tmp_path / "s.sqlite", fail_fast=True)
+    assert "\n" not in str(raised.value)
+    assert raised.value.__notes__[0].startswith("Traceback")
 
 
 class Terminal(StringIO):

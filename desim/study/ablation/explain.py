@@ -162,7 +162,9 @@ class Variants:
         complete = [k for k in range(plan.reps) if all(by_seed[k].ok for by_seed in rows.values())]
         if not complete:
             failed = next(row for by_seed in rows.values() for row in by_seed.values() if not row.ok)
-            raise RunError(f"no seed completed in all variants; first failure: {failed.error}")
+            raise RunError(
+                f"no seed completed in all variants; first failure, with seed {failed.seed}: {failed.failure}"
+            )
         absent = tuple(
             name for name in IMPERFECTIONS if self.configurations[name].key == self.configurations[AS_IT_IS].key
         )

@@ -28,7 +28,7 @@ from desim.study.comparing.suite import (
 )
 from desim.study.plan.configurations import Configuration
 from desim.study.store.store import Store
-from desim.study.sweeps.sweep import RunError, SweepPlan, carry_out
+from desim.study.sweeps.sweep import SweepPlan, carry_out, check_ok
 from desim.study.workers.executors import workers_for
 from desim.study.workers.workers import Workers
 
@@ -103,7 +103,9 @@ def _by_name(protocols: Any, suite: Suite) -> dict[str, Any]:
 def _name(protocol: Any) -> str:
     if isinstance(protocol, str):
         return protocol
-    return str(protocol["kind"]) if isinstance(protocol, Mapping) else kind_of(protocol)
+    if isinstance(protocol, Mapping):
+        return str(protocol["kind"])
+    return protocol.__name__ if isinstance(protocol, type) else kind_of(protocol)
 
 
 @dataclass(frozen=True)
@@ -131,14 +133,13 @@ class Entrants:
             try:
                 with_it = scenario.with_({"protocol": value})
             except ScenarioError as error:
-                absent.append(NoPart(protocol, name, str(error)))
+                why = "; ".join(str(problem._replace(where="")) for problem in error.problems)
+                absent.append(NoPart(protocol, name, why))
                 continue
-            networks = {AS_IT_IS: with_it, PERFECT: with_perfect_network(with_it)}
-            variants += [
-                Configuration({"protocol": protocol, "network": network}, it) for network, it in networks.items()
-            ]
+            variants.append(_variant(name, protocol, AS_IT_IS, with_it))
+            variants.append(_variant(name, protocol, PERFECT, with_perfect_network(with_it)))
         if self.again:
-            variants.append(Configuration({"protocol": REFERENCE, "network": SILENT}, without_messages(scenario)))
+            variants.append(_variant(name, REFERENCE, SILENT, without_messages(scenario)))
         return variants, absent
 
     def carry_out(
@@ -164,7 +165,9 @@ class Entrants:
             costs[name] = {} if self.again else _first(self.suite.costs[name], count)
             if not variants:
                 continue
-            distinct = {variant.key: variant for variant in variants[::-1]}
+            distinct: dict[str, Configuration] = {}
+            for variant in variants:
+                distinct.setdefault(variant.key, variant)
             scenario = self.suite.scenarios[name]
             plan = SweepPlan(scenario, tuple(distinct.values()), count, scenario.seed)
             with Store(None if folder is None else folder / f"{name}.sqlite") as store:
@@ -200,9 +203,8 @@ def _performed(plan: SweepPlan, store: Store, workers: Workers, timeout: float |
     costs: dict[str, Floats] = {}
     result = carry_out(plan, store, workers, timeout=timeout, metrics=METRICS)
     for configuration, group in zip(plan.configurations, result.groups, strict=True):
-        if failed := group.failed:
-            row = failed[0]
-            raise RunError(f"{plan.base.name}, {configuration}, seed {row.seed}: the run failed: {row.error}")
+        for row in group.failed[:1]:
+            check_ok(configuration, row)
         active, idle = (group.numbers(metric)[: plan.reps] for metric in METRICS)
         costs[configuration.key] = cost_of_runs(configuration.scenario, active, idle)
     return costs

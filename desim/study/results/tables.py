@@ -62,7 +62,7 @@ def relabelled(
         if metric in shown:
             shown |= dict.fromkeys((title(metric, result.units), words(metric)), shown[metric])
     if unknown := [name for name in without if name not in heads]:
-        raise ValueError(f"no table has a column {unknown[0]}: they have {', '.join(sorted(heads))}")
+        raise ValueError(f"without: no table has a column {unknown[0]!r}: they have {', '.join(sorted(heads))}")
     count = len(result.keys)
     results: list[Table] = []
     for name, (head, *rows) in made:
@@ -100,8 +100,7 @@ def notes(result: SweepRuns, metrics: Sequence[str]) -> Iterator[str]:
     for group in result.groups:
         if group.failed:
             row = group.failed[0]
-            place = f" ({row.place})" if row.place else ""
-            first = f"{group.in_words()}, seed {row.seed}: {row.error}{place}"
+            first = f"{group.in_words()}, seed {row.seed}: {row.failure}"
             yield f"{counted(len(result.failed), 'run')} failed; the first, with {first}"
             break
     yield from (f"warning: {warning}" for warning in result.warnings(metrics))

@@ -85,8 +85,21 @@ def check_zone(zone: float, unit: str = "") -> float:
     zone = real(zone, "zone")
     if not 0.0 < zone < inf:
         meaning = f"the smallest difference of means that matters{f', {unit}' if unit else ''}"
-        raise ValueError(f"zone should be positive: it is {meaning} (got {zone:g})")
+        raise ValueError(f"zone should be positive and finite: it is {meaning} (got {zone:g})")
     return zone
+
+
+def check_first(first: int, most: int | None = None) -> int:
+    """Return the number of first samples of a system.
+
+    Raises:
+        ValueError: if it is less than 2, or more than the largest number of samples.
+    """
+    if (first := whole(first, "first")) < 2:
+        raise ValueError(f"first should be at least 2, to estimate a variance (got {first})")
+    if most is not None and most < first:
+        raise ValueError(f"most should be at least `first`, {first} (got {most})")
+    return first
 
 
 def constants(systems: int, first: int, confidence: float) -> tuple[float, float]:
@@ -122,7 +135,9 @@ def kim_nelson(
     Raises:
         ValueError: if there are fewer than two systems, a number is out of its range, or a sample is not finite.
     """
-    systems, first = _checked_counts(systems, first, most)
+    if (systems := whole(systems, "systems")) < 2:
+        raise ValueError(f"a selection needs at least two systems, there is {systems}")
+    first = check_first(first, most)
     zone, confidence = check_zone(zone), check_confidence(confidence, systems)
     sign = 1.0 if maximise else -1.0
     kept: list[list[float]] = [[] for _ in range(systems)]
@@ -163,21 +178,6 @@ def kim_nelson(
         end,
         variances,
     )
-
-
-def _checked_counts(systems: int, first: int, most: int | None) -> tuple[int, int]:
-    """Return the number of systems and of first samples.
-
-    Raises:
-        ValueError: if a number is too small.
-    """
-    if (systems := whole(systems, "systems")) < 2:
-        raise ValueError(f"a selection needs at least two systems, there is {systems}")
-    if (first := whole(first, "first")) < 2:
-        raise ValueError(f"first should be at least 2, to estimate a variance (got {first})")
-    if most is not None and most < first:
-        raise ValueError(f"most should be at least first, {first} (got {most})")
-    return systems, first
 
 
 def _last(limits: Floats, left: Sequence[int], first: int) -> int:

@@ -8,18 +8,18 @@ needed in the end only remain in the store.
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from desim.analysis.metrics import Metrics, check_numeric, more_is, unit_of, words
-from desim.config.arguments import naming_arguments
-from desim.config.python_numbers import real, whole
+from desim.config.arguments import naming_arguments, scenario_argument
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.sweep_table import Design
 from desim.simulation.watchdog import checked_limit
 from desim.study.plan.configurations import SweepGrid
-from desim.study.selection.kim_nelson import check_confidence, check_zone, kim_nelson
+from desim.study.selection.kim_nelson import check_confidence, check_first, check_zone, kim_nelson
 from desim.study.selection.race_result import RaceResult
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
@@ -86,6 +86,7 @@ def race(
         mix_versions: as in `sweep`.
 
     Raises:
+        TypeError: if it is not a scenario.
         ScenarioError: if the scenario or the grid is invalid.
         ValueError: if there is only one configuration, a number is out of its range, the metric does not exist, is not
             numeric, has no or an infinite value in a run, or does not say whether more of it is better.
@@ -94,81 +95,82 @@ def race(
     """
     if timeout is not None:
         checked_limit(timeout)
+    if not isinstance(scenario, Source):
+        scenario_argument(Scenario).check(scenario, "race")
     plan = SweepPlan.of(scenario, grid, most, seed, metrics, design)
-    is_greatest = check_race(plan, metric, zone, confidence, maximise)
+    rules = RaceRules.of(plan, metric, zone, confidence, maximise, first)
     with Store(None if store is None else Path(store)) as kept, workers_for(executor) as workers:
         plan.register(kept, mix_versions=mix_versions)
-        return carry_out_race(
-            plan,
-            kept,
-            workers,
-            metric,
-            zone=zone,
-            confidence=confidence,
-            maximise=is_greatest,
-            first=first,
-            timeout=timeout,
-        )
+        return carry_out_race(plan, kept, workers, rules, timeout=timeout)
 
 
-def check_race(plan: SweepPlan, metric: str, zone: float, confidence: float, maximise: bool | None) -> bool:
-    """Return whether the greatest mean is the best.
+@dataclass(frozen=True)
+class RaceRules:
+    """What a race asks, and when it is decided; see `race`."""
 
-    Raises:
-        ValueError: if the arguments make no race; see `race`.
-    """
-    if len(plan.configurations) < 2:
-        raise ValueError(
-            f"a race needs at least two configurations, and the grid has one, {plan.configurations[0]}: give a key"
-            " several values"
-        )
-    added = dict(plan.metrics)
-    check_numeric(metric, added)
-    check_zone(zone, unit_of(metric, {name: one.unit for name, one in plan.metrics}))
-    check_confidence(confidence, len(plan.configurations))
-    if maximise is not None:
-        return maximise
-    better = more_is(metric, added)
-    if better is None:
-        raise ValueError(
-            f"{words(metric)}: whether more of it is better is not known: say `maximise` (--maximise or --minimise)"
-        )
-    return better == "better"
+    metric: str
+    maximise: bool
+    """Whether the greatest mean is the best."""
+    zone: float
+    confidence: float
+    first: int
+
+    @classmethod
+    def of(
+        cls, plan: SweepPlan, metric: str, zone: float, confidence: float, maximise: bool | None, first: int = FIRST
+    ) -> Self:
+        """Return the rules of a race between the configurations of a plan, at most `plan.reps` runs of each.
+
+        Raises:
+            ValueError: if there is only one configuration, or an argument is invalid; see `race`.
+        """
+        if len(plan.configurations) < 2:
+            raise ValueError(
+                f"a race needs at least two configurations, and the grid has one, {plan.configurations[0]}: give a key"
+                " several values"
+            )
+        added = dict(plan.metrics)
+        check_numeric(metric, added)
+        zone = check_zone(zone, unit_of(metric, {name: one.unit for name, one in plan.metrics}))
+        confidence = check_confidence(confidence, len(plan.configurations))
+        first = check_first(first, plan.reps)
+        if maximise is None:
+            better = more_is(metric, added)
+            if better is None:
+                raise ValueError(f"{words(metric)}: whether more of it is better is not known: give `maximise`")
+            maximise = better == "better"
+        elif not isinstance(maximise, bool):
+            raise ValueError(f"maximise should be True, False or None (got {maximise!r})")
+        return cls(metric, maximise, zone, confidence, first)
 
 
 def carry_out_race(
-    plan: SweepPlan,
-    store: Store,
-    workers: Workers,
-    metric: str,
-    *,
-    zone: float,
-    confidence: float,
-    maximise: bool,
-    first: int = FIRST,
-    timeout: float | None = None,
+    plan: SweepPlan, store: Store, workers: Workers, rules: RaceRules, *, timeout: float | None = None
 ) -> RaceResult:
     """Run a race of the configurations of a plan, at most `plan.reps` runs of each; see `race`.
 
     Raises:
-        ValueError: if a number is out of its range, or the metric has no or an infinite value in a run.
+        NoMeanError: if the metric has no or an infinite value in a run.
         RunError: if a run fails.
     """
-    count, first = len(plan.configurations), whole(first, "first")
-    zone, confidence = real(zone, "zone"), real(confidence, "confidence")
     with progress(None, plan.base.name, "run") as bar:
-        samples = _Samples(plan, store, workers, metric, first, timeout, bar)
         selection = kim_nelson(
-            samples, count, zone=zone, confidence=confidence, first=first, maximise=maximise, most=plan.reps
+            _Samples(plan, store, workers, rules, timeout, bar),
+            len(plan.configurations),
+            zone=rules.zone,
+            confidence=rules.confidence,
+            first=rules.first,
+            maximise=rules.maximise,
+            most=plan.reps,
         )
     return RaceResult(
         plan.base.name,
-        metric,
-        unit_of(metric, {name: one.unit for name, one in plan.metrics}),
-        maximise,
-        zone,
-        confidence,
-        first,
+        rules.metric,
+        unit_of(rules.metric, {name: one.unit for name, one in plan.metrics}),
+        rules.maximise,
+        rules.zone,
+        rules.confidence,
+        rules.first,
         tuple(configuration.columns for configuration in plan.configurations),
         selection,
         plan.common,
@@ -183,15 +185,14 @@ class _Samples:
         plan: SweepPlan,
         store: Store,
         workers: Workers,
-        metric: str,
-        first: int,
+        rules: RaceRules,
         timeout: float | None,
         bar: "tqdm[Any]",
     ):
         self._plan, self._store, self._workers = plan, store, workers
-        self._metric, self._first, self._timeout, self._bar = metric, first, timeout, bar
+        self._metric, self._first, self._timeout, self._bar = rules.metric, rules.first, timeout, bar
         self._places = {configuration.key: k for k, configuration in enumerate(plan.configurations)}
-        needed = {metric, *dict(plan.metrics)}
+        needed = {rules.metric, *dict(plan.metrics)}
         self._rows: dict[tuple[int, int], Row] = {
             (k, row.replication): row
             for k, configuration in enumerate(plan.configurations)

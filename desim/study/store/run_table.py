@@ -30,6 +30,8 @@ CALL = re.compile(r'^[ |]*File "(.+)", line (\d+)', re.MULTILINE)
 """Matches a call in a traceback: the file and the line."""
 LIBRARY = re.compile(r"^<|[/\\](site-packages|dist-packages|lib[/\\]python[\d.]+)[/\\]")
 """Matches the files of Python and of installed packages."""
+OWN_MODULE = re.compile(r"^(desim|protocols)\.[\w.]*?(?=\w+(:|$))")
+"""Matches the module of an exception of desim, which precedes its name in a traceback."""
 _OURS = tuple(f"{package_folder(package)}{sep}" for package in ("desim", "protocols"))
 Status = Literal["ok", "error", "crashed"]
 ABSENT, NONE, BOOL, INT, FLOAT, OBJECT = range(6)
@@ -72,6 +74,12 @@ class Row:
         return "{}:{}".format(*(users or calls)[-1]) if calls else ""
 
     @property
+    def failure(self) -> str:
+        """The exception of the run in one line, and its place unless that is in desim itself, if the run failed."""
+        place = self.place
+        return f"{self.error} ({place})" if place and not place.startswith(_OURS) else self.error
+
+    @property
     def error(self) -> str:
         """The exception of the run in one line; "" if it did not fail."""
         whole = self.traceback.strip().splitlines()
@@ -79,7 +87,7 @@ class Row:
         lines = [line.removeprefix("  | ") for line in lines_of_error]
         last_call = max((k for k, line in enumerate(lines) if line.startswith('  File "')), default=-1)
         ends = [line for line in lines[last_call + 1 :] if line.strip() and not line.startswith("  ")]
-        return (ends or lines[-1:] or [""])[0]
+        return OWN_MODULE.sub("", (ends or lines[-1:] or [""])[0])
 
 
 class _Missing:

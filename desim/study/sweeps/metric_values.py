@@ -11,18 +11,22 @@ from desim.study.results.result import SweepResult
 from desim.study.sweeps.sweep import SweepPlan
 
 
+class NoMeanError(ValueError):
+    """Raised if a run has no value, or an infinite one, of a metric of which a mean is needed."""
+
+
 def metric_value(metric: str, configuration: Configuration, seed: int, value: float | None) -> float:
     """Return the value of a metric in a run, as a finite number.
 
     Raises:
-        ValueError: if there is none, or it is infinite.
+        NoMeanError: if there is none, or it is infinite.
     """
     where = f"{words(metric)}: the run of {configuration} with seed {seed}"
     if value is None:
         instead = "; end_time counts the horizon where there is no capture" if "capture_time" in metric else ""
-        raise ValueError(f"{where} has no value, and a mean over all seeds needs one in every run{instead}")
+        raise NoMeanError(f"{where} has no value, and a mean over all seeds needs one in every run{instead}")
     if not isfinite(value):
-        raise ValueError(f"{where} is {float(value)}, and a mean needs finite values")
+        raise NoMeanError(f"{where} is {float(value)}, and a mean needs finite values")
     return float(value)
 
 
@@ -30,7 +34,7 @@ def metric_values(plan: SweepPlan, result: SweepResult, metric: str) -> Floats:
     """Return the (configurations, reps) values of a metric in the runs of a plan; a store may have further runs.
 
     Raises:
-        ValueError: if a run has no value, or an infinite one.
+        NoMeanError: if a run has no value, or an infinite one.
     """
     values = np.empty((len(plan.configurations), plan.reps))
     for of_configuration, configuration, group in zip(values, plan.configurations, result.groups, strict=True):

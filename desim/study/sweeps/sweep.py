@@ -370,9 +370,11 @@ def job_batches(
 
 
 def check_ok(configuration: Configuration, row: Row) -> None:
-    """Raise RunError if a run failed."""
+    """Raise RunError if a run failed: one sentence, with the traceback of the run as a note."""
     if not row.ok:
-        raise RunError(f"the run of {configuration} with seed {row.seed} failed ({row.status})\n{row.traceback}")
+        error = RunError(f"the run of {configuration} with seed {row.seed} failed: {row.failure}")
+        error.add_note(row.traceback)
+        raise error
 
 
 def check_target(metric: str, half_width: float, added: UsersMetrics = ()) -> None:
