@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from desim.cli.options import JSON, Pair, echo, fail, storing
+from desim.cli.options import JSON, Pair, echo, fail, of_option, storing
+from desim.cli.usage import problem
 
 if TYPE_CHECKING:
     from desim.study.results.crossover import Crossover
@@ -71,7 +72,9 @@ def compare(first: Path, second: Path, metrics: tuple[str, ...], table_format: s
     try:
         with storing():
             comparison = compared(first, second, metrics or SHOWN)
-    except (OSError, TypeError, ValueError) as error:
+    except ValueError as error:
+        fail(problem(error))
+    except (OSError, TypeError) as error:
         fail(str(error))
     if as_json:
         echo(json.dumps(comparison.document(), indent=2))
@@ -130,10 +133,18 @@ def crossover(
         if not isinstance(result, SweepResult):
             fail(f"{source}: is a run, and a crossover is of a sweep")
         crossing: Crossover | Threshold
+        for other, value in where:
+            with of_option("where", f"{other}={value}"):
+                result.setting(other, value)
+        if baseline is not None and key in result.keys:
+            with of_option("baseline", baseline):
+                result.setting(key, baseline)
         if a is not None and b is not None:
             crossing = result.crossover(metric, key, dict([a]), dict([b]), where=dict(where))
         else:
             crossing = result.threshold(metric, key, over or 0.0, baseline=baseline, where=dict(where))
-    except (OSError, ValueError) as error:
+    except ValueError as error:
+        fail(problem(error))
+    except OSError as error:
         fail(str(error))
     echo(json.dumps(crossing.document(), indent=2) if as_json else str(crossing))

@@ -8,6 +8,7 @@ import click
 from desim.cli.many import store_files
 from desim.cli.options import ALLOW_IMPORT, LABEL, SEED, SET, echo, fail, is_import_allowed, limited, storing
 from desim.cli.recorded import check_recorded_options, is_recorded, labels_of, result_of
+from desim.cli.usage import problem
 from desim.config.file_names import STORE, TRACE
 
 KINDS = (
@@ -162,7 +163,9 @@ def _export_sweep(
         result.write(file, metrics or SHOWN, labels=labels_of(result, labels), without=without)
     except OSError as error:
         fail(f"{file}: cannot be written: {error.strerror}")
-    except (ImportError, ValueError) as error:
+    except ValueError as error:
+        fail(problem(error))
+    except ImportError as error:
         fail(str(error))
     runs = counted(sum(len(group.rows) for group in result.groups), "run")
     what = f"tables of {counted(len(result.groups), 'configuration')}, {runs}," if file.suffix in SUFFIXES else runs

@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from desim.cli.options import ALLOW_IMPORT, SET, echo, fail, source_of, write
+from desim.cli.usage import problem
 from desim.config.number_files import text_of_file
 
 
@@ -65,7 +66,7 @@ def _write(file: Path, overrides: tuple[str, ...], device: str, folder: Path | N
     try:
         commands = script(scenario.network, scenario.team.count, device)
     except ValueError as error:
-        fail(f"{file}: {error}")
+        fail(f"{file}: {problem(error)}")
     missing = [*commands.missing, *([("fault", "netem has no faults")] if scenario.fault else [])]
     for key, why in missing:
         echo(f"warning: {file}: {key}: {why}", err=True)

@@ -16,6 +16,7 @@ from desim.cli.options import (
     fail,
     limited,
     making,
+    of_option,
     page_at,
     source_of,
     storing,
@@ -115,6 +116,9 @@ def report(folder: Path, out: Path | None, against: tuple[tuple[str, str], ...])
     with making("report"):
         with storing(folder):
             study = replace(Study.read(folder), against=dict(against) or None)
+        for key, value in against:
+            with of_option("against", f"{key}={value}"):
+                study.result.setting(key, value)
         page = page_of(study).encode()
     write(page, path)
     groups = study.result.groups

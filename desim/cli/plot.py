@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from desim.cli.options import AGAINST, ALLOW_IMPORT, LABEL, SEED, SET, echo, fail, limited, making
+from desim.cli.options import AGAINST, ALLOW_IMPORT, LABEL, SEED, SET, echo, fail, limited, making, of_option
 from desim.cli.recorded import SOURCE, is_recorded, labels_of, results_of
 from desim.cli.usage import options_given
 from desim.config.file_names import PICTURE_SUFFIXES, files
@@ -194,8 +194,15 @@ def _draw_sweep(result: "SweepResult", kind: str, source: Path, out: Path | None
     from desim.analysis.drawing.plots import save
     from desim.study.results.figures import file_name
 
+    for name, key in [("x", key) for key in (options.get("x"),) if key] + [
+        ("by", key) for key in options.get("by", ())
+    ]:
+        with of_option(name, key):
+            result.values(key)
     if "against" in options:
         options["against"] = dict(options["against"])
+        with of_option("against", " ".join(f"{key}={value}" for key, value in options["against"].items())):
+            result.references(options["against"])
     if "labels" in options:
         options["labels"] = labels_of(result, options["labels"])
     figure = result.plot(kind=kind, **options)  # type: ignore[arg-type]  # the option is one of its kinds

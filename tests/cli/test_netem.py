@@ -70,11 +70,11 @@ def test_commands_without_effect_in_desim_are_warned_of():
         (["none.toml"], "none.toml: cannot be read: No such file"),
         (["--parse", "tc qdisc del dev eth0 root"], "--parse: no command adds netem, so nothing is read"),
         (["--parse", ""], "--parse: no command adds netem, so nothing is read"),
-        ([EXAMPLE, "--dev", "$(id)"], f"{EXAMPLE}: the name of a device has at most 15 letters"),
-        ([EXAMPLE, "--dev", "a;b"], f"{EXAMPLE}: the name of a device has at most 15 letters"),
-        ([EXAMPLE, "--dev", "a b"], f"{EXAMPLE}: the name of a device has at most 15 letters"),
-        ([EXAMPLE, "--dev", "-x"], f"{EXAMPLE}: the name of a device has at most 15 letters"),
-        ([EXAMPLE, "--dev", "enp0s31f6abc"], f"{EXAMPLE}: the name of a device has at most 15 letters"),
+        ([EXAMPLE, "--dev", "$(id)"], f"{EXAMPLE}: --dev: the name has at most 15 letters"),
+        ([EXAMPLE, "--dev", "a;b"], f"{EXAMPLE}: --dev: the name has at most 15 letters"),
+        ([EXAMPLE, "--dev", "a b"], f"{EXAMPLE}: --dev: the name has at most 15 letters"),
+        ([EXAMPLE, "--dev", "-x"], f"{EXAMPLE}: --dev: the name has at most 15 letters"),
+        ([EXAMPLE, "--dev", "enp0s31f6abc"], f"{EXAMPLE}: --dev: the name has at most 15 letters"),
     ],
 )
 def test_wrong_input_is_refused(words, why):

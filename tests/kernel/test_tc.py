@@ -558,7 +558,7 @@ def test_a_device_may_have_a_usual_name(device):
     "device", ["", "x" * 16, "a b", "$(id)", "a;b", "`id`", "-a", "a/b", "\u00e9th0", "a\n", "'a'"]
 )
 def test_a_name_that_a_shell_or_linux_does_not_take_is_refused(device):
-    with pytest.raises(ValueError, match="the name of a device has at most 15 letters"):
+    with pytest.raises(ValueError, match="device: the name has at most 15 letters"):
         script(Links(), 2, device)
 
 

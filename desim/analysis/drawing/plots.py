@@ -250,12 +250,12 @@ def size_of(text: str) -> tuple[float, float | None]:
     match = SIZE.fullmatch(str(text).replace(" ", ""))
     units = [match["unit"], match["last"]] if match else []
     if match is None or not any(units):
-        raise ValueError(f"a size should be a width and perhaps a height in cm, mm or in, as 8.5cmx6cm, got {text!r}")
+        raise ValueError(f"size should be a width and perhaps a height in cm, mm or in, as 8.5cmx6cm (got {text!r})")
     unit, last = (unit_name or units[1 - k] for k, unit_name in enumerate(units))
     width = float(match["width"]) / UNITS[unit]
     height = None if match["height"] is None else float(match["height"]) / UNITS[last]
     if not all(LENGTHS[0] <= length <= LENGTHS[1] for length in (width, height) if length is not None):
-        raise ValueError(f"a width and a height should be from {LENGTHS[0]:g} in to {LENGTHS[1]:g} in, got {text!r}")
+        raise ValueError(f"size should be from {LENGTHS[0]:g} in to {LENGTHS[1]:g} in, each way (got {text!r})")
     return width, height
 
 

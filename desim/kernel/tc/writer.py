@@ -81,7 +81,7 @@ class _Writer:
         """
         if not DEVICE.fullmatch(device):
             raise ValueError(
-                f"the name of a device has at most 15 letters, digits and characters . _ : @ - (got {device!r})"
+                f"device: the name has at most 15 letters, digits and characters . _ : @ - (got {device!r})"
             )
         delay, rate = self._delay(f"{place}latency", latency), _rate(self._medium)
         keeps_order = order_of(reorders="reorder" in delay, has_rate=bool(rate))

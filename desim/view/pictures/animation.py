@@ -160,7 +160,7 @@ def _pixels(size: str | None) -> tuple[int, int]:
             raise ValueError(f"{error}; of a film also in px, as 1280x720px") from error
     sides = width, width * HEIGHT / WIDTH if height is None else height
     if not all(SIDES[0] <= side <= SIDES[1] for side in sides):
-        raise ValueError(f"the width and height of a film should be from {SIDES[0]} to {SIDES[1]} pixels, got {size!r}")
+        raise ValueError(f"size of a film should be from {SIDES[0]} to {SIDES[1]} pixels, each way (got {size!r})")
     return 2 * round(sides[0] / 2), 2 * round(sides[1] / 2)
 
 

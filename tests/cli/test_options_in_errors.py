@@ -1,0 +1,76 @@
+"""Errors about the value of an option name the option as the command line writes it."""
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from desim import Scenario, sweep
+from desim.cli.program import Program
+from desim.cli.usage import as_typed, options_given, spelled
+from tests.command import refused
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("swept")
+    scenario = Scenario(horizon=0.01, team={"count": 2}, record={"trajectory": 0})
+    sweep(scenario, {"team.count": [2, 3], "capture.radius": [0.1, 0.2]}, 2, store=folder / "sweep.sqlite")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("plot", "DIR", "-y", "nope"), "-y nope: there is no numeric metric 'nope'"),
+        (("plot", "DIR", "--y=nope"), "--y nope: there is no numeric metric 'nope'"),
+        (("plot", "DIR", "-x", "nope"), "-x nope: the grid has no key nope"),
+        (("plot", "DIR", "--by", "nope"), "--by nope: the grid has no key nope"),
+        (("plot", "DIR", "--against", "team.count=7"), "--against team.count=7: team.count does not take the value 7"),
+        (("plot", "DIR", "--size", "large"), "--size should be a width"),
+        (("plot", "DIR", "--size", "500cm"), "--size should be from"),
+        (("report", "DIR", "--against", "team.count=7"), "--against team.count=7: team.count does not take the value"),
+        (("compare", "DIR", "DIR", "-y", "nope"), "-y nope: there is no numeric metric"),
+        (("crossover", "DIR", "team.count", "--over", "10%", "-y", "nope"), "-y nope: there is no numeric metric"),
+        (
+            ("crossover", "DIR", "team.count", "--over", "10%", "--baseline", 7),
+            "--baseline 7: team.count does not take the value 7",
+        ),
+        (
+            ("crossover", "DIR", "team.count", "--over", "10%", "--where", "capture.radius=7"),
+            "--where capture.radius=7: capture.radius does not take the value 7",
+        ),
+        (("export", "DIR", "x.md", "--metric", "nope"), "--metric nope: there is no numeric metric"),
+        (("export", "DIR", "x.md", "--without", "nope"), "--without: no table has a column 'nope'"),
+    ],
+)
+def test_an_error_names_the_option(swept, words, why, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert why in refused(*(swept if word == "DIR" else word for word in words))
+
+
+@click.command(cls=Program)
+@click.option("-n", "--runs", default=1)
+@click.option("--first", default=1)
+@click.option("--maximise/--minimise", default=None)
+def command(**_):
+    for name in ("runs", "first", "maximise"):
+        click.echo(spelled(name))
+    click.echo(as_typed("most should be `first`, of `others`", most="runs"))
+    click.echo(options_given(("runs", "maximise", "others")))
+
+
+@pytest.mark.parametrize(
+    ("words", "forms"),
+    [
+        ([], ["--runs", "--first", "--maximise or --minimise", "--runs should be --first, of `others`", "{}"]),
+        (
+            ["-n", "3"],
+            ["-n", "--first", "--maximise or --minimise", "-n should be --first, of `others`", "{'runs': '-n'}"],
+        ),
+        (["-n3", "--minimise"], ["-n", "--first", "--minimise", "-n should be --first, of `others`", "{"]),
+        (["-n", "3", "--runs=4"], ["--runs", "--first", "--maximise or --minimise", "--runs should be --first", "{"]),
+    ],
+)
+def test_an_option_is_spelled_as_it_was_typed_last(words, forms):
+    lines = CliRunner().invoke(command, words, catch_exceptions=False).stdout.splitlines()
+    assert [line[: len(form)] for line, form in zip(lines, forms, strict=True)] == forms
