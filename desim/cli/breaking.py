@@ -22,11 +22,12 @@ from desim.cli.options import (
     fail,
     folder_for,
     make_folder,
+    protocol_of,
     source_of,
     storing,
     write,
 )
-from desim.cli.usage import options_given
+from desim.cli.usage import options_given, problem
 from desim.config.trust import write_whole
 
 if TYPE_CHECKING:
@@ -136,7 +137,8 @@ def break_(
     make_folder(folder)
     root = scenario.seed if seed is None else seed
     try:
-        scenario = scenario if protocol is None else scenario.with_({"protocol": protocol})
+        if protocol is not None:
+            scenario = scenario.with_({"protocol": protocol_of(protocol, "--protocol")})
         prop = checked_property(_stated(text, scenario), scenario)
         if keep is not None:
             _run_kept(keep, scenario, prop, timeout)
@@ -168,7 +170,7 @@ def break_(
             )
             _end_with_search(search, prop, folder, keep, jobs, as_json=as_json)
     except ValueError as error:
-        fail(str(error))
+        fail(problem(error, vary="grid", **({} if text is None else {"property": "text"})))
 
 
 def _stated(text: str | None, scenario: "Scenario") -> "Property | str":

@@ -192,7 +192,7 @@ def _checked_fates(fates: Sequence[MessageFate], delay: float) -> tuple[MessageF
         ValueError: if one does not exist, or lacks a delay.
     """
     if not delay > 0.0:
-        raise ValueError(f"delay should be greater than 0 s (got {delay:g})")
+        raise ValueError(f"delay should be positive, s (got {delay:g})")
     if unknown := [fate for fate in fates if fate not in FATES]:
         raise ValueError(f"fates should be {', '.join(FATES)} (got {unknown[0]!r})")
     if not fates:

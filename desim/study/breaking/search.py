@@ -8,6 +8,7 @@ from typing import Any
 
 from desim.analysis.properties import Judgement, Stated, stated, under_protocol
 from desim.config.arguments import naming_arguments, scenario_argument
+from desim.config.python_numbers import real
 from desim.config.suggestion import did_you_mean
 from desim.kernel.core.seeds import run_seed, stream
 from desim.scenario.properties import CANNOT_FAIL, Property
@@ -189,10 +190,12 @@ def find_violation(
 
     Raises:
         TypeError: if it is not a scenario.
-        ValueError: if the property does not fit the scenario or cannot fail, a feature does not exist, or the protocol
-            is its own reference.
+        ValueError: if the property does not fit the scenario or cannot fail, a feature does not exist, the protocol is
+            its own reference, or the budget is not positive.
     """
     scenario_argument(Scenario).check(scenario, "find_violation")
+    if not real(budget, "budget") > 0.0:
+        raise ValueError(f"budget should be positive, s (got {budget:g})")
     prop = checked_property(prop, scenario)
     cases = _Cases(scenario, features_of(features, vary or {}, scenario), scenario.seed if seed is None else seed, runs)
     search = Search()
@@ -226,7 +229,7 @@ def features_of(
     names = [*FEATURES] if names is None else names
     if unknown := [name for name in names if name not in FEATURES]:
         raise ValueError(
-            f"there is no feature {unknown[0]!r}{did_you_mean(unknown[0], FEATURES)}; there are {', '.join(FEATURES)}"
+            f"features: there is no {unknown[0]!r}{did_you_mean(unknown[0], FEATURES)}; there are {', '.join(FEATURES)}"
         )
     features = {name: draw for name, draw in FEATURES.items() if name in names} | dict(of_grid(vary, scenario))
     if not features:
