@@ -165,19 +165,8 @@ class Weak:
         return self.calls[self.key]
 
 
-def dispatching():
-    count = nonlocal_counter()
-
-    @functools.singledispatch
-    def turn(number=1):
-        return count()
-
-    return functools.partial(turn, 1)
-
-
 STATEFUL = {
     "weak keys": Weak,
-    "dispatching": dispatching,
     "instance": Remembering,
     "method": lambda: Remembering().turn,
     "partial": lambda: functools.partial(Remembering()),
@@ -824,6 +813,24 @@ def test_state_of_an_installed_package_is_a_matter_of_its_authors(folder, monkey
     run(scenario, 1)
     with pytest.warns(StateWarning, match="library_of_others.calls"):
         run(scenario, 1)
+
+
+def test_a_function_that_dispatches_by_type_is_one_like_others():
+    count = nonlocal_counter()
+
+    @functools.singledispatch
+    def up(state, rng):
+        return 1j
+
+    @functools.singledispatch
+    def counting_up(state, rng):
+        return 1j * np.sign(count())
+
+    for _ in range(2):
+        run(brief(up), 1)
+    run(brief(counting_up), 1)
+    with pytest.warns(StateWarning, match="an earlier run has changed it"):
+        run(brief(counting_up), 1)
 
 
 def test_a_graph_that_a_function_holds_is_copied():
