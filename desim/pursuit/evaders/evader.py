@@ -17,10 +17,11 @@ from desim.pursuit.evaders.evasion import PureEvasion, Strategy, away
 from desim.pursuit.evaders.observation import EvaderObservation
 from desim.pursuit.motion.capture import RadialTime
 from desim.pursuit.motion.dead_reckoning import EvaderTrack, MotionState
-from desim.pursuit.motion.dynamics import Courses, Dynamics, capture_times_with
+from desim.pursuit.motion.dynamics import Courses, Dynamics, TurnRate, capture_times_with
 from desim.pursuit.motion.flow import Environment
 from desim.pursuit.motion.flow_capture import capture_times_in_flow
 from desim.pursuit.motion.kinematics import CaptureTest, Kinematics
+from desim.pursuit.motion.turning import turning_capture_time
 from desim.pursuit.paths.space import PLANE, Plane, Walled
 
 
@@ -265,15 +266,23 @@ class EvaderBody:
         return self._times
 
     def capture_times_of(self, pursuers: Collection[int], now: int) -> list[float]:
-        """Return the capture times, s, of some pursuers at `now` (ns); inf once the evader has been captured."""
-        if len(pursuers) > MAX_SCALAR_SIZE or self.captured is not None or not self.is_radial:
+        """Return the capture times, s, of some pursuers at `now` (ns); inf once the evader has been captured.
+
+        Kept equal to the capture times of all by
+        `tests/pursuit/test_kinematics.py::test_times_of_some_are_those_of_all_with_inertia_and_in_a_flow`.
+        """
+        if len(pursuers) > MAX_SCALAR_SIZE or self.captured is not None:
             times = self.capture_times(now)
             return [times[pursuer] for pursuer in pursuers]
+        players = self._players
         if self._walled is None:
-            distances = self._players.distances(self.player, pursuers)
+            distances = players.distances(self.player, pursuers)
         else:
             distances = self._path_lengths(self._walled, pursuers)
-        return list(map(self._radial_time.of, pursuers, distances))
+        if self.is_radial:
+            return list(map(self._radial_time.of, pursuers, distances))
+        motions = [MotionState(players.position(pursuer), players.course(pursuer)) for pursuer in pursuers]
+        return list(map(self._capture_time_from, pursuers, motions, repeat(self.position), distances))
 
     def _path_lengths(self, walled: Walled, pursuers: Iterable[int]) -> list[float]:
         """Return the lengths of the paths from some pursuers, m; those at one instant are kept."""
@@ -312,6 +321,11 @@ class EvaderBody:
         course = motion.course
         if course is None and not self._dynamics.is_simple:
             return self._radial_time.of(pursuer, distance)
+        if type(self._dynamics) is TurnRate and course is not None:  # the same result as below, three times as fast
+            offset, speed = place - motion.position, self._speeds.item(pursuer)
+            stretched = offset * (distance / max(abs(offset), SMALLEST))
+            limit = self._dynamics.limit
+            return turning_capture_time(stretched, course.heading, speed, self.speed, self._radius, limit)
         courses = None if course is None else Courses(np.array([course.velocity]), np.array([course.heading]))
         places, distances = np.array([motion.position]), np.array([distance])
         speeds = self._speeds[pursuer : pursuer + 1]

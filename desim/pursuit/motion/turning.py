@@ -13,7 +13,6 @@ from math import acos, asin, inf, pi, sqrt
 import numpy as np
 
 from desim.config.arrays import Floats, Points
-from desim.pursuit.core.state import lengths
 from desim.pursuit.motion.capture import NO_SPEED
 
 MAX_ITERATIONS = 100
@@ -74,12 +73,7 @@ def _path_within(target: complex, rho: float) -> tuple[float, complex]:
 def turning_capture_times(
     offsets: Points, headings: Points, speeds: Floats, evader_speed: float, radius: float, limit: float
 ) -> Floats:
-    """Return the (k,) capture times, s, of pursuers of limited turn rate for an evader that flees straight.
-
-    This is the least t >= 0 with L(x_e + w t) - eps <= v t, where L is the length of the shortest path, and w the
-    velocity of the evader, in the direction of `offsets`. It is 0 within the capture radius. Beyond it, it is inf for a
-    pursuer no faster than the evader. As the evader moves away, L grows at most as fast as its distance, and falls
-    where it leaves a turning circle. L - v t therefore falls strictly, and has one root.
+    """Return the (k,) capture times, s, of pursuers of limited turn rate; see `turning_capture_time`.
 
     Args:
         offsets: (k,) vectors from each pursuer to the evader, m.
@@ -89,13 +83,33 @@ def turning_capture_times(
         radius: capture radius eps, m.
         limit: greatest turn rate, rad/s.
     """
-    times = np.where(lengths(offsets) <= radius, 0.0, inf)
-    able = (times > 0.0) & (speeds - evader_speed > NO_SPEED)
-    if able.any():
-        targets, v = offsets[able] * headings[able].conj(), speeds[able]
-        rows = zip(targets.tolist(), v.tolist(), (v / limit).tolist(), strict=True)
-        times[able] = [_root(target, speed, rho, evader_speed, radius) for target, speed, rho in rows]
-    return times
+    pursuers = zip(offsets.tolist(), headings.tolist(), speeds.tolist(), strict=True)
+    return np.array([turning_capture_time(*pursuer, evader_speed, radius, limit) for pursuer in pursuers], dtype=float)
+
+
+def turning_capture_time(
+    offset: complex, heading: complex, speed: float, evader_speed: float, radius: float, limit: float
+) -> float:
+    """Return the capture time, s, of a pursuer of limited turn rate for an evader that flees straight.
+
+    This is the least t >= 0 with L(x_e + w t) - eps <= v t, where L is the length of the shortest path, and w the
+    velocity of the evader, in the direction of `offset`. It is 0 within the capture radius. Beyond it, it is inf for a
+    pursuer no faster than the evader. As the evader moves away, L grows at most as fast as its distance, and falls
+    where it leaves a turning circle. L - v t therefore falls strictly, and has one root.
+
+    Args:
+        offset: vector from the pursuer to the evader, m.
+        heading: heading of the pursuer, of length 1.
+        speed: speed v of the pursuer, m/s.
+        evader_speed: speed of the evader, m/s.
+        radius: capture radius eps, m.
+        limit: greatest turn rate, rad/s.
+    """
+    if abs(offset) <= radius:
+        return 0.0
+    if speed - evader_speed <= NO_SPEED:
+        return inf
+    return _root(offset * heading.conjugate(), speed, speed / limit, evader_speed, radius)
 
 
 def _root(target: complex, speed: float, rho: float, evader_speed: float, radius: float) -> float:
