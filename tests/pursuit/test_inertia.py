@@ -220,6 +220,24 @@ def test_what_a_command_leads_to_is_told_in_advance():
 
 
 @given(seeds)
+def test_players_that_stand_still_keep_their_piece_as_if_it_began_anew(seed):
+    """Some stop at once, some brake, and some go on after they have stood; to the last bit."""
+    rng, env = np.random.default_rng(seed), Clock()
+    dynamics = [Simple(), Acceleration(limit=4.0), TurnRate(limit=2.0)]
+    starts, headings = rng.normal(size=3) + 1j * rng.normal(size=3), np.exp(1j * rng.normal(size=3))
+    kept, anew = (InertialKinematics(env, starts.copy(), dynamics, headings) for _ in range(2))
+    anew._stays = [False] * 3
+    for k in range(1, 9):
+        commands = (rng.normal(size=3) + 1j * rng.normal(size=3)) * rng.choice([0.0, 0.0, 1.0], size=3)
+        for players in (kept, anew):
+            players.command(commands)
+        env.run(until=k * SECOND // 3)
+        assert kept.positions().tolist() == anew.positions().tolist()
+        assert kept.courses(range(3)).headings.tolist() == anew.courses(range(3)).headings.tolist()
+        assert kept.courses(range(3)).velocities.tolist() == anew.courses(range(3)).velocities.tolist()
+
+
+@given(seeds)
 def test_players_that_are_all_simple_move_as_without_inertia(seed):
     """The two kinematics give the same positions, courses and contacts."""
     rng = np.random.default_rng(seed)

@@ -134,5 +134,6 @@ class EvaderTrack:
         drift = self._environment.drift(place, command, begin, step)
         if course is None:
             return MotionState(place + (command + drift) * duration)
-        piece = self._dynamics(place, course, command)._replace(drift=drift)
+        piece = self._dynamics(place, course, command)
+        piece = piece._replace(drift=drift) if drift else piece
         return MotionState(piece.at(duration), piece.course_at(duration))

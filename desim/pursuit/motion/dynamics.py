@@ -81,6 +81,11 @@ class Piece(NamedTuple):
         return self.course_at(t).velocity + self.drift
 
     @property
+    def moves(self) -> bool:
+        """Whether the position changes."""
+        return bool(self.curved or self.course.velocity or self.drift)
+
+    @property
     def curvature(self) -> float:
         """The magnitude of the acceleration in the curve, m/s^2."""
         return abs(self.turn_rate * self.course.velocity) + abs(self.acceleration)

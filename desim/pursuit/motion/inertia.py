@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from desim.config.answers import wrong_answer
 from desim.config.arrays import Integers, Points
+from desim.config.traits import is_ours
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import SECOND
@@ -23,6 +24,11 @@ ROUNDING = 1e-12
 class InertialKinematics(Kinematics):
     """The positions and velocities of K players, each with its dynamics.
 
+    A player that stands still and is commanded to do so keeps its piece.
+
+    Kept equal to a new piece at each command by
+    `tests/pursuit/test_inertia.py::test_players_that_stand_still_keep_their_piece_as_if_it_began_anew`.
+
     Args:
         env: the clock of the simulation.
         start: (K,) initial positions, m.
@@ -32,7 +38,8 @@ class InertialKinematics(Kinematics):
 
     def __init__(self, env: Clock, start: Points, dynamics: Sequence[Dynamics], headings: Points):
         super().__init__(env, start)
-        self._dynamics = dynamics
+        self._dynamics, self._stays = dynamics, [is_ours(type(model)) for model in dynamics]
+        """`_stays`: by player, whether it is known to stay in place if it stands and is commanded to stand."""
         self._pieces = [
             Piece(place, Course(0j, heading)) for place, heading in zip(start.tolist(), headings.tolist(), strict=True)
         ]
@@ -116,8 +123,10 @@ class InertialKinematics(Kinematics):
             act()
         flow = [0j] * len(self._pieces) if drifts is None else drifts.tolist()
         self._pieces = [
-            self._piece(player, command, drift)
-            for player, (command, drift) in enumerate(zip(velocities.tolist(), flow, strict=True))
+            piece if stays and not (command or drift or piece.moves) else self._piece(player, command, drift)
+            for player, (stays, piece, command, drift) in enumerate(
+                zip(self._stays, self._pieces, velocities.tolist(), flow, strict=True)
+            )
         ]
         self._since, self.commands, self.drifts = self._env.now, velocities, drifts
 
