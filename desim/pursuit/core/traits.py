@@ -9,7 +9,7 @@ from math import inf
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal
 
-from desim.config.model import Flag
+from desim.config.model import Flag, Value
 from desim.config.traits import Follows, Parameter, Traits
 
 AssumptionName = Literal[
@@ -115,7 +115,7 @@ class DisseminationTraits(Assuming):
     retransmits: Flag = False
     """Whether an announcement is transmitted again to each of its first receivers until it is acknowledged, or a newer
     one replaces it."""
-    transport: Any = None
+    transport: Value | None = None
     """The transport that carries announcements as messages; None: they are published, or `network.transport` carries
     them."""
 
