@@ -1,154 +1,23 @@
 """One trace from the events of several processes."""
 
-from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from itertools import count
 from typing import Any, NamedTuple
 
-from desim.kernel.core.events import (
-    LOST,
-    Broadcast,
-    Cause,
-    Event,
-    Lost,
-    MessageCounts,
-    Sent,
-    TransportCounts,
-)
+from desim.kernel.core.events import LOST, Broadcast, Cause, Event, Lost, MessageCounts, Sent, TransportCounts
+from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.records import Record
 from desim.kernel.core.trace_file import events_of
 from desim.live.link import DatagramFate, SentDatagram
 from desim.live.wire import Wire
-from desim.pursuit.core.events import Ended, Sampled
+from desim.pursuit.core.events import Sampled
 from desim.results.run_folder import EVENTS
 
 UNREAD: Cause = "socket"
 """The cause of the loss of a datagram that its receiver has never read."""
-
-
-class Logs:
-    """What the pursuers of a live run have reported.
-
-    Args:
-        wire: reads their datagrams.
-    """
-
-    def __init__(self, wire: Wire):
-        self._wire = wire
-        self.departures: list[tuple[int, SentDatagram]] = []
-        self.outcomes: dict[tuple[int, int, bool], DatagramFate] = {}
-        """By number, receiver, and whether it is of a copy."""
-        self.lines: list[str] = []
-        self.transports: list[TransportCounts] = []
-        self._last_read: dict[tuple[int, int], int] = {}
-        """By sender and receiver, when the last datagram that was read was sent, ns."""
-        self.crashed: dict[int, int] = {}
-        """By pursuer whose process was lost, when that was noticed, ns."""
-
-    def sent(self, pursuer: int, rows: Iterable[Any]) -> None:
-        """Take the transmissions of a pursuer."""
-        for t, dst, causes, created, datagram in rows:
-            lost = {int(node): cause for node, cause in causes.items()}
-            self.departures.append((pursuer, SentDatagram(t, tuple(dst), lost, created, bytes.fromhex(datagram))))
-
-    def arrived(self, rows: Iterable[Any]) -> None:
-        """Take the outcomes of datagrams; a loss on arrival replaces an arrival."""
-        for row in rows:
-            outcome = DatagramFate(*row)
-            key = outcome.number, outcome.dst, outcome.is_copy
-            before = self.outcomes.get(key)
-            if before is not None and outcome.cause and before.arrival != LOST:
-                outcome = outcome._replace(arrival=before.arrival)
-            self.outcomes[key] = outcome
-
-    def merged(self, world: Iterable[Event], *, messages: bool) -> list[Event]:
-        """Return all events of a run in order.
-
-        Args:
-            world: the events of the referee, which end with the last positions and the end.
-            messages: whether the messages are among them.
-        """
-        *world, sampled, ended = world
-        end = ended.t
-        rows: list[tuple[int, int, Event]] = [(event.t, 0, event) for event in world]
-        rows += [(event.t, 1, event) for event in events_of(self.lines, EVENTS) if event.t <= end]
-        traffic = _Traffic(end)
-        for pursuer, sent in self.departures:
-            for node in sent.dst:
-                if (sent.number, node, False) in self.outcomes:
-                    last = self._last_read.get((pursuer, node), 0)
-                    self._last_read[pursuer, node] = max(last, sent.t)
-        numbers = count()
-        for pursuer, sent in sorted(self.departures, key=lambda row: (row[1].t, row[0])):
-            if sent.t <= end:
-                rows += self._transmission(pursuer, sent, numbers, traffic)
-        assert isinstance(sampled, Sampled) or sampled.t <= end
-        assert isinstance(ended, Ended)
-        rows.sort(key=lambda row: row[:2])
-        kept = [event for _, _, event in rows if messages or not isinstance(event, Broadcast | Sent | Lost)]
-        return [*kept, sampled, *self._counted(end), traffic.counts(), ended]
-
-    def _transmission(
-        self, src: int, sent: SentDatagram, numbers: Any, traffic: "_Traffic"
-    ) -> Iterable[tuple[int, int, Event]]:
-        """Yield a transmission and its losses, and those of its copies, each with its time and rank."""
-        fates = {node: self._fate(src, sent, node, traffic.end) for node in sent.dst}
-        yield from self._events(src, sent, fates, next(numbers), traffic)
-        copies = {
-            node: _Fate(outcome.arrival, outcome.cause)
-            for node in sent.dst
-            if (outcome := self.outcomes.get((sent.number, node, True))) is not None
-        }
-        if copies:
-            yield from self._events(src, sent, copies, next(numbers), traffic)
-
-    def _fate(self, src: int, sent: SentDatagram, node: int, end: int) -> "_Fate":
-        if node in sent.causes:
-            return _Fate(LOST, sent.causes[node])
-        outcome = self.outcomes.get((sent.number, node, False))
-        down = self.crashed.get(node)
-        if outcome is None or outcome.src != src:
-            if down is not None:
-                return _Fate(LOST, "crash")
-            # One that was still in the socket at the end has no successor; one that was lost in between has.
-            return _Fate(LOST, UNREAD) if sent.t < self._last_read.get((src, node), 0) else _Fate(end + 1, "")
-        if outcome.arrival != LOST and down is not None and outcome.arrival >= down:
-            return _Fate(outcome.arrival, "crash")
-        return _Fate(outcome.arrival, outcome.cause)
-
-    def _events(
-        self, src: int, sent: SentDatagram, fates: Mapping[int, "_Fate"], number: int, traffic: "_Traffic"
-    ) -> Iterable[tuple[int, int, Event]]:
-        content = self._wire.decode(sent.datagram).content
-        arrivals, size, created = {node: fate.arrival for node, fate in fates.items()}, len(sent.datagram), sent.created
-        traffic.transmit(sent, fates.values())
-        if isinstance(content, Record):
-            times = tuple(arrivals.values())
-            yield (
-                sent.t,
-                2,
-                Broadcast(sent.t, number, src, content.seq, tuple(fates), times, created, size, content.body),
-            )
-        else:
-            for node, arrival in arrivals.items():
-                yield sent.t, 2, Sent(sent.t, number, src, node, arrival, created, size, content.body)
-        for node, fate in fates.items():
-            if fate.cause and max(fate.arrival, sent.t) <= traffic.end:
-                when = max(fate.arrival, sent.t)
-                yield when, 3, Lost(when, number, src, node, fate.cause)
-
-    def _counted(self, end: int) -> list[TransportCounts]:
-        """Return the sum of the counts of transports, if there are any."""
-        if not self.transports:
-            return []
-        totals: dict[str, Any] = defaultdict(int)
-        causes: Counter[str] = Counter()
-        for counts in self.transports:
-            causes.update(counts.given_up)
-            for name in counts._fields[1:]:
-                if name != "given_up":
-                    totals[name] += getattr(counts, name)
-        return [TransportCounts(end, given_up=dict(sorted(causes.items())), **totals)]  # type: ignore[arg-type]
+WORLD, OWN, MESSAGE, LOSS, LAST = range(5)
+"""The order of simultaneous events: of the world, of the pursuers, of messages, and the positions at the end."""
 
 
 class _Fate(NamedTuple):
@@ -159,30 +28,138 @@ class _Fate(NamedTuple):
     cause: Cause
 
 
-class _Traffic:
-    """Counts the messages of a run that ends at a time, ns."""
+class Logs:
+    """What the pursuers of a live run have reported.
 
-    def __init__(self, end: int):
-        self.end = end
-        self._sent = self._transmissions = self._bytes = self._in_flight = 0
-        self._lost: Counter[Cause] = Counter()
+    Args:
+        wire: reads their datagrams.
 
-    def transmit(self, sent: SentDatagram, fates: Iterable[_Fate]) -> None:
-        """Count a transmission."""
-        self._transmissions += 1
-        self._bytes += len(sent.datagram)
-        for fate in fates:
-            self._sent += 1
-            if fate.arrival > self.end:
-                self._in_flight += 1
-            elif fate.cause:
-                self._lost[fate.cause] += 1
+    Attributes:
+        crashed: by pursuer whose process was lost, when that was noticed, ns.
+        transports: the counts of the transports of each pursuer.
+    """
 
-    def counts(self) -> MessageCounts:
-        """Return the counts."""
-        lost = self._lost.total()
-        delivered = self._sent - lost - self._in_flight
-        by_cause = {cause: self._lost[cause] for cause in sorted(self._lost)}
-        return MessageCounts(
-            self.end, self._sent, delivered, lost, self._in_flight, by_cause, self._transmissions, self._bytes, 0.0
-        )
+    def __init__(self, wire: Wire):
+        self._wire = wire
+        self._departures: list[tuple[int, SentDatagram]] = []
+        self._fates: dict[tuple[int, int, bool], DatagramFate] = {}
+        """By number, which has the sender in it, receiver, and whether it is of a copy."""
+        self._lines: list[str] = []
+        self.crashed: dict[int, int] = {}
+        self.transports: list[TransportCounts] = []
+
+    def take(self, pursuer: int, departures: Iterable[Any], fates: Iterable[Any], lines: Iterable[str]) -> None:
+        """Take a report of a pursuer; see `desim.live.pursuer`."""
+        self._lines += lines
+        for t, dst, causes, created, datagram in departures:
+            lost = {int(node): cause for node, cause in causes.items()}
+            sent = SentDatagram(t, tuple(dst), lost, created, bytes.fromhex(datagram))
+            self._departures.append((pursuer, sent))
+        for fate in map(DatagramFate._make, fates):
+            key = fate.number, fate.dst, fate.is_copy
+            before = self._fates.get(key)
+            if before is not None and fate.cause and before.arrival != LOST:  # a loss on arrival replaces an arrival
+                fate = fate._replace(arrival=before.arrival)
+            self._fates[key] = fate
+
+    def merged(self, world: Iterable[Event], *, messages: bool) -> list[Event]:
+        """Return all events of a run in order.
+
+        Args:
+            world: the events of the referee; the last is the end.
+            messages: whether the messages are among them.
+        """
+        *world, ended = world
+        end = ended.t
+        rows = [(event.t, LAST if event.t == end and isinstance(event, Sampled) else WORLD, event) for event in world]
+        rows += [(event.t, OWN, event) for event in events_of(self._lines, EVENTS) if event.t <= end]
+        sizes: list[int] = []
+        sent = [event for transmission in self._transmissions(end, sizes) for event in transmission]
+        counts = _counts(end, sent, sizes)
+        if messages:
+            rows += [(event.t, LOSS if isinstance(event, Lost) else MESSAGE, event) for event in sent]
+        rows.sort(key=lambda row: row[:2])
+        return [*(event for _, _, event in rows), *_sum(end, self.transports), counts, ended]
+
+    def _transmissions(self, end: int, sizes: list[int]) -> Iterator[Iterator[Event]]:
+        """Yield the events of each transmission and of its copies, in order, and append its bytes to `sizes`."""
+        last_read = self._last_read()
+        numbers = count()
+        for src, sent in sorted(self._departures, key=lambda row: (row[1].t, row[0])):
+            if sent.t > end:
+                return
+            number, content = sent.number, self._wire.decode(sent.datagram).content
+            fates = {node: self._fate(number, src, sent, node, end, last_read.get((src, node), 0)) for node in sent.dst}
+            copied = [(node, self._fates.get((number, node, True))) for node in sent.dst]
+            copies = {node: self._after_crash(fate) for node, fate in copied if fate is not None}
+            for several in (fates, copies) if copies else (fates,):
+                sizes.append(len(sent.datagram))
+                yield _events(next(numbers), src, sent, content, several, end)
+
+    def _last_read(self) -> dict[tuple[int, int], int]:
+        """Return when the last datagram that was read was sent, ns, by sender and receiver."""
+        last: dict[tuple[int, int], int] = {}
+        for src, sent in self._departures:
+            for node in sent.dst:
+                if (sent.number, node, False) in self._fates:
+                    last[src, node] = max(last.get((src, node), 0), sent.t)
+        return last
+
+    def _fate(self, number: int, src: int, sent: SentDatagram, node: int, end: int, last_read: int) -> _Fate:
+        """Return what has become of a message at one receiver."""
+        if node in sent.causes:
+            return _Fate(LOST, sent.causes[node])
+        fate = self._fates.get((number, node, False))
+        if fate is not None:
+            return self._after_crash(fate)
+        if node in self.crashed:
+            return _Fate(LOST, "crash")
+        # One that was still in the socket at the end has no successor; one that was lost in between has.
+        return _Fate(LOST, UNREAD) if sent.t < last_read else _Fate(end + 1, "")
+
+    def _after_crash(self, fate: DatagramFate) -> _Fate:
+        """Return the fate of a datagram, which is lost if the process of its receiver was lost before its arrival."""
+        down = self.crashed.get(fate.dst)
+        is_down = down is not None and fate.arrival != LOST and fate.arrival >= down
+        return _Fate(fate.arrival, "crash" if is_down else fate.cause)
+
+
+def _events(
+    number: int, src: int, sent: SentDatagram, content: Any, fates: dict[int, _Fate], end: int
+) -> Iterator[Event]:
+    """Yield the events of a transmission with a number, and of its losses up to the end, ns."""
+    t, size, created = sent.t, len(sent.datagram), sent.created
+    arrivals = tuple(fate.arrival for fate in fates.values())
+    if isinstance(content, Record):
+        yield Broadcast(t, number, src, content.seq, tuple(fates), arrivals, created, size, content.body)
+    else:
+        for node, arrival in zip(fates, arrivals, strict=True):
+            yield Sent(t, number, src, node, arrival, created, size, content.body)
+    for node, fate in fates.items():
+        when = max(fate.arrival, t)
+        if fate.cause and when <= end:
+            yield Lost(when, number, src, node, fate.cause)
+
+
+def _counts(end: int, events: list[Event], sizes: list[int]) -> MessageCounts:
+    """Return the traffic up to the end, ns, given the events of messages, and the bytes of each transmission."""
+    arrivals = [arrival for event in events if isinstance(event, Broadcast | Sent) for _, arrival in event.fates()]
+    lost = Counter(event.cause for event in events if isinstance(event, Lost))
+    in_flight = sum(arrival > end for arrival in arrivals)
+    fates = len(arrivals), len(arrivals) - in_flight - lost.total(), lost.total(), in_flight
+    return MessageCounts(end, *fates, dict(sorted(lost.items())), len(sizes), sum(sizes), 0.0)
+
+
+def _sum(end: int, transports: list[TransportCounts]) -> list[TransportCounts]:
+    """Return the sum of the counts of transports up to the end, ns, if there are any."""
+    if not transports:
+        return []
+    totals = {
+        name: portable_sum(getattr(counts, name) for counts in transports)
+        for name in TransportCounts._fields
+        if name not in {"t", "given_up"}
+    }
+    causes = Counter[str]()
+    for counts in transports:
+        causes.update(counts.given_up)
+    return [TransportCounts(t=end, given_up=dict(sorted(causes.items())), **totals)]  # type: ignore[arg-type]

@@ -8,10 +8,8 @@ from traceback import format_exception_only
 from typing import Any
 
 from desim.kernel.core.clock import RARE_COLLECTION
-from desim.kernel.core.events import Broadcast, Lost, Sent
 from desim.kernel.core.trace_file import line_of
 from desim.kernel.core.units import nanoseconds
-from desim.kernel.models.faults import FaultEnded, FaultStarted
 from desim.live.frames import WorldFrame
 from desim.live.lines import Lines
 from desim.live.namespaces import within_namespace
@@ -32,8 +30,6 @@ EXCHANGES = 8
 """Number of time stamps that a pursuer on another host exchanges with the referee."""
 ALONE, LOST_REFEREE = 3, 4
 """Exit codes of a pursuer: the referee was not found, or fell silent."""
-OF_NETWORK = (Broadcast, Sent, Lost, FaultStarted, FaultEnded)
-"""Events of a node that the referee makes itself."""
 
 
 def play(scenario: Scenario, start: PursuerStart) -> int:
@@ -148,8 +144,7 @@ class _Pursuer:
         """Send what has happened since the last report."""
         link, trace = self._node.link, self._node.trace
         sent = [(*rest, datagram.hex()) for *rest, datagram in link.departures]
-        lines = [line_of(event) for event in trace.events if not isinstance(event, OF_NETWORK)]
-        self._lines.tell("report", sent, link.outcomes, lines)
+        self._lines.tell("report", sent, link.outcomes, list(map(line_of, trace.events)))
         for taken in (link.departures, link.outcomes, trace.events):
             taken.clear()
 

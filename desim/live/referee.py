@@ -164,10 +164,7 @@ class Referee:
         if word == "order":
             self._meet(partial(self._obey, pursuer, *values))
         elif word == "report":
-            departures, outcomes, lines = values
-            self._logs.sent(pursuer, departures)
-            self._logs.arrived(outcomes)
-            self._logs.lines += lines
+            self._logs.take(pursuer, *values)
         elif word == "done":
             counts, drops, lateness, errors, self._conduct.cpu[pursuer] = values
             self._logs.transports += [] if counts is None else [TransportCounts(*counts)]
