@@ -1,6 +1,6 @@
 """One trace from the events of several processes."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from itertools import count
 from typing import Any, NamedTuple
@@ -42,8 +42,8 @@ class Logs:
     def __init__(self, wire: Wire):
         self._wire = wire
         self._departures: list[tuple[int, SentDatagram]] = []
-        self._fates: dict[tuple[int, int, bool], DatagramFate] = {}
-        """By number, which has the sender in it, receiver, and whether it is of a copy."""
+        self._fates: defaultdict[int, dict[tuple[int, bool], DatagramFate]] = defaultdict(dict)
+        """By number, which has the sender in it: by receiver, and whether it is of a copy."""
         self._lines: list[str] = []
         self.crashed: dict[int, int] = {}
         self.transports: list[TransportCounts] = []
@@ -56,11 +56,10 @@ class Logs:
             sent = SentDatagram(t, tuple(dst), lost, created, bytes.fromhex(datagram))
             self._departures.append((pursuer, sent))
         for fate in map(DatagramFate._make, fates):
-            key = fate.number, fate.dst, fate.is_copy
-            before = self._fates.get(key)
-            if before is not None and fate.cause and before.arrival != LOST:  # a loss on arrival replaces an arrival
-                fate = fate._replace(arrival=before.arrival)
-            self._fates[key] = fate
+            known, key = self._fates[fate.number], (fate.dst, fate.is_copy)
+            if fate.cause and key in known and known[key].arrival != LOST:  # a loss on arrival replaces an arrival
+                fate = fate._replace(arrival=known[key].arrival)
+            known[key] = fate
 
     def merged(self, world: Iterable[Event], *, messages: bool) -> list[Event]:
         """Return all events of a run in order.
@@ -88,10 +87,14 @@ class Logs:
         for src, sent in sorted(self._departures, key=lambda row: (row[1].t, row[0])):
             if sent.t > end:
                 return
-            number, content = sent.number, self._wire.decode(sent.datagram).content
-            fates = {node: self._fate(number, src, sent, node, end, last_read.get((src, node), 0)) for node in sent.dst}
-            copied = [(node, self._fates.get((number, node, True))) for node in sent.dst]
-            copies = {node: self._after_crash(fate) for node, fate in copied if fate is not None}
+            known, content = self._fates[sent.number], self._wire.decode(sent.datagram).content
+            fates = {
+                node: self._after_crash(known[node, False])
+                if (node, False) in known
+                else self._unknown(sent, node, end, last_read.get((src, node), 0))
+                for node in sent.dst
+            }
+            copies = {node: self._after_crash(fate) for (node, is_copy), fate in known.items() if is_copy}
             for several in (fates, copies) if copies else (fates,):
                 sizes.append(len(sent.datagram))
                 yield _events(next(numbers), src, sent, content, several, end)
@@ -100,18 +103,14 @@ class Logs:
         """Return when the last datagram that was read was sent, ns, by sender and receiver."""
         last: dict[tuple[int, int], int] = {}
         for src, sent in self._departures:
-            for node in sent.dst:
-                if (sent.number, node, False) in self._fates:
-                    last[src, node] = max(last.get((src, node), 0), sent.t)
+            for node, _ in self._fates[sent.number]:
+                last[src, node] = max(last.get((src, node), 0), sent.t)
         return last
 
-    def _fate(self, number: int, src: int, sent: SentDatagram, node: int, end: int, last_read: int) -> _Fate:
-        """Return what has become of a message at one receiver."""
+    def _unknown(self, sent: SentDatagram, node: int, end: int, last_read: int) -> _Fate:
+        """Return what has become of a message at a receiver that has not reported it."""
         if node in sent.causes:
             return _Fate(LOST, sent.causes[node])
-        fate = self._fates.get((number, node, False))
-        if fate is not None:
-            return self._after_crash(fate)
         if node in self.crashed:
             return _Fate(LOST, "crash")
         # One that was still in the socket at the end has no successor; one that was lost in between has.

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Generator, Sequence
 from functools import partial
-from time import monotonic_ns
+from time import monotonic_ns, process_time
 from typing import Any
 
 from desim.config.fresh import fresh_copy
@@ -84,39 +84,33 @@ class Referee:
             LiveError: if a process does not join, or a protocol raises an exception.
         """
         lobby = self._lobby
-        try:
-            await lobby.gather(nursery, self._seed, self._namespaces, draws=self._draws, tell=self._tell)
-            begin = monotonic_ns() + nanoseconds(LEAD)
-            lobby.tell_all("begin", begin)
-            with fresh_copy(self._scenario) as scenario:
-                world = await self._run(scenario, begin)
-            return await self._finish(world)
-        finally:
-            lobby.close()
+        with fresh_copy(self._scenario) as scenario:
+            self._prepare(scenario)
+            try:
+                await lobby.gather(nursery, self._seed, self._namespaces, draws=self._draws, tell=self._tell)
+                begin, spent = monotonic_ns() + nanoseconds(LEAD), process_time()
+                lobby.tell_all("begin", begin)
+                self._clock = WallClock(self._env, self._end.over, lambda: monotonic_ns() - begin)
+                await self._clock.ended
+                result = await self._finish(self._clock)
+                self._conduct.cpu[REFEREE] = process_time() - spent
+                return result
+            finally:
+                lobby.close()
 
     # The run.
 
-    async def _run(self, scenario: Scenario, begin: int) -> list[Event]:
-        """Move the players until the run is over; return the events of the world."""
+    def _prepare(self, scenario: Scenario) -> None:
+        """Create the world, and plan the faults: those of robots happen here, those of radios at the pursuers, too."""
         self._env = env = Clock()
         self._end, self._trace = end, trace = RunEnd(env), Trace([self._watch])
         self._state = state = initial_state(env, scenario, self._seed)
         self._world = world = World(env, scenario, state, [View(state, scenario.prune)] * state.size, trace, end)
-        self._inject(scenario, world, trace)
+        network, _, faults = make_network(env, scenario, state, self._seed, None)
+        team = TeamProcesses(env, scenario, world, {}, [], None, None)
+        inject(faults, env, network, trace, crashed=team.crashed, recovered=team.recovered)
         world.begin()
         env.process(self._frames(max(FRAME, nanoseconds(scenario.motion.step))))
-        self._clock = WallClock(env, end.over, lambda: monotonic_ns() - begin)
-        await self._clock.ended
-        world.sample()
-        assert end.event is not None
-        self._lobby.tell_all("over", end.event.t)
-        return [*trace, end.event]
-
-    def _inject(self, scenario: Scenario, world: World, trace: Trace) -> None:
-        """Plan the faults: those of robots are made here, and those of the network by the pursuers, too."""
-        network, _, faults = make_network(self._env, scenario, self._state, self._seed, None)
-        team = TeamProcesses(self._env, scenario, world, {}, [], None, None)
-        inject(faults, self._env, network, trace, crashed=team.crashed, recovered=team.recovered)
 
     def _frames(self, period: int) -> Generator[Any, Any, None]:
         """Send a frame each period (ns)."""
@@ -178,19 +172,21 @@ class Referee:
         if self._clock is not None:
             self._clock.meet(act)
 
-    async def _finish(self, world: list[Event]) -> LiveResult:
-        """Wait for the reports of the pursuers, and merge all events."""
+    async def _finish(self, clock: WallClock) -> LiveResult:
+        """Tell that the run is over, wait for the reports of the pursuers, and merge all events."""
+        conduct, end = self._conduct, self._end.event
+        assert end is not None
+        self._world.sample()
+        self._lobby.tell_all("over", end.t)
         missing = await self._lobby.reports(LINGER)
         if self._lobby.errors:
             raise LiveError("; ".join(self._lobby.errors))
-        assert self._clock is not None
-        conduct = self._conduct
         conduct.notes += [f"pursuer {pursuer} has not reported within {LINGER:g} s of the end" for pursuer in missing]
         conduct.lateness = dict(sorted(conduct.lateness.items()))
-        conduct.note(REFEREE, self._clock.lateness, [])
+        conduct.note(REFEREE, clock.lateness, [])
         late = conduct.lateness[REFEREE]
         if late.worst > STALL:
             conduct.notes.append(f"the referee stalled for {late.worst:.1f} s")
         trace = Trace()
-        trace.events = self._logs.merged(world, messages=self._scenario.record.messages is True)
+        trace.events = self._logs.merged([*self._trace, end], messages=self._scenario.record.messages is True)
         return LiveResult(self._scenario, self._seed, trace, conduct)

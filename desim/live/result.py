@@ -21,7 +21,8 @@ class Conduct:
         timers: the same of all processes together, ns.
         deliveries: how much later than its time each message was delivered, ns.
         orders: how long after its decision each change of an action has taken effect, ns.
-        cpu: by pursuer, the time that its process has computed during the run, s.
+        cpu: by process, the pursuers and "referee", the processor time of the run, s; of the referee, that of all runs
+            at the same time.
         drops: by pursuer, the datagrams that it has dropped.
         ends: by pursuer whose process was lost, how it ended.
         notes: sentences about what went wrong.
@@ -31,7 +32,7 @@ class Conduct:
     timers: list[int] = field(default_factory=list)
     deliveries: list[int] = field(default_factory=list)
     orders: list[int] = field(default_factory=list)
-    cpu: dict[int, float] = field(default_factory=dict)
+    cpu: dict[int | str, float] = field(default_factory=dict)
     drops: dict[int, Drops] = field(default_factory=dict)
     ends: dict[int, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
@@ -53,7 +54,7 @@ class Conduct:
         lateness = {str(name): late._asdict() for name, late in self.lateness.items()}
         drops = {str(pursuer): counts._asdict() for pursuer, counts in self.drops.items()}
         ends = {str(pursuer): end for pursuer, end in self.ends.items()}
-        cpu = {str(pursuer): spent for pursuer, spent in self.cpu.items()}
+        cpu = {str(name): spent for name, spent in self.cpu.items()}
         return {**all_late, "processes": lateness, "cpu": cpu, "drops": drops, "ends": ends, "notes": self.notes}
 
 

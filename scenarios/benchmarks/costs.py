@@ -47,6 +47,7 @@ from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Periodic, SharedSeed
 from scenarios.benchmarks.learning_costs import environments
+from scenarios.benchmarks.live_costs import live
 from scenarios.benchmarks.measuring import Cost, apart, command, memory, per_unit
 from scenarios.benchmarks.pages import replays
 from scenarios.benchmarks.peers.bare_loop import bare_loop
@@ -467,6 +468,7 @@ PARTS: Mapping[str, Callable[[Options], list[Cost]]] = MappingProxyType(
         "sweeps": two_workers,
         "large_store": large_store,
         "replays": replays,
+        "live": live,
     }
 )
 
