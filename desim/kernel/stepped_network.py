@@ -508,7 +508,8 @@ def _faults_of(faults: Any) -> tuple[Any, ...]:
     """Return faults, of which some may be given as dicts."""
     if isinstance(faults, str | Mapping) or not isinstance(faults, Iterable):
         raise ValueError(f"faults should be a list of faults, such as [Crash(start=1.0, node=0)] (got {faults!r})")
-    return _part_of_file(_Faults, fault=tuple(faults)).fault
+    part: _Faults = _part_of_file(_Faults, fault=tuple(faults))
+    return part.fault
 
 
 class _Walls(Value):
@@ -521,7 +522,8 @@ def _walls_of(walls: Any) -> tuple[Wall, ...]:
     """Return walls, of which some may be given as dicts."""
     if isinstance(walls, str | Mapping | Wall) or not isinstance(walls, Iterable):
         raise ValueError(f"walls should be a list of walls, such as [Wall(line=[[0, 0], [4, 0]])] (got {walls!r})")
-    return _part_of_file(_Walls, wall=tuple(walls)).wall
+    part: _Walls = _part_of_file(_Walls, wall=tuple(walls))
+    return part.wall
 
 
 def _part_of_file(part: Any, **tables: Any) -> Any:

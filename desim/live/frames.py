@@ -119,7 +119,7 @@ def numbers_of(points: Points) -> list[float]:
 
 def points_of(numbers: Any) -> Points:
     """Return complex numbers from their coordinates."""
-    return np.array(numbers, dtype=float).ravel().view(complex)  # type: ignore[no-any-return]
+    return np.array(numbers, dtype=float).ravel().view(complex)
 
 
 def segment_list(segment: TrackSegment | None) -> list[Any]:

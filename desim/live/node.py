@@ -123,7 +123,7 @@ class Node:
 
         built = make_network(env, scenario, state, seed, self.trace, link_layer, jumps=True)  # by frames of the referee
         network, clocks, faults = self._network, _, _ = built
-        announced = DisseminationTraits.of(scenario.announce.dissemination).transport
+        announced: Any = DisseminationTraits.of(scenario.announce.dissemination).transport
         network.listen({} if announced is None else {ANNOUNCEMENTS: announced})
         self.link.trusts_stamps = not is_skewed(scenario.network_faults)
         sync = synchronise(env, network, clocks, scenario.clocks.sync, seed, self.trace, nodes=[me])
