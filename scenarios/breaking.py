@@ -3,15 +3,15 @@
 The search begins with six pursuers that are equally fast, so that any can stand in for another, a latency of 0.1 s,
 and announcements over the network. It adds imperfections at random (`desim break`) until a protocol leaves the evader
 without a pursuer for 5 s more than the centralised planner does in the same scenario with the same seed. What it finds
-is made as small as it can be, and all other protocols are run in it. Then the search goes on without the fault that was
-found, and may find another weakness. The same is done with `local_min` under each kind of trust, and with the mends of
+is made as small as it can be, and all other protocols are run in it. Then the search goes on without what that scenario
+needs, and may find another weakness. The same is done with `local_min` under each kind of trust, and with the mends of
 what was found.
 
 All runs are kept in the folder `breaking` of the output: the same command goes on after an interruption, and one with
 more --runs or --minutes goes on where the last one ended.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from contextlib import redirect_stderr
 from dataclasses import dataclass
 from functools import partial
@@ -70,11 +70,9 @@ class Weakness:
     """What each protocol does in it."""
 
     @property
-    def features(self) -> frozenset[str]:
-        """What the next search leaves out: the faults in the scenario or, without any, all that was changed."""
-        case = self.violation.case
-        faults = {name for name, changes in case.items() if "fault" in changes}
-        return frozenset(faults or case) & FEATURES.keys()
+    def features(self) -> Set[str]:
+        """What the next search leaves out: all that the scenario needs, but for the number of pursuers."""
+        return self.violation.case.keys() & FEATURES.keys() - {"team"}
 
 
 @dataclass(frozen=True)
@@ -84,7 +82,7 @@ class Broken:
     name: str
     """The protocol, with the kind of trust or the mend."""
     weaknesses: Sequence[Weakness]
-    """In the order of the searches, each without the faults that were found before."""
+    """In the order of the searches, each without the features that were found before."""
     cases: int
     """The number of cases that were run, without those that made a found one smaller."""
     seconds: float
@@ -133,8 +131,18 @@ def break_protocol(folder: Path, runs: int, seconds: float, scenario: Scenario, 
                 closest = search.closest
                 break
             weaknesses.append(Weakness(search.violation, search.violation.protocols(1, log)))
+            if not weaknesses[-1].features:  # it needs nothing that could be left out
+                break
             features = [feature for feature in features if feature not in weaknesses[-1].features]
     return Broken(scenario.name, weaknesses, cases, spent, closest)
+
+
+def broken_elsewhere(name: str, broken: Sequence[Broken]) -> list[str]:
+    """Return the others whose smallest scenarios break a protocol, too."""
+    verdicts = {
+        one.name: one.weaknesses[0].protocols.get(name) for one in broken if one.weaknesses and one.name != name
+    }
+    return [other for other, verdict in verdicts.items() if isinstance(verdict, Judgement) and not verdict.holds]
 
 
 def rows_of(broken: Broken) -> list[tuple[str, ...]]:
@@ -160,7 +168,9 @@ def table(broken: Sequence[Broken]) -> str:
     rows: list[tuple[str, ...]] = [("protocol", "smallest scenario", "case", "seed", "idle (s)", "others")]
     rows += [row for one in broken for row in rows_of(one)]
     about = f'"{PROPERTY}"; others: protocols that violate it in the same scenario, too'
-    return f"{about}\n{aligned(rows, right_from=2)}"
+    elsewhere = {one.name: broken_elsewhere(one.name, broken) for one in broken if not one.weaknesses}
+    ends = [f"{name} is broken by the smallest scenario of {', '.join(by)}" for name, by in elsewhere.items() if by]
+    return "\n".join([about, aligned(rows, right_from=2), *ends])
 
 
 def picture(broken: Sequence[Broken]) -> "Figure":
@@ -227,7 +237,8 @@ def main(options: Options) -> None:
         partial(break_protocol, folder, options.runs, 60.0 * options.own["minutes"]),  # type: ignore[arg-type]
         show,
     )
-    document = {"property": PROPERTY, "searches": [_document(one) for one in broken]}
+    searches = [_document(one) | {"broken_elsewhere": broken_elsewhere(one.name, broken)} for one in broken]
+    document = {"property": PROPERTY, "searches": searches}
     options.show(document, table(broken), lambda: picture(broken))
 
 

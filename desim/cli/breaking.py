@@ -139,7 +139,7 @@ def break_(
     try:
         if protocol is not None:
             scenario = scenario.with_({"protocol": protocol_of(protocol, "--protocol")})
-        prop = checked_property(_stated(text, scenario), scenario)
+        prop = checked_property(_stated(text, scenario, file.parent), scenario)
         if keep is not None:
             _run_kept(keep, scenario, prop, timeout)
         with storing(folder):
@@ -173,19 +173,23 @@ def break_(
         fail(problem(error, vary="grid", **({} if text is None else {"property": "text"})))
 
 
-def _stated(text: str | None, scenario: "Scenario") -> "Property | str":
-    """Return the property that is meant: one of the scenario, by its name or the first, or the text of another.
+def _stated(text: str | None, scenario: "Scenario", folder: Path) -> "Property":
+    """Return the property that is meant: one of the scenario, by its name or the first, or that of a text.
+
+    Functions that the text names are looked up in a folder, as those of the file are.
 
     Raises:
-        ValueError: if none is given.
+        ValueError: if none is given, or the text states none.
     """
+    from desim.scenario.properties import property_of
+
     named: dict[str, Property] = {prop.label: prop for prop in scenario.properties}
     if text is None:
         if not named:
             example = '--property "idle at most 2 in total against centralised"'
             raise ValueError(f"the scenario has no properties: give one, for instance {example}")
         return next(iter(named.values()))
-    return named.get(text, text)
+    return named[text] if text in named else property_of(text, folder=folder)
 
 
 def _run_kept(keep: Path, scenario: "Scenario", prop: "Property", timeout: float | None) -> None:
@@ -199,8 +203,8 @@ def _run_kept(keep: Path, scenario: "Scenario", prop: "Property", timeout: float
         if case.protocol_name != scenario.protocol_name or prop.text not in [one.text for one in case.properties]:
             continue
         case_run = CaseJudge(prop, workers_for(1), timeout=timeout)(case, case.seed)
-        what = "fails" if case_run.failure else "holds" if case_run.verdict.holds else "violates"
-        echo(f"kept: {file}: {what}: {told_text(case_run.verdict, case_run.failure, prop)}")
+        verb = "fails" if case_run.failure else "holds" if case_run.verdict.holds else "violates"
+        echo(f"kept: {file}: {verb}: {told_text(case_run.verdict, case_run.failure, prop)}")
         if not case_run.verdict.holds:
             echo("nothing else was searched: mend it, or move the file away")
             sys.exit(VIOLATED)

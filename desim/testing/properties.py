@@ -23,13 +23,17 @@ def assert_holds(scenario: Scenario, prop: Stated, seeds: Iterable[int] = range(
 
     Raises:
         AssertionError: if a run violates the property; the text has the seed, the margin and when it happened.
-        ValueError: if the property does not fit the scenario, or no run of it can violate the property.
+        ValueError: if the property does not fit the scenario, no run of it can violate the property, or there is no
+            seed.
     """
     scenario_argument(Scenario).check(scenario, "assert_holds")
     prop = stated(prop, scenario)
     if not prop.can_fail(scenario):
         raise ValueError(f"property {prop.text!r} says nothing: {CANNOT_FAIL}")
     recorded = recording(scenario, [prop])
+    seeds = [*seeds]
+    if not seeds:
+        raise ValueError("assert_holds needs a seed: without a run, any property holds")
     for seed in seeds:
         verdict = judge(prop, run(recorded, seed))
         if not verdict.holds:

@@ -206,6 +206,8 @@ def test_assert_holds_names_the_seed_and_the_margin():
         assert_holds(LOSSY, "always active <= 1", seeds=range(3))
     with pytest.raises(ValueError, match="says nothing"):
         assert_holds(SMALL, "always active <= 4")
+    with pytest.raises(ValueError, match="assert_holds needs a seed"):
+        assert_holds(SMALL, "always active <= 1", seeds=[])
 
 
 # Texts, tables and what is refused.

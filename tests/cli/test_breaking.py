@@ -144,6 +144,38 @@ def test_bad_use_is_told(folder, options, why):
     assert why.lower() in refused("break", "game.toml", *options).lower()
 
 
+@pytest.mark.slow
+def test_a_property_of_a_function_beside_the_file(folder):
+    """It is the text of whoever typed the command, so its code is run; a function that fails is no violation."""
+    (folder / "quantities.py").write_text(
+        "def late(result):\n    return [(0.0, 0.0), (1.0, 2.0)]\n\ndef none(result):\n    return 3\n"
+    )
+    command = ("break", "game.toml", "-n", 2, "--feature", "latency", "-j", 1, "-o", "found", "--property")
+    found = desim(*command, "quantities:late at most 1 in total")
+    assert "violated in case 1: seed 1000000, margin -" in found.stdout
+    for text, why in (
+        ("quantities:none at most 1 in total", "property 'quantities:none at most 1 in total' cannot be judged: "),
+        ("quantities:lat at most 1 in total", "did you mean 'late'"),
+        ("quantity:late at most 1 in total", "also searched in the folder of the file"),
+    ):
+        assert why in refused(*command, text)
+
+
+@pytest.mark.slow
+def test_a_rule_that_raises_is_told_without_a_replay(folder):
+    (folder / "rules.py").write_text("def raises(me):\n    yield me.sleep(0.5)\n    raise KeyError('planted')\n")
+    (folder / "own.toml").write_text(GAME.replace('"cbaa"', '"rules:raises"'))
+    result = desim(
+        "break", "own.toml", "--allow-import", "--feature", "latency", "--keep", "kept", "-o", "found", "-n", 2
+    )
+    assert result.exit_code == VIOLATED
+    assert "failed in case 1: seed 1000000, KeyError: 'planted'" in result.stdout
+    assert "no replay, as the run fails: desim run found/smallest.toml" in result.stdout
+    assert (folder / "found" / "smallest.toml").read_text().startswith("# raises fails here: KeyError: 'planted'.")
+    again = desim("break", "own.toml", "--allow-import", "--keep", "kept", "-o", "found", "-n", 2)
+    assert again.stdout.startswith("kept: kept/raises-covered-1000000.toml: fails: KeyError: 'planted'")
+
+
 def test_a_file_without_properties_needs_one(folder):
     (folder / "bare.toml").write_text("seed = 1\n")
     assert 'give one, for instance --property "idle' in refused("break", "bare.toml")

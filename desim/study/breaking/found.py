@@ -24,9 +24,9 @@ def scenario_text(violation: Violation, file: str, command: str) -> str:
         command: the command that found it.
     """
     verdict, prop, name = violation.verdict, violation.prop, violation.scenario.protocol_name
-    what = "fails" if violation.failure else f'violates "{prop.text}"'
+    verb = "fails" if violation.failure else f'violates "{prop.text}"'
     lines = [
-        f"{name} {what} here: {told_text(verdict, violation.failure, prop)}.",
+        f"{name} {verb} here: {told_text(verdict, violation.failure, prop)}.",
         f"Found as case {violation.searched} of: {command}",
         f"Made smaller in {violation.shrunk} runs. What is changed:",
         *(f"  {name}: {_flat(changes)}" for name, changes in violation.case.items()),
@@ -88,12 +88,12 @@ def search_text(search: Search, prop: Property) -> str:
     """Return what a search has found and what it has seen."""
     lines: list[str] = []
     if (violation := search.violation) is not None:
-        what, told = (
+        verb, told = (
             "failed" if violation.failure else "violated",
             told_text(violation.verdict, violation.failure, prop),
         )
         lines += [
-            f"{what} in case {violation.searched}: seed {violation.seed}, {told}",
+            f"{verb} in case {violation.searched}: seed {violation.seed}, {told}",
             f"smallest after {violation.shrunk} more runs: {case_text(violation.case)}",
         ]
     else:

@@ -6,7 +6,7 @@ from contextlib import closing
 from functools import partial
 from typing import NamedTuple
 
-from desim.analysis.properties import judge
+from desim.analysis.properties import Judgement, judge
 from desim.kernel.core.portable_math import portable_sum
 from desim.scenario.properties import Property, recording
 from desim.scenario.scenario import Scenario
@@ -79,6 +79,10 @@ class CaseJudge:
         return runs
 
 
+class JudgementError(ValueError):
+    """A run has ended, but its property cannot be judged."""
+
+
 def failure_of(outcome: Outcome, timeout: float | None) -> str:
     """Return how a run has failed: the class and the first line of its exception; empty: it has not.
 
@@ -87,19 +91,32 @@ def failure_of(outcome: Outcome, timeout: float | None) -> str:
         timeout: the longest wall time of a run, s; None: no limit.
 
     Raises:
-        BaseException: if it was ended from outside.
+        BaseException: if it was ended from outside, or its property cannot be judged.
     """
     if outcome.status == "ok":
         return ""
     error = outcome.error or RuntimeError(outcome.traceback.strip().splitlines()[-1])
     is_too_long = timeout is not None and isinstance(error, TimedOut)
-    if not isinstance(error, Exception) and not is_too_long:
+    if isinstance(error, JudgementError) or not (isinstance(error, Exception) or is_too_long):
         raise error
     return ": ".join(["TimedOut" if is_too_long else type(error).__name__, *str(error).strip().splitlines()[:1]])
 
 
 def _case_run(prop: Property, result: Result) -> CaseRun:
-    return CaseRun(judge(prop, result), seen_in(result))
+    return CaseRun(judged(prop, result), seen_in(result))
+
+
+def judged(prop: Property, result: Result) -> Judgement:
+    """Return the judgement of a run that has ended; no exception from here on is one of its protocol.
+
+    Raises:
+        JudgementError: if a function of a user raises one, or the run of the reference does.
+    """
+    try:
+        return judge(prop, result)
+    except Exception as error:
+        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+        raise JudgementError(f"property {prop.text!r} cannot be judged: {kind}{error}") from error
 
 
 def with_messages(scenario: Scenario, prop: Property) -> Scenario:

@@ -23,7 +23,7 @@ from functools import partial
 from math import inf
 from typing import Literal, NamedTuple, get_args
 
-from desim.analysis.properties import Judgement, Stated, judge
+from desim.analysis.properties import Judgement, Stated
 from desim.config.arguments import naming_arguments, scenario_argument
 from desim.config.python_numbers import real, whole
 from desim.config.traits import kind_of
@@ -37,7 +37,7 @@ from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.simulation.run import Result
 from desim.study.breaking.case_log import FAILED
 from desim.study.breaking.copies import MessageCopy, ReadingTime, copies, looks, readings
-from desim.study.breaking.judging import failure_of, outcomes_of
+from desim.study.breaking.judging import failure_of, judged, outcomes_of
 from desim.study.breaking.search import GENERATION, checked_property
 from desim.study.workers.dispatch import Outcome, simulation
 from desim.study.workers.executors import workers_for
@@ -112,8 +112,8 @@ class LossTable:
         lines = [f"seed {seed}: violated without any loss" for seed in self.broken]
         for fatal in self.fatal:
             these = f"if these are {fates}" if len(self.fates) == 1 else "with these"
-            what = f"fails ({fatal.failure})" if fatal.failure else f"margin {fatal.verdict.margin:.3g}"
-            lines.append(f"seed {fatal.seed}: {what} {these}:")
+            told = f"fails ({fatal.failure})" if fatal.failure else f"margin {fatal.verdict.margin:.3g}"
+            lines.append(f"seed {fatal.seed}: {told} {these}:")
             for copy, fate in zip(fatal.messages, fatal.fates, strict=True):
                 lines.append(f"  {'' if len(self.fates) == 1 else f'{words[fate]}: '}{copy}")
         if not lines:
@@ -410,7 +410,7 @@ def _tell(prop: Property, fates: Sequence[MessageFate], delay: int, prune: bool,
     ]
     lost = [reading for reading in read if reading.copy.arrival == LOST and reading.copy.seq is not None]
     unread_since = {reading.copy.number: reading.last_look() for reading in lost}
-    return _Told(judge(prop, result), steps, len(sent), unread_since)
+    return _Told(judged(prop, result), steps, len(sent), unread_since)
 
 
 def _matters(reading: ReadingTime, fate: MessageFate, delay: int, horizon: int) -> bool:
