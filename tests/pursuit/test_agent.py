@@ -393,6 +393,17 @@ class Forgetful(dict):
         pass
 
 
+def forget_motions(monkeypatch):
+    """Let views keep nothing that pursuers extrapolate."""
+    start = View.__init__
+
+    def forgetting(view, *given):
+        start(view, *given)
+        view.reckonings = Forgetful()
+
+    monkeypatch.setattr(View, "__init__", forgetting)
+
+
 @pytest.mark.parametrize("payload", ["state", "course"])
 @pytest.mark.parametrize("protocol", [Voronoi(slot=0.1), BestResponse(schedule=Poisson(rate=5.0)), Server()])
 def test_motions_that_are_shared_are_those_that_each_pursuer_extrapolates(monkeypatch, payload, protocol):
@@ -406,14 +417,32 @@ def test_motions_that_are_shared_are_those_that_each_pursuer_extrapolates(monkey
         fault=[ClockSkew(offset=0.05, node=0)],
     )
     shared = list(run(scenario).trace)
-    start = View.__init__
-
-    def forgetting(view, *given):
-        start(view, *given)
-        view.reckonings = Forgetful()
-
-    monkeypatch.setattr(View, "__init__", forgetting)
+    forget_motions(monkeypatch)
     assert list(run(scenario).trace) == shared
+
+
+def test_estimates_at_one_time_of_two_clocks_are_of_their_instants(monkeypatch):
+    """The clock of the last pursuer is ahead by a period, so it shows a time when the others showed it before."""
+
+    def estimates():
+        seen = []
+
+        def protocol(me):
+            if me.id == 1:
+                me.assign(1)
+                me.broadcast()
+            for k in range(1, 20):
+                yield me.at(0.05 * k)
+                seen.append((me.id, me.team_estimate().positions.tolist(), me.team_estimate().capture_times.tolist()))
+
+        team, announce = Team(count=4, active_at_start=0.0), Announcements(payload="state", heartbeat=9.0)
+        play(protocol, team=team, announce=announce, fault=(ClockSkew(offset=0.05, node=3),), horizon=1.0)
+        return seen
+
+    shared = estimates()
+    forget_motions(monkeypatch)
+    assert estimates() == shared
+    assert len({positions[1] for _, positions, _ in shared}) > 18
 
 
 @pytest.mark.parametrize("memory", [True, False])

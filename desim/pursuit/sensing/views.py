@@ -62,9 +62,9 @@ class View:
         prune: which pursuers may not chase an evader.
 
     Attributes:
-        reckonings: by pursuer, the last of its records from which somebody extrapolated, at which time (ns, local
-            clock; None: any time, because the pursuer stands still), and its motion then; used by
-            `desim.pursuit.team.beliefs`.
+        reckonings: by pursuer, the last of its records from which somebody extrapolated, at which instant (ns, of true
+            time and by the clock of that pursuer; None: any, because the pursuer stands still), and its motion then;
+            used by `desim.pursuit.team.beliefs`.
     """
 
     unlimited: ClassVar[bool] = True
@@ -77,7 +77,7 @@ class View:
         self._options_last = self.unlimited and prune != "infeasible" and keeps  # until the next capture
         self._options: dict[int, tuple[int, ...]] = {}
         self._options_at: Sequence[int] | None = None  # the evaders at large when these options were computed
-        self.reckonings: dict[int, tuple[Record, int | None, MotionState]] = {}
+        self.reckonings: dict[int, tuple[Record, tuple[int, int] | None, MotionState]] = {}
 
     def sees(self, evader: int) -> bool:
         """Return whether the pursuer sees an evader now."""

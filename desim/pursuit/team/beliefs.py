@@ -299,29 +299,25 @@ class Beliefs(Knowledge):
         """Return the motions of teammates: extrapolated from their records, or sensed; nan if neither is possible.
 
         Each teammate is assumed to continue its announced action until an order changes it. Pursuers that share a view
-        share what they extrapolate from the same record at the same time, or at any time if the teammate stands still.
+        share what they extrapolate from the same record at the same instant, or at any if the teammate stands still.
 
         Kept equal to an extrapolation by each pursuer by
         `tests/pursuit/test_agent.py::test_motions_that_are_shared_are_those_that_each_pursuer_extrapolates`.
         """
         now, reckonings = self._clock.stamp, self._view.reckonings
+        instant = self._clock.true, now  # wrong clocks show one time at several instants
         motions: dict[int, MotionState] = {}
         for j, record in records.items():
-            reckoning, ordered = reckonings.get(j), orders.get(j)
+            known, ordered = reckonings.get(j), orders.get(j)
             if ordered and not record.body.active and not _has_action(ordered):
                 ordered = None  # an order to stay changes nothing
-            if (
-                not ordered
-                and reckoning is not None
-                and reckoning[0] is record
-                and (reckoning[1] is None or reckoning[1] == now)
-            ):
-                motions[j] = reckoning[2]
+            if known and known[0] is record and (known[1] is None or known[1] == instant) and not ordered:
+                motions[j] = known[2]
             elif isinstance(record.body, Located):
                 motions[j] = motion = self._reckoned(record, ordered or (), now)
                 if self._view.unlimited and not ordered:
                     stands = not record.body.active and self._view.stands(motion)
-                    reckonings[j] = record, None if stands else now, motion
+                    reckonings[j] = record, None if stands else instant, motion
             else:
                 motions[j] = self._view.state.motion(j) if self.senses_others else MotionState(complex(nan, nan))
         return motions
