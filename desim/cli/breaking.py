@@ -141,7 +141,7 @@ def break_(
             scenario = scenario.with_({"protocol": protocol_of(protocol, "--protocol")})
         prop = checked_property(_stated(text, scenario, file.parent), scenario)
         if keep is not None:
-            _run_kept(keep, scenario, prop, timeout)
+            _run_kept(keep, file.parent, scenario, prop, timeout)
         with storing(folder):
             if losses is not None:
                 table = fatal_losses(
@@ -154,7 +154,7 @@ def break_(
                     jobs=jobs,
                     timeout=timeout,
                 )
-                _end_with_losses(table, scenario, prop, folder, as_json=as_json)
+                _end_with_losses(table, scenario, prop, file, folder, as_json=as_json)
             search = find_violation(
                 scenario,
                 prop,
@@ -168,7 +168,7 @@ def break_(
                 budget=inf if budget is None else budget,
                 log=CaseLog(folder / CASES, prop),
             )
-            _end_with_search(search, prop, folder, keep, jobs, as_json=as_json)
+            _end_with_search(search, prop, file, folder, keep, jobs, as_json=as_json)
     except ValueError as error:
         fail(problem(error, vary="grid", **({} if text is None else {"property": "text"})))
 
@@ -192,14 +192,17 @@ def _stated(text: str | None, scenario: "Scenario", folder: Path) -> "Property":
     return named[text] if text in named else property_of(text, folder=folder)
 
 
-def _run_kept(keep: Path, scenario: "Scenario", prop: "Property", timeout: float | None) -> None:
-    """Run the kept cases of a protocol and a property, and end the program if one is still violated."""
+def _run_kept(keep: Path, folder: Path, scenario: "Scenario", prop: "Property", timeout: float | None) -> None:
+    """Run the kept cases of a protocol and a property, and end the program if one is still violated.
+
+    The code that they name is looked up in `folder`, as that of the scenario.
+    """
     from desim.study.breaking.found import told_text
     from desim.study.breaking.judging import CaseJudge
     from desim.study.workers.executors import workers_for
 
     for file in sorted(keep.glob("*.toml")):
-        _, case = source_of(file, ())
+        _, case = source_of(file, (), folder=folder)
         if case.protocol_name != scenario.protocol_name or prop.text not in [one.text for one in case.properties]:
             continue
         case_run = CaseJudge(prop, workers_for(1), timeout=timeout)(case, case.seed)
@@ -211,24 +214,27 @@ def _run_kept(keep: Path, scenario: "Scenario", prop: "Property", timeout: float
 
 
 def _end_with_search(
-    search: "Search", prop: "Property", folder: Path, keep: Path | None, jobs: int, *, as_json: bool
+    search: "Search", prop: "Property", file: Path, folder: Path, keep: Path | None, jobs: int, *, as_json: bool
 ) -> NoReturn:
     """Print and write what a search has found, and end the program."""
-    from desim.study.breaking.found import protocols_text, scenario_text, search_text
+    from desim.study.breaking.found import command_for, protocols_text, scenario_text, search_text
 
     violation = search.violation
     texts = [search_text(search, prop)]
     document: dict[str, Any] = {"property": prop.text, "runs": search.runs, "seen": search.seen, "violation": None}
     if violation is not None:
         smallest = folder / "smallest.toml"
-        text = scenario_text(violation, str(smallest), shlex.join(["desim", *sys.argv[1:]]))
+        command = shlex.join(["desim", *sys.argv[1:]])
+        text = scenario_text(violation, str(smallest), command, file.parent.absolute())
         write(text.encode(), smallest)
         if keep is not None:
             name = f"{violation.scenario.protocol_name}-{prop.label[:40]}-{violation.seed}.toml".replace(":", "-")
             write(text.encode(), keep / name)
         verdicts = violation.protocols(jobs)
         at = None if violation.failure else violation.verdict.at
-        texts += ["", protocols_text(verdicts, prop), "", _drawn(violation.scenario, violation.seed, folder, at)]
+        again = command_for("run", str(smallest), violation.scenario, file.parent.absolute())
+        texts += ["", protocols_text(verdicts, prop), ""]
+        texts.append(_drawn(violation.scenario, violation.seed, folder, at, again))
         document["violation"] = {
             "seed": violation.seed,
             "case": violation.case,
@@ -245,10 +251,10 @@ def _end_with_search(
 
 
 def _end_with_losses(
-    table: "LossTable", scenario: "Scenario", prop: "Property", folder: Path, *, as_json: bool
+    table: "LossTable", scenario: "Scenario", prop: "Property", file: Path, folder: Path, *, as_json: bool
 ) -> NoReturn:
     """Print and write which lost, late or repeated messages are fatal, and end the program."""
-    from desim.study.breaking.found import told_text, with_comment
+    from desim.study.breaking.found import command_for, told_text, with_comment
 
     texts = [table.text()]
     if table.fatal:
@@ -259,8 +265,10 @@ def _end_with_losses(
             *(f"  {fate}: {copy}" for copy, fate in zip(worst.messages, worst.fates, strict=True)),
             told_text(worst.verdict, worst.failure, prop),
         ]
-        write(with_comment(broken, prop, worst.seed, lines).encode(), folder / "smallest.toml")
-        texts += ["", _drawn(broken, worst.seed, folder, None if worst.failure else worst.verdict.at)]
+        smallest, code = folder / "smallest.toml", file.parent.absolute()
+        write(with_comment(broken, prop, worst.seed, lines, code).encode(), smallest)
+        at = None if worst.failure else worst.verdict.at
+        texts += ["", _drawn(broken, worst.seed, folder, at, command_for("run", str(smallest), broken, code))]
     document = {
         "property": prop.text,
         "most": table.most,
@@ -288,7 +296,7 @@ def _end_with_losses(
     sys.exit(VIOLATED if table.fatal or table.broken else 0)
 
 
-def _drawn(scenario: "Scenario", seed: int, folder: Path, at: float | None) -> str:
+def _drawn(scenario: "Scenario", seed: int, folder: Path, at: float | None, command: str) -> str:
     """Write the replay and the space-time diagram of a run; return where they are, as text.
 
     Args:
@@ -296,11 +304,10 @@ def _drawn(scenario: "Scenario", seed: int, folder: Path, at: float | None) -> s
         seed: the seed.
         folder: the folder.
         at: the moment to be shown, s; None: the run fails, so there is nothing to show.
+        command: the command that repeats the run.
     """
     if at is None:
-        return (
-            f"scenario: {folder / 'smallest.toml'}\nno replay, as the run fails: desim run {folder / 'smallest.toml'}"
-        )
+        return f"scenario: {folder / 'smallest.toml'}\nno replay, as the run fails: {command}"
     from desim.results.run_folder import can_plot
     from desim.simulation.run import run
     from desim.view.pages.replay import replay_page

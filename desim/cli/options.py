@@ -201,16 +201,19 @@ def source_of(
     metrics: tuple[str, ...] = (),
     grid: tuple[str, ...] = (),
     design: str | None = None,
+    folder: Path | None = None,
 ) -> "tuple[Source, Scenario]":
     """Return the source of a scenario file and its scenario, with the values of --metric, --grid and --design.
 
-    Print warnings, and end the program if the scenario is invalid; see `valid`.
+    Modules and files that it names are looked up in `folder`; None: that of the file. Print warnings, and end the
+    program if the scenario is invalid; see `valid`.
     """
     from desim.scenario.overrides import ScenarioError
-    from desim.scenario.toml import read_source
+    from desim.scenario.toml import looked_up_in, read_source
 
     try:
         source = read_source(file, overrides, allow_import=is_import_allowed())
+        source = source if folder is None else looked_up_in(source, folder)
         for setting in grid:
             source.vary(setting)
         if design is not None:

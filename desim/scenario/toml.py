@@ -116,6 +116,11 @@ def _with_bases(file: Path, allow_import: bool) -> Iterator[Source]:
     yield source
 
 
+def looked_up_in(source: Source, folder: Path) -> Source:
+    """Return a source whose code and files are looked up in another folder than that of its file."""
+    return replace(source, tables=_in_folder(source.tables, folder), folder=folder)
+
+
 def _in_folder(node: Any, folder: Path) -> Any:
     """Return tables in which the names of code say the folder in which their modules are looked up."""
     if isinstance(node, dict):
@@ -202,8 +207,14 @@ def dump(scenario: Scenario) -> str:
     return text if "\\r" in text else tomli_w.dumps(tables, multiline_strings=True)
 
 
-def brief(scenario: Scenario, **texts: Any) -> str:
-    """Return a scenario as TOML without the keys that have their defaults; `texts` replace the values of keys."""
+def brief(scenario: Scenario, folder: Path | None = None, **texts: Any) -> str:
+    """Return a scenario as TOML without the keys that have their defaults.
+
+    Args:
+        scenario: the scenario.
+        folder: where the code that it names was found; None: nowhere.
+        texts: values of keys, which replace those of the scenario.
+    """
     tables = _differing(scenario.model_dump(exclude_none=True), Scenario().model_dump(exclude_none=True))
     if scenario.fault:
         tables["fault"] = [
@@ -212,8 +223,8 @@ def brief(scenario: Scenario, **texts: Any) -> str:
         ]
     tables |= texts
     try:
-        same = validate(Source("", tables, Scenario)) == scenario
-    except ScenarioError:  # files of the scenario are looked up elsewhere, or it names code
+        same = validate(Source("", tables, Scenario, folder=folder, allow_import=folder is not None)) == scenario
+    except ScenarioError:  # files or code of the scenario are looked up elsewhere
         same = False
     return tomli_w.dumps(tables) if same else dump(scenario)
 

@@ -170,8 +170,12 @@ def test_a_rule_that_raises_is_told_without_a_replay(folder):
     )
     assert result.exit_code == VIOLATED
     assert "failed in case 1: seed 1000000, KeyError: 'planted'" in result.stdout
-    assert "no replay, as the run fails: desim run found/smallest.toml" in result.stdout
-    assert (folder / "found" / "smallest.toml").read_text().startswith("# raises fails here: KeyError: 'planted'.")
+    again = f"PYTHONPATH={folder} desim run found/smallest.toml --allow-import"
+    assert f"no replay, as the run fails: {again}" in result.stdout
+    text = (folder / "found" / "smallest.toml").read_text()
+    assert text.startswith("# raises fails here: KeyError: 'planted'.")
+    assert f"# Look: {again}\n" in text
+    assert "[network.transport]" not in text, "defaults are left out"
     again = desim("break", "own.toml", "--allow-import", "--keep", "kept", "-o", "found", "-n", 2)
     assert again.stdout.startswith("kept: kept/raises-covered-1000000.toml: fails: KeyError: 'planted'")
 

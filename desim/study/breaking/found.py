@@ -2,26 +2,29 @@
 
 import shlex
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 import tomli_w
 
 from desim.analysis.properties import Judgement
+from desim.config.traits import kind_of
 from desim.scenario.properties import Property
-from desim.scenario.scenario import Scenario
+from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.scenario.toml import brief
 from desim.study.breaking.features import Case
 from desim.study.breaking.search import Search, Violation
 from desim.study.breaking.sightings import SIGHTINGS
 
 
-def scenario_text(violation: Violation, file: str, command: str) -> str:
+def scenario_text(violation: Violation, file: str, command: str, folder: Path | None = None) -> str:
     """Return the scenario of a violation as a commented file, with its seed and its property.
 
     Args:
         violation: the violation.
         file: the name of the file, for the commands in its comments.
         command: the command that found it.
+        folder: where the code that the scenario names was found; None: nowhere.
     """
     verdict, prop, name = violation.verdict, violation.prop, violation.scenario.protocol_name
     verb = "fails" if violation.failure else f'violates "{prop.text}"'
@@ -30,20 +33,40 @@ def scenario_text(violation: Violation, file: str, command: str) -> str:
         f"Found as case {violation.searched} of: {command}",
         f"Made smaller in {violation.shrunk} runs. What is changed:",
         *(f"  {name}: {_flat(changes)}" for name, changes in violation.case.items()),
-        f"Look: desim run {shlex.quote(file)}"
-        if violation.failure
-        else f"Look: desim replay {shlex.quote(file)}, then add #t={verdict.at:g} to the address",
+        f"Look: {command_for('run' if violation.failure else 'replay', file, violation.scenario, folder)}"
+        + ("" if violation.failure else f", then add #t={verdict.at:g} to the address"),
     ]
-    return with_comment(violation.scenario, prop, violation.seed, lines)
+    return with_comment(violation.scenario, prop, violation.seed, lines, folder)
 
 
-def with_comment(scenario: Scenario, prop: Property, seed: int, lines: Iterable[str]) -> str:
-    """Return a scenario with a property and a seed as the text of a file that begins with a comment."""
+def command_for(verb: str, file: str, scenario: Scenario, folder: Path | None) -> str:
+    """Return the command that does something with a scenario that was written to a file.
+
+    The code that the scenario names is not beside the file, but in a folder.
+    """
+    command = f"desim {verb} {shlex.quote(file)}"
+    if PROTOCOLS.holds(scenario.protocol) and ":" not in kind_of(scenario.protocol):
+        return command
+    return f"{'' if folder is None else f'PYTHONPATH={shlex.quote(str(folder))} '}{command} --allow-import"
+
+
+def with_comment(
+    scenario: Scenario, prop: Property, seed: int, lines: Iterable[str], folder: Path | None = None
+) -> str:
+    """Return a scenario with a property and a seed as the text of a file that begins with a comment.
+
+    Args:
+        scenario: the scenario.
+        prop: the property.
+        seed: the seed.
+        lines: the lines of the comment.
+        folder: where the code that the scenario names was found; None: nowhere.
+    """
     margin = f"margin:{prop.label}"
     plain = scenario.with_({"seed": seed, "properties": [prop], "record.messages": True, "record.metrics": [margin]})
     stated = f"{prop.name}: {prop.text}" if prop.name else prop.text
     comment = "".join(f"# {' '.join(line.splitlines())}\n" for line in lines)
-    return f"{comment}\n{brief(plain, properties=[stated])}"
+    return f"{comment}\n{brief(plain, folder, properties=[stated])}"
 
 
 def _flat(changes: Mapping[str, Any]) -> str:
