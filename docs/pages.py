@@ -119,6 +119,7 @@ def write(docs: Path) -> None:
     for stem, text in api.pages().items():
         _write(docs / "reference" / "api" / f"{stem}.md", text)
     gallery(docs / "gallery")
+    broken(docs)
     _write(docs / "explanation" / "packages.svg", import_picture.picture(import_picture.imports()))
 
 
@@ -256,6 +257,13 @@ def gallery(folder: Path) -> None:
         + "\n\n".join(_study(name) for name in STUDIES)
         + f"\n\n```{{toctree}}\n:hidden:\n\n{hidden}\n```\n",
     )  # fmt: skip
+
+
+def broken(docs: Path) -> None:
+    """Write the replays of the scenarios that break protocols, which the page about them links to."""
+    for file in sorted((docs / "_static" / "broken").glob("*.toml")):
+        page = replay_page(run(load(file))).replace("</body>", FOLLOWS_THEME + "</body>")
+        _write(docs / "_extra" / "howto" / "broken" / f"{file.stem}.html", page)
 
 
 def _models(model: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], type[BaseModel]]]:

@@ -121,7 +121,8 @@ def judged(prop: Property, result: Result) -> Judgement:
 
 def with_messages(scenario: Scenario, prop: Property) -> Scenario:
     """Return a scenario that records what a property needs, and all messages."""
-    return recording(scenario, [prop]).with_({"record.messages": True})
+    recorded: Scenario = recording(scenario, [prop]).with_({"record.messages": True})
+    return recorded
 
 
 def outcomes_of(
