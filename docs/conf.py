@@ -64,6 +64,7 @@ nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 600
 nb_render_markdown_format = "myst"
+nb_ipywidgets_js: dict[str, dict[str, str]] = {}  # no page shows a widget, so none loads their scripts from elsewhere
 bibtex_bibfiles = ["references.bib"]
 bibtex_default_style = "plain"
 copybutton_prompt_text = "$ "

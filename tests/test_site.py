@@ -222,6 +222,12 @@ def test_the_built_pages_have_a_version_an_icon_and_the_repository():
 
 
 @is_built
+def test_no_built_page_loads_a_script_or_a_style_from_elsewhere():
+    loading = re.compile(r"<(?:script|link)\b[^>]*\b(?:src|href)=\"https?://(?!desim-project\.)[^\"]+")
+    assert [found for path in BUILT.rglob("*.html") for found in loading.findall(path.read_text("utf-8"))] == []
+
+
+@is_built
 def test_the_built_figures_of_studies_have_dark_variants():
     text = html("explanation/findings.html")
     assert (
