@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from desim import Scenario, run
+from desim.kernel.core.clock import Phase
 from desim.kernel.core.events import Broadcast, Sent
 from desim.kernel.core.seeds import stream
 from desim.kernel.models.faults import ClockSkew, Crash
@@ -17,7 +18,7 @@ from desim.kernel.models.graphs import Edges, Ring
 from desim.kernel.models.latency import Constant, Lognormal
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
-from desim.pursuit.core.events import Decided
+from desim.pursuit.core.events import Captured, Decided
 from desim.pursuit.game.utility import EdgePenalty, LocalMean, Mean
 from desim.pursuit.sensing.views import View
 from desim.pursuit.team.agent import repeat
@@ -394,12 +395,12 @@ class Forgetful(dict):
 
 
 def forget_motions(monkeypatch):
-    """Let views keep nothing that pursuers extrapolate."""
+    """Let pursuers that share a view share nothing that they extrapolate."""
     start = View.__init__
 
     def forgetting(view, *given):
         start(view, *given)
-        view.reckonings = Forgetful()
+        view.reckonings, view.reckoned_teams = Forgetful(), Forgetful()
 
     monkeypatch.setattr(View, "__init__", forgetting)
 
@@ -413,7 +414,7 @@ def test_motions_that_are_shared_are_those_that_each_pursuer_extrapolates(monkey
         team=Team(count=6, speeds=1.0),
         protocol=protocol,
         announce=Announcements(payload=payload, heartbeat=0.2),
-        network=Links(latency=Constant(value=0.05)),
+        network=Links(latency=Constant(value=0.05), loss=Bernoulli(p=0.2)),
         fault=[ClockSkew(offset=0.05, node=0)],
     )
     shared = list(run(scenario).trace)
@@ -421,8 +422,10 @@ def test_motions_that_are_shared_are_those_that_each_pursuer_extrapolates(monkey
     assert list(run(scenario).trace) == shared
 
 
-def test_estimates_at_one_time_of_two_clocks_are_of_their_instants(monkeypatch):
-    """The clock of the last pursuer is ahead by a period, so it shows a time when the others showed it before."""
+@pytest.mark.parametrize("reckoning", ["exact", "straight_line"])
+@pytest.mark.parametrize("offset", [0.0, 0.05, 0.02])
+def test_estimates_that_are_shared_are_those_of_each_pursuer(monkeypatch, reckoning, offset):
+    """Some records are lost; a clock that is ahead by a period shows times that the others show at other instants."""
 
     def estimates():
         seen = []
@@ -430,19 +433,46 @@ def test_estimates_at_one_time_of_two_clocks_are_of_their_instants(monkeypatch):
         def protocol(me):
             if me.id == 1:
                 me.assign(1)
-                me.broadcast()
             for k in range(1, 20):
                 yield me.at(0.05 * k)
-                seen.append((me.id, me.team_estimate().positions.tolist(), me.team_estimate().capture_times.tolist()))
+                estimate = me.team_estimate()
+                seen.append((me.id, estimate.ids, estimate.positions.tolist(), estimate.capture_times.tolist()))
 
-        team, announce = Team(count=4, active_at_start=0.0), Announcements(payload="state", heartbeat=9.0)
-        play(protocol, team=team, announce=announce, fault=(ClockSkew(offset=0.05, node=3),), horizon=1.0)
+        play(
+            protocol,
+            team=Team(count=4, active_at_start=0.0),
+            evader=Evader(speed=0.8),
+            announce=Announcements(payload="state", heartbeat=0.1, reckoning=reckoning, start="known"),
+            network=Links(latency=Constant(value=0.05), loss=Bernoulli(p=0.5)),
+            fault=(ClockSkew(offset=offset, node=3),),
+            horizon=1.0,
+        )
         return seen
 
     shared = estimates()
     forget_motions(monkeypatch)
     assert estimates() == shared
-    assert len({positions[1] for _, positions, _ in shared}) > 18
+    assert len({positions[1] for _, _, positions, _ in shared}) > 18
+
+
+def test_an_estimate_of_the_instant_of_a_capture_is_of_the_evader_before_it_or_after_it():
+    """Messages are relayed before captures, and decisions are made after them."""
+    seen = []
+
+    def protocol(me):
+        if me.id == 0:
+            me.assign(1)
+        for phase in (Phase.RELAY, Phase.DECISION):
+            yield me.at(0.9, phase)
+            seen.append(me.team_estimate().capture_times.tolist())
+
+    evaders = [Evader(position=(x, 0.0), speed=0.0) for x in (0.0, -50.0)]
+    announce = Announcements(payload="state", start="known")
+    result = play(protocol, announce=announce, evader=evaders)
+    assert result.trace.of(Captured)[0].t == 900_000_000
+    assert len(seen) == 6
+    assert all(max(times) < inf for times in seen[:3])
+    assert seen[3:] == [[inf] * 3] * 3
 
 
 @pytest.mark.parametrize("memory", [True, False])

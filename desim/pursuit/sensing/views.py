@@ -51,6 +51,19 @@ class EvaderEstimate(NamedTuple):
         return distances + self.uncertainty
 
 
+class ReckonedTeam(NamedTuple):
+    """The positions and capture times of a team, extrapolated from its records at one instant."""
+
+    instant: tuple[int, int, int | None]
+    """True time, time by the clock of the pursuer that extrapolates, and time of the capture of the evader, ns."""
+    records: "list[Record | None]"
+    """(N,) the record from which each row follows."""
+    positions: Points
+    """(N,) m"""
+    capture_times: Floats
+    """(N,) s"""
+
+
 class View:
     """The knowledge of a pursuer about the evaders; this view sees all of them at any distance.
 
@@ -62,6 +75,8 @@ class View:
         prune: which pursuers may not chase an evader.
 
     Attributes:
+        reckoned_teams: by evader, what was last extrapolated from records of the whole team; used by
+            `desim.pursuit.team.beliefs`.
         reckonings: by pursuer, the last of its records from which somebody extrapolated, at which instant (ns, of true
             time and by the clock of that pursuer; None: any, because the pursuer stands still), and its motion then;
             used by `desim.pursuit.team.beliefs`.
@@ -77,6 +92,7 @@ class View:
         self._options_last = self.unlimited and prune != "infeasible" and keeps  # until the next capture
         self._options: dict[int, tuple[int, ...]] = {}
         self._options_at: Sequence[int] | None = None  # the evaders at large when these options were computed
+        self.reckoned_teams: dict[int, ReckonedTeam] = {}
         self.reckonings: dict[int, tuple[Record, tuple[int, int] | None, MotionState]] = {}
 
     def sees(self, evader: int) -> bool:

@@ -21,7 +21,7 @@ from desim.kernel.core.units import SECOND
 from desim.kernel.network import Network
 from desim.pursuit.game.utility import Mean, Scope, Utility
 from desim.pursuit.motion.dead_reckoning import MotionState
-from desim.pursuit.sensing.views import View
+from desim.pursuit.sensing.views import ReckonedTeam, View
 from desim.pursuit.team.announcements import Announcements, Located, TimedAssignment
 from desim.pursuit.team.knowledge import Knowledge
 from desim.pursuit.team.trust import Judge, ignored_by, is_believed
@@ -203,15 +203,40 @@ class Beliefs(Knowledge):
         if self.senses_others:
             return TeamEstimate(self._everyone, state.positions(), state.speeds, np.array(view.capture_times(evader)))
         records = self.trusted()
-        motion_of = {self.id: state.motion(self.id), **self._motions(records)}
-        ids = sorted(motion_of)
-        motions = [motion_of[j] for j in ids]
-        phi = view.capture_times_from(ids, motions, evader)
-        for j, record in records.items():
-            if isinstance(record.body, TimedAssignment):
-                phi[ids.index(j)] = self._capture_time(record, evader)
-        speeds = state.speeds if len(ids) == state.size else state.speeds[ids]
-        return TeamEstimate(ids, np.array([motion.position for motion in motions]), speeds, np.array(phi))
+        team = self._reckoned_team(records, evader)
+        positions, times = team.positions.copy(), team.capture_times.copy()
+        positions[self.id] = state.position(self.id)
+        times[self.id] = view.capture_time_from(self.id, state.motion(self.id), evader)
+        ids = sorted([self.id, *records])
+        if len(ids) == state.size:
+            return TeamEstimate(ids, positions, state.speeds, times)
+        return TeamEstimate(ids, positions[ids], state.speeds[ids], times[ids])
+
+    def _reckoned_team(self, records: Mapping[int, Record], evader: int) -> ReckonedTeam:
+        """Return the positions and capture times that follow from records now; only the rows of their sources count.
+
+        Pursuers that share a view share what follows from the same records at the same instant.
+
+        Kept equal to an estimate by each pursuer by
+        `tests/pursuit/test_agent.py::test_estimates_that_are_shared_are_those_of_each_pursuer`.
+        """
+        view, state = self._view, self._view.state
+        instant = self._clock.true, self._clock.stamp, state.body(evader).captured
+        team = view.reckoned_teams.get(evader)
+        if team is None or team.instant != instant or not view.unlimited:
+            nobody: list[Record | None] = [None] * state.size
+            team = ReckonedTeam(instant, nobody, np.zeros(state.size, dtype=complex), np.zeros(state.size))
+            view.reckoned_teams[evader] = team
+        new = {j: record for j, record in records.items() if team.records[j] is not record}
+        if new:
+            rows, motions = list(new), list(self._motions(new).values())
+            team.positions[rows] = [motion.position for motion in motions]
+            team.capture_times[rows] = view.capture_times_from(rows, motions, evader)
+            for j, record in new.items():
+                team.records[j] = record
+                if isinstance(record.body, TimedAssignment):
+                    team.capture_times[j] = self._capture_time(record, evader)
+        return team
 
     def gain(self, utility: Utility = PAPER, evader: int = 1) -> float:
         """Return its believed gain, s, from chasing an evader rather than being inactive; see `Utility`.
