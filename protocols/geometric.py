@@ -85,11 +85,12 @@ class Geometric(Value):
         owner = dict[int, int]()
         for tick in ticks(me, self.slot):
             yield me.at(tick)
-            measures, present = dict[int, Floats](), dict[int, Collection[int | None]]()
+            measures, present = dict[int, list[float]](), dict[int, Collection[int | None]]()
+            left = me.time_left()
             for evader in me.evaders():
                 team = me.team_estimate(evader)
-                values = measure_of[evader](team)
-                measures[evader] = np.where((team.capture_times < me.time_left()) & ~np.isnan(values), values, inf)
+                values = zip(measure_of[evader](team).tolist(), team.capture_times.tolist(), strict=True)
+                measures[evader] = [value if time < left and value < inf else inf for value, time in values]
                 present[evader] = [owner.get(evader)] if me.senses_others else announced_chasers(me, evader)
             owner = owners(team.ids, measures, present, self.hysteresis)
             action = next((evader for evader, pursuer in owner.items() if pursuer == me.id), 0)
@@ -190,7 +191,7 @@ class VelocityFilter:
 
 def owners(
     ids: Sequence[int],
-    measures: Mapping[int, Floats],
+    measures: Mapping[int, Sequence[float]],
     present: Mapping[int, Collection[int | None]],
     hysteresis: float,
 ) -> dict[int, int]:
@@ -212,11 +213,17 @@ def owners(
             break
         _, pursuer, evader = min(ranked)
         owner_of[evader] = pursuer
-        measures = {k: np.where(np.equal(ids, pursuer), inf, column) for k, column in measures.items() if k != evader}
+        measures = {
+            k: [inf if j == pursuer else value for j, value in zip(ids, column, strict=True)]
+            for k, column in measures.items()
+            if k != evader
+        }
     return owner_of
 
 
-def first(ids: Sequence[int], measures: Floats, present: Collection[int | None], hysteresis: float) -> int | None:
+def first(
+    ids: Sequence[int], measures: Sequence[float], present: Collection[int | None], hysteresis: float
+) -> int | None:
     """Return the owner of an evader, or None if no pursuer can own it.
 
     Args:
@@ -225,15 +232,14 @@ def first(ids: Sequence[int], measures: Floats, present: Collection[int | None],
         present: the present owners; if there are several, the one of least measure counts.
         hysteresis: share by which the least measure must be below that of the present owner to take over.
     """
-    values: list[float] = measures.tolist()
-    least = min(values)
+    least = min(measures)
     if least == inf:
         return None
-    best = values.index(least)  # ties: the lowest id
+    best = measures.index(least)  # ties: the lowest id
     if hysteresis:
         owners = [row for row, pursuer in enumerate(ids) if pursuer in present]
-        owner = min(owners, key=values.__getitem__, default=best)
-        best = best if least < (1.0 - hysteresis) * values[owner] else owner
+        owner = min(owners, key=measures.__getitem__, default=best)
+        best = best if least < (1.0 - hysteresis) * measures[owner] else owner
     return ids[best]
 
 

@@ -314,14 +314,14 @@ def test_the_filter_begins_with_the_first_velocity_and_without_a_time_constant_f
 
 def test_of_several_evaders_each_has_an_owner_of_its_own_the_nearest_first():
     """Pursuers 0, 1, 4 at 1, 2, 9 of the first evader and 2, 5, inf of the second: 0 has the first, 1 the second."""
-    ids, near, far = [0, 1, 4], np.array([1.0, 2.0, 9.0]), np.array([2.0, 5.0, np.inf])
+    ids, near, far = [0, 1, 4], [1.0, 2.0, 9.0], [2.0, 5.0, np.inf]
     nobody = {1: [], 2: [], 3: []}
     assert owners_of(ids, {1: near, 2: far}, nobody, 0.0) == {1: 0, 2: 1}
     assert owners_of(ids, {1: near, 2: near}, nobody, 0.0) == {1: 0, 2: 1}
     assert owners_of(ids, {1: far, 2: near, 3: far}, nobody, 0.0) == {2: 0, 1: 1}
-    assert owners_of(ids, {2: np.full(3, np.inf)}, nobody, 0.0) == owners_of(ids, {}, nobody, 0.0) == {}
+    assert owners_of(ids, {2: [np.inf] * 3}, nobody, 0.0) == owners_of(ids, {}, nobody, 0.0) == {}
     assert owners_of(ids, {1: near, 2: far}, {1: [1], 2: [0]}, 0.6) == {1: 1, 2: 0}
-    assert near.tolist() == [1.0, 2.0, 9.0]
+    assert near == [1.0, 2.0, 9.0]
 
 
 def test_the_announced_chasers_of_an_evader_include_oneself():
@@ -347,15 +347,15 @@ def test_at_rest_the_owners_are_those_of_the_greedy_assignment(protocol, payload
 
 def test_takeovers_with_hysteresis_in_worked_examples():
     """1 is better than 0 by a tenth: at a hysteresis of less than 0.1 it takes over, at 0.1 it does not yet."""
-    ids, measures = [0, 1, 4], np.array([10.0, 9.0, 30.0])
+    ids, measures = [0, 1, 4], [10.0, 9.0, 30.0]
     assert [first(ids, measures, [0], h) for h in (0.0, 0.09, 0.1, 0.5)] == [1, 1, 0, 0]
     assert [first(ids, measures, [4], h) for h in (0.0, 0.5, 0.8)] == [1, 1, 4]
     assert first(ids, measures, [0, 4], 0.5) == first(ids, measures, [None, 0], 0.5) == 0
     assert first(ids, measures, [None], 0.5) == first(ids, measures, [], 0.5) == first(ids, measures, [3], 0.5) == 1
-    assert first(ids, np.array([np.inf, np.inf, 30.0]), [0], 0.5) == 4  # the owner cannot any more
-    assert first(ids, np.full(3, np.inf), [0], 0.5) is None
-    assert first(ids, np.array([7.0, 7.0, 7.0]), [1], 0.0) == 0  # without hysteresis there is no memory
-    assert first(ids, np.array([7.0, 7.0, 7.0]), [1], 1e-9) == 1
+    assert first(ids, [np.inf, np.inf, 30.0], [0], 0.5) == 4  # the owner cannot any more
+    assert first(ids, [np.inf] * 3, [0], 0.5) is None
+    assert first(ids, [7.0, 7.0, 7.0], [1], 0.0) == 0  # without hysteresis there is no memory
+    assert first(ids, [7.0, 7.0, 7.0], [1], 1e-9) == 1
 
 
 @pytest.mark.whole_but_one
