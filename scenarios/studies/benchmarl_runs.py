@@ -92,6 +92,7 @@ def train(seed: int, steps: int) -> tuple[Policy, Sequence[Progress]]:
         steps: the number of steps of pursuers.
     """
     torch.set_num_threads(1)
+    torch.manual_seed(seed)  # of the random actions from which the normalisation comes; the experiment seeds again
     with TemporaryDirectory() as folder:
         task = Relay("relay", {"rounds": 100})
         plain = task.get_env_fun(1, False, seed + 1, "cpu")()
