@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium.spaces import Box, Discrete, Space
 from numpy.typing import NDArray
 
+from desim.config.extras import naming_extras
 from desim.config.python_numbers import whole
 from desim.kernel.core.events import Trace
 from desim.kernel.core.seeds import run_seed, seed_of
@@ -121,10 +122,14 @@ class Pursuit:
         trace.events.append(Ended(world.now, "stopped", None))
         return Result(self._played, self._seed, trace)
 
+    @naming_extras()
     def render(self) -> NDArray[np.uint8] | str | None:
         """Return a picture of the present as an (H, W, 3) array ("rgb_array"), or the replay page as HTML ("replay").
 
         Both need the extra `plot`. Without a render mode nothing is recorded, and None is returned.
+
+        Raises:
+            ModuleNotFoundError: if the extra is not installed; the message names it.
         """
         if self.render_mode is None:
             return None

@@ -381,6 +381,15 @@ def test_a_picture_of_the_present_and_a_replay_page():
     assert desim.env(small()).render() is None
 
 
+def test_a_picture_without_the_extra_names_it(monkeypatch):
+    env = desim.env(small(horizon=0.1), 3, render_mode="rgb_array")
+    env.reset()
+    monkeypatch.delitem(sys.modules, "desim.view.pictures.animation", raising=False)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(ModuleNotFoundError, match=r"pip install 'pursuit-desim\[plot\]'"):
+        env.render()
+
+
 @pytest.mark.whole
 def test_many_resets_need_neither_memory_nor_threads():
     env = desim.env(small(**{"record.trajectory": 0.0}), 1)
