@@ -160,8 +160,8 @@ if TYPE_CHECKING:
     from desim.study.sweeps.status import status as status
     from desim.study.sweeps.sweep import sweep as sweep
     from desim.view.formats.export import export as export
+    from desim.view.pages.notebook import play as play
     from desim.view.pages.replay import replay as replay
-    from desim.view.pages.widget import play as play
     from desim.view.pictures.run_figure import plot as plot
 
 

@@ -1,6 +1,7 @@
 """A package that only an extra installs: where it is missing, the message has the command that installs it."""
 
 import re
+import subprocess
 import sys
 import tomllib
 from importlib import import_module
@@ -38,6 +39,14 @@ def test_a_missing_package_is_named_with_its_extra(package, monkeypatch, tmp_pat
     with pytest.raises((ImportError, OSError), match=re.escape(missing(package))) as refused:
         NEEDS[package]()
     assert refused.value.__suppress_context__ or refused.value.__context__ is None
+
+
+@pytest.mark.whole
+def test_a_star_import_needs_no_extra():
+    """It imports all that `desim` exports, also what is of use only with an extra."""
+    hidden = f"import sys; sys.modules.update(dict.fromkeys({sorted(EXTRAS)}))"
+    code = f"{hidden}\nfrom desim import *\nfrom protocols import *\nassert Scenario and play and SpatialAdaptivePlay"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_every_extra_that_a_package_needs_exists():

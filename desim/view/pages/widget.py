@@ -8,7 +8,6 @@ from typing import Any
 import anywidget
 import traitlets
 
-from desim.config.arguments import naming_arguments, scenario_argument
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
 from desim.study.workers.workers import Processes, Workers
@@ -98,21 +97,3 @@ class PlayWidget(anywidget.AnyWidget):
             except Exception as error:
                 self.send({"number": number, "answer": {"error": f"{type(error).__name__}: {error}"}, "isLast": False})
         self.send({"number": number, "answer": last, "isLast": True})
-
-
-@naming_arguments
-def play(scenario: Scenario, timeout: float = 30.0) -> PlayWidget:
-    """Return a widget for notebooks with controls for the keys and a replay; needs the extra `notebook`.
-
-    Each change of a key runs the scenario again, with the same seed unless the seed is changed. A run that the user
-    pins stays in the replay, drawn faint, for comparison.
-
-    Args:
-        scenario: the scenario before any change.
-        timeout: the wall time after which a run is ended, s.
-
-    Raises:
-        TypeError: if it is not a scenario; the message says what to write instead.
-    """
-    scenario_argument(Scenario).check(scenario, "play")
-    return PlayWidget(scenario, timeout)
