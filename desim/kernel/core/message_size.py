@@ -92,7 +92,8 @@ def _size(body: Any) -> int:
         return HEADER + _size(body.body)
     if isinstance(body, COLLECTIONS):
         items = NUMBER * len(body) if SCALARS.issuperset(map(type, body)) else portable_sum(map(_size, body))
-        return items if kind in COLLECTIONS else items + _attributes(body)
+        has_attributes = kind not in COLLECTIONS and not (isinstance(body, tuple) and not hasattr(body, "__dict__"))
+        return items + _attributes(body) if has_attributes else items  # a tuple has no slots
     return 0 if body is None else size(body)
 
 
