@@ -280,6 +280,8 @@ def _definitions_of(value: Any, depth: int = 0) -> Iterator[Any]:
             yield value
         for name in INNER:
             yield from _definitions_of(getattr(value, name, None), depth + 1)
+    elif isinstance(value, dict) and "__builtins__" in value:
+        return  # the variables of a module, of which code reads some by name
     elif isinstance(value, list | tuple | dict):
         for item in (value.values() if isinstance(value, dict) else value) if len(value) <= TABLE else ():
             yield from _definitions_of(item, depth + DEPTH // 2)
