@@ -5,7 +5,9 @@ an instance of no other class.
 """
 
 import sys
+from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
+from functools import cached_property, partial
 from struct import Struct
 from typing import Any
 
@@ -26,6 +28,8 @@ class OwnBodies:
     """
 
     def __init__(self, protocol: Any):
+        while isinstance(protocol, partial):
+            protocol = protocol.func
         module = sys.modules.get(getattr(protocol, "__module__", type(protocol).__module__))
         defined = vars(module).values() if module is not None and not module.__name__.startswith("protocols") else ()
         self._classes: list[type[Any]] = [Record, Forwarded, *filter(_is_body, defined)]
@@ -34,7 +38,11 @@ class OwnBodies:
         """Return a port and a body as bytes, which begin with their number."""
         with naming_extras():
             from msgspec import msgpack
-        data: bytes = msgpack.encode([str(port), self._tagged(body)])
+        try:
+            data: bytes = msgpack.encode([str(port), self._tagged(body)])
+        except (OverflowError, RecursionError, UnicodeEncodeError) as problem:
+            reason = "it is nested too deeply" if isinstance(problem, RecursionError) else str(problem)
+            raise WireError(f"a body of type {type(body).__name__} cannot be sent live: {reason}") from problem
         return _LENGTH.pack(len(data)) + data
 
     def unpack(self, data: bytes) -> tuple[str, Any]:
@@ -49,7 +57,7 @@ class OwnBodies:
             if not isinstance(port, str):
                 raise ValueError("not a port")
             return port, self._untagged(body)
-        except (MsgspecError, TypeError, KeyError) as problem:
+        except (MsgspecError, TypeError, KeyError, RecursionError) as problem:  # a datagram may nest without end
             raise ValueError(str(problem)) from problem
 
     def _tagged(self, value: Any) -> Any:
@@ -57,8 +65,7 @@ class OwnBodies:
         if type(value) in PLAIN:
             return value
         if type(value) in self._classes:
-            parts = value if isinstance(value, tuple) else [getattr(value, field.name) for field in fields(value)]
-            return [self._classes.index(type(value)), *map(self._tagged, parts)]
+            return [self._classes.index(type(value)), *map(self._tagged, self._parts(value))]
         if type(value) in {tuple, list}:
             return ["t" if type(value) is tuple else "l", *map(self._tagged, value)]
         if type(value) is dict:
@@ -69,6 +76,24 @@ class OwnBodies:
             f"a body of type {type(value).__name__} cannot be sent live: send numbers, texts, tuples, lists, dicts, or"
             " named tuples and dataclasses of the module of the protocol"
         )
+
+    def _parts(self, value: Any) -> Iterable[Any]:
+        """Return the items of a named tuple, or the fields of a dataclass, which has nothing else."""
+        if isinstance(value, tuple):
+            return value
+        names = [field.name for field in fields(value)]
+        others = [
+            name
+            for name in getattr(value, "__dict__", ())
+            if name not in names and not isinstance(getattr(type(value), name, None), cached_property)
+        ]
+        if missing := [name for name in names if not hasattr(value, name)]:
+            why = f"its field {missing[0]} has no value"
+        elif others:
+            why = f"it has the attribute {others[0]}, which is no field"
+        else:
+            return [getattr(value, name) for name in names]
+        raise WireError(f"a body of type {type(value).__name__} cannot be sent live: {why}")
 
     def _untagged(self, value: Any) -> Any:
         if not isinstance(value, list):
@@ -81,11 +106,26 @@ class OwnBodies:
         parts = [self._untagged(item) for item in items]
         if tag in {"t", "l"}:
             return tuple(parts) if tag == "t" else parts
-        return self._classes[tag](*parts) if type(tag) is int and 0 <= tag < len(self._classes) else _wrong_tag(tag)
+        if type(tag) is not int or not 0 <= tag < len(self._classes):
+            raise ValueError(f"no class has the number {tag}")
+        return _restored(self._classes[tag], parts)
 
 
-def _wrong_tag(tag: Any) -> Any:
-    raise ValueError(f"no class has the number {tag}")
+def _restored(kind: Any, parts: list[Any]) -> Any:
+    """Return a named tuple or a dataclass as it was sent: its `__init__` might change it once more.
+
+    Raises:
+        ValueError: if it has another number of fields.
+    """
+    names = kind._fields if issubclass(kind, tuple) else [field.name for field in fields(kind)]
+    if len(names) != len(parts):
+        raise ValueError(f"{kind.__name__} has {len(names)} fields, not {len(parts)}")
+    if issubclass(kind, tuple):
+        return tuple.__new__(kind, parts)
+    body = object.__new__(kind)
+    for name, part in zip(names, parts, strict=True):
+        object.__setattr__(body, name, part)
+    return body
 
 
 def _is_body(kind: Any) -> bool:

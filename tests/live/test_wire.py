@@ -1,7 +1,8 @@
 """Datagrams have the bytes that are counted, say what was sent, and cannot stop a node."""
 
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property, partial, reduce
 from inspect import getmembers, isclass
 from math import inf
 from random import Random
@@ -184,7 +185,62 @@ def protocol(me):
     yield me.sleep(1.0)
 
 
-OWN = [Plan(1, ((1.0, 2.0),), "x"), Load(2.5, {"a": [1, None], 3: (True, 1j)}), {"x": 1}, 3, "text", (1, 2), None]
+@dataclass(kw_only=True)
+class ByName:
+    price: float
+    rank: int = field(init=False, default=5)
+
+
+@dataclass
+class Doubling:
+    """A class that would change its fields once more if a receiver called it."""
+
+    price: float
+
+    def __post_init__(self):
+        self.price *= 2.0
+
+    @cached_property
+    def half(self):
+        return self.price / 2.0
+
+
+@dataclass(init=False, frozen=True, slots=True)
+class OwnInit:
+    low: int
+    high: int
+
+    def __init__(self, both):
+        object.__setattr__(self, "low", both)
+        object.__setattr__(self, "high", both)
+
+
+class Tripling(NamedTuple("Tripling", [("price", float)])):
+    def __new__(cls, price):
+        return super().__new__(cls, price * 3.0)
+
+
+def computed():
+    body = Doubling(1.0)
+    assert body.half == 1.0
+    return body
+
+
+@dataclass
+class WithMore:
+    price: float
+
+    def __post_init__(self):
+        self.twice = 2.0 * self.price
+
+
+@dataclass(init=False)
+class Empty:
+    price: float
+
+
+OWN = [ByName(price=2.0), Doubling(3.0), computed(), OwnInit(4), Tripling(1.0)]
+OWN += [Plan(1, ((1.0, 2.0),), "x"), Load(2.5, {"a": [1, None], 3: (True, 1j)}), {"x": 1}, 3, "text", (1, 2), None]
 
 
 @pytest.mark.parametrize("body", OWN, ids=repr)
@@ -197,6 +253,37 @@ def test_a_body_of_a_user_arrives_as_it_was_sent(body):
     assert parcel.content == message
     assert type(parcel.content.body) is type(body)
     assert parcel.port == "plans"
+
+
+@pytest.mark.parametrize(
+    ("body", "why"),
+    [
+        (WithMore(1.0), "WithMore cannot be sent live: it has the attribute twice, which is no field"),
+        (Empty(), "Empty cannot be sent live: its field price has no value"),
+        (2**70, "int cannot be sent live: can't serialize ints"),
+        ("a\ud800", "str cannot be sent live: 'utf-8' codec"),
+        (reduce(lambda inner, _: [inner], range(3000), 1), "list cannot be sent live: it is nested too deeply"),
+    ],
+    ids=["attribute", "no value", "large", "half of a character", "deep"],
+)
+def test_a_body_that_would_not_arrive_as_it_is_is_refused_when_it_is_sent(body, why):
+    pytest.importorskip("msgspec")
+    with pytest.raises(WireError, match=f"a body of type {why}"):
+        OwnBodies(protocol, WireError).pack("", body)
+
+
+def test_the_classes_of_a_protocol_with_parameters_are_those_of_its_function():
+    pytest.importorskip("msgspec")
+    bodies = OwnBodies(partial(protocol, 1), WireError)
+    assert bodies.unpack(bodies.pack("x", Plan(1, ()))) == ("x", Plan(1, ()))
+
+
+@pytest.mark.parametrize("depth", [500, 20_000])
+def test_a_datagram_that_nests_without_end_is_malformed(depth):
+    pytest.importorskip("msgspec")
+    data = b"\x92\xa1x" + b"\x92\xa1l" * depth + b"\xc0"
+    with pytest.raises(ValueError, match="recursion depth"):
+        OwnBodies(None).unpack(len(data).to_bytes(4, "big") + data)
 
 
 def test_a_body_of_an_unknown_class_is_refused_when_it_is_sent():
