@@ -1,7 +1,7 @@
 """Bodies of users in datagrams, as MessagePack: numbers, texts, collections, named tuples and dataclasses.
 
-A datagram names a class by the number that it has among those of the module of the protocol, so that a receiver creates
-an instance of no other class.
+A datagram names a class by the name that it has in the module of the protocol, so that a receiver creates an instance
+of no other class.
 """
 
 import sys
@@ -9,9 +9,11 @@ from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
 from functools import cached_property, partial
 from struct import Struct
+from types import FunctionType
 from typing import Any
 
 from desim.config.extras import naming_extras
+from desim.config.traits import is_ours, module_of
 from desim.kernel.core.records import Record
 from desim.live.layouts import WireError
 from desim.pursuit.team.announcements import Forwarded
@@ -28,11 +30,10 @@ class OwnBodies:
     """
 
     def __init__(self, protocol: Any):
-        while isinstance(protocol, partial):
-            protocol = protocol.func
-        module = sys.modules.get(getattr(protocol, "__module__", type(protocol).__module__))
-        defined = vars(module).values() if module is not None and not module.__name__.startswith("protocols") else ()
-        self._classes: list[type[Any]] = [Record, Forwarded, *filter(_is_body, defined)]
+        names = {name: kind for name, kind in _names_around(protocol).items() if _is_body(kind)}
+        self._classes: dict[str, type[Any]] = names | {"Record": Record, "Forwarded": Forwarded}
+        self._names = {kind: name for name, kind in self._classes.items()}
+        self._names |= {kind: kind.__name__ for name, kind in self._classes.items() if kind.__name__ == name}
 
     def pack(self, port: str, body: Any) -> bytes:
         """Return a port and a body as bytes, which begin with their number."""
@@ -64,8 +65,8 @@ class OwnBodies:
         """Return a value of plain types, in which each collection has its tag."""
         if type(value) in PLAIN:
             return value
-        if type(value) in self._classes:
-            return [self._classes.index(type(value)), *map(self._tagged, self._parts(value))]
+        if type(value) in self._names:
+            return ["o", self._names[type(value)], *map(self._tagged, self._parts(value))]
         if type(value) in {tuple, list}:
             return ["t" if type(value) is tuple else "l", *map(self._tagged, value)]
         if type(value) is dict:
@@ -106,9 +107,29 @@ class OwnBodies:
         parts = [self._untagged(item) for item in items]
         if tag in {"t", "l"}:
             return tuple(parts) if tag == "t" else parts
-        if type(tag) is not int or not 0 <= tag < len(self._classes):
-            raise ValueError(f"no class has the number {tag}")
-        return _restored(self._classes[tag], parts)
+        if tag != "o" or not parts or not isinstance(parts[0], str) or parts[0] not in self._classes:
+            raise ValueError("no collection, and no class of the protocol")
+        return _restored(self._classes[parts[0]], parts[1:])
+
+
+def _names_around(protocol: Any) -> dict[str, Any]:
+    """Return what the names in the module of a protocol denote; empty if the protocol is a built-in one.
+
+    A process to which the protocol was sent has no such module: its functions have the names that they use.
+    """
+    while isinstance(protocol, partial):
+        protocol = protocol.func
+    function = getattr(protocol, "__func__", protocol)
+    owners = [function] if isinstance(function, FunctionType) else type(protocol).__mro__
+    names: dict[str, Any] = {}
+    for owner in owners:
+        if is_ours(owner):
+            continue
+        if (module := sys.modules.get(module_of(owner))) is not None:
+            names = vars(module) | names
+        for item in vars(owner).values() if isinstance(owner, type) else [owner]:
+            names |= item.__globals__ if isinstance(item, FunctionType) else {}
+    return names
 
 
 def _restored(kind: Any, parts: list[Any]) -> Any:

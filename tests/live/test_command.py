@@ -101,3 +101,36 @@ def test_a_comparison_simulates_what_it_runs_live_with_the_same_seeds(monkeypatc
     assert left.get_ylabel() == "pursuers that chase"
     assert right.get_xlabel() == "active time, simulated (s)"
     assert agreement.live[0].trace.of(MessageCounts)
+
+
+OWN = """
+from dataclasses import dataclass, field
+
+@dataclass(kw_only=True)
+class Bid:
+    price: float
+    rank: int = field(init=False, default=5)
+
+def talk(me):
+    me.send(None, Bid(price=me.capture_time()))
+    while True:
+        yield me.arrival()
+        for message in me.mail():
+            assert message.body.rank == 5
+        me.assign(True)
+"""
+
+
+@pytest.mark.whole
+def test_a_protocol_beside_the_file_sends_bodies_of_its_own(tmp_path):
+    pytest.importorskip("msgspec")
+    (tmp_path / "bids_of_mine.py").write_text(OWN)
+    file = tmp_path / "mine.toml"
+    file.write_text(
+        'name = "mine"\nhorizon = 0.5\nteam.count = 2\nteam.active_at_start = 0.0\nprotocol = "bids_of_mine:talk"\n'
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path)
+        done = CliRunner().invoke(main, ["live", str(file), "--allow-import"])
+    assert done.exit_code == 0, done.output
+    assert "datagrams dropped: 0 malformed" in done.output

@@ -269,13 +269,48 @@ def test_a_body_of_a_user_arrives_as_it_was_sent(body):
 def test_a_body_that_would_not_arrive_as_it_is_is_refused_when_it_is_sent(body, why):
     pytest.importorskip("msgspec")
     with pytest.raises(WireError, match=f"a body of type {why}"):
-        OwnBodies(protocol, WireError).pack("", body)
+        OwnBodies(protocol).pack("", body)
 
 
 def test_the_classes_of_a_protocol_with_parameters_are_those_of_its_function():
     pytest.importorskip("msgspec")
-    bodies = OwnBodies(partial(protocol, 1), WireError)
+    bodies = OwnBodies(partial(protocol, 1))
     assert bodies.unpack(bodies.pack("x", Plan(1, ()))) == ("x", Plan(1, ()))
+
+
+THEIRS = """
+from dataclasses import dataclass
+
+@dataclass
+class Bid:
+    price: float
+
+d = Alias = Bid
+
+def talk(me):
+    yield me.send(None, Bid(1.0))
+
+class Talking:
+    def __call__(self, me):
+        yield me.send(None, Bid(1.0))
+
+class Louder(Talking):
+    pass
+"""
+
+
+@pytest.mark.parametrize("name", ["talk", "Louder"])
+def test_the_classes_of_a_protocol_are_known_where_its_module_is_not_imported(name):
+    """As in the process of a pursuer, to which the protocol is sent with the names that it uses, and no others."""
+    pytest.importorskip("msgspec")
+    here, there = ({"__name__": "theirs"}, {"__name__": "theirs"})
+    for names in (here, there):
+        exec(THEIRS, names)
+    del there["Alias"], there["d"], there["dataclass"]
+    protocols = [names[name] if name == "talk" else names[name]() for names in (here, there)]
+    sender, receiver = (OwnBodies(theirs) for theirs in protocols)
+    assert receiver.unpack(sender.pack("x", here["Bid"](2.0))) == ("x", there["Bid"](2.0))
+    assert sender.unpack(receiver.pack("x", there["Bid"](2.0))) == ("x", here["Bid"](2.0))
 
 
 @pytest.mark.parametrize("depth", [500, 20_000])
