@@ -239,7 +239,8 @@ def main(options: Options) -> None:
     )
     searches = [_document(one) | {"broken_elsewhere": broken_elsewhere(one.name, broken)} for one in broken]
     document = {"property": PROPERTY, "searches": searches}
-    options.show(document, table(broken), lambda: picture(broken))
+    has_weaknesses = any(one.weaknesses for one in broken)
+    options.show(document, table(broken), (lambda: picture(broken)) if has_weaknesses else None)
 
 
 def _itself(broken: Any) -> Broken:

@@ -18,10 +18,9 @@ def test_a_search_begins_for_each_protocol_and_each_kind_of_trust():
 
 @pytest.mark.whole
 def test_the_smallest_scenario_of_a_protocol_is_a_file_that_shows_it(study, tmp_path, monkeypatch):
-    """Case 1 breaks cbaa: the bid of a winner that crashes blocks all others. The search goes on without crashes."""
-    monkeypatch.setattr(breaking, "BASE", breaking.BASE.with_({"team.count": 4}))
+    """Case 15 breaks cbaa: the bid of a winner that crashes blocks all others. The search goes on without crashes."""
     monkeypatch.setattr(breaking.PROTOCOLS, "choices", lambda: ["cbaa", "centralised", "voronoi"])
-    document, text, picture = study(breaking.main, "--protocol", "cbaa", "--runs", "2")
+    document, text, picture = study(breaking.main, "--protocol", "cbaa", "--runs", "15")
     (search,) = document["searches"]
     (weakness,) = search["weaknesses"]
     smallest = load(tmp_path / "breaking-cbaa.toml")
@@ -29,14 +28,25 @@ def test_the_smallest_scenario_of_a_protocol_is_a_file_that_shows_it(study, tmp_
     assert smallest.seed == weakness["seed"]
     assert not verdict.holds
     assert verdict.measure - verdict.reference == pytest.approx(weakness["idle_beyond"]["cbaa"])
-    assert weakness["smallest"].keys() <= {"chaser crash", "horizon", "team"}
-    assert 'kind = "chaser_crash"' in text
+    assert weakness["smallest"].keys() <= {"crash", "horizon", "team"}
+    assert 'kind = "crash"' in text
     assert "cbaa" in picture
     runs = (tmp_path / "breaking" / "cbaa.jsonl").read_text()
-    assert study(breaking.main, "--protocol", "cbaa", "--runs", "2")[0] == document
+    assert study(breaking.main, "--protocol", "cbaa", "--runs", "15")[0] == document
     assert (tmp_path / "breaking" / "cbaa.jsonl").read_text() == runs, "nothing is run again"
-    further = study(breaking.main, "--protocol", "cbaa", "--runs", "3")[0]["searches"][0]
-    assert (further["cases"], further["weaknesses"]) == (3, search["weaknesses"])
+    further = study(breaking.main, "--protocol", "cbaa", "--runs", "16")[0]["searches"][0]
+    assert (further["cases"], further["weaknesses"][0]) == (16, weakness)
+    assert {"chaser crash"} <= further["weaknesses"][1]["smallest"].keys() <= {"chaser crash", "horizon", "team"}
+    assert load(tmp_path / "breaking-cbaa-2.toml").seed == further["weaknesses"][1]["seed"]
+
+
+@pytest.mark.whole
+def test_a_search_that_finds_nothing_says_how_much_was_run(study):
+    document, text, picture = study(breaking.main, "--protocol", "voronoi", "--runs", "3", "--minutes", "60")
+    (search,) = document["searches"]
+    assert (search["cases"], search["weaknesses"]) == (3, [])
+    assert "none in 3 cases, " in text
+    assert picture == ""
 
 
 def test_a_protocol_that_is_not_searched_is_told():
