@@ -185,6 +185,7 @@ TOKEN = {"kind": "sap", "schedule": {"kind": "token_ring"}}
 MIXED = {"fates": ("lost", "late", "twice"), "delay": 0.3}
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("choices", [{}, {"delay": 0.25}])
 def test_no_choice_of_lost_messages_is_left_out(choices):
     _compare_with_all("best_response", most=1, **choices)
@@ -226,6 +227,7 @@ def _numbers(table):
     return sorted((tuple(copy.number for copy in one.messages), one.fates, one.verdict) for one in table.fatal)
 
 
+@pytest.mark.whole
 def test_a_choice_that_matters_is_missed_if_a_late_message_is_taken_for_a_lost_one():
     """The control: with wrong times of the last looks, the table is another."""
     scenario = SMALL.with_({"protocol": "fictitious_play"})
