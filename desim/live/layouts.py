@@ -1,9 +1,11 @@
 """Layouts: the numbers of a body in a datagram, from the annotations of its fields; see `desim.live.wire`."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from enum import Enum, auto
+from math import isnan
 from struct import Struct, error
 from types import MappingProxyType
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, NamedTuple, get_args, get_origin, get_type_hints
 
 from desim.kernel.core.message_size import NUMBER
 from desim.kernel.core.records import Record
@@ -12,11 +14,41 @@ MAX_COUNT = 1 << 40
 """Largest number of hops, or of events by a logical clock."""
 PLACE = 48
 """Bits of an item of a list with missing items; the bits above are its place."""
+_new = tuple.__new__  # creates a named tuple in a third of the time
 _NUMBER = Struct(">q")
+_FORMATS = MappingProxyType({int: "q", bool: "q", float: "d"})
+Limits = tuple[int, int]
+"""The least and the greatest number."""
 
 
 class WireError(ValueError):
     """A datagram is malformed, or a message cannot be one."""
+
+
+class Form(Enum):
+    """How the value of a field is made of numbers."""
+
+    NUMBER = auto()
+    FLAG = auto()
+    TUPLE = auto()
+    """Numbers of a fixed count."""
+    LIST = auto()
+    """Numbers whose count varies."""
+    PLACES = auto()
+    """A list of a fixed length, of which items may be missing; each number has its place."""
+    RECORDS = auto()
+
+
+class Part(NamedTuple):
+    """A field of a body."""
+
+    form: Form
+    begin: int
+    """Index of its first number among those of a fixed count."""
+    end: int
+    """Index after its last number; of places, the length of the list."""
+    limits: Limits | None
+    """Those of a list or of places."""
 
 
 class Layout:
@@ -25,137 +57,144 @@ class Layout:
     Args:
         body: the class of the body, a named tuple.
         lengths: the lengths of lists, by the name of the field; any other list varies in length.
-        limits: the least and the greatest number in a field, by its name.
-        nodes: number of nodes, N.
+        limits: the limits of the numbers in a field, by its name: one for all, or one for each of the first few.
 
     Attributes:
         size: bytes of the numbers of a fixed count.
         has_rest: whether the length of a body varies.
     """
 
-    def __init__(self, body: type[Any], lengths: dict[str, int], limits: dict[str, tuple[int, int]], nodes: int):
-        self.body, self._limits, self._nodes = body, limits, nodes
-        hints = get_type_hints(body)
-        self._fields = [(name, hints[name], lengths.get(name)) for name in body._fields]
-        fixed = [_format(hint, length) for _, hint, length in self._fields]
-        self._struct = Struct(">" + "".join(part for part in fixed if part is not None))
+    def __init__(self, body: type[Any], lengths: Mapping[str, int], limits: Mapping[str, Sequence[Limits]]):
+        self.body, format_, hints = body, "", get_type_hints(body)
+        self._parts: list[Part] = []
+        self._bounds: list[tuple[int, int, Limits]] = []
+        """Begin, end and limits of numbers of a fixed count."""
+        for name in body._fields:
+            form, here = _form_of(hints[name], lengths.get(name))
+            begin, end, bounds = len(format_), len(format_) + len(here), limits.get(name, ())
+            format_ += here
+            if len(bounds) > 1:
+                self._bounds += [(begin + k, begin + k + 1, one) for k, one in enumerate(bounds)]
+            elif bounds and here:
+                self._bounds.append((begin, end, bounds[0]))
+            own_limits = bounds[0] if bounds and not here else None
+            self._parts.append(Part(form, begin, lengths[name] if form is Form.PLACES else end, own_limits))
+        self._struct, self._fixed = Struct(">" + format_), len(format_)
         self.size = self._struct.size
-        self._missing = [name for name, hint, _ in self._fields if _may_miss(hint)]
-        self.has_rest = None in fixed or bool(self._missing)
-        self._is_plain = all(hint in _FORMATS for _, hint, _ in self._fields)
-        self._floats = [k for k, (_, hint, _) in enumerate(self._fields) if hint is float]
-        self._limited = [(k, *limits[name]) for k, (name, _, _) in enumerate(self._fields) if name in limits]
+        forms = {part.form for part in self._parts}
+        self.has_rest = not forms <= {Form.NUMBER, Form.FLAG, Form.TUPLE}
+        self._is_plain = forms == {Form.NUMBER}
+        self._has_floats = "d" in format_
 
     def flat(self, body: Any) -> tuple[list[Any], Sequence[Record]]:
         """Return the numbers of a body, those of a fixed count first, and its records."""
         if self._is_plain:
             return list(body), ()
         numbers, rest, records = list[Any](), list[Any](), ()
-        for (name, hint, length), value in zip(self._fields, body, strict=True):
-            if name in self._missing:
+        for (form, *_), value in zip(self._parts, body, strict=True):
+            if form is Form.TUPLE:
+                numbers += value
+            elif form is Form.LIST:
+                rest += value
+            elif form is Form.PLACES:
                 rest += [place << PLACE | item for place, item in enumerate(value) if item is not None]
-            elif _format(hint, length) is not None:
-                numbers += _numbers(value)
-            elif value and isinstance(value[0], Record):
+            elif form is Form.RECORDS:
                 records = value
             else:
-                rest += value
+                numbers.append(value)
         return numbers + rest, records
 
     def pack(self, numbers: list[Any]) -> bytes:
         """Return the bytes of numbers."""
-        fixed = len(self._struct.format) - 1
+        fixed = self._fixed
         try:
             return self._struct.pack(*numbers[:fixed]) + b"".join(map(_NUMBER.pack, numbers[fixed:]))
         except error as problem:
             raise WireError(f"{self.body.__name__} {numbers} cannot be sent: {problem}") from problem
 
-    def read(self, data: bytes, records: Callable[[bytes], Iterator[Record]]) -> Any:
-        """Return the body in some bytes."""
-        numbers = self._struct.unpack_from(data)
-        rest = data[self.size :]
-        if rest and not self.has_rest:
-            raise ValueError("bytes after the end")
-        if self._is_plain:  # most datagrams
-            for k in self._floats:
-                if numbers[k] != numbers[k]:
-                    raise ValueError("not a number")
-            for k, low, high in self._limited:
-                if not low <= numbers[k] <= high:
-                    raise ValueError(f"{self.body._fields[k]} is out of range")
-            return self.body._make(numbers)
-        if any(number != number for number in numbers):
-            raise ValueError("not a number")
-        items = list[int]()
-        while rest and not rest[0] & 0x80:
-            (item,) = _NUMBER.unpack_from(rest)
-            items.append(item)
-            rest = rest[NUMBER:]
-        within = tuple(records(rest))
-        return self._made(iter(numbers), items, within)
+    def read(self, data: bytes, at: int, records: Callable[[bytes], Iterator[Record]]) -> Any:
+        """Return the body in some bytes.
 
-    def _made(self, numbers: Iterator[Any], items: list[int], records: tuple[Record, ...]) -> Any:
-        values = list[Any]()
-        for name, hint, length in self._fields:
-            if name in self._missing:
-                value: Any = [None] * (length or 0)
-                for item in items:
-                    value[item >> PLACE] = item & ((1 << PLACE) - 1)
-                value = tuple(value)
-                items = []
-            elif _format(hint, length) is not None:
-                value = _shaped(hint, length, numbers)
-            elif Record in get_args(hint) or Any in get_args(hint):
-                value, records = records, ()
+        Args:
+            data: the bytes.
+            at: the number of bytes before it.
+            records: reads the records in the rest of some bytes.
+
+        Raises:
+            ValueError: if it is none.
+        """
+        numbers = self._struct.unpack_from(data, at)
+        if self._has_floats and any(map(isnan, numbers)):
+            raise ValueError("not a number")
+        for begin, end, (low, high) in self._bounds:
+            if end == begin + 1:  # as a rule, and faster so
+                if not low <= numbers[begin] <= high:
+                    raise ValueError("a number is out of range")
             else:
-                value, items = tuple(items), []
-            self._check(name, value)
-            values.append(value)
+                _check(numbers[begin:end], (low, high))
+        if len(data) > at + self.size:
+            if not self.has_rest:
+                raise ValueError("bytes after the end")
+            return self._made(numbers, *_rest(data[at + self.size :], records))
+        return _new(self.body, numbers) if self._is_plain else self._made(numbers, [], ())
+
+    def _made(self, numbers: Sequence[Any], items: list[int], records: tuple[Record, ...]) -> Any:
+        """Return the body with some fixed numbers, listed items and records."""
+        values = list[Any]()
+        for form, begin, end, limits in self._parts:
+            if form is Form.NUMBER:
+                values.append(numbers[begin])
+            elif form is Form.TUPLE:
+                values.append(numbers[begin:end])
+            elif form is Form.FLAG:
+                values.append(bool(numbers[begin]))
+            elif form is Form.RECORDS:
+                values.append(records)
+                records = ()
+            else:
+                values.append(tuple(items) if form is Form.LIST else _placed(items, end))
+                _check([item for item in values[-1] if item is not None], limits)
+                items = []
         if items or records:
             raise ValueError("bytes after the end")
         return self.body(*values)
 
-    def _check(self, name: str, value: Any) -> None:
-        """Raise ValueError if an entry of a field is out of its range."""
-        if name in {"epoch", "stamp"} and not (0 <= value[0] <= MAX_COUNT and -1 <= value[1] < self._nodes):
-            raise ValueError(f"{name} is out of range")
-        low, high = self._limits.get(name, (0, 0))
-        entries = value if isinstance(value, tuple) else (value,)
-        if name in self._limits and not all(low <= entry <= high for entry in entries if entry is not None):
-            raise ValueError(f"{name} is out of range")
 
-
-_FORMATS = MappingProxyType({int: "q", bool: "q", float: "d"})
-
-
-def _may_miss(hint: Any) -> bool:
-    return any(type(None) in get_args(item) for item in get_args(hint))
-
-
-def _format(hint: Any, length: int | None) -> str | None:
-    """Return the format of the numbers of a field, one character each; None if their count varies."""
+def _form_of(hint: Any, length: int | None) -> tuple[Form, str]:
+    """Return the form of a field, and the format of its numbers of a fixed count, one character each."""
     if hint in _FORMATS:
-        return _FORMATS[hint]
-    if get_origin(hint) is tuple:
-        items = get_args(hint)
-        if _may_miss(hint) or (items[-1] is Ellipsis and length is None):
-            return None
-        kinds = [items[0]] * (length or 0) if items[-1] is Ellipsis else items
-        return "".join(_FORMATS[kind] for kind in kinds)
-    raise TypeError(f"no layout for {hint}")
-
-
-def _numbers(value: Any) -> list[Any]:
-    return list(value) if isinstance(value, tuple) else [value]
-
-
-def _as(hint: Any, number: Any) -> Any:
-    return bool(number) if hint is bool else number
-
-
-def _shaped(hint: Any, length: int | None, numbers: Iterator[Any]) -> Any:
-    """Return the value of a field from the next numbers."""
-    if get_origin(hint) is not tuple:
-        return _as(hint, next(numbers))
+        return Form.FLAG if hint is bool else Form.NUMBER, _FORMATS[hint]
     items = get_args(hint)
-    return tuple(next(numbers) for _ in range(length or 0 if items[-1] is Ellipsis else len(items)))
+    if get_origin(hint) is not tuple or not items:
+        raise TypeError(f"no layout for {hint}")
+    if any(type(None) in get_args(item) for item in items):
+        return Form.PLACES, ""
+    if items[0] is Record or items[0] is Any:
+        return Form.RECORDS, ""
+    if items[-1] is not Ellipsis:
+        return Form.TUPLE, "".join(_FORMATS[item] for item in items)
+    return (Form.LIST, "") if length is None else (Form.TUPLE, _FORMATS[items[0]] * length)
+
+
+def _rest(data: bytes, records: Callable[[bytes], Iterator[Record]]) -> tuple[list[int], tuple[Record, ...]]:
+    """Return the listed items and the records in the rest of a datagram; a record begins with a set bit."""
+    items, at = list[int](), 0
+    while at < len(data) and not data[at] & 0x80:
+        (item,) = _NUMBER.unpack_from(data, at)
+        items.append(item)
+        at += NUMBER
+    return items, tuple(records(data[at:]))
+
+
+def _placed(items: list[int], length: int) -> tuple[int | None, ...]:
+    """Return a list in which each item is at its place, and others are missing."""
+    places: list[int | None] = [None] * length
+    for item in items:
+        places[item >> PLACE] = item & ((1 << PLACE) - 1)
+    return tuple(places)
+
+
+def _check(numbers: Sequence[int], limits: Limits | None) -> None:
+    """Raise ValueError if a number is not within limits."""
+    if limits is not None and numbers and not (limits[0] <= min(numbers) and max(numbers) <= limits[1]):
+        raise ValueError("a number is out of range")

@@ -3,22 +3,28 @@
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
+from heapq import heapify, heapreplace
 from statistics import median
 from typing import Any, NamedTuple
 
 from desim import Result, Scenario, load, run, summary
 from desim.analysis.trace_index import messages
+from desim.kernel.core.clock import RARE_COLLECTION
 from desim.kernel.core.portable_math import portable_sum
-from desim.live import LiveResult
+from desim.kernel.core.units import nanoseconds
+from desim.live import LiveResult, Node
 from desim.live import run as run_live
+from desim.live.frames import frame_of
 from desim.live.lines import Lines
+from desim.live.referee import FRAME
 from scenarios.benchmarks.measuring import Cost, apart
 from scenarios.benchmarks.peers.bare_sockets import Traffic, bare_sockets
 from scenarios.studies.study import SCENARIOS, Options
 
 PURSUERS, RATE, DURATION = 12, 10.0, 5.0
 """Number of pursuers, decisions and heartbeats of each per second, and duration of a run, s."""
-PROTOCOLS = ("sap", "cbba")
+PROTOCOLS = ("local_min", "cbba")
 SIMULATIONS = 5
 """Number of simulations of a lap, which take little time."""
 
@@ -37,6 +43,7 @@ class Lap(NamedTuple):
     """The processor times of a decision, s."""
 
     simulated: float
+    nodes: float
     live: float
     sockets: float
 
@@ -47,11 +54,43 @@ def lap(scenario: Scenario, seed: int) -> Lap:
     for k in range(SIMULATIONS):
         decisions += summary(run(scenario, seed + k)).decisions
     simulated = (time.process_time() - begin) / decisions
+    nodes = nodes_alone(scenario, seed)
     with counted_lines() as lines:
         result = run_live(scenario, seed, tell=lambda _: None)
     made = summary(result).decisions
     sockets = apart(bare_sockets, traffic_of(result, lines))
-    return Lap(simulated, portable_sum(result.conduct.cpu.values()) / made, sockets / made)
+    return Lap(simulated, nodes, portable_sum(result.conduct.cpu.values()) / made, sockets / made)
+
+
+def nodes_alone(scenario: Scenario, seed: int) -> float:
+    """Run all nodes in this process, as fast as it can; return the processor time of a decision, s.
+
+    Datagrams go from hand to hand, and a frame of the world to all nodes at each `FRAME`.
+    """
+    decided: list[int] = []
+    nodes = [Node(scenario, pursuer, seed, on_action=decided.append) for pursuer in range(PURSUERS)]
+    now = 0
+
+    def post(src: int, datagram: bytes, receivers: list[int]) -> None:
+        for node in receivers:
+            nodes[node].link.receive(datagram, src, now)
+
+    for pursuer, node in enumerate(nodes):
+        node.link._post = partial(post, pursuer)
+    with RARE_COLLECTION:
+        begin = time.process_time()
+        due = [(node._env.peek(), pursuer) for pursuer, node in enumerate(nodes)]
+        heapify(due)
+        for shown in range(0, nanoseconds(DURATION), FRAME):
+            frame = frame_of(nodes[0]._state, [node._mirror.orders for node in nodes])
+            frame = frame._replace(t=shown, profile=[node.action for node in nodes])
+            for node in nodes:
+                node.show(frame)
+            while due[0][0] < shown + FRAME:
+                now, pursuer = int(due[0][0]), due[0][1]
+                nodes[pursuer]._env.advance(now)
+                heapreplace(due, (nodes[pursuer]._env.peek(), pursuer))
+        return (time.process_time() - begin) / len(decided)
 
 
 @contextmanager
@@ -99,11 +138,13 @@ def live(options: Options) -> list[Cost]:
         scenario = team(protocol)
         run(scenario)
         laps = [lap(scenario, seed) for seed in range(options.seed, options.seed + options.runs)]
-        simulated, total, sockets = (median(times) for times in zip(*laps, strict=True))
+        simulated, nodes, total, sockets = (median(times) for times in zip(*laps, strict=True))
         costs += [
             Cost(f"{protocol}: a decision, simulated", simulated * 1e6, "us"),
-            Cost(f"{protocol}: a decision, live, all processes", total * 1e6, "us"),
-            Cost(f"{protocol}: the same datagrams and lines alone", sockets * 1e6, "us"),
+            Cost(f"{protocol}: by nodes without sockets", nodes * 1e6, "us"),
+            Cost(f"{protocol}: its datagrams and lines, without nodes", sockets * 1e6, "us"),
+            Cost(f"{protocol}: live, all processes", total * 1e6, "us"),
+            Cost(f"{protocol}: nodes / simulated", nodes / simulated, "", 2.0),
             Cost(f"{protocol}: live / (2 simulated + sockets)", total / (2 * simulated + sockets), "", 1.0),
         ]
     return costs
