@@ -201,8 +201,7 @@ class TransportLayer:
 
         A frame of a sender that has lost its memory since is ignored.
         """
-        flow = _new(MessageFlow, (src, None if frame.to_all else node, frame.port))
-        receivers = self._nodes[node].receivers
+        flow, receivers = MessageFlow(src, None if frame.to_all else node, frame.port), self._nodes[node].receivers
         receiver = receivers.get(flow)
         if receiver is not None and receiver.session > frame.session:
             return
