@@ -376,9 +376,14 @@ class Summary(Mapping[str, Any]):
     )
 
 
-def columns_of(summaries: Sequence[Summary], missing: object = None) -> dict[str, Sequence[Any]]:
-    """Return the values of each metric of several summaries by name; `missing` for a summary that lacks the metric."""
-    values = [summary._values for summary in summaries]
+def columns_of(runs: Sequence[Mapping[str, Any]], missing: object = None) -> dict[str, Sequence[Any]]:
+    """Return the values of each metric of several runs by name; `missing` for a run that lacks the metric.
+
+    Args:
+        runs: the summary of each run, or a dict of its metrics.
+        missing: see above.
+    """
+    values = [run._values if isinstance(run, Summary) else run for run in runs]
     if not values:
         return {}
     names = tuple(values[0])

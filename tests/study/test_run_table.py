@@ -12,7 +12,7 @@ from desim.analysis.metrics import METRICS, Summary
 from desim.analysis.statistics import estimate, paired
 from desim.study.results.runs import Group
 from desim.study.store import run_table
-from desim.study.store.run_table import EXACT, Column, Row, RunTable
+from desim.study.store.run_table import EXACT, Column, Measured, Row, RunTable
 
 NUMBERS = st.one_of(
     st.none(),
@@ -69,11 +69,16 @@ def test_the_numbers_of_a_column_are_those_of_numpy(values):
 
 
 @pytest.mark.slow
-@given(runs(), st.integers(1, 4))
-def test_a_table_equals_the_list_of_its_rows(rows, chunk):
+@given(runs(), st.integers(1, 4), st.booleans())
+def test_a_table_equals_the_list_of_its_rows(rows, chunk, are_measured):
+    """Also if the runs that did not fail come as a store reads them."""
     before, run_table.CHUNK = run_table.CHUNK, chunk
+    given = [
+        Measured(row.replication, row.seed, dict(row.summary)) if are_measured and row.summary is not None else row
+        for row in rows
+    ]
     try:
-        table = RunTable(iter(rows))
+        table = RunTable(iter(given), {"mine": "m"})
     finally:
         run_table.CHUNK = before
     assert table == rows

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, Json, create_model
 from desim.analysis.metrics import METRICS, Summary
 from desim.config.json_numbers import from_json, to_json
 from desim.study.store.file import StoreFile, adapter_of
-from desim.study.store.run_table import Row, Status
+from desim.study.store.run_table import Measured, Row, Status
 
 Digits = Annotated[str, Field(pattern="^[0-9]{1,4000}$")]
 """A seed as text: a non-negative integer, short enough for Python's parser."""
@@ -80,14 +80,23 @@ class RunRows(StoreFile):
 
     def read_runs(self, key: str, root: int, units: Mapping[str, str]) -> Iterator[Row]:
         """Yield the runs of a configuration and a root seed, by replication, given the units of all metrics by name."""
-        names, added = frozenset(units), {name: unit for name, unit in units.items() if name not in METRICS}
+        added = added_units(units)
+        for run in self.read_measured(key, root, units):
+            if isinstance(run, Measured):
+                yield Row(run.replication, run.seed, "ok", Summary(run.values, added), run.traceback)
+            else:
+                yield run
+
+    def read_measured(self, key: str, root: int, units: Mapping[str, str]) -> Iterator[Row | Measured]:
+        """Yield the runs of a configuration and a root seed as `read_runs` does, but only those that failed as rows."""
+        names = frozenset(units)
         for row in self.rows("runs", "WHERE configuration = ? ORDER BY replication", (key,)):
             if row[ROOT_SEED] != str(root):  # a store has one root seed, so the row was edited
                 raise self.error("runs", row, f"should have the root seed {root}")
-            yield self._run(row, names, added)
+            yield self._run(row, names)
 
-    def _run(self, row: tuple[Any, ...], names: Set[str], added: Mapping[str, str]) -> Row:
-        """Return the run in a row, given the names of all metrics of the store, and the units of those of users."""
+    def _run(self, row: tuple[Any, ...], names: Set[str]) -> Row | Measured:
+        """Return the run in a row, given the names of all metrics of the store."""
         _, replication, _, seed, status, numbers, trace = self.read(RUN_ADAPTER, "runs", row)
         if (numbers is None) == (status == "ok"):
             raise self.error("runs", row, "should have a summary if its status is ok, and none if not")
@@ -97,10 +106,15 @@ class RunRows(StoreFile):
         if not there <= names:
             raise self.error("runs", row, f"summary.{min(there - names)}: is no metric of this store")
         # `model_dump` takes 7 us, and only the metrics of users can be infinite.
-        values = {**vars(numbers), **from_json(numbers.model_extra)} if numbers.model_extra else dict(vars(numbers))
+        values = {**vars(numbers), **from_json(numbers.model_extra)} if numbers.model_extra else vars(numbers)
         if len(values) > len(there):
             values = {name: value for name, value in values.items() if name in there}
-        return Row(replication, int(seed), status, Summary(values, added), trace)
+        return Measured(replication, int(seed), values, trace)
+
+
+def added_units(units: Mapping[str, str]) -> dict[str, str]:
+    """Return the units of the metrics that are not built in, given those of all, by name."""
+    return {name: unit for name, unit in units.items() if name not in METRICS}
 
 
 def _with_numbers(row: tuple[Any, ...], numbers: Mapping[str, Any] | None) -> tuple[Any, ...]:

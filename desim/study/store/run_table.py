@@ -18,7 +18,7 @@ from itertools import islice, takewhile
 from math import nan
 from os import sep
 from types import MappingProxyType
-from typing import Any, Literal, overload
+from typing import Any, Literal, NamedTuple, overload
 
 import numpy as np
 
@@ -88,6 +88,16 @@ class Row:
         last_call = max((k for k, line in enumerate(lines) if line.startswith('  File "')), default=-1)
         ends = [line for line in lines[last_call + 1 :] if line.strip() and not line.startswith("  ")]
         return OWN_MODULE.sub("", (ends or lines[-1:] or [""])[0])
+
+
+class Measured(NamedTuple):
+    """A run that did not fail, as it is read from a store: a row without the objects that a table does not need."""
+
+    replication: int
+    seed: int
+    values: Mapping[str, Any]
+    """The value of each metric by name."""
+    traceback: str = ""
 
 
 class _Missing:
@@ -185,28 +195,34 @@ class RunTable(Sequence[Row]):
 
     Args:
         rows: the runs, in the order of replications.
+        units: the units of the metrics of the runs that are `Measured`, by name, but for those that are built in.
     """
 
-    def __init__(self, rows: Iterable[Row] = ()):
+    def __init__(self, rows: Iterable[Row | Measured] = (), units: Mapping[str, str] = MappingProxyType({})):
         self.replications, self._seeds = Column(), Column()
         self._metrics: dict[str, Column] = {}
-        self._units: dict[str, str] = {}
+        self._units: dict[str, str] = dict(units)
         self._failed: dict[int, Row] = {}
         remaining, count = iter(rows), 0
         while chunk := list(islice(remaining, CHUNK)):
-            self._failed |= {k: row for k, row in enumerate(chunk, count) if row.summary is None}
-            self._add([(row, row.summary) for row in chunk if row.summary is not None])
+            runs = []
+            for k, row in enumerate(chunk, count):
+                if isinstance(row, Measured):
+                    runs.append(row)
+                elif row.summary is None:
+                    self._failed[k] = row
+                else:
+                    self._units |= row.summary.units
+                    runs.append(Measured(row.replication, row.seed, row.summary))
+            self._add(runs)
             count += len(chunk)
 
-    def _add(self, runs: Sequence[tuple[Row, Summary]]) -> None:
+    def _add(self, runs: Sequence[Measured]) -> None:
         """Append runs that did not fail."""
         before = len(self.replications)
-        self.replications.extend([row.replication for row, _ in runs])
-        self._seeds.extend([row.seed for row, _ in runs])
-        summaries = [summary for _, summary in runs]
-        for units in {id(summary.units): summary.units for summary in summaries}.values():
-            self._units |= units
-        columns = columns_of(summaries, MISSING)
+        self.replications.extend([run.replication for run in runs])
+        self._seeds.extend([run.seed for run in runs])
+        columns = columns_of([run.values for run in runs], MISSING)
         for name in columns:
             if name not in self._metrics:
                 self._metrics[name] = Column([MISSING] * before)
