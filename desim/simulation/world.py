@@ -209,7 +209,7 @@ class World:
 
     def _places(self) -> tuple[tuple[TracePoint, ...], tuple[TracePoint, ...]]:
         """Return the positions of the evaders and of the pursuers as (x, y), m."""
-        places = tuple((x, y) for x, y in coordinates(self.state.players.positions()).tolist())
+        places: tuple[TracePoint, ...] = tuple(map(tuple, coordinates(self.state.players.positions()).tolist()))
         return places[self.state.size :], places[: self.state.size]
 
 

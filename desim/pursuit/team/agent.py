@@ -209,7 +209,7 @@ class Agent(Beliefs, Timing, HintedItems):
 
     def _news(self) -> Any:
         """Return the value whose change makes an announcement due."""
-        return (self.action,) if self._payload is None else self._payload.news
+        return (self._state.profile[self.id],) if self._payload is None else self._payload.news
 
     def set_payload(self, body: Any) -> None:
         """Set the body of all announcements from now on, in place of the standard payload; nothing is sent yet.

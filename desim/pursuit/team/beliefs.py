@@ -122,10 +122,10 @@ class Beliefs(Knowledge):
 
     def believed_active(self, evader: int = 1) -> list[int]:
         """Return the teammates that it believes to chase an evader; see `believed_chasers`."""
-        return list(self._chasing_records(evader)) if self._judge is None else self._rivals(evader)[1]
+        return [j for j, _ in self._chasing_records(evader)] if self._judge is None else self._rivals(evader)[1]
 
-    def _chasing_records(self, evader: int) -> dict[int, Record]:
-        """Return the fresh announcements by which teammates chase an evader, in the order of their ids."""
+    def _chasing_records(self, evader: int) -> list[tuple[int, Record]]:
+        """Return the teammates that chase an evader by fresh announcements, and these, in the order of their ids."""
         oldest = self._clock.true - self._timeout
         # By id, and not by arrival as they are kept: the gain sums the times, and sums depend on the order in the last
         # bit.
@@ -134,7 +134,7 @@ class Beliefs(Knowledge):
             for j, (arrival, record) in self._network.matching(self.id).items()
             if record.body.active == evader and arrival >= oldest
         ]
-        return dict(sorted(chasing))
+        return sorted(chasing)
 
     def _rivals(self, evader: int) -> tuple[float, list[int], list[float]]:
         """Return for an evader the pursuer's own capture time, and the ids and capture times of the believed chasers.
@@ -142,14 +142,14 @@ class Beliefs(Knowledge):
         The believed chasers are teammates. Capture times are in s; nan if unknown.
         """
         announced = self._chasing_records(evader)
-        chasing = list(announced)
         if self._judge is not None:
-            chasing = [j for j in chasing if is_believed(self._judge, announced[j])]
+            announced = [(j, record) for j, record in announced if is_believed(self._judge, record)]
+        chasing = [j for j, _ in announced]
         if self.senses_others:
             own_time, *times = self._view.capture_times_of([self.id, *chasing], evader)
         else:
             (own_time,) = self._view.capture_times_of([self.id], evader)
-            times = [self._capture_time(announced[j], evader) for j in chasing]
+            times = [self._capture_time(record, evader) for _, record in announced]
         if self._judge is not None:
             claims = dict(zip(chasing, times, strict=True))
             # Claims are judged together, and therefore after all records that are not believed are gone.
