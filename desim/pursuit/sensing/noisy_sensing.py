@@ -5,6 +5,7 @@ sighting, its own or a reported one, is its estimate. Otherwise a filter (`desim
 track of each evader. Captures follow the true positions.
 """
 
+from collections import defaultdict
 from collections.abc import Generator, Iterable, Iterator
 from math import inf, nan
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -197,7 +198,7 @@ class TrackingView(LimitedView):
         self._newest: dict[int, Measurement] = {}
         """By evader, the newest sighting, its own or a reported one."""
         self._filters: dict[int, Filter] = {}
-        self._tracks: dict[tuple[int, int], Tracked] = {}
+        self._tracks: defaultdict[int, dict[int, Tracked]] = defaultdict(dict)
         """By evader and sender, the newest reported track."""
         self._fused: dict[int, Track | None] = {}
         """By evader, the track at the time `_fused_at`, ns, until something new is known."""
@@ -263,7 +264,7 @@ class TrackingView(LimitedView):
         """Return the track of an evader at `now` (ns, local clock)."""
         combined = self._filters[evader].at(now) if evader in self._filters else None
         # By source, because the fusion of three tracks depends on their order, and arrivals may be in any.
-        for _, report in sorted((src, report) for (j, src), report in self._tracks.items() if j == evader):
+        for _, report in sorted(self._tracks[evader].items()):
             other = self._sensor.predicted(report, now)
             combined = other if combined is None else fused(combined, other, self._sensing.fusion)
         return combined
@@ -313,7 +314,7 @@ class TrackingView(LimitedView):
     def _newest_stamp(self, evader: int) -> int:
         """Return the time of the newest sighting or reported track of an evader, ns; -1 without any."""
         stamps = [self._newest[evader].stamp] if evader in self._newest else []
-        return max([*stamps, *(report.stamp for (j, _), report in self._tracks.items() if j == evader)], default=-1)
+        return max([*stamps, *(report.stamp for report in self._tracks[evader].values())], default=-1)
 
     def _read_reports(self) -> None:
         """Process the reports that have arrived."""
@@ -322,9 +323,9 @@ class TrackingView(LimitedView):
                 if isinstance(report, Sighted):
                     self._add(report.evader, report.measurement)
                 else:
-                    key = report.evader, message.src
-                    if key not in self._tracks or self._tracks[key].stamp < report.stamp:
-                        self._tracks[key], self._fused_at = report, None
+                    tracks = self._tracks[report.evader]
+                    if message.src not in tracks or tracks[message.src].stamp < report.stamp:
+                        tracks[message.src], self._fused_at = report, None
 
 
 def _packed(evader: int, track: Track) -> Tracked:
