@@ -1,18 +1,27 @@
 """The command `desim live`: what it refuses, and the tables that it prints."""
 
+import csv
+import json
+import re
+
 import pytest
 from click.testing import CliRunner
 
+from desim.analysis.metrics import METRICS, plain, summary
 from desim.cli import main
 from desim.cli.live import overload
 from desim.config.file_names import LIVE
-from desim.kernel.core.events import MessageCounts
+from desim.kernel.core.events import Broadcast, MessageCounts
+from desim.kernel.core.units import SECOND
+from desim.kernel.fates import LoggedMessage, fates
 from desim.live import agreement as agreement_module
 from desim.live.agreement import Agreement, compare
 from desim.live.figure import agreement_figure
 from desim.live.result import Conduct, LiveResult
 from desim.live.start import PursuerStart, digest
+from desim.results.run_folder import read as read_run
 from desim.results.run_folder import write as write_run
+from desim.scenario.toml import dump
 from desim.simulation.run import run
 from scenarios.studies.study import SCENARIOS
 from tests.live.test_runs import game, scenario
@@ -41,6 +50,40 @@ def test_an_invitation_is_one_word():
     assert start.invitation() == "192.168.0.2:41235/4/3/192.168.0.7/2f6c"
     assert PursuerStart.invited(start.invitation(), scenario()) == start._replace(scenario=digest(scenario()))
     assert digest(scenario()) != digest(scenario(latency=0.2))
+
+
+def performed(*words):
+    done = CliRunner().invoke(main, [str(word) for word in words], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_what_reads_the_folder_of_a_run_reads_that_of_a_live_run(tmp_path):
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("pandas")
+    file, folder = tmp_path / "calm.toml", tmp_path / "live"
+    file.write_text(dump(scenario(team={"speeds": {"default": 0.1, "last": 0.2}})))
+    performed("live", file, "-o", folder)
+    result = read_run(folder)
+    (counts,) = result.trace.of(MessageCounts)
+    shown = json.loads((folder / "summary.json").read_text())
+    for name in METRICS:  # as `explain` and `sweep` measure them
+        assert shown[name] == plain(summary(result))[name]
+    assert f"3 pursuers, 1.00 s, {counts.sent} messages" in performed("replay", folder)
+    assert f"wrote {counts.sent} packets" in performed("export", folder, tmp_path / "live.pcapng")
+    performed("export", folder, tmp_path / "live.perfetto.json")
+    performed("export", folder, tmp_path / "live.csv", "--event", "Broadcast")
+    rows = list(csv.DictReader((tmp_path / "live.csv").read_text().splitlines()))
+    assert len(rows) == counts.sent
+    for kind in ("trajectory", "spacetime"):
+        performed("plot", folder, "--kind", kind, "-o", tmp_path / f"{kind}.svg")
+    log = [LoggedMessage(event.t / SECOND, event.src, None, event.size) for event in result.trace.of(Broadcast)]
+    assert len(fates(log, 3, result.scenario.network)) == counts.sent
+    assert re.search(r"live +run +relay", performed("ls", tmp_path))
+    refusal = CliRunner().invoke(main, ["report", str(folder)])
+    assert refusal.exit_code == 2
+    assert "is the folder of a single run" in refusal.stderr
 
 
 def pretended(result, timers=(1_000_000,)) -> LiveResult:
