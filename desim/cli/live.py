@@ -88,10 +88,13 @@ def live(
         if invitation is not None:
             _join(scenario, invitation)
         links: LinkKind = "netem" if netem else "namespaces" if namespaces else "drawn"
+        if hosts_file is not None and (compares or links != "drawn"):
+            other = "--compare" if compares else "--netem" if netem else "--namespaces"
+            raise click.UsageError(f"{other} needs all processes on this machine: leave out --hosts")
         if compares:
             _compare(scenario, runs, links, out, as_json=as_json)
         else:
-            hosts = None if hosts_file is None else _hosts(hosts_file)
+            hosts = None if hosts_file is None else _hosts(hosts_file, scenario.team.count)
             _run(scenario, runs, links, hosts, out, metrics, as_json=as_json)
     except NotLiveError as error:
         fail(f"{file}: {error}")
@@ -210,12 +213,21 @@ def _compare(scenario: "Scenario", count: int, links: "LinkKind", out: Path | No
             echo(f"wrote {path}", err=True)
 
 
-def _hosts(file: Path) -> list[str]:
-    """Return the hosts in a file, one a line; # begins a comment."""
+def _hosts(file: Path, count: int) -> list[str]:
+    """Return the hosts in a file, one a line for each pursuer; # begins a comment."""
     from desim.config.number_files import text_of_file
+    from desim.live.sockets import resolved
 
-    lines = [line.partition("#")[0].strip() for line in text_of_file(file).splitlines()]
-    return [line for line in lines if line]
+    lines = enumerate((line.partition("#")[0].strip() for line in text_of_file(file).splitlines()), start=1)
+    hosts = {number: line for number, line in lines if line}
+    for number, host in hosts.items():
+        try:
+            resolved((host, 0))
+        except OSError as error:
+            fail(f"{file}, line {number}: {error}")
+    if len(hosts) != count:
+        fail(f"{file}: should have a host for each of the {count} pursuers, one a line (got {len(hosts)})")
+    return list(hosts.values())
 
 
 def _join(scenario: "Scenario", invitation: str) -> None:

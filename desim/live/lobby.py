@@ -14,7 +14,7 @@ from typing import Any
 
 from desim.live.lines import Lines, encoded
 from desim.live.nursery import Nursery
-from desim.live.sockets import udp_socket
+from desim.live.sockets import family_of, resolved, udp_socket
 from desim.live.start import PursuerStart, digest
 from desim.scenario.scenario import Scenario
 
@@ -87,7 +87,7 @@ class Lobby:
         ]
         home = _address_towards(self._hosts[self._distant[0]]) if self._distant else LOCAL
         loop = asyncio.get_running_loop()
-        self._server = await loop.create_server(self._welcome, "0.0.0.0" if self._distant else LOCAL, 0)
+        self._server = await loop.create_server(self._welcome, home, 0)
         referee = home, int(self._server.sockets[0].getsockname()[1])
         starts = [
             PursuerStart(referee, self._token, pursuer, seed, host, draws, namespaces[pursuer])
@@ -246,9 +246,10 @@ def _is_local(host: str) -> bool:
 
 def _address_towards(host: str) -> str:
     """Return the address of this machine in the network of a host."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect((host, 9))
-        except OSError as error:
-            raise LiveError(f"{host}: no way leads there: {error.strerror or error}") from error
-        return str(probe.getsockname()[0])
+    try:
+        there = resolved((host, 9))
+        with socket.socket(family_of(there), socket.SOCK_DGRAM) as probe:
+            probe.connect(there)
+            return str(probe.getsockname()[0])
+    except OSError as error:
+        raise LiveError(f"{host}: no way leads there: {error.strerror or error}") from error

@@ -192,7 +192,7 @@ class Node:
         """
         if len(peers) != self._state.size:
             raise ValueError(f"peers should be the addresses of {self._state.size} pursuers (got {len(peers)})")
-        self._peers = [resolved(peer) for peer in peers]
+        self._peers = [peer if number == self.pursuer else resolved(peer) for number, peer in enumerate(peers)]
         self._number_of = {peer: number for number, peer in enumerate(self._peers)}
 
     async def run(self, now: Callable[[], int] | None = None) -> None:

@@ -55,7 +55,8 @@ class _Pursuer:
         try:
             await asyncio.get_running_loop().create_connection(lambda: lines, *start.referee)
         except OSError as error:
-            return self._fail(f"no referee at {start.referee[0]}: {error}")
+            why = os.strerror(error.errno) if error.errno else error
+            return self._fail(f"no referee at {start.referee[0]}, port {start.referee[1]}: {why}")
         with within_namespace(start.namespace):
             bound = udp_socket((start.host, 0))
         lines.tell("hello", start.pursuer, start.token, start.scenario, self._node.bind(bound))

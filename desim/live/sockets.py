@@ -4,6 +4,7 @@ import asyncio
 import socket
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from ipaddress import ip_address
 
 from desim.live.start import Address
 
@@ -13,18 +14,22 @@ LARGEST = 1 << 16
 """Bytes of the largest datagram."""
 
 
+def family_of(address: Address) -> socket.AddressFamily:
+    """Return the family of an address: IPv6 if its host has colons."""
+    return socket.AF_INET6 if ":" in address[0] else socket.AF_INET
+
+
 def udp_socket(address: Address) -> socket.socket:
     """Return a UDP socket that is bound to an address."""
-    family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
-    bound = socket.socket(family, socket.SOCK_DGRAM)
+    bound = socket.socket(family_of(address), socket.SOCK_DGRAM)
     bound.setblocking(False)
     with suppress(OSError):
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
     try:
         bound.bind(address)
-    except OSError:
+    except OSError as error:
         bound.close()
-        raise
+        raise OSError(error.errno, f"{address[0]}, port {address[1]}: {error.strerror or error}") from None
     return bound
 
 
@@ -32,13 +37,15 @@ def resolved(address: Address) -> Address:
     """Return an address with the number of its host, from which datagrams come, in the place of its name.
 
     Raises:
-        OSError: if the host is not known.
+        OSError: if the host is not known, or is none of its own.
     """
     host, port = address
     try:
         number, *_ = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0][4]
-    except OSError as error:
-        raise OSError(f"the host {host!r} is not known: {error.strerror or error}") from None
+    except (OSError, UnicodeError) as error:
+        raise OSError(f"the host {host!r} is not known: {getattr(error, 'strerror', None) or error}") from None
+    if ip_address(str(number).partition("%")[0]).is_unspecified:
+        raise OSError(f"{host} stands for all addresses of a machine: should be one of them")
     return str(number), int(port)
 
 

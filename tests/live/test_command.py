@@ -41,8 +41,16 @@ def test_wrong_input_is_refused_with_a_sentence(tmp_path):
     assert "--join: should be the word that `desim live --hosts` prints (got 'x')" in refused(RELAY, "--join", "x")
     hosts = tmp_path / "hosts.txt"
     hosts.write_text("127.0.0.1\n# another\n127.0.0.2  # mine\n")
-    assert "hosts should be one for each of the 20 pursuers (got 2)" in refused(RELAY, "--hosts", str(hosts))
+    count = "hosts.txt: should have a host for each of the 20 pursuers, one a line (got 2)"
+    assert count in refused(RELAY, "--hosts", str(hosts))
     assert "hosts.txt" in refused(RELAY, "--hosts", str(tmp_path / "no" / "hosts.txt"))
+    hosts.write_text("127.0.0.1\n\nno host\n")
+    assert "hosts.txt, line 3: the host 'no host' is not known: " in refused(RELAY, "--hosts", str(hosts))
+    hosts.write_text("0.0.0.0\n")
+    assert "hosts.txt, line 1: 0.0.0.0 stands for all addresses" in refused(RELAY, "--hosts", str(hosts))
+    for option in ("--compare", "--netem", "--namespaces"):
+        refusal = refused(RELAY, option, "--hosts", str(hosts))
+        assert f"{option} needs all processes on this machine: leave out --hosts" in refusal
 
 
 def test_an_invitation_is_one_word():

@@ -19,6 +19,7 @@ from desim.kernel.transport.layer import PORT as FRAMES
 from desim.live import Node, NotLiveError
 from desim.live.own_bodies import OwnBodies
 from desim.live.refusals import reasons
+from desim.live.sockets import udp_socket
 from desim.live.wire import Wire
 from desim.pursuit.team.announcements import Assignment, Forwarded
 from protocols.dissemination import PORT as ANNOUNCEMENTS
@@ -304,5 +305,9 @@ def test_the_examples_that_can_run_live_are_these():
 def test_a_pursuer_that_does_not_exist_and_too_few_addresses_are_refused():
     with pytest.raises(ValueError, match=r"there is no pursuer 3: they are 0 \.\. 2"):
         Node(scenario(), 3)
+    with pytest.raises(OSError, match=r"the host 'no host' is not known: "):
+        Node(scenario(), 0).connect([(LOCAL, 1), ("no host", 2), (LOCAL, 3)])
+    with udp_socket((LOCAL, 0)) as taken, pytest.raises(OSError, match=r"127\.0\.0\.1, port \d+: .*in use"):
+        udp_socket(taken.getsockname())
     with pytest.raises(ValueError, match=r"peers should be the addresses of 3 pursuers \(got 1\)"):
         Node(scenario(), 0).connect([(LOCAL, 1)])
