@@ -60,12 +60,12 @@ def decorrelated(seen: Sequence[float], errors: Sequence[Sequence[float]], size:
         size: the number of entries of the state.
     """
     rows = [[float(i == j) for j in range(size)] for i in range(len(seen))]
-    numbers, left, pending = list(seen), [list(row) for row in errors], list(range(len(seen)))
-    variances, entries = [left[k][k] for k in pending], list[Entry]()
+    numbers, left, pending = list(seen), [list(line) for line in errors], list(range(len(seen)))
+    entries = list[Entry]()
     while pending:
         k = max(pending, key=lambda i: left[i][i])
         pending.remove(k)
-        variance = left[k][k] if left[k][k] > ROUNDING * variances[k] else 0.0
+        variance = left[k][k] if left[k][k] > ROUNDING * errors[k][k] else 0.0
         for i in pending if variance else ():
             share = left[i][k] / variance
             rows[i] = [x - share * y for x, y in zip(rows[i], rows[k], strict=True)]
