@@ -95,9 +95,14 @@ def _as_raised() -> "Iterator[None]":
 
 
 class Clock(simpy.Environment):
-    """A SimPy environment whose time is an integer number of nanoseconds and starts at 0."""
+    """A SimPy environment whose time is an integer number of nanoseconds and starts at 0.
 
-    now: int = property(attrgetter("_now"), doc="The time, ns.")  # type: ignore[assignment]  # faster than a method
+    Attributes:
+        now: the time, ns.
+    """
+
+    __slots__ = ("_now",)  # SimPy sets the time here, and `now` is another name of the slot
+    now: int
 
     def run(self, until: "SimTime | simpy.Event | None" = None) -> Any:
         """Run as `simpy.Environment.run` does, with less frequent garbage collection.
@@ -141,6 +146,9 @@ class Clock(simpy.Environment):
         """Trigger an event now, with the value None and a SimPy priority among simultaneous events."""
         event._ok, event._value = True, None
         self.schedule(event, EventPriority(priority))
+
+
+Clock.now = vars(Clock)["_now"]  # read in an eighth of the time of a property
 
 
 def generator_of(process: simpy.Process) -> Any:
