@@ -28,6 +28,12 @@ def _echo_calls(error: Exception) -> None:
     echo("".join([*format_list(calls), str(error)]), err=True)
 
 
+def released(error: BaseException | None) -> None:
+    """Let go of what the calls of an exception, and of those before it, hold: a message about it needs memory, too."""
+    while error is not None:
+        error.__traceback__, error.__cause__, error.__context__, error = None, None, None, error.__context__
+
+
 class Program(click.Command):
     """A command with the exit codes that shells expect, such as 128 + the number of the signal that interrupts it.
 
@@ -52,7 +58,8 @@ class Program(click.Command):
         except TimedOut as error:
             echo(f"--timeout: {error}", err=True)
             ctx.exit(OUT_OF_TIME)
-        except MemoryError:
+        except MemoryError as error:
+            released(error)
             echo(OUT_OF_MEMORY, err=True)
             ctx.exit(NO_MEMORY)
         except HiddenPackageError as error:

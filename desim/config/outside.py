@@ -61,7 +61,7 @@ def outside_sources(function: FunctionType) -> tuple[set[str], set[str]]:
     around = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
     places = ChainMap({name: cell.cell_contents for name, cell in around if cell != CellType()}, function.__globals__)
     for use in _uses(function.__code__):
-        source = _found(use, places)
+        source = _denoted(use, places)
         try:
             clocks |= {CLOCKS[source]} if source in CLOCKS else set()
             entropy |= {ENTROPY[source]} if source in ENTROPY else set()
@@ -71,15 +71,15 @@ def outside_sources(function: FunctionType) -> tuple[set[str], set[str]]:
     return clocks, entropy
 
 
-def _found(use: Use, places: Mapping[str, Any]) -> Any:
+def _denoted(use: Use, places: Mapping[str, Any]) -> Any:
     """Return what a dotted name denotes; None if that is not known without running code of a user."""
     first, *others = use.names
-    found = sys.modules.get(use.module) if use.module else places.get(first)
+    denoted = sys.modules.get(use.module) if use.module else places.get(first)
     for name in others:
-        if not isinstance(found, ModuleType | type):
+        if not isinstance(denoted, ModuleType | type):
             return None
-        found = getattr(found, name, None)
-    return found
+        denoted = getattr(denoted, name, None)
+    return denoted
 
 
 @lru_cache(maxsize=256)

@@ -47,10 +47,10 @@ def frame_of(state: WorldState, obeyed: list[int]) -> WorldFrame:
     segments = [getattr(body.path, "last", None) for body in state.bodies]
     return WorldFrame(
         state.now,
-        digits_of(players.positions()),
-        digits_of(players.commands),
-        None if players.drifts is None else digits_of(players.drifts),
-        None if courses is None else [digits_of(courses.velocities), digits_of(courses.headings)],
+        hexadecimal(players.positions()),
+        hexadecimal(players.commands),
+        None if players.drifts is None else hexadecimal(players.drifts),
+        None if courses is None else [hexadecimal(courses.velocities), hexadecimal(courses.headings)],
         state.profile,
         obeyed,
         state.broken.nonzero()[0].tolist(),
@@ -118,7 +118,7 @@ class Mirror:
             self.state.set_actions(np.array(profile, dtype=np.int64))
 
 
-def digits_of(points: Points) -> str:
+def hexadecimal(points: Points) -> str:
     """Return complex numbers as hexadecimal digits."""
     return points.astype(NUMBERS).tobytes().hex()
 

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import warnings
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,7 +16,7 @@ import pytest
 from click.testing import CliRunner
 
 from desim.cli import main
-from desim.cli.program import Program
+from desim.cli.program import Program, released
 from desim.config.trust import write_whole
 from desim.kernel.core.trace_file import TraceFile
 from desim.scenario.toml import load
@@ -331,3 +332,32 @@ def test_ctrl_c_while_the_command_is_imported_ends_with_one_line(monkeypatch, ca
         run_module("desim.__main__")
     assert ended.value.code == 130
     assert capsys.readouterr().err == "interrupted\n"
+
+
+def test_a_run_out_of_memory_lets_go_of_what_its_calls_hold_before_it_says_so():
+    """Otherwise the message has no memory either. Errors that followed hold the first one."""
+
+    class Large:
+        pass
+
+    def simulate():
+        large = Large()
+        kept.append(weakref.ref(large))
+        raise MemoryError
+
+    def clean_up():
+        large = Large()
+        kept.append(weakref.ref(large))
+        try:
+            simulate()
+        except MemoryError:
+            raise MemoryError from None
+
+    kept: list[weakref.ref[Large]] = []
+    try:
+        clean_up()
+    except MemoryError as error:
+        assert all(reference() is not None for reference in kept)
+        released(error)
+        assert all(reference() is None for reference in kept)
+    assert len(kept) == 2
