@@ -5,7 +5,7 @@ from typing import Any
 from desim.config.arguments import naming_arguments
 from desim.config.extras import naming_extras
 
-ALL = ("dt", "positions", "seed", "size", "faults", "horizon", "can_leave")
+ALL = ("dt", "positions", "seed", "size", "faults", "horizon", "can_leave", "walls")
 TALKS, OPERATES = ("message", "graph", "capacity", *ALL), ("idle", *ALL)
 """The options for an environment of PettingZoo, and for one of Gymnasium."""
 
@@ -38,8 +38,8 @@ def wrap(env: Any, links: Any = None, **options: Any) -> Any:
             100. `env.rows` has the row of each agent that has appeared. PettingZoo only.
         seed: the seed of the network until `reset` is given one; drawn anew by each `reset` if None.
         size: bytes of a message; computed from its content if None.
-        **options: the above, and `faults`, `horizon` and `can_leave` as in `SteppedNetwork`. Faults name an agent by
-            its row; the robot is 0, and its operator 1.
+        **options: the above, and `faults`, `horizon`, `can_leave` and `walls` as in `SteppedNetwork`. Faults name an
+            agent by its row; the robot is 0, and its operator 1.
 
     Raises:
         TypeError: if the environment is of another kind, or there is no such option for it.

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from desim.cli.options import ALLOW_IMPORT, FILE, SEED, SET, echo, fail, source_of, write
+from desim.cli.options import ALLOW_IMPORT, FILE, SEED, SET, echo, fail, limited, source_of, write
 from desim.config.trust import escaped
 
 
@@ -18,6 +18,7 @@ from desim.config.trust import escaped
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="CSV file of the fates; default: stdout.")
 @ALLOW_IMPORT
 @SET
+@limited
 def fates(log: Path, file: Path, seed: int | None, out: Path | None, overrides: tuple[str, ...]) -> None:
     """Send the messages of a LOG over the network of a scenario FILE, and write what happens to each as CSV.
 
@@ -52,6 +53,7 @@ def fates(log: Path, file: Path, seed: int | None, out: Path | None, overrides: 
             seed=seed,
             positions=scenario.team.start(seed, scenario.space),
             horizon=scenario.horizon,
+            walls=scenario.wall,
         )
     except ValueError as error:
         fail(str(error))

@@ -64,7 +64,7 @@ def _write(file: Path, overrides: tuple[str, ...], device: str, folder: Path | N
 
     _, scenario = source_of(file, overrides)
     try:
-        commands = script(scenario.network, scenario.team.count, device)
+        commands = script(scenario.network, scenario.team.count, device, scenario.wall)
     except ValueError as error:
         fail(f"{file}: {problem(error)}")
     missing = [*commands.missing, *([("fault", "netem has no faults")] if scenario.fault else [])]

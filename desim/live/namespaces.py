@@ -97,7 +97,7 @@ def _netem_commands(scenario: Scenario) -> tuple[list[str], Mapping[str, tuple[i
     Raises:
         NamespaceError: if netem does not express the links, or a link has models of its own.
     """
-    commands = script(scenario.network, scenario.team.count, DEVICE)
+    commands = script(scenario.network, scenario.team.count, DEVICE, scenario.wall)
     lines = [line for line in commands.lines if line and not line.startswith("#")]
     for key, why in commands.missing:
         raise NamespaceError(f"--netem: {key}: {why}; without --netem the receivers draw the links")

@@ -142,7 +142,7 @@ def _restored(kind: Any, parts: list[Any]) -> Any:
     if len(names) != len(parts):
         raise ValueError(f"{kind.__name__} has {len(names)} fields, not {len(parts)}")
     if issubclass(kind, tuple):
-        return tuple.__new__(kind, parts)
+        return kind._make(parts)
     body = object.__new__(kind)
     for name, part in zip(names, parts, strict=True):
         object.__setattr__(body, name, part)

@@ -90,6 +90,13 @@ def test_a_robot_out_of_range_goes_on_with_its_last_command():
     assert got["observation"].tolist() == [2.0, 2.0]
 
 
+def test_a_robot_behind_a_wall_is_never_reached():
+    places = {"positions": lambda _: [(0.0, 0.0), (4.0, 0.0)], "walls": [{"line": [[2.0, -1.0], [2.0, 1.0]]}]}
+    env = desim.wrap(Counter(), {"range": 50.0}, **places)
+    env.reset(seed=0)
+    assert env.step(np.ones(1, np.float32))[0]["command_age"].tolist() == [-1.0]
+
+
 def test_what_a_learner_does_to_an_observation_changes_no_other():
     env = desim.wrap(Counter(), Links(loss=1.0))
     env.reset(seed=0)[0]["observation"] += 7.0

@@ -271,7 +271,9 @@ def test_a_pipe_is_written_as_it_is(tmp_path):
     assert pipe.is_fifo()
 
 
-@pytest.mark.parametrize("command", ["replay", "plot", "export", "check", "report", "explain", "run", "sweep", "play"])
+@pytest.mark.parametrize(
+    "command", ["replay", "plot", "export", "check", "report", "explain", "run", "sweep", "play", "fates"]
+)
 def test_every_command_that_runs_takes_a_time_limit(command):
     assert "--timeout" in desim(command, "--help").output
 

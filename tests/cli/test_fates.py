@@ -139,3 +139,11 @@ def test_a_frame_may_be_one_of_polars():
 def test_what_has_no_rows_is_refused(messages):
     with pytest.raises(ValueError, match="messages should be rows of t, src, dst, size"):
         fates(messages, 2)
+
+
+def test_the_walls_of_a_scenario_stand_between_the_nodes(files):
+    wall = "team.positions = [[0.0, 0.0], [4.0, 0.0], [8.0, 0.0]]\n[[wall]]\nline = [[6.0, -9.0], [6.0, 9.0]]\n"
+    (files / "net.toml").write_text("network = { latency = 0.1, range = 99.0 }\nteam.count = 3\n" + wall)
+    (files / "log.csv").write_text("t,src,dst,size\n0.0,0,1,8\n0.0,0,2,8\n")
+    printed = accepted("fates", files / "log.csv", files / "net.toml").stdout
+    assert [row["fate"] for row in csv.DictReader(printed.splitlines())] == ["delivered", "out_of_range"]

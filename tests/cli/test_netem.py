@@ -1,11 +1,13 @@
 """`desim netem`: commands of tc from a scenario, and a scenario from commands of tc."""
 
 import tomllib
+from contextlib import nullcontext
 
 import pytest
 
 from desim.kernel.models.links import Links
 from desim.kernel.models.netem_tables import read_table
+from desim.live.namespaces import NamespaceError, _netem_commands
 from desim.scenario.toml import load
 from scenarios.studies.study import SCENARIOS
 from tests.command import accepted, desim, refused
@@ -50,6 +52,15 @@ def test_tables_are_written_and_read_and_what_netem_lacks_is_warned_of(tmp_path)
         "network.latency = { kind = 'netem', delay = 0.1, jitter = 0.1, file = 'tables/desim-empirical.dist' }"
     )
     assert load(scenario).network.latency.table == read_table(folder / "desim-empirical.dist")
+
+
+def test_walls_that_weaken_radio_are_warned_of_and_others_are_not(tmp_path):
+    file = tmp_path / "walls.toml"
+    for blocks, is_warned in (("radio", True), ("sight", False)):
+        file.write_text(f'team.count = 2\n[[wall]]\nline = [[6, -9], [6, 9]]\nblocks = ["{blocks}"]\n')
+        assert ("wall: netem does not know positions" in desim("netem", file).stderr) is is_warned
+        with pytest.raises(NamespaceError, match="wall: netem") if is_warned else nullcontext():
+            _netem_commands(load(file))
 
 
 def test_commands_without_effect_in_desim_are_warned_of():

@@ -1,7 +1,7 @@
 """The links of a scenario as commands `tc qdisc add ... netem`, which give real links of Linux the same behaviour."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 from desim.kernel.models.graphs import Complete
@@ -15,6 +15,7 @@ from desim.kernel.models.own_links import link_overrides
 from desim.kernel.models.traits import LinkTraits
 from desim.kernel.tc.syntax import HEADERS, LINK, MAX_LIMIT, order_of
 from desim.kernel.tc.units import rate_word, share_word, time_word, to_bad
+from desim.kernel.walls.wall import Wall
 
 DEVICE = re.compile(r"[\w.:@][\w.:@-]{0,14}", re.ASCII)
 """Matches the name of a network device; a shell expands none of its characters."""
@@ -33,8 +34,8 @@ class Script(NamedTuple):
     """The keys of `[network]` that the commands do not express, and why."""
 
 
-def script(links: Links, size: int, device: str = "eth0") -> Script:
-    """Return the commands for the links of a network of `size` nodes.
+def script(links: Links, size: int, device: str = "eth0", walls: Sequence[Wall] = ()) -> Script:
+    """Return the commands for the links of a network of `size` nodes, among walls.
 
     The first command is for the device of each node. Each link with models of its own has a command for a device of its
     own on the sender, DEVICE-SENDER-RECEIVER.
@@ -56,6 +57,8 @@ def script(links: Links, size: int, device: str = "eth0") -> Script:
         link = LINK.format(src=src, dst=dst)
         lines += ["", f"# {link}", writer.command(f"{device}-{src}-{dst}", f"{link}: ", latency, loss, order)]
     writer.missing += _missing(links)
+    if any(wall.decibels for wall in walls):
+        writer.missing.append(("wall", "netem does not know positions: no node is behind a wall"))
     return Script(lines, writer.tables, list(dict.fromkeys(writer.missing)))
 
 
