@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import desim
-from desim import Evader, Scenario, Team, load, run, summary, sweep
+from desim import Evader, Links, Scenario, Team, load, run, summary, sweep
 from desim.config.fresh import StateError
 from desim.config.shared_state import StateWarning
 from desim.kernel.core.clock import Clock
@@ -33,6 +33,21 @@ def circling(state, rng):
 def chase(me):
     yield me.sleep(0.1)
     me.assign(True)
+
+
+def test_a_pickle_of_an_older_version_has_the_defaults_of_new_keys():
+    scenario, expected = (small(network=Links(latency=0.1)) for _ in range(2))
+    del scenario.__dict__["wall"], scenario.network.__dict__["coherence"]
+    restored = pickle.loads(pickle.dumps(scenario))
+    assert restored == expected
+    assert summary(run(restored, 1)) == summary(run(expected, 1))
+
+
+def test_a_pickle_with_a_key_that_is_gone_is_refused():
+    scenario = small()
+    scenario.__dict__["reckoning"] = "cheap"
+    with pytest.raises(ValueError, match="a Scenario cannot be unpickled: it has no key reckoning any more"):
+        pickle.loads(pickle.dumps(scenario))
 
 
 def small(**changes):

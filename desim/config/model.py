@@ -285,6 +285,25 @@ class Value(BaseModel, metaclass=_ValueType):
         """Do what `model_copy` does: pydantic's method of this name would not validate."""
         return self.model_copy(**options)
 
+    def __setstate__(self, state: dict[Any, Any]) -> None:
+        """Restore a pickled value; keys that another version did not have get their defaults.
+
+        Raises:
+            ValueError: if that version had a key that does not exist.
+        """
+        super().__setstate__(state)
+        fields, held = type(self).model_fields, self.__dict__
+        if held.keys() == fields.keys():
+            return
+        if unknown := [name for name in held if name not in fields and not hasattr(type(self), name)]:
+            raise ValueError(
+                f"{with_article(type(self).__name__)} cannot be unpickled: it has no key {unknown[0]} any more, so the"
+                " pickle is of another version of desim; keep scenarios as files, or as run.json"
+            )
+        for name, field in fields.items():
+            if name not in held and not field.is_required():
+                held[name] = field.get_default(call_default_factory=True)
+
     def __setattr__(self, name: str, value: Any) -> None:
         """Raise KeyedError, because a value is immutable; private attributes can be set."""
         try:

@@ -31,6 +31,7 @@ from desim.kernel.models.links import Links
 from desim.scenario.checks import warnings
 from desim.scenario.scenario import Motion
 from desim.study.workers.batch import run_many
+from desim.study.workers.workers import Workers
 
 
 class Remembering:
@@ -337,7 +338,8 @@ def test_runs_of_the_executor_of_a_caller_start_from_the_state_of_the_caller(poo
 
 
 @pytest.mark.slow
-def test_a_sweep_in_processes_warns_of_state_as_one_in_this_process_does():
+def test_a_sweep_in_processes_warns_of_state_as_one_in_this_process_does(monkeypatch):
+    monkeypatch.setattr(Workers, "batch_time", 1e9)  # several runs in a batch, however slow this machine is
     for executor in (1, 2):
         with pytest.warns(StateWarning, match=rf"^{__name__}\.CALLS: an earlier run has changed it") as caught:
             sweep(brief(global_counter), {"team.count": [2]}, reps=20, executor=executor)
