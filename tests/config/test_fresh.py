@@ -337,7 +337,7 @@ def test_runs_of_the_executor_of_a_caller_start_from_the_state_of_the_caller(poo
         assert frame(executor) == frame(1)
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_sweep_in_processes_warns_of_state_as_one_in_this_process_does(monkeypatch):
     monkeypatch.setattr(Workers, "batch_time", 1e9)  # several runs in a batch, however slow this machine is
     for executor in (1, 2):
