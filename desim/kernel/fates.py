@@ -145,9 +145,12 @@ def _rows(messages: Any) -> Iterable[Any]:
     table: Any = messages[list(COLUMNS)] if set(COLUMNS) <= set(columns) else messages  # type: ignore[index]
     if names is not None:
         return list(table.tolist())
+    rows: Iterable[Any] = table
     if hasattr(table, "itertuples"):  # of pandas
-        return iter(table.itertuples(index=False, name=None))
-    return iter(table.iter_rows() if hasattr(table, "iter_rows") else table)  # of polars, or any rows
+        rows = table.itertuples(index=False, name=None)
+    elif hasattr(table, "iter_rows"):  # of polars
+        rows = table.iter_rows()
+    return iter(rows)
 
 
 def _logged(values: Any) -> LoggedMessage:

@@ -145,7 +145,7 @@ class Lobby:
                 while not holds():
                     if ends_matter and (self.errors or self._statuses):
                         ends = [f"pursuer {pursuer} {ending(status)}" for pursuer, status in self._statuses.items()]
-                        raise LiveError("; ".join(self.errors or ends))
+                        raise LiveError(self.errors[0] if self.errors else "; ".join(ends))
                     self._changed.clear()
                     await self._changed.wait()
         except TimeoutError:
@@ -193,7 +193,7 @@ class Lobby:
         if word == "ready":
             self._ready.add(pursuer)
         elif word == "error":
-            self.errors.append(f"pursuer {pursuer}: {' '.join([values[0], *values[1]])}")
+            self.errors.append(f"pursuer {pursuer}: {values[0]}")
         else:
             joined.is_done |= word == "done"
             self._hear(pursuer, word, *values)

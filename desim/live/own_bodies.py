@@ -23,14 +23,15 @@ PLAIN = (type(None), bool, int, float, str, bytes)
 
 
 class OwnBodies:
-    """Packs and unpacks the bodies that a protocol defines itself.
+    """Packs and unpacks the bodies that users define.
 
     Args:
-        protocol: the protocol.
+        models: the models that send them, such as the protocol.
     """
 
-    def __init__(self, protocol: Any):
-        names = {name: kind for name, kind in _names_around(protocol).items() if _is_body(kind)}
+    def __init__(self, *models: Any):
+        around = [item for model in models for item in _names_around(model).items()]
+        names = {name: kind for name, kind in around if _is_body(kind)}
         self._classes: dict[str, type[Any]] = names | {"Record": Record, "Forwarded": Forwarded}
         self._names = {kind: name for name, kind in self._classes.items()}
         self._names |= {kind: kind.__name__ for name, kind in self._classes.items() if kind.__name__ == name}
@@ -120,7 +121,7 @@ def _names_around(protocol: Any) -> dict[str, Any]:
     while isinstance(protocol, partial):
         protocol = protocol.func
     function = getattr(protocol, "__func__", protocol)
-    owners = [function] if isinstance(function, FunctionType) else type(protocol).__mro__
+    owners: Iterable[Any] = [function] if isinstance(function, FunctionType) else type(protocol).__mro__
     names: dict[str, Any] = {}
     for owner in owners:
         if is_ours(owner):

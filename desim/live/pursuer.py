@@ -4,7 +4,7 @@ import asyncio
 import os
 import sys
 from time import monotonic_ns, process_time
-from traceback import format_exception_only
+from traceback import StackSummary, walk_tb
 from typing import Any
 
 from desim.kernel.core.clock import RARE_COLLECTION
@@ -28,8 +28,10 @@ LEAVING = 2.0
 """Time in which the referee should have read the last report, s."""
 EXCHANGES = 8
 """Number of time stamps that a pursuer on another host exchanges with the referee."""
-ALONE, LOST_REFEREE = 3, 4
-"""Exit codes of a pursuer: the referee was not found, or fell silent."""
+RAISED, ALONE, LOST_REFEREE = 1, 3, 4
+"""Exit codes of a pursuer: the protocol has raised an exception; the referee was not found, or fell silent."""
+LIBRARIES = ("desim", "protocols", "simpy", "asyncio", "contextlib")
+"""The packages whose calls are left out of a traceback."""
 
 
 def play(scenario: Scenario, start: PursuerStart) -> int:
@@ -103,9 +105,8 @@ class _Pursuer:
         try:
             await running
         except BaseException as error:
-            text = "".join(format_exception_only(error)).strip()
-            self._lines.tell("error", text, getattr(error, "__notes__", []))
-            raise
+            self._lines.tell("error", told(error))
+            return RAISED
         finally:
             watching.cancel()
             was_lost = self._lines.ended.done()
@@ -158,3 +159,15 @@ class _Pursuer:
         lines.tell("done", numbers, list(node.link.drops), lateness, node.link.errors, cpu)
         lines.close()
         await asyncio.wait({lines.ended}, timeout=LEAVING)
+
+
+def told(error: BaseException) -> str:
+    """Return an exception of a protocol as text, with the calls that are not in desim."""
+    calls = [
+        (frame, line)
+        for frame, line in walk_tb(error.__traceback__)
+        if str(frame.f_globals.get("__name__")).partition(".")[0] not in LIBRARIES
+    ]
+    notes = [str(note) for note in getattr(error, "__notes__", ())]
+    lines = ["\n"] * bool(calls) + StackSummary.extract(iter(calls)).format()
+    return "".join([*lines, " ".join([f"{type(error).__name__}: {error}", *notes])])

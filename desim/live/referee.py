@@ -141,15 +141,16 @@ class Referee:
             self._show_soon()
 
     def _crash(self, pursuer: int, how: str) -> None:
-        """Take a pursuer down whose process was lost."""
+        """Take a pursuer down whose process was lost; end the run if a protocol has raised an exception."""
+        if self._lobby.errors:
+            self._end.finish("stopped")
+            return
         now = self._env.now
         self._logs.crashed[pursuer] = now
         self._trace.append(FaultStarted(now, Crash(start=seconds(now), node=pursuer)))
         self._world.crash(pursuer)
         self._conduct.ends[pursuer] = how
         self._tell(f"pursuer {pursuer} {how} at {seconds(now):.2f} s")
-        if self._lobby.errors:
-            self._end.finish("stopped")
 
     # The pursuers.
 
@@ -180,7 +181,7 @@ class Referee:
         self._lobby.tell_all("over", end.t)
         missing = await self._lobby.reports(LINGER)
         if self._lobby.errors:
-            raise LiveError("; ".join(self._lobby.errors))
+            raise LiveError(self._lobby.errors[0])
         conduct.notes += [f"pursuer {pursuer} has not reported within {LINGER:g} s of the end" for pursuer in missing]
         conduct.lateness = dict(sorted(conduct.lateness.items()))
         conduct.note(REFEREE, clock.lateness, [])

@@ -154,7 +154,9 @@ class Wire:
     @classmethod
     def of(cls, scenario: Scenario) -> Self:
         """Return the datagrams of a scenario."""
-        return cls(scenario.team.count, len(scenario.evaders), OwnBodies(scenario.protocol))
+        protocol, announce = scenario.protocol, scenario.announce
+        models = protocol, getattr(protocol, "schedule", None), announce.dissemination, announce.trust
+        return cls(scenario.team.count, len(scenario.evaders), OwnBodies(*models))
 
     def encode(self, content: Record | Message, port: str, size: int, *, to_one: bool, now: int = 0) -> bytes:
         """Return the datagram of a record or a message, which has `size` bytes and is transmitted now, ns.
@@ -257,8 +259,8 @@ class Wire:
             raise ValueError("not a header")
         number, port, start, at = word >> 8 & 0x1F, PORTS[place], stamp, HEADER
         if kind is Kind.RECORD and number in self._announced:  # most datagrams, in two thirds of the time
-            body = self._announced[number].read(datagram, HEADER, self._records)
-            content: Record | Message = _new(Record, (src, seq, stamp, body))
+            announced = self._announced[number].read(datagram, HEADER, self._records)
+            content: Record | Message = _new(Record, (src, seq, stamp, announced))
             return _new(Parcel, (word << 32 | seq, src, stamp, content, "", to_one))
         admitted = ANNOUNCED if kind in OF_RECORD else ADMITTED[place]
         if number < NOTHING and BODIES[number] not in admitted:

@@ -94,6 +94,41 @@ def test_what_reads_the_folder_of_a_run_reads_that_of_a_live_run(tmp_path):
     assert "is the folder of a single run" in refusal.stderr
 
 
+MINE = """
+from dataclasses import dataclass
+from typing import NamedTuple
+
+class Bid(NamedTuple):
+    amount: float
+    route: tuple[float, ...] = (1.0, 2.0)
+
+@dataclass(frozen=True)
+class Load:
+    tags: tuple[str, ...]
+
+def protocol(me):
+    while True:
+        me.send(None, Bid(0.5 * me.id), port="bids")
+        me.send((me.id + 1) % 3, Load(("a", "b")))
+        assert {type(message.body) for message in me.mail("bids")} <= {Bid}
+        assert {type(message.body) for message in me.mail()} <= {Load}
+        yield me.sleep(0.1)
+"""
+
+
+@pytest.mark.slow
+def test_a_protocol_of_a_file_sends_bodies_of_its_own_between_processes(tmp_path):
+    pytest.importorskip("msgspec")
+    (tmp_path / "mine.py").write_text(MINE)
+    (tmp_path / "own.toml").write_text(dump(scenario()))
+    options = tmp_path / "own.toml", "--allow-import", "--set", 'protocol="mine:protocol"', "-o", tmp_path / "out"
+    performed("live", *options)
+    events = map(json.loads, (tmp_path / "out" / "trace.jsonl").read_text().splitlines())
+    bodies = [event["body"] for event in events if event["event"] == "Sent"]
+    assert {"amount": 1.0, "route": [1.0, 2.0]} in bodies
+    assert {"tags": ["a", "b"]} in bodies
+
+
 def pretended(result, timers=(1_000_000,)) -> LiveResult:
     conduct = Conduct()
     conduct.note(0, list(timers), [])

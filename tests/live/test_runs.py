@@ -195,7 +195,8 @@ class Raising(Value):
 
 @pytest.mark.slow
 def test_an_exception_of_a_protocol_ends_the_run_and_is_told_with_its_pursuer():
-    with pytest.raises(LiveError, match=r"ZeroDivisionError: of \d\n?.*\(pursuer \d, at 0.2"):
+    where = rf"pursuer (\d): *\n.*{Path(__file__).name}\", line \d+, in __call__\n.*\n"
+    with pytest.raises(LiveError, match=rf"{where}ZeroDivisionError: of \1 \(pursuer \1, at 0.2"):
         run(scenario(protocol=Raising()), 1, tell=lambda _: None)
     assert no_process_is_left()
 
