@@ -28,14 +28,14 @@ def wrong_answer(expected: str, answer: object, model: object) -> AnswerError:
         answer: what was returned.
         model: the model or the function that returned it.
     """
-    text = _shown(answer)
+    text = value_text(answer)
     if isinstance(answer, np.ndarray) and answer.size > MAX_ITEMS:
         text = f"an array of shape {answer.shape}, {text}"
     text = text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
     return AnswerError(f"{expected}, got {text} from {name_and_place(model)}")
 
 
-def _shown(value: object) -> str:
+def value_text(value: object) -> str:
     """Return the representation of a value as one line, in which objects and functions have no addresses."""
     return _ADDRESS.sub(r"\1", " ".join(repr(value).split()))
 
@@ -48,7 +48,7 @@ def name_and_place(model: object) -> str:
         name = model.__qualname__.rpartition("<locals>.")[2]
     else:
         has_text = type(model).__repr__ is not object.__repr__
-        name = _shown(model) if has_text else type(model).__qualname__.rpartition("<locals>.")[2]
+        name = value_text(model) if has_text else type(model).__qualname__.rpartition("<locals>.")[2]
     place = _place(model)
     return f"{name} ({place})" if place else name
 

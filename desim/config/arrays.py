@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from desim.config.answers import LONGEST, value_text
 from desim.config.python_numbers import as_python
 
 Floats = NDArray[np.float64]
@@ -35,11 +36,9 @@ def array_text(array: "NDArray[Any]") -> str:
     if array.dtype != object:
         return text
     other = next((item for item in array.flat if type(item) not in PLAIN), None)
-    item = " ".join(repr(other).split())
+    item = value_text(other)
     return f"{text}, with {item[:LONGEST]}{'...' if len(item) > LONGEST else ''}"
 
 
-LONGEST = 300
-"""Maximum length of a value in an error message, characters."""
 PLAIN = frozenset({float, int, bool, np.float64})
 """The types of most numbers."""

@@ -11,6 +11,7 @@ from typing import Any, cast
 
 from greenlet import GreenletExit, getcurrent, greenlet
 
+from desim.config.answers import name_and_place
 from desim.pursuit.team.agent import Agent
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result, Simulation, run_observed
@@ -155,8 +156,8 @@ def rule_of(scenario: Scenario) -> Rule:
     rule: Any = scenario.protocol
     if scenario.protocol_traits.schedule is None or not hasattr(rule, "actions"):
         raise TypeError(
-            f"the protocol {rule!r} has no turns at which an action could be asked for: choose a rule, which has a"
-            ' schedule, for example scenario.with_({"protocol.kind": "sap"})'
+            f"the protocol {name_and_place(rule)} has no turns at which an action could be asked for: choose a rule,"
+            ' which has a schedule, for example scenario.with_({"protocol.kind": "sap"})'
         )
     return cast("Rule", rule)
 

@@ -90,5 +90,6 @@ def test_an_array_of_numpy_is_not_copied():
 
 def test_a_message_tells_the_item_that_is_no_number():
     assert array_text(np.zeros((2, 3))) == "shape (2, 3), dtype float64"
-    assert array_text(array_of(Wrapped(0.1))).startswith("shape (), dtype object, with <")
+    assert array_text(array_of(Wrapped(0.1))).startswith("shape (), dtype object, with Wrapped, with a unit")
+    assert array_text(array_of(array_text)) == "shape (), dtype object, with array_text"
     assert array_text(array_of(np.ma.array([0.1, 0.2], mask=[False, True]))) == "shape (2,), dtype object, with None"

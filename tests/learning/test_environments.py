@@ -258,9 +258,7 @@ def test_a_reward_of_a_user_is_a_function_of_a_step():
     for wrong in (lambda step: "much", lambda step: [1.0], lambda step: float("nan")):
         env = desim.env(small(), 3, reward=wrong)
         env.reset()
-        with pytest.raises(
-            ValueError, match=r"a finite number, or one for each of 5 pursuers, got .*<lambda> .*, line"
-        ):
+        with pytest.raises(ValueError, match=r"a reward should be a finite .* from <lambda> [(]"):
             env.step(1)
 
 
