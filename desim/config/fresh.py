@@ -9,7 +9,7 @@ import pickle
 import queue
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import lru_cache
 from hashlib import sha256
@@ -33,7 +33,15 @@ import numpy as np
 from pydantic import BaseModel
 
 from desim.config.python_numbers import ATOMS
-from desim.config.shared_state import ADDING, CACHED, COLLECTIONS, defaults_of, is_foreign, shared_changes
+from desim.config.shared_state import (
+    ADDING,
+    CACHED,
+    COLLECTIONS,
+    defaults_of,
+    followed_changes,
+    is_foreign,
+    shared_changes,
+)
 from desim.config.traits import OURS, module_of, name_of
 
 Model = TypeVar("Model")
@@ -77,7 +85,8 @@ def fresh_copy(model: Model, *, alone: bool = False, is_run: bool = False) -> It
         copier, content = _written(model, users, alone=alone)
         reader = _Reader(content, copier.kept)
         copied, kept, functions = reader.load(), copier.kept, copier.functions
-    with shared_changes([*kept, *functions, *users.values()], _snapshot) if is_run else nullcontext():
+    watched = shared_changes if is_run else followed_changes
+    with watched([*kept, *functions, *users.values()], _snapshot):
         yield copied
 
 

@@ -148,6 +148,24 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
             _runs.setdefault(owner, {})[name] = (), snapshot(read())
 
 
+@contextmanager
+def followed_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> Iterator[None]:
+    """Follow what a block that is no run changes of what the last run has left: its caller has not reset that.
+
+    Metrics, for instance, call models of links. For the arguments see `shared_changes`.
+    """
+    if not _runs:
+        yield
+        return
+    reads = [item for item in _shared(_reached(objects)) if item[1] in _runs.get(item[0], {})]
+    before = [snapshot(read()) for _, _, read in reads]
+    yield
+    for (owner, name, read), state in zip(reads, before, strict=True):
+        first, last = _runs[owner][name]
+        if last == state is not None:
+            _runs[owner][name] = first, snapshot(read())
+
+
 def _cached(function: Any, snapshot: Callable[[Any], Any]) -> dict[int, Any]:
     """Return what differs if a value in the cache of a function has changed, by the number of the object.
 

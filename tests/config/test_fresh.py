@@ -13,6 +13,7 @@ import weakref
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextvars import ContextVar
 from types import FunctionType, ModuleType
+from typing import ClassVar
 from warnings import catch_warnings, simplefilter
 
 import networkx
@@ -815,6 +816,33 @@ def test_state_of_an_installed_package_is_a_matter_of_its_authors(folder, monkey
     run(scenario, 1)
     with pytest.warns(StateWarning, match="library_of_others.calls"):
         run(scenario, 1)
+
+
+class Counting:
+    """A latency that counts, in its class, how often it is called: by runs, and by metrics."""
+
+    calls: ClassVar[list[int]] = []
+
+    def __call__(self, context, rng):
+        self.calls.append(1)
+        return 1e-4 * len(self.calls)
+
+
+def test_state_that_metrics_change_between_runs_is_warned_of():
+    scenario = Scenario(team=Team(count=2), network=Links(latency=Counting()), horizon=0.3)
+    result = run(scenario, 1)
+    calls = len(Counting.calls)
+    summary(result)
+    assert len(Counting.calls) > calls > 0
+    with pytest.warns(StateWarning, match=r"^Counting\.calls: an earlier run has changed it"):
+        run(scenario, 1)
+
+
+def test_state_that_the_caller_changes_between_runs_is_not_warned_of():
+    scenario = Scenario(team=Team(count=2), network=Links(latency=Counting()), horizon=0.3)
+    for _ in range(2):
+        Counting.calls.clear()
+        summary(run(scenario, 1))
 
 
 def test_a_function_that_dispatches_by_type_is_one_like_others():
