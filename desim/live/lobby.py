@@ -56,7 +56,7 @@ class Lobby:
         self._connections: list[Lines] = []
         self._joined: dict[int, _Pursuer] = {}
         self._ready: set[int] = set()
-        self._statuses: dict[int, int] = {}
+        self._statuses: dict[int, int | None] = {}
         self._changed = asyncio.Event()
         self.errors: list[str] = []
         self.is_over = False
@@ -129,7 +129,7 @@ class Lobby:
     def _missing(self) -> list[int]:
         return sorted(number for number, pursuer in self._joined.items() if not pursuer.is_done)
 
-    def _ended(self, pursuer: int, status: int) -> None:
+    def _ended(self, pursuer: int, status: int | None) -> None:
         """Note how a process has ended."""
         self._statuses[pursuer] = status
         self._changed.set()

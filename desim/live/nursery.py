@@ -17,6 +17,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from time import monotonic
+from traceback import print_exc
 from typing import Any, Self
 
 from desim.live.start import PursuerStart
@@ -28,8 +29,9 @@ GRACE = 2.0
 POLL = 0.05
 """Time between two looks for children that have ended, s."""
 PR_SET_PDEATHSIG = 1
-OnEnd = Callable[[int, int], object]
-"""A function called with a pursuer whose process has ended, and its status as of `os.waitstatus_to_exitcode`."""
+OnEnd = Callable[[int, int | None], object]
+"""A function called with a pursuer whose process has ended, and its status as of `os.waitstatus_to_exitcode`; None: it
+is not known, because the nursery has ended before."""
 
 
 class Nursery:
@@ -37,6 +39,9 @@ class Nursery:
 
     def __init__(self) -> None:
         self._ended: list[OnEnd] = []
+        """By number of a run."""
+        self._alive: set[tuple[int, int]] = set()
+        """Numbers of runs and of their pursuers."""
 
     async def __aenter__(self) -> Self:
         """Start the nursery.
@@ -67,16 +72,29 @@ class Nursery:
         """Start the pursuers of a run, and call a function with each whose process ends."""
         run = len(self._ended)
         self._ended.append(ended)
+        self._alive |= {(run, start.pursuer) for start in starts}
         task = pickle.dumps((run, sys.path, packed(partial(_task, scenario, starts))))
         assert self._process.stdin is not None
-        self._process.stdin.write(len(task).to_bytes(8, "big") + task)
-        await self._process.stdin.drain()
+        with suppress(ConnectionError):  # if the nursery has ended, which `_watch` tells
+            self._process.stdin.write(len(task).to_bytes(8, "big") + task)
+            await self._process.stdin.drain()
+        if self._watching.done():
+            self._tell_lost()
 
     async def _watch(self) -> None:
         assert self._process.stdout is not None
         while line := await self._process.stdout.readline():
             run, pursuer, status = map(int, line.split())
+            self._alive.discard((run, pursuer))
             self._ended[run](pursuer, status)
+        self._tell_lost()
+
+    def _tell_lost(self) -> None:
+        """Tell that the processes of which the nursery has not told the end are lost."""
+        while self._alive:
+            run, pursuer = min(self._alive)
+            self._alive.remove((run, pursuer))
+            self._ended[run](pursuer, None)
 
 
 def _task(scenario: Scenario, starts: Sequence[PursuerStart]) -> tuple[Scenario, Sequence[PursuerStart]]:
@@ -117,7 +135,8 @@ def _serve(numbers: dict[int, tuple[int, int]]) -> bool:
     from desim.live.node import Node
     from desim.live.pursuer import play
 
-    Node(scenario, starts[0].pursuer, starts[0].seed)  # imports what all need, once
+    with suppress(Exception):  # which the pursuers raise again
+        Node(scenario, starts[0].pursuer, starts[0].seed)  # imports what all need, once
     for start in starts:
         if (child := os.fork()) == 0:
             _die_with_parent()
@@ -125,6 +144,8 @@ def _serve(numbers: dict[int, tuple[int, int]]) -> bool:
             code = 1
             try:
                 code = play(scenario, start)
+            except BaseException:
+                print_exc()
             finally:
                 sys.stderr.flush()
                 os._exit(code)

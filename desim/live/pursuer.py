@@ -58,7 +58,11 @@ class _Pursuer:
             await asyncio.get_running_loop().create_connection(lambda: lines, *start.referee)
         except OSError as error:
             why = os.strerror(error.errno) if error.errno else error
-            return self._fail(f"no referee at {start.referee[0]}, port {start.referee[1]}: {why}")
+            # The processes of this machine need not tell that their run has been interrupted.
+            is_invited = bool(start.scenario)
+            return (
+                self._fail(f"no referee at {start.referee[0]}, port {start.referee[1]}: {why}") if is_invited else ALONE
+            )
         with within_namespace(start.namespace):
             bound = udp_socket((start.host, 0))
         lines.tell("hello", start.pursuer, start.token, start.scenario, self._node.bind(bound))

@@ -283,6 +283,18 @@ def test_no_process_outlives_a_killed_referee(file):
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_pursuers_that_will_never_join_are_told_at_once(file):
+    command = live(file)
+    while not (nursery := children_of(command.pid)):
+        time.sleep(0.05)
+    os.kill(nursery[0], signal.SIGKILL)  # before it has started the pursuers
+    _, err = command.communicate(timeout=30)  # and not after the minute in which they should join
+    assert command.returncode == 1
+    assert "pursuer 0 was lost; pursuer 1 was lost; pursuer 2 was lost" in err
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_a_referee_that_stalls_is_told_by_the_pursuers_and_by_itself(file):
     command = live(file)
     pursuers_of(command)
