@@ -53,6 +53,7 @@ from desim.analysis.transport_metrics import (
     share_delivered,
 )
 from desim.config.arguments import naming_arguments, run_argument
+from desim.config.errors import MetricError, NoMetricError
 from desim.config.fresh import fresh_copy
 from desim.config.html import html_properties
 from desim.config.json_numbers import to_json
@@ -69,7 +70,6 @@ __all__ = [
     "METRICS",
     "Metric",
     "MetricError",
-    "NoMetricError",
     "Summary",
     "acknowledgements",
     "active_time",
@@ -423,21 +423,6 @@ for _name in METRICS:
     setattr(Summary, _name, _attribute(_name))
 
 
-class NoMetricError(ValueError):
-    """Raised if there is no numeric metric of a name."""
-
-    def __init__(self, name: str, text: str) -> None:
-        super().__init__(text)
-        self.name = name
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.name, str(self))
-
-
-class MetricError(RuntimeError):
-    """Raised when a user's metric fails or returns a wrong type; the text names metric, scenario and seed."""
-
-
 @naming_arguments
 def summary(result: Result, metrics: Metrics = MappingProxyType({})) -> Summary:
     """Return all metrics of one run: the built-in ones, those that its scenario names, and those given.
@@ -526,8 +511,7 @@ def check_numeric(metric: str, added: Iterable[str] = ()) -> None:
     numeric = [*(name for name, metric in METRICS.items() if metric.is_number), *added]
     if metric not in numeric:
         hint = did_you_mean(metric, numeric)
-        text = f"there is no numeric metric {metric!r}{hint}; there are {', '.join(numeric)}"
-        raise NoMetricError(metric, text)
+        raise NoMetricError(metric, f"there is no numeric metric {metric!r}{hint}; there are {', '.join(numeric)}")
 
 
 def plain(numbers: Summary) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import click
 
 from desim.cli.options import NO_MEMORY, OUT_OF_TIME, RAISED, echo, fail
 from desim.cli.usage import WORDS, advised
-from desim.config.errors import AnswerError
+from desim.config.errors import AnswerError, MetricError
 from desim.config.interrupts import exit_code, raising
 from desim.config.packages import HiddenPackageError
 from desim.simulation.watchdog import OUT_OF_MEMORY, TimedOut
@@ -67,11 +67,7 @@ class Program(click.Command):
         except AnswerError as error:
             echo(" ".join([str(error), *getattr(error, "__notes__", ())]), err=True)
             ctx.exit(RAISED)
-        except RuntimeError as error:
-            from desim.analysis.metrics import MetricError  # slow to import
-
-            if not isinstance(error, MetricError):
-                raise
+        except MetricError as error:
             _echo_calls(error)
             ctx.exit(RAISED)
         except ValueError as error:

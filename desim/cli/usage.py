@@ -8,6 +8,7 @@ from types import MappingProxyType
 import click
 from click.core import ParameterSource
 
+from desim.config.errors import NoMetricError
 from desim.config.suggestion import close_to
 
 OPTIONS: Mapping[str, str] = MappingProxyType(
@@ -172,8 +173,6 @@ def metric_option() -> str:
 
 def problem(error: ValueError, **parameters: str) -> str:
     """Return the message of an error with the options of the command; see `as_typed`."""
-    from desim.analysis.metrics import NoMetricError  # slow to import
-
     if isinstance(error, NoMetricError):
         return f"{metric_option()} {error.name}: {error}"
     return as_typed(str(error), **parameters)

@@ -1,4 +1,4 @@
-"""Errors about keys: where a key was set, which key is wrong, and why, as fields. Nobody has to parse a message."""
+"""Errors about keys, models and metrics of users: what is wrong and where, as fields. Nobody has to parse a message."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -63,3 +63,18 @@ def problems_of(error: ValueError) -> tuple[Problem, ...]:
 
 class AnswerError(ValueError):
     """A model of a user cannot be called as one of its kind, or returned a wrong value; see `desim.config.answers`."""
+
+
+class MetricError(RuntimeError):
+    """Raised when a user's metric fails or returns a wrong type; the text names metric, scenario and seed."""
+
+
+class NoMetricError(ValueError):
+    """Raised if there is no numeric metric of a name."""
+
+    def __init__(self, name: str, text: str) -> None:
+        super().__init__(text)
+        self.name = name
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.name, str(self))

@@ -17,6 +17,7 @@ from click.testing import CliRunner
 
 from desim.cli import main
 from desim.cli.program import Program, released
+from desim.config.errors import MetricError
 from desim.config.trust import write_whole
 from desim.kernel.core.trace_file import TraceFile
 from desim.scenario.toml import load
@@ -151,6 +152,16 @@ def test_a_metric_that_fails_is_told_with_its_own_calls_only(file, tmp_path, mon
     assert last == f"metric '{name}' of 'unnamed' with seed 0: {told}"
     assert [line.strip() for line in lines if "File" not in line and "^" not in line] == calls
     assert all("metrics_that_end.py" in line for line in lines if "File" in line)
+
+
+def test_a_metric_that_fails_ends_every_command_with_a_sentence():
+    """Such as `desim live`, whose metrics are computed after the runs."""
+
+    def fail():
+        raise MetricError("metric 'late' of 'duel' with seed 0: KeyError: 'x'")
+
+    result = CliRunner().invoke(Program("measure", callback=fail))
+    assert (result.exit_code, result.stderr) == (1, "metric 'late' of 'duel' with seed 0: KeyError: 'x'\n")
 
 
 def test_a_module_that_calls_exit_cannot_be_imported(file, tmp_path, monkeypatch):

@@ -240,6 +240,7 @@ def test_a_protocol_that_does_nothing_is_worse_than_one_without_messages(monkeyp
         bench(failing, runs=2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("protocols", "why"),
     [

@@ -232,7 +232,7 @@ def test_a_metric_that_fails_is_told_with_configuration_and_seed_and_the_stored_
     found = sweep(BASE, GRID, 2, store=store, metrics={"wrong": of_users.wrong})
     assert [[row.status for row in group.rows] for group in found.groups] == [["error", "ok"]] * 2
     told = (
-        "2 runs failed; the first, with capture.radius = 0.05, seed 0: desim.analysis.metrics.MetricError:"
+        "2 runs failed; the first, with capture.radius = 0.05, seed 0: MetricError:"
         " metric 'wrong' of 'coins' with seed 0: ValueError: not today"
     )
     assert any(line.startswith(f"{told} (") for line in found.table().splitlines())

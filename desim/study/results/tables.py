@@ -62,7 +62,7 @@ def relabelled(
         if metric in shown:
             shown |= dict.fromkeys((title(metric, result.units), words(metric)), shown[metric])
     if unknown := [name for name in without if name not in heads]:
-        raise ValueError(f"without: no table has a column {unknown[0]!r}: they have {', '.join(sorted(heads))}")
+        raise ValueError(f"without: no table has a column {unknown[0]}: they have {', '.join(sorted(heads))}")
     count = len(result.keys)
     results: list[Table] = []
     for name, (head, *rows) in made:
