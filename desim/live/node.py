@@ -19,8 +19,10 @@ from typing import Any
 
 import numpy as np
 
+from desim.config.arguments import scenario_argument
 from desim.config.arrays import array_of
 from desim.config.fresh import fresh_copy
+from desim.config.python_numbers import whole
 from desim.kernel.clock_sync import synchronise
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.events import Trace, TransportCounts
@@ -35,7 +37,7 @@ from desim.kernel.state.network_state import NetworkState
 from desim.live.frames import Mirror, WorldFrame, frame_of, hexadecimal, segment_list
 from desim.live.link import SocketLinkLayer
 from desim.live.refusals import check_live
-from desim.live.sockets import Datagrams, resolved, udp_socket
+from desim.live.sockets import Datagrams, checked_address, resolved, udp_socket
 from desim.live.start import Address
 from desim.live.wall_clock import Lateness, WallClock
 from desim.live.wire import Wire, is_record
@@ -72,6 +74,7 @@ class Node:
         on_action: called with each action that the protocol chooses.
 
     Raises:
+        TypeError: if it is not a scenario; the message says what to write instead.
         ValueError: if the scenario cannot run live, or has no such pursuer.
 
     Attributes:
@@ -89,7 +92,9 @@ class Node:
         draws: bool = True,
         on_action: Callable[[int], object] | None = None,
     ):
+        scenario_argument(Scenario).check(scenario, "Node")
         check_live(scenario)
+        pursuer = whole(pursuer, "pursuer")
         if not 0 <= pursuer < scenario.team.count:
             raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {scenario.team.count - 1}")
         self._opened = ExitStack()
@@ -164,11 +169,12 @@ class Node:
                 starts now. See "clocks" in the documentation.
 
         Raises:
+            ValueError: if an address is none; see also `connect`.
             OSError: if the address cannot be used.
             BaseException: what the protocol raises.
         """
         with self._opened:
-            self.bind(udp_socket(address))
+            self.bind(udp_socket(checked_address(address)))
             if peers:
                 self.connect(peers)
             running = asyncio.create_task(self.run(now))
@@ -187,12 +193,13 @@ class Node:
         """Name the addresses of all pursuers, in order.
 
         Raises:
-            ValueError: if there are more or fewer of them than pursuers.
+            ValueError: if they are no pairs of a host and a port, or there are more or fewer of them than pursuers.
             OSError: if a host is not known.
         """
+        addresses = [checked_address(peer) for peer in peers]
         if len(peers) != self._state.size:
             raise ValueError(f"peers should be the addresses of {self._state.size} pursuers (got {len(peers)})")
-        self._peers = [peer if number == self.pursuer else resolved(peer) for number, peer in enumerate(peers)]
+        self._peers = [peer if number == self.pursuer else resolved(peer) for number, peer in enumerate(addresses)]
         self._number_of = {peer: number for number, peer in enumerate(self._peers)}
 
     async def run(self, now: Callable[[], int] | None = None) -> None:
@@ -294,11 +301,11 @@ class Node:
         places = state.players.positions().copy()
         commands = np.zeros_like(places)
         if teammates is not None:
-            places[: state.size] = _points("teammates", teammates, state.size)
-        places[self.pursuer] = _points("position", [position], 1).item(0)
-        places[state.size :] = _points("evaders", evaders, state.evader_count)
+            places[: state.size] = _points("teammates", teammates, state.size, 2)
+        places[self.pursuer] = _points("position", position, 2).item()
+        places[state.size :] = _points("evaders", evaders, state.evader_count, 2)
         if velocities is not None:
-            commands[state.size :] = _points("velocities", velocities, state.evader_count)
+            commands[state.size :] = _points("velocities", velocities, state.evader_count, 2)
         end = min(now + nanoseconds(self._scenario.motion.step), self._horizon)
         seen = zip(places[state.size :].tolist(), commands[state.size :].tolist(), strict=True)
         segments = [segment_list(TrackSegment(now, place, place, velocity, end)) for place, velocity in seen]
@@ -352,11 +359,9 @@ class _Body:
         self._node._state.broken[pursuer] = False
 
 
-def _points(name: str, pairs: Any, count: int) -> Any:
-    """Return (k, 2) positions as complex numbers."""
+def _points(name: str, pairs: Any, *shape: int) -> Any:
+    """Return positions or velocities of a shape, (2,) or (k, 2), as complex numbers."""
     array = array_of(pairs)
-    if array.shape != (count, 2) or array.dtype.kind not in "iuf" or not np.isfinite(array).all():
-        raise ValueError(
-            f"{name} should be finite numbers of shape {(count, 2) if count > 1 else (2,)} (got {pairs!r})"
-        )
+    if array.shape != shape or array.dtype.kind not in "iuf" or not np.isfinite(array).all():
+        raise ValueError(f"{name} should be finite numbers of shape {shape} (got {pairs!r})")
     return array.astype(float).view(complex).ravel()

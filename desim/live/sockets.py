@@ -5,6 +5,7 @@ import socket
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from ipaddress import ip_address
+from typing import Any
 
 from desim.live.start import Address
 
@@ -12,6 +13,18 @@ RECEIVE_BUFFER = 1 << 21
 """Bytes of the receive buffer of a socket, as far as the system allows it."""
 LARGEST = 1 << 16
 """Bytes of the largest datagram."""
+
+
+def checked_address(value: Any) -> Address:
+    """Return an address.
+
+    Raises:
+        ValueError: if it is not a host and a port.
+    """
+    match value:
+        case [str(host), int(port)] if 0 <= port < 1 << 16:
+            return host, port
+    raise ValueError(f"an address should be a host and a port (got {value!r})")
 
 
 def family_of(address: Address) -> socket.AddressFamily:

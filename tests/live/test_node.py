@@ -182,8 +182,10 @@ def test_a_program_of_ones_own_puts_positions_in_and_gets_commands_out():
             assert nodes[1].velocity() == [0.0, 0.0]
             nodes[0].captured(1)
             assert nodes[0].action == 0
-            with pytest.raises(ValueError, match=r"position should be finite numbers of shape \(2,\)"):
+            with pytest.raises(ValueError, match=r"position should be finite numbers of shape \(2,\) \(got \[1.0\]\)"):
                 nodes[0].sense([1.0], [[1.0, 0.0]])
+            with pytest.raises(ValueError, match=r"evaders should be finite numbers of shape \(1, 2\) \(got 'far'\)"):
+                nodes[0].sense([1.0, 0.0], "far")
         assert all(node.is_over for node in nodes)
         assert nodes[0].lateness().number > 0
         assert sum(node.link.drops.malformed for node in nodes) == 0
@@ -305,6 +307,12 @@ def test_the_examples_that_can_run_live_are_these():
 def test_a_pursuer_that_does_not_exist_and_too_few_addresses_are_refused():
     with pytest.raises(ValueError, match=r"there is no pursuer 3: they are 0 \.\. 2"):
         Node(scenario(), 3)
+    with pytest.raises(TypeError, match=r"Node takes a scenario, not a path: Node\(load\('relay.toml'\)\)"):
+        Node("relay.toml", 3)
+    with pytest.raises(ValueError, match=r"pursuer should be an integer \(got '3'\)"):
+        Node(scenario(), "3")
+    with pytest.raises(ValueError, match=r"an address should be a host and a port \(got '127.0.0.1:1'\)"):
+        Node(scenario(), 0).connect(["127.0.0.1:1"] * 3)
     with pytest.raises(OSError, match=r"the host 'no host' is not known: "):
         Node(scenario(), 0).connect([(LOCAL, 1), ("no host", 2), (LOCAL, 3)])
     with udp_socket((LOCAL, 0)) as taken, pytest.raises(OSError, match=r"127\.0\.0\.1, port \d+: .*in use"):
