@@ -3,6 +3,7 @@
 Each family that is called is listed once, so that a new one is noticed by `tests.test_overrides`.
 """
 
+from functools import partial
 from math import inf, nan
 from multiprocessing.pool import ThreadPool
 
@@ -10,7 +11,7 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from desim import Announcements, Links, Scenario, Sensing, Team, run, summary, sweep
+from desim import Announcements, Fault, Links, Scenario, Sensing, Team, run, summary, sweep
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import Lost, MessageCounts
 from desim.kernel.models.faults import Jamming, Partition
@@ -264,6 +265,71 @@ def test_a_watcher_that_returns_anything_else_does_not(answer):
 def test_what_is_no_function_of_an_event_is_no_watcher(watcher):
     with pytest.raises(ValueError, match="a watcher should"):
         run(scenario(), 1, watcher)
+
+
+async def asynchronous(event):
+    return True
+
+
+def generating(event):
+    yield True
+
+
+class Asynchronous:
+    async def __call__(self, event):
+        return True
+
+
+@pytest.mark.parametrize(
+    "watcher",
+    [asynchronous, generating, Asynchronous(), partial(generating)],
+    ids=["async", "yield", "object", "partial"],
+)
+def test_a_watcher_that_would_do_nothing_is_refused(watcher):
+    with pytest.raises(ValueError, match=r"a watcher should (have `def` in|do its work when)"):
+        run(scenario(), 1, watcher)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_an_asynchronous_function_is_refused_when_it_is_given(name):
+    family = FAMILIES[name]
+
+    class Theirs:
+        async def __call__(self, *args, **options):
+            return None
+
+    theirs = Theirs()
+    vars(theirs).update(vars(plain(first_kind(name), family.function, family.beside)) if family.beside else {})
+    with pytest.raises(ValueError, match=r"should have `def` in place of `async def`, and `yield` to wait: .*Theirs"):
+        family.with_model(theirs)
+
+
+class Muttering:
+    """A dissemination whose announcements would never be sent."""
+
+    def broadcast(self, me, announcement):
+        me.publish(announcement)
+        yield
+
+    def __call__(self, me):
+        yield from ()
+
+
+class Endless(Fault):
+    """A fault that would never end."""
+
+    def begin(self, site):
+        def end():
+            yield
+
+        return end
+
+
+def test_a_method_that_would_do_nothing_is_refused():
+    with pytest.raises(ValueError, match=r"broadcast should do its work when it is called, without yield: .*broadcast"):
+        Announcements(dissemination=Muttering())
+    with pytest.raises(ValueError, match="the function that ends a fault should do its work when it is called"):
+        run(scenario(fault=(Endless(start=0.0, end=0.1),)), 1)
 
 
 @pytest.mark.parametrize("executor", [2.0, None, object(), [2]])

@@ -3,10 +3,10 @@
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from functools import cache, cached_property, reduce
+from functools import cache, cached_property, partial, reduce
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
-from inspect import signature
+from inspect import isasyncgenfunction, iscoroutinefunction, isgeneratorfunction, signature
 from pathlib import Path
 from types import FunctionType, MappingProxyType
 from typing import Any, ClassVar
@@ -204,6 +204,7 @@ class OneOf:
         self._check_called(self._function(value), value)
         for name, takes in self.needed_calls.items():
             check_method(value, name, takes)
+            check_at_once(getattr(value, name), f"{name} ")
         self.traits.check(value)
         methods = {} if is_ours(type(value)) else self.traits.calls()
         for name in attributes(value, methods):
@@ -303,6 +304,8 @@ def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *
 
     The message names `value`: the function, object or class that the user gave.
     """
+    if any(map(iscoroutinefunction, _codes(function))) or any(map(isasyncgenfunction, _codes(function))):
+        raise AnswerError(f"should have `def` in place of `async def`, and `yield` to wait: {name_and_place(value)}")
     try:
         parameters = signature(function)
     except (TypeError, ValueError):  # some functions in C have no signature
@@ -312,6 +315,19 @@ def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *
     except TypeError as error:
         call = f"a call with ({', '.join(takes)})" if takes else "a call without arguments"
         raise AnswerError(f"should accept {call}; {name_and_place(value)} does not: {error}") from error
+
+
+def check_at_once(function: Callable[..., Any], whose: str = "") -> None:
+    """Raise AnswerError if a function would do nothing when it is called, because it is a generator."""
+    if any(map(isgeneratorfunction, _codes(function))):
+        raise AnswerError(f"{whose}should do its work when it is called, without yield: {name_and_place(function)}")
+
+
+def _codes(function: Any) -> tuple[Any, Any]:
+    """Return a function without the arguments that it has already, and the method by which an object is called."""
+    while isinstance(function, partial):
+        function = function.func
+    return function, None if isinstance(function, type) else getattr(type(function), "__call__", None)  # noqa: B004
 
 
 def _or(models: Sequence[type]) -> str:

@@ -7,7 +7,7 @@ from typing import Any, cast
 import simpy
 
 from desim.config.answers import wrong_answer
-from desim.config.choice import check_call
+from desim.config.choice import check_at_once, check_call
 from desim.config.model import MAX_TIME
 from desim.config.traits import kind_of
 from desim.kernel.core.clock import Clock, Instant, Phase
@@ -125,6 +125,7 @@ class _Site:
             expected = "a function without arguments that ends the fault"
             raise wrong_answer(f"begin(site) of a fault should return {expected}", undo, self.fault)
         check_call(undo, (), undo)
+        check_at_once(undo, "the function that ends a fault ")
         end: Undo = undo
         return end
 

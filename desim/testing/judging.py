@@ -57,7 +57,7 @@ class Subject(NamedTuple):
         if isinstance(error, ContractError):
             raise error
         if isinstance(error, StateWarning):
-            raise ContractError(f"{self.name}: {where} depends on more than scenario and seed: {error}") from error
+            raise ContractError(f"{self.name}: {where} cannot be repeated: {error}") from error
         notes = " ".join(["", *getattr(error, "__notes__", ())])
         complaint = "breaks an invariant" if isinstance(error, AssertionError) else f"raises {type(error).__name__}"
         raise ContractError(f"{self.name}: {where} {complaint}: {error}{notes}") from error

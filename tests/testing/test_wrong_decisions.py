@@ -192,7 +192,7 @@ PROTOCOLS = {
     "numpy.random": (draws_from_numpy, r"numpy\.random: the run has drawn from the global generator"),
     "entropy": (
         draws_from_entropy,
-        r"depends on more than scenario and seed: numpy\.random\.default_rng\(\): .* should draw from `me\.rng`",
+        r"numpy\.random\.default_rng\(\): these random numbers do not follow from the seed",
     ),
     "the clock": (reads_the_clock, r"differ, first .* nothing from the clock of the computer"),
     "an invalid action": (chases_what_is_not_there, r"a run of five pursuers raises ValueError: .*2"),
@@ -206,14 +206,8 @@ PROTOCOLS = {
     ),
     "short sight": (believes_that_it_sees, r"a run in which pursuers see 3 m raises"),
     "shared memory": (SharedMemory(), r"changes the attributes of the object, which all pursuers share"),
-    "memory of a class": (
-        ClassMemory(),
-        r"two runs of one scenario and seed differ|depends on more than scenario and seed",
-    ),
-    "global memory": (
-        remembers_globally,
-        r"two runs of one scenario and seed differ|depends on more than scenario and seed",
-    ),
+    "memory of a class": (ClassMemory(), r"two runs of one scenario and seed differ|cannot be repeated"),
+    "global memory": (remembers_globally, r"two runs of one scenario and seed differ|cannot be repeated"),
     "ends": (Ends(), r"raises ValueError: actions\(me\) of Ends should never end"),
     "a lock": (Locked(), r"Locked cannot be pickled, which the workers of a sweep need: a lock"),
     "a misspelt trait": (

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Protocol, TypeVar
 import numpy as np
 from pydantic import Field
 
-from desim.config.choice import check_call
+from desim.config.choice import check_at_once, check_call
 
 LOST = -1
 """The arrival time of a message that never arrives."""
@@ -301,6 +301,7 @@ class Trace:
                 raise ValueError(f"a watcher should be a function of an event (got {watch!r})")
             try:
                 check_call(watch, ("event",), watch)
+                check_at_once(watch)
             except ValueError as error:
                 raise ValueError(f"a watcher {error}") from error
         self._keeps_messages = messages
