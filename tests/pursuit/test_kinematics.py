@@ -16,8 +16,7 @@ from desim.pursuit.core.events import Ended
 from desim.pursuit.core.state import lengths
 from desim.pursuit.evaders import evader
 from desim.pursuit.evaders.evasion import Still
-from desim.pursuit.motion.dynamics import Acceleration, Simple, TurnRate
-from desim.pursuit.motion.flow import AffineFlow, Environment, GyreFlow, HarmonicFlow
+from desim.pursuit.motion.dynamics import Acceleration, TurnRate
 from desim.pursuit.motion.guidance import ConstantBearing, PurePursuit
 from desim.pursuit.motion.inertia import InertialKinematics
 from desim.pursuit.motion.kinematics import Kinematics
@@ -120,21 +119,11 @@ def test_times_of_capture_of_some_are_those_of_all(known, count):
 
 
 @pytest.mark.parametrize("within_step", [0, 4_567_891])
-@pytest.mark.parametrize(
-    ("dynamics", "environment"),
-    [
-        (TurnRate(limit=1.5), Environment()),
-        (Acceleration(limit=2.0), Environment()),
-        (Simple(), Environment(flow=HarmonicFlow(amplitude=(0.2, 0.1), period=2.0), on="pursuers")),
-        (Simple(), Environment(flow=AffineFlow(expansion=-0.1))),
-        (Simple(), Environment(flow=GyreFlow(speed=0.3, size=5.0))),
-    ],
-    ids=["turn rate", "acceleration", "tide", "expansion", "gyres"],
-)
-def test_times_of_some_are_those_of_all_with_inertia_and_in_a_flow(dynamics, environment, within_step):
+@pytest.mark.parametrize("dynamics", [TurnRate(limit=1.5), Acceleration(limit=2.0)])
+def test_times_of_some_are_those_of_all_with_inertia(dynamics, within_step):
     """Some chase and turn, others have stopped, and one is too slow."""
     team = Team(count=9, speeds=(0.5, *(1.0 + k / 10 for k in range(8))), dynamics=dynamics, active_at_start=0.5)
-    parts = world_of(Scenario(team=team, horizon=3.0, environment=environment), 4)
+    parts = world_of(Scenario(team=team, horizon=3.0), 4)
     parts.world.begin()
     parts.env.run(until=SECOND + within_step)
     some = [6, 0, 3]

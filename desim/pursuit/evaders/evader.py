@@ -222,6 +222,8 @@ class EvaderBody:
         self._size, self._radius, self._speeds, self._dynamics = len(speeds), radius, speeds, dynamics
         self._environment, self.is_radial = environment, dynamics.is_simple and environment.keeps_distances
         self._space, self._walled, self._is_recorded = space, space.walled, is_recorded
+        self._has_single_times = self.is_radial or type(dynamics) is TurnRate
+        """Whether each capture time is computed by itself, and not in arrays of those of all."""
         self.player = self._size + number - 1
         self._controller, self._players = controller, players
         self._radial_time = RadialTime(speeds, speed, radius)
@@ -269,9 +271,9 @@ class EvaderBody:
         """Return the capture times, s, of some pursuers at `now` (ns); inf once the evader has been captured.
 
         Kept equal to the capture times of all by
-        `tests/pursuit/test_kinematics.py::test_times_of_some_are_those_of_all_with_inertia_and_in_a_flow`.
+        `tests/pursuit/test_kinematics.py::test_times_of_some_are_those_of_all_with_inertia`.
         """
-        if len(pursuers) > MAX_SCALAR_SIZE or self.captured is not None:
+        if len(pursuers) > MAX_SCALAR_SIZE or self.captured is not None or not self._has_single_times:
             times = self.capture_times(now)
             return [times[pursuer] for pursuer in pursuers]
         players = self._players
