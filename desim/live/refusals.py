@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
+from desim.kernel.models.faults import is_skewed
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.medium import Unlimited
 from desim.kernel.models.traits import FaultTraits
@@ -62,6 +63,8 @@ def _of_network(scenario: Scenario) -> Iterator[tuple[str, str]]:
         yield "network.medium", "sockets have no airtime, and contend for no channel"
     if type(links.processing.sender) is not Constant:
         yield "network.processing.sender", "a delay before the queue of a sender needs a queue; use a number"
+    if DisseminationTraits.of(scenario.announce.dissemination).transport and is_skewed(scenario.network_faults):
+        yield "announce.dissemination", "with clock errors, a record and its message have two times, and bytes for one"
     for key, transport in _transports(scenario):
         if transport.needed > 1:
             yield f"{key}.needed", "the code is ideal, and no bytes are its pieces; with 1, a piece is the message"

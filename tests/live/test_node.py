@@ -272,6 +272,10 @@ REFUSED = [
         {"network": {"processing": {"sender": {"kind": "uniform", "low": 0.0, "high": 0.1}}}},
     ),
     ("network.transport.needed", {"network": {"transport": {"kind": "coded", "pieces": 4, "needed": 2}}}),
+    (
+        "announce.dissemination",
+        {"announce": {"dissemination": {"kind": "reliable"}}, "fault": [{"kind": "clock_skew", "offset": 0.1}]},
+    ),
     ("announce.dissemination.needed", {"announce": {"dissemination": {"kind": "coded", "pieces": 4, "needed": 2}}}),
     ("fault.0", {"fault": [{"kind": "random", "kinds": ["crash", Late]}]}),
     ("fault.0", {"fault": [{"kind": "chaser_crash", "start": 1.0}]}),
