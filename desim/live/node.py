@@ -227,8 +227,8 @@ class Node:
         Args:
             at: the time of its last events, ns, also if it is late and has yet to perform them; None: it performs none.
         """
-        if at is not None and at > self._env.now:
-            Instant(self._env, at, Phase.SAMPLE + 1).callbacks.append(lambda _: self.stop())
+        if at is not None:
+            Instant(self._env, max(at, self._env.now), Phase.SAMPLE + 1).callbacks.append(lambda _: self.stop())
         elif not self._over.triggered:
             self._over.succeed()
         if self.clock is not None:

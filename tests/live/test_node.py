@@ -193,18 +193,19 @@ def test_a_program_of_ones_own_puts_positions_in_and_gets_commands_out():
     asyncio.run(play())
 
 
-def test_a_node_that_is_late_performs_what_is_due_before_the_end():
+@pytest.mark.parametrize(("end", "last"), [(900_000_000, 800_000_000), (0, -1)])
+def test_a_node_that_is_late_performs_what_is_due_before_the_end(end, last):
     async def play():
-        node, time = node_with(), [0]
+        node, time = node_with(), [-1]
         running = asyncio.create_task(node.run(lambda: time[0]))
         await asyncio.sleep(0)
         time[0] = 950_000_000
-        node.stop(900_000_000)  # its own clock still stands at 0
+        node.stop(end)  # its own clock still stands at 0
         await running
         return [sent.t for sent in node.link.departures]
 
     times = asyncio.run(play())
-    assert 800_000_000 < max(times) <= 900_000_000  # a heartbeat each 0.1 s
+    assert last < max(times) <= end  # an announcement at 0 s, and a heartbeat each 0.1 s
 
 
 @pytest.mark.slow
