@@ -16,12 +16,14 @@ from desim import Constant, Gamma, Lognormal, Scenario, Team, load
 from desim.cli import main
 from desim.config.errors import KeyedError
 from desim.config.shared_state import StateWarning
+from desim.results.run_folder import write
 from desim.simulation.run import Result
 
 SHORT = Scenario(horizon=0.01, team=Team(count=2))
 NAMES = {name: getattr(desim, name) for name in dir(desim)} | {
     "desim": desim,
     "Path": Path,
+    "datetime": datetime,
     "SHORT": SHORT,
     "GRID": {"team.count": [2]},
 }
@@ -118,6 +120,13 @@ CALLS: dict[str, tuple[Any, ...]] = {
     "replay(SHORT)": ("replay(run(scenario))",),
     "export(SHORT, 'x.csv')": ("export(run(scenario))",),
     "export(run(SHORT), 'x.foo')": (".csv",),
+    "export(run(SHORT), None)": ("export takes the path of a file", "not a NoneType"),
+    "plot(run(SHORT), 'spacetime', begin='0.1')": ("begin should be a number (got '0.1')",),
+    "plot(run(SHORT), 'spacetime', end=datetime.timedelta(1))": ("end should be a number (got datetime.timedelta",),
+    "plot(run(SHORT), 'spacetime', pursuers=0)": ("pursuers should be a list of their numbers (got 0)",),
+    "plot(run(SHORT), 'spacetime', pursuers='01')": ("pursuers should be a list of their numbers (got '01')",),
+    "plot(run(SHORT), 'spacetime', pursuers=[True])": ("a pursuer should be an integer (got True)",),
+    "run(SHORT).trace.of('Decided')": ("`of` takes a class of events", "got 'Decided'"),
     "explain(run(SHORT))": ("explain(result.scenario)",),
     "explain(SHORT, runs=1)": ("at least 2 runs",),
     "explain(SHORT, shown=['activetime'])": ("did you mean 'active_time'?",),
@@ -151,6 +160,29 @@ CALLS: dict[str, tuple[Any, ...]] = {
     "exec('from protocols import jsfp')": ("JointStrategyFictitiousPlay, or protocol='jsfp'",),
     "desim.smmary": ("did you mean 'summary'?",),
 }
+
+
+class AtPath:
+    """A path of another library: an object that tells its path."""
+
+    def __init__(self, path):
+        self._path = str(path)
+
+    def __fspath__(self):
+        return self._path
+
+
+def test_a_path_may_be_any_object_that_tells_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s.toml").write_text("horizon = 0.1\nteam.count = 2\n")
+    (tmp_path / "v.txt").write_text("0.1\n")
+    result = desim.run(load(AtPath("s.toml")))
+    assert result.scenario.team.count == 2
+    desim.export(result, AtPath("t.csv"))
+    assert (tmp_path / "t.csv").exists()
+    assert desim.Empirical(file=AtPath(tmp_path / "v.txt")).values == (0.1,)
+    write(result, tmp_path / "out")
+    assert desim.open(AtPath("out")).seed == result.seed
 
 
 @pytest.mark.parametrize("call", CALLS)

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from io import BytesIO
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +68,7 @@ def declared(model: Any) -> dict[str, str]:
     paths = attributes(model, ["depends_on"]).get("depends_on", ())
     if callable(paths):
         paths = paths()
-    if not (isinstance(paths, tuple | list) and all(isinstance(path, str | Path) for path in paths)):
+    if not (isinstance(paths, tuple | list) and all(isinstance(path, str | PathLike) for path in paths)):
         raise DataFileError(f"depends_on: should be a tuple of paths (got {paths!r})")
     try:
         return {str(path): content_hash(regular_or_missing(Path(path)).read_bytes()) for path in paths}

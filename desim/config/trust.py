@@ -4,6 +4,7 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from errno import EEXIST, EINVAL, EISDIR
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -140,8 +141,9 @@ def path_in(folder: Path, path: Any, *, is_trusted: bool) -> Path:
         ValueError: if the value is not a path, the path cannot be resolved, it exists and is not a regular file, or it
             leads out of the folder and the file that names it is not trusted.
     """
-    if not isinstance(path, str | Path):
+    if not isinstance(path, str | PathLike):
         raise ValueError(f"file should be a path (got {path!r})")
+    path = Path(path)
     try:
         str(path).encode()
     except UnicodeEncodeError as error:

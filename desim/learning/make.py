@@ -1,6 +1,6 @@
 """The functions that make environments; they load PettingZoo (the extra `rl`) at the first call."""
 
-from pathlib import Path
+from os import PathLike
 from typing import TYPE_CHECKING, Any, Literal
 
 from desim.config.arguments import naming_arguments, scenario_argument
@@ -9,6 +9,8 @@ from desim.scenario.scenario import Scenario
 from desim.scenario.toml import load
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from desim.learning.environments import AECPursuit, ParallelPursuit
     from desim.learning.rewards import Reward
 
@@ -120,7 +122,7 @@ def _scenario(scenario: Any, function: str) -> Scenario:
     """Return a scenario, given it or the path of its file; None: that of the paper."""
     if scenario is None:
         return Scenario()
-    if isinstance(scenario, str | Path):
+    if isinstance(scenario, str | PathLike):
         return load(scenario)
     scenario_argument(Scenario).check(scenario, function)
     checked: Scenario = scenario

@@ -5,6 +5,7 @@ import re
 from codecs import BOM_UTF8
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -24,7 +25,7 @@ from desim.scenario.toml_hints import what_was_meant
 from desim.scenario.toml_lines import MAX_PARTS, deep_key, key_lines, tables_of, unreadable
 
 INSTEAD_OF_PATH = {"dict": "Scenario(**keys)", "Scenario": "use it as it is, or scenario.with_({{key: value}})"}
-PATH = Argument("the path of a scenario file", (str, Path), MappingProxyType(INSTEAD_OF_PATH))
+PATH = Argument("the path of a scenario file", (str, PathLike), MappingProxyType(INSTEAD_OF_PATH))
 """What `load` takes."""
 
 

@@ -338,5 +338,11 @@ class Trace:
         return len(self.events)
 
     def of(self, kind: type[Kind]) -> list[Kind]:
-        """Return the events of one type, in order."""
+        """Return the events of one type, in order.
+
+        Raises:
+            TypeError: if it is not the class of events.
+        """
+        if not isinstance(kind, type | tuple):
+            raise TypeError(f"`of` takes a class of events, such as desim.pursuit.core.events.Decided (got {kind!r})")
         return [event for event in self.events if isinstance(event, kind)]

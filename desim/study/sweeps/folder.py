@@ -3,6 +3,7 @@
 import json
 import shlex
 from collections.abc import Iterable, Sequence
+from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -17,7 +18,7 @@ from desim.study.results.runs import SHOWN
 from desim.study.store.properties import flat
 from desim.study.store.store import Store
 
-PATH = Argument("the path of a folder with results", (str, Path), MappingProxyType({}))
+PATH = Argument("the path of a folder with results", (str, PathLike), MappingProxyType({}))
 
 
 @naming_arguments
@@ -99,7 +100,7 @@ def _sweep_of(value: SweepResult | str | Path) -> SweepResult:
     """
     if isinstance(value, SweepResult):
         return value
-    if not isinstance(value, str | Path):
+    if not isinstance(value, str | PathLike):
         raise TypeError(f"compare takes two sweeps, or the folders of two sweeps, got {type(value).__name__}")
     if not isinstance(result := open(value), SweepResult):
         raise ValueError(f"{value}: is a run, and sweeps are compared; `desim replay A B` shows two runs side by side")

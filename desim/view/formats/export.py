@@ -5,12 +5,14 @@ in `ExporterTraits` give it a suffix. Built-in exporters, those of other distrib
 `desim.exporters`) and those that a user names as "module:Name" are chosen and called alike.
 """
 
+from os import PathLike
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
 
-from desim.config.arguments import naming_arguments, run_argument
+from desim.config.arguments import Argument, naming_arguments, run_argument
 from desim.config.choice import OneOf
 from desim.config.error_texts import text_of
 from desim.config.extras import missing
@@ -59,6 +61,9 @@ def suffixes() -> dict[str, str]:
     """Return the suffixes of all exporters that have a kind, and the kind of each."""
     every = ((kind, ExporterTraits.of(model).suffix) for kind, model in EXPORTERS.choices().items())
     return {suffix: kind for kind, suffix in every if suffix is not None}
+
+
+FILE = Argument("the path of a file", (str, PathLike), MappingProxyType({}))
 
 
 def exporter_for(file: Path, exporter: Any = None, *, allow_import: bool = False, **parameters: Any) -> Any:
@@ -124,6 +129,7 @@ def export(result: Result | StreamedResult, file: str | Path, exporter: Any = No
         ImportError: if a package that the format needs is not installed.
         OSError: if the file cannot be written.
     """
+    FILE.check(file, "export")
     file = Path(file)
     chosen = exporter_for(file, exporter, allow_import=True)
     if not hasattr(result, "trace"):  # any object with a trace may be exported

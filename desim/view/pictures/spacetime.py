@@ -6,7 +6,7 @@ arrival time: it is drawn as if it took the mean latency of the drawn messages t
 the line of its receiver. A message lost on arrival ends on the line of its receiver, with an asterisk if it collided.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import groupby
 from math import inf
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,7 @@ from desim.analysis.activity import changes, changes_with_previous, chases, deci
 from desim.analysis.drawing.palette import CAPTURE_MARK, COLLISION_MARK, GREY, LOST, LOST_MARK
 from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, figure_of, in_style, size_of, styled
 from desim.analysis.trace_index import ended, started
+from desim.config.python_numbers import real, whole
 from desim.config.trust import escaped
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.pursuit.core.events import Captured
@@ -75,7 +76,10 @@ def spacetime(
     """
     figure = None if ax is None else figure_of(ax, size=size)
     width, height = size_of(size or "17cm") if ax is None else (ax.get_window_extent().width / ax.figure.dpi, None)
-    shown = list(pursuers) if pursuers is not None else _busiest(result)
+    begin, end = (None if time is None else real(time, name) for time, name in ((begin, "begin"), (end, "end")))
+    if pursuers is not None and (isinstance(pursuers, str) or not isinstance(pursuers, Iterable)):
+        raise ValueError(f"pursuers should be a list of their numbers (got {pursuers!r})")
+    shown = _busiest(result) if pursuers is None else [whole(pursuer, "a pursuer") for pursuer in pursuers]
     _check(result, shown, begin, end)
     window, shown_messages = _window(result, shown, begin, end, round(MAX_DENSITY * width * 2.54))
 
