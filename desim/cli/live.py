@@ -116,8 +116,6 @@ def _run(
     as_json: bool,
 ) -> None:
     """Run a scenario live, and print the metrics and how the runs went."""
-    from desim.analysis.metrics import plain, summary
-    from desim.analysis.tables import batch_table, run_table
     from desim.live.runs import runs
     from desim.study.workers.batch import seeds_from
 
@@ -127,21 +125,10 @@ def _run(
     start = time.perf_counter()
     results = runs(scenario, seeds, hosts=hosts, links=links, tell=lambda text: echo(text, err=True))
     wall_time = time.perf_counter() - start
-    summaries = [summary(result) for result in results]
     for result in results if out is not None else ():
         assert out is not None
         _write(result, out if count == 1 else out / f"seed-{result.seed}")
-    if as_json:
-        entries = [
-            plain(numbers) | {"live": result.conduct.document()}
-            for numbers, result in zip(summaries, results, strict=True)
-        ]
-        echo(json.dumps({"scenario": scenario.plain(), "runs": entries}, indent=2))
-    else:
-        shown = shown_metrics(scenario, metrics)
-        one = run_table(scenario, summaries[0], wall_time, shown) if count == 1 else ""
-        echo(one or batch_table(scenario, summaries, wall_time))
-        echo(conduct_lines(results))
+    echo(_document(scenario, results) if as_json else _tables(scenario, results, wall_time, metrics))
     for result in results:
         for note in result.conduct.notes:
             echo(f"warning: seed {result.seed}: {note}", err=True)
@@ -151,6 +138,24 @@ def _run(
         echo(f"wrote {out}", err=True)
     if any(result.conduct.ends for result in results):
         sys.exit(FAILED)
+
+
+def _document(scenario: "Scenario", results: "Sequence[LiveResult]") -> str:
+    """Return the metrics of runs, and how the runs went, as JSON."""
+    from desim.analysis.metrics import plain, summary
+
+    entries = [plain(summary(result)) | {"live": result.conduct.document()} for result in results]
+    return json.dumps({"scenario": scenario.plain(), "runs": entries}, indent=2)
+
+
+def _tables(scenario: "Scenario", results: "Sequence[LiveResult]", wall_time: float, metrics: tuple[str, ...]) -> str:
+    """Return the metrics of runs, and how the runs went, as text."""
+    from desim.analysis.metrics import summary
+    from desim.analysis.tables import batch_table, run_table
+
+    summaries = [summary(result) for result in results]
+    one = len(results) == 1 and run_table(scenario, summaries[0], wall_time, shown_metrics(scenario, metrics))
+    return f"{one or batch_table(scenario, summaries, wall_time)}\n{conduct_lines(results)}"
 
 
 def _write(result: "LiveResult", folder: Path) -> None:
@@ -167,13 +172,10 @@ def _write(result: "LiveResult", folder: Path) -> None:
 def overload(results: "Sequence[LiveResult]") -> str:
     """Return a sentence if timers or deliveries were so late that a run depends on the machine; "" if not."""
     from desim.live.agreement import GATE
-    from desim.live.wall_clock import Lateness
+    from desim.live.result import lateness_of
 
-    late = [
-        f"{name} by more than {1e3 * p99:.0f} ms"
-        for name in ("timers", "deliveries")
-        if (p99 := Lateness.of([time for result in results for time in getattr(result.conduct, name)]).p99) > GATE
-    ]
+    p99 = {name: lateness_of(results, name).p99 for name in ("timers", "deliveries")}
+    late = [f"{name} by more than {1e3 * time:.0f} ms" for name, time in p99.items() if time > GATE]
     if not late:
         return ""
     return f"late: 1 % of the {' and of the '.join(late)}: results depend on this machine; try again while it is idle"
@@ -182,12 +184,9 @@ def overload(results: "Sequence[LiveResult]") -> str:
 def conduct_lines(results: "Sequence[LiveResult]") -> str:
     """Return how late timers and deliveries were, and what was dropped, as text."""
     from desim.kernel.core.portable_math import portable_sum
-    from desim.live.wall_clock import Lateness
+    from desim.live.result import lateness_of
 
-    timers, deliveries, orders = (
-        Lateness.of([late for result in results for late in getattr(result.conduct, name)])
-        for name in ("timers", "deliveries", "orders")
-    )
+    timers, deliveries, orders = (lateness_of(results, name) for name in ("timers", "deliveries", "orders"))
     drops = [int(portable_sum(counts)) for counts in zip(*(result.conduct.dropped for result in results), strict=True)]
     return (
         f"live: late by at most, in 50 %, 99 % and 100 %: timers {timers}, deliveries {deliveries}, actions {orders}\n"

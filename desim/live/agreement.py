@@ -3,14 +3,14 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import copysign
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 from desim.analysis.metrics import METRICS, Summary, summary
 from desim.analysis.statistics import Estimate, mean, paired
 from desim.analysis.tables import aligned, counted, number
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import SECOND
-from desim.live.result import LiveResult
+from desim.live.result import LateKind, LiveResult, lateness_of
 from desim.live.runs import LinkKind, runs
 from desim.live.wall_clock import Lateness
 from desim.scenario.scenario import Scenario
@@ -70,9 +70,9 @@ class Agreement:
         """The 99th percentile of the lateness of all timers, s."""
         return self.late("timers").p99
 
-    def late(self, name: Literal["timers", "deliveries", "orders"]) -> Lateness:
+    def late(self, name: LateKind) -> Lateness:
         """Return how late timers, deliveries of messages or orders were in all runs."""
-        return Lateness.of([late for result in self.live for late in getattr(result.conduct, name)])
+        return lateness_of(self.live, name)
 
     @property
     def is_on_time(self) -> bool:
@@ -139,11 +139,7 @@ class Agreement:
             }
             for row in self.rows
         ]
-        late = {
-            "timers": self.late("timers")._asdict(),
-            "deliveries": self.late("deliveries")._asdict(),
-            "orders": self.late("orders")._asdict(),
-        }
+        late = {name: self.late(name)._asdict() for name in get_args(LateKind)}
         return {"runs": len(self.live), "agrees": self.agrees, **late, "rows": rows}
 
 

@@ -76,10 +76,10 @@ class Mirror:
         """Number of orders that the pursuer has given."""
         self._last = -1
 
-    def show(self, frame: WorldFrame) -> bool:
-        """Let the world be as in a frame; return whether the frame is newer than the last one."""
+    def show(self, frame: WorldFrame) -> None:
+        """Let the world be as in a frame, unless it is older than the last one."""
         if frame.t < self._last:
-            return False
+            return
         state, self._last = self.state, frame.t
         courses = Courses(*(points_of(part) for part in frame.courses or ("", "")))
         drifts = None if frame.drifts is None else points_of(frame.drifts)
@@ -95,7 +95,6 @@ class Mirror:
             if segment and segment[0] > getattr(getattr(body.path, "last", None), "begun", -1):
                 body.path.see(*_segment_of(segment))
         self._act(frame)
-        return True
 
     def set_action(self, action: int) -> None:
         """Let the pursuer itself act otherwise from now on."""

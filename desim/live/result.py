@@ -2,12 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Literal, get_args
 
 from desim.kernel.core.portable_math import portable_sum
 from desim.live.link import Drops
 from desim.live.wall_clock import Lateness
 from desim.simulation.run import Result
 
+LateKind = Literal["timers", "deliveries", "orders"]
+"""What can be late; an order is a change of an action."""
 REFEREE = "referee"
 """The name of the referee among the processes."""
 
@@ -50,7 +53,7 @@ class Conduct:
 
     def document(self) -> dict[str, object]:
         """Return it as JSON types."""
-        all_late = {name: Lateness.of(getattr(self, name))._asdict() for name in ("timers", "deliveries", "orders")}
+        all_late = {name: Lateness.of(getattr(self, name))._asdict() for name in get_args(LateKind)}
         lateness = {str(name): late._asdict() for name, late in self.lateness.items()}
         drops = {str(pursuer): counts._asdict() for pursuer, counts in self.drops.items()}
         ends = {str(pursuer): end for pursuer, end in self.ends.items()}
@@ -67,3 +70,8 @@ class LiveResult(Result):
     """
 
     conduct: Conduct = field(default_factory=Conduct)
+
+
+def lateness_of(results: Sequence[LiveResult], name: LateKind) -> Lateness:
+    """Return how late timers, deliveries of messages or orders were in several runs."""
+    return Lateness.of([late for result in results for late in getattr(result.conduct, name)])

@@ -257,39 +257,30 @@ class Wire:
         src, place, to_one, kind = word >> 22 & 0x1FF, word >> 17 & 0x1F, bool(word >> 16 & 1), KINDS[word >> 13 & 7]
         if not word & MARK or src >= self._nodes or abs(stamp) > MAX_INTEGER:
             raise ValueError("not a header")
-        number, port, start, at = word >> 8 & 0x1F, PORTS[place], stamp, HEADER
+        unique, number, port = word << 32 | seq, word >> 8 & 0x1F, PORTS[place]
         if kind is Kind.RECORD and number in self._announced:  # most datagrams, in two thirds of the time
-            announced = self._announced[number].read(datagram, HEADER, self._records)
-            content: Record | Message = _new(Record, (src, seq, stamp, announced))
-            return _new(Parcel, (word << 32 | seq, src, stamp, content, "", to_one))
-        admitted = ANNOUNCED if kind in OF_RECORD else ADMITTED[place]
-        if number < NOTHING and BODIES[number] not in admitted:
+            body = self._announced[number].read(datagram, HEADER, self._records)
+            return _new(Parcel, (unique, src, stamp, _new(Record, (src, seq, stamp, body)), "", to_one))
+        if number < NOTHING and BODIES[number] not in (ANNOUNCED if kind in OF_RECORD else ADMITTED[place]):
             raise ValueError("a body at a wrong port")
-        second = 0
+        delay, second, at = 0, 0, HEADER
         if kind > Kind.MESSAGE:
             delay, second = _PAIR.unpack_from(datagram, at)
-            start, at = start + delay * MICROSECOND, at + NUMBER
-        body: Any = None
+            at += NUMBER
+        body = None
         if number == OWN:
             port, body = self._own.unpack(datagram[at:])
         elif kind is not Kind.ACKNOWLEDGEMENT:
             body = self._read(number, datagram, at)
         if kind is Kind.RECORD:
-            content, port = _new(Record, (src, seq, stamp, body)), ""
-        elif kind is Kind.MESSAGE:
-            content = Message(src, stamp, body)
-        else:
-            if kind in OF_RECORD:
-                body = Forwarded((Record(src, seq, stamp, body),))
-            frame: TransportFrame = Skip(port, not to_one, 0, second)
-            if kind in {Kind.SEGMENT, Kind.SEGMENT_OF_RECORD}:
-                frame = Segment(port, not to_one, 0, seq, second, word & 0xFF, body)
-            elif kind in {Kind.PIECE, Kind.PIECE_OF_RECORD}:
-                frame = CodedPiece(port, not to_one, 0, seq, second, body)
-            elif kind is Kind.ACKNOWLEDGEMENT:
-                frame = Acknowledgement(port, not to_one, 0, second, _received(second, datagram[at:]))
-            content, port = Message(src, stamp, frame), FRAMES
-        return _new(Parcel, (word << 32 | seq, src, start, content, port, to_one))
+            return Parcel(unique, src, stamp, Record(src, seq, stamp, body), "", to_one)
+        if kind is Kind.MESSAGE:
+            return Parcel(unique, src, stamp, Message(src, stamp, body), port, to_one)
+        if kind in OF_RECORD:
+            body = Forwarded((Record(src, seq, stamp, body),))
+        numbers = seq, second, word & 0xFF
+        frame = _frame_of(kind, port, body, numbers, datagram[at:], to_all=not to_one)
+        return Parcel(unique, src, stamp + delay * MICROSECOND, Message(src, stamp, frame), FRAMES, to_one)
 
     def _read(self, number: int, data: bytes, at: int) -> Any:
         """Return the body with a number in a header, after some bytes."""
@@ -326,6 +317,20 @@ class Wire:
 def is_record(datagram: bytes) -> bool:
     """Return whether a datagram carries a record, by its kind."""
     return len(datagram) >= HEADER and datagram[2] >> 5 == Kind.RECORD
+
+
+def _frame_of(
+    kind: Kind, port: str, body: Any, numbers: tuple[int, int, int], rest: bytes, *, to_all: bool
+) -> TransportFrame:
+    """Return the frame of a kind, given its sequence number, its second number and its attempt."""
+    seq, second, attempt = numbers
+    if kind in {Kind.SEGMENT, Kind.SEGMENT_OF_RECORD}:
+        return Segment(port, to_all, 0, seq, second, attempt, body)
+    if kind in {Kind.PIECE, Kind.PIECE_OF_RECORD}:
+        return CodedPiece(port, to_all, 0, seq, second, body)
+    if kind is Kind.SKIP:
+        return Skip(port, to_all, 0, second)
+    return Acknowledgement(port, to_all, 0, second, _received(second, rest))
 
 
 def _bits(frame: Acknowledgement, size: int) -> bytes:

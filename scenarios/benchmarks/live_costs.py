@@ -107,7 +107,7 @@ def counted_lines() -> Iterator[dict[str, list[int]]]:
         lines["received"].append(len(data))
         data_received(end, data)
 
-    Lines.write, Lines.data_received = counted_write, counted_data  # type: ignore[method-assign, assignment]
+    Lines.write, Lines.data_received = counted_write, counted_data  # type: ignore[assignment,method-assign]
     try:
         yield lines
     finally:
