@@ -208,6 +208,27 @@ def test_a_node_that_is_late_performs_what_is_due_before_the_end(end, last):
     assert last < max(times) <= end  # an announcement at 0 s, and a heartbeat each 0.1 s
 
 
+def test_a_record_is_read_later_as_if_at_its_arrival_and_a_message_at_once():
+    async def play():
+        node, time = node_with(loss=Bernoulli()), [0]
+        node.connect([(LOCAL, 1), (LOCAL, 2), (LOCAL, 3)])
+        running = asyncio.create_task(node.run(lambda: time[0]))
+        await asyncio.sleep(0)
+        time[0] = 30_000_000
+        node.arrived(announcement(1), (LOCAL, 1))
+        assert not node.link.outcomes
+        time[0] = 120_000_000
+        node.arrived(WIRE.encode(Message(0, 70_000_000, None), "", 16, to_one=True), (LOCAL, 1))
+        assert [outcome.arrival for outcome in node.link.outcomes] == [100_000_000, 170_000_000]
+        assert node.link.errors == [0, 0]
+        node.arrived(announcement(2), (LOCAL, 9))  # of a stranger
+        node.stop()
+        await running
+        assert node.link.drops.foreign == 1
+
+    asyncio.run(play())
+
+
 @pytest.mark.slow
 def test_walls_block_the_radio_of_a_node_as_in_a_simulation():
     tables = scenario(team={"positions": [[1.0, 1.0], [3.0, 1.0], [3.0, 2.0]]}).plain()
