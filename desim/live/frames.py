@@ -47,10 +47,10 @@ def frame_of(state: WorldState, obeyed: list[int]) -> WorldFrame:
     segments = [getattr(body.path, "last", None) for body in state.bodies]
     return WorldFrame(
         state.now,
-        hexadecimal(players.positions()),
-        hexadecimal(players.commands),
-        None if players.drifts is None else hexadecimal(players.drifts),
-        None if courses is None else [hexadecimal(courses.velocities), hexadecimal(courses.headings)],
+        hex_digits(players.positions()),
+        hex_digits(players.commands),
+        None if players.drifts is None else hex_digits(players.drifts),
+        None if courses is None else [hex_digits(courses.velocities), hex_digits(courses.headings)],
         state.profile,
         obeyed,
         state.broken.nonzero()[0].tolist(),
@@ -117,7 +117,7 @@ class Mirror:
             self.state.set_actions(np.array(profile, dtype=np.int64))
 
 
-def hexadecimal(points: Points) -> str:
+def hex_digits(points: Points) -> str:
     """Return complex numbers as hexadecimal digits."""
     return points.astype(NUMBERS).tobytes().hex()
 

@@ -17,7 +17,7 @@ PLACE = 48
 _new = tuple.__new__  # creates a named tuple in a third of the time
 _NUMBER = Struct(">q")
 _FORMATS = MappingProxyType({int: "q", bool: "q", float: "d"})
-Span = tuple[int, int]
+NumberRange = tuple[int, int]
 """The least and the greatest number."""
 
 
@@ -25,7 +25,7 @@ class WireError(ValueError):
     """A datagram is malformed, or a message cannot be one."""
 
 
-class PartForm(Enum):
+class FieldForm(Enum):
     """How the value of a field is made of numbers."""
 
     NUMBER = auto()
@@ -39,15 +39,15 @@ class PartForm(Enum):
     RECORDS = auto()
 
 
-class Part(NamedTuple):
+class FieldLayout(NamedTuple):
     """A field of a body."""
 
-    form: PartForm
+    form: FieldForm
     begin: int
     """Index of its first number among those of a fixed count."""
     end: int
     """Index after its last number; of places, the length of the list."""
-    limits: Span | None
+    limits: NumberRange | None
     """Those of a list or of places."""
 
 
@@ -64,10 +64,10 @@ class Layout:
         has_rest: whether the length of a body varies.
     """
 
-    def __init__(self, body: type[Any], lengths: Mapping[str, int], limits: Mapping[str, Sequence[Span]]):
+    def __init__(self, body: type[Any], lengths: Mapping[str, int], limits: Mapping[str, Sequence[NumberRange]]):
         self.body, format_, hints = body, "", get_type_hints(body)
-        self._parts: list[Part] = []
-        self._bounds: list[tuple[int, int, Span]] = []
+        self._parts: list[FieldLayout] = []
+        self._bounds: list[tuple[int, int, NumberRange]] = []
         """Begin, end and limits of numbers of a fixed count."""
         for name in body._fields:
             form, here = _form_of(hints[name], lengths.get(name))
@@ -78,12 +78,12 @@ class Layout:
             elif bounds and here:
                 self._bounds.append((begin, end, bounds[0]))
             own_limits = bounds[0] if bounds and not here else None
-            self._parts.append(Part(form, begin, lengths[name] if form is PartForm.PLACES else end, own_limits))
+            self._parts.append(FieldLayout(form, begin, lengths[name] if form is FieldForm.PLACES else end, own_limits))
         self._struct, self._fixed = Struct(">" + format_), len(format_)
         self.size = self._struct.size
         forms = {part.form for part in self._parts}
-        self.has_rest = not forms <= {PartForm.NUMBER, PartForm.FLAG, PartForm.TUPLE}
-        self._is_plain = forms == {PartForm.NUMBER}
+        self.has_rest = not forms <= {FieldForm.NUMBER, FieldForm.FLAG, FieldForm.TUPLE}
+        self._is_plain = forms == {FieldForm.NUMBER}
         self._has_floats = "d" in format_
 
     def flat(self, body: Any) -> tuple[list[Any], Sequence[Record]]:
@@ -92,13 +92,13 @@ class Layout:
             return list(body), ()
         numbers, rest, records = list[Any](), list[Any](), ()
         for (form, *_), value in zip(self._parts, body, strict=True):
-            if form is PartForm.TUPLE:
+            if form is FieldForm.TUPLE:
                 numbers += value
-            elif form is PartForm.LIST:
+            elif form is FieldForm.LIST:
                 rest += value
-            elif form is PartForm.PLACES:
+            elif form is FieldForm.PLACES:
                 rest += [place << PLACE | item for place, item in enumerate(value) if item is not None]
-            elif form is PartForm.RECORDS:
+            elif form is FieldForm.RECORDS:
                 records = value
             else:
                 numbers.append(value)
@@ -142,17 +142,17 @@ class Layout:
         """Return the body with some fixed numbers, listed items and records."""
         values = list[Any]()
         for form, begin, end, limits in self._parts:
-            if form is PartForm.NUMBER:
+            if form is FieldForm.NUMBER:
                 values.append(numbers[begin])
-            elif form is PartForm.TUPLE:
+            elif form is FieldForm.TUPLE:
                 values.append(numbers[begin:end])
-            elif form is PartForm.FLAG:
+            elif form is FieldForm.FLAG:
                 values.append(bool(numbers[begin]))
-            elif form is PartForm.RECORDS:
+            elif form is FieldForm.RECORDS:
                 values.append(records)
                 records = ()
             else:
-                values.append(tuple(items) if form is PartForm.LIST else _placed(items, end))
+                values.append(tuple(items) if form is FieldForm.LIST else _placed(items, end))
                 _check([item for item in values[-1] if item is not None], limits)
                 items = []
         if items or records:
@@ -160,20 +160,20 @@ class Layout:
         return self.body(*values)
 
 
-def _form_of(hint: Any, length: int | None) -> tuple[PartForm, str]:
+def _form_of(hint: Any, length: int | None) -> tuple[FieldForm, str]:
     """Return the form of a field, and the format of its numbers of a fixed count, one character each."""
     if hint in _FORMATS:
-        return PartForm.FLAG if hint is bool else PartForm.NUMBER, _FORMATS[hint]
+        return FieldForm.FLAG if hint is bool else FieldForm.NUMBER, _FORMATS[hint]
     items = get_args(hint)
     if get_origin(hint) is not tuple or not items:
         raise TypeError(f"no layout for {hint}")
     if any(type(None) in get_args(item) for item in items):
-        return PartForm.PLACES, ""
+        return FieldForm.PLACES, ""
     if items[0] is Record or items[0] is Any:
-        return PartForm.RECORDS, ""
+        return FieldForm.RECORDS, ""
     if items[-1] is not Ellipsis:
-        return PartForm.TUPLE, "".join(_FORMATS[item] for item in items)
-    return (PartForm.LIST, "") if length is None else (PartForm.TUPLE, _FORMATS[items[0]] * length)
+        return FieldForm.TUPLE, "".join(_FORMATS[item] for item in items)
+    return (FieldForm.LIST, "") if length is None else (FieldForm.TUPLE, _FORMATS[items[0]] * length)
 
 
 def _rest(data: bytes, records: Callable[[bytes], Iterator[Record]]) -> tuple[list[int], tuple[Record, ...]]:
@@ -194,7 +194,7 @@ def _placed(items: list[int], length: int) -> tuple[int | None, ...]:
     return tuple(places)
 
 
-def _check(numbers: Sequence[int], limits: Span | None) -> None:
+def _check(numbers: Sequence[int], limits: NumberRange | None) -> None:
     """Raise ValueError if a number is not within limits."""
     if limits is not None and numbers and not (limits[0] <= min(numbers) and max(numbers) <= limits[1]):
         raise ValueError("a number is out of range")

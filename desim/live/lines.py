@@ -51,7 +51,7 @@ class Lines(asyncio.Protocol):
 
     def tell(self, *words: Any) -> None:
         """Send a line."""
-        self.write(encoded(*words))
+        self.write(encoded_line(*words))
 
     def write(self, line: bytes) -> None:
         """Send a line that is encoded already."""
@@ -69,6 +69,6 @@ class Lines(asyncio.Protocol):
             self._transport.close()
 
 
-def encoded(*words: Any) -> bytes:
+def encoded_line(*words: Any) -> bytes:
     """Return a line."""
     return json.dumps(words).encode() + b"\n"

@@ -12,7 +12,7 @@ from signal import Signals
 from time import monotonic_ns
 from typing import Any
 
-from desim.live.lines import Lines, encoded
+from desim.live.lines import Lines, encoded_line
 from desim.live.nursery import Nursery
 from desim.live.sockets import family_of, resolved, udp_socket
 from desim.live.start import PursuerStart, digest
@@ -106,7 +106,7 @@ class Lobby:
 
     def tell_all(self, *words: Any, may_skip: bool = False) -> None:
         """Send a line to all pursuers; with `may_skip`, not to those that are far behind with reading."""
-        line = encoded(*words)
+        line = encoded_line(*words)
         for pursuer in self._joined.values():
             if not (pursuer.is_done or (may_skip and pursuer.lines.unread > BACKLOG)):
                 pursuer.lines.write(line)

@@ -56,10 +56,10 @@ class Logs:
             sent = SentDatagram(t, tuple(dst), lost, created, bytes.fromhex(datagram))
             self._departures.append((pursuer, sent))
         for fate in map(DatagramFate._make, fates):
-            told, key = self._fates[fate.number], (fate.dst, fate.is_copy)
-            if fate.cause and key in told and told[key].arrival != LOST:  # a loss on arrival replaces an arrival
-                fate = fate._replace(arrival=told[key].arrival)
-            told[key] = fate
+            reported, key = self._fates[fate.number], (fate.dst, fate.is_copy)
+            if fate.cause and key in reported and reported[key].arrival != LOST:  # a loss replaces an arrival
+                fate = fate._replace(arrival=reported[key].arrival)
+            reported[key] = fate
 
     def merged(self, world: Iterable[Event], *, messages: bool) -> list[Event]:
         """Return all events of a run in order.
@@ -87,14 +87,14 @@ class Logs:
         for src, sent in sorted(self._departures, key=lambda row: (row[1].t, row[0])):
             if sent.t > end:
                 return
-            told, content = self._fates[sent.number], self._wire.decode(sent.datagram).content
+            reported, content = self._fates[sent.number], self._wire.decode(sent.datagram).content
             fates = {
-                node: self._after_crash(told[node, False])
-                if (node, False) in told
+                node: self._after_crash(reported[node, False])
+                if (node, False) in reported
                 else self._unknown(sent, node, end, last_read.get((src, node), 0))
                 for node in sent.dst
             }
-            copies = {node: self._after_crash(fate) for (node, is_copy), fate in told.items() if is_copy}
+            copies = {node: self._after_crash(fate) for (node, is_copy), fate in reported.items() if is_copy}
             for several in (fates, copies) if copies else (fates,):
                 sizes.append(len(sent.datagram))
                 yield _events(next(numbers), src, sent, content, several, end)

@@ -34,7 +34,7 @@ from desim.kernel.link_layer.propagation import LinkSampler
 from desim.kernel.models.faults import is_skewed
 from desim.kernel.models.links import Links
 from desim.kernel.state.network_state import NetworkState
-from desim.live.frames import Mirror, WorldFrame, frame_of, hexadecimal, segment_list
+from desim.live.frames import Mirror, WorldFrame, frame_of, hex_digits, segment_list
 from desim.live.link import SocketLinkLayer
 from desim.live.refusals import check_live
 from desim.live.sockets import Datagrams, checked_address, resolved, udp_socket
@@ -310,7 +310,7 @@ class Node:
         seen = zip(places[state.size :].tolist(), commands[state.size :].tolist(), strict=True)
         segments = [segment_list(TrackSegment(now, place, place, velocity, end)) for place, velocity in seen]
         frame = frame_of(state, [self._mirror.orders] * state.size)
-        self.show(frame._replace(places=hexadecimal(places), commands=hexadecimal(commands), segments=segments))
+        self.show(frame._replace(places=hex_digits(places), commands=hex_digits(commands), segments=segments))
 
     def captured(self, evader: int) -> None:
         """Tell the node that an evader has been captured.

@@ -32,7 +32,7 @@ from desim.kernel.core.records import Record
 from desim.kernel.state.inbox import Message
 from desim.kernel.transport.frames import Acknowledgement, CodedPiece, Segment, Skip, TransportFrame
 from desim.kernel.transport.layer import PORT as FRAMES
-from desim.live.layouts import MAX_COUNT, Layout, Span, WireError
+from desim.live.layouts import MAX_COUNT, Layout, NumberRange, WireError
 from desim.live.own_bodies import OwnBodies
 from desim.pursuit.team.announcements import (
     Assignment,
@@ -138,7 +138,7 @@ class Wire:
         if nodes > MAX_NODES:
             raise WireError(f"at most {MAX_NODES} nodes can run live (got {nodes})")
         self._nodes, self._own = nodes, bodies
-        limits: dict[str, tuple[Span, ...]] = {
+        limits: dict[str, tuple[NumberRange, ...]] = {
             **{"active": ((0, evaders),), "winners": ((-1, nodes - 1),)},
             **{"hop": ((0, MAX_COUNT),), "hops": ((1, MAX_COUNT),)},
             **dict.fromkeys(("absent", "accused", "chasers"), ((0, nodes - 1),)),
