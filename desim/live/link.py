@@ -6,7 +6,7 @@ and delivers at the time stamp of the transmission plus the latency. The clocks 
 the time that a datagram takes is absorbed in the latency, unless the latency is shorter.
 """
 
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
@@ -21,6 +21,8 @@ from desim.live.layouts import WireError
 from desim.live.wire import Parcel, Wire
 
 _new = tuple.__new__  # creates a named tuple in a third of the time
+MAX_KEPT = 100_000
+"""Number of datagrams about which a node remembers what it may have to report."""
 REMEMBERED = 4096
 """Number of datagrams of a sender whose numbers a node remembers, to recognise a replay."""
 MAX_AHEAD = 5_000_000_000
@@ -80,10 +82,10 @@ class SocketLinkLayer(LinkLayer):
         draws: whether losses and latencies are drawn; if not, the links are real.
 
     Attributes:
-        departures: what has been sent since they were last taken.
+        departures: what has been sent since they were last taken, at most the last `MAX_KEPT`.
         outcomes: what has become of what has arrived, likewise.
         drops: the numbers of dropped datagrams.
-        errors: by how much each delivery was later than its time, ns.
+        errors: by how much each delivery was later than its time, ns, of the last `MAX_KEPT`.
         trusts_stamps: whether the stamps of records, which are by the clocks of their sources, show the true time.
     """
 
@@ -106,9 +108,9 @@ class SocketLinkLayer(LinkLayer):
         self._log.loss_watchers = [self._note_loss]
         state.records.expect_any_order()  # between two sockets, one datagram may overtake another
         self._seen: defaultdict[int, dict[int, None]] = defaultdict(dict)
-        self.departures: list[SentDatagram] = []
-        self.outcomes: list[DatagramFate] = []
-        self.errors: list[int] = []
+        self.departures: deque[SentDatagram] = deque(maxlen=MAX_KEPT)
+        self.outcomes: deque[DatagramFate] = deque(maxlen=MAX_KEPT)
+        self.errors: deque[int] = deque(maxlen=MAX_KEPT)
         self.drops = Drops()
         self.trusts_stamps = True
 

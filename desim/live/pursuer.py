@@ -57,12 +57,10 @@ class _Pursuer:
         try:
             await asyncio.get_running_loop().create_connection(lambda: lines, *start.referee)
         except OSError as error:
-            why = os.strerror(error.errno) if error.errno else error
-            # The processes of this machine need not tell that their run has been interrupted.
-            is_invited = bool(start.scenario)
-            return (
-                self._fail(f"no referee at {start.referee[0]}, port {start.referee[1]}: {why}") if is_invited else ALONE
-            )
+            if start.scenario:  # a process of another host; for one of this machine, the run has been interrupted
+                why = os.strerror(error.errno) if error.errno else error
+                self._tell(f"no referee at {start.referee[0]}, port {start.referee[1]}: {why}")
+            return ALONE
         with within_namespace(start.namespace):
             bound = udp_socket((start.host, 0))
         lines.tell("hello", start.pursuer, start.token, start.scenario, self._node.bind(bound))
@@ -76,13 +74,13 @@ class _Pursuer:
                     self._begin = begin
                     return await self._run(heard)
                 case "refused", why:
-                    return self._fail(why)
+                    self._tell(why)
+                    return ALONE
                 case _:
                     return LOST_REFEREE
 
-    def _fail(self, why: str) -> int:
-        print(f"pursuer {self._start.pursuer}: {why}", file=sys.stderr)
-        return ALONE
+    def _tell(self, text: str) -> None:
+        print(f"pursuer {self._start.pursuer}: {text}", file=sys.stderr)
 
     async def _measured_offset(self, heard: "asyncio.Queue[Any]") -> int:
         """Return by how much the clock of the referee is ahead, ns: that of the fastest of several exchanges."""
@@ -137,7 +135,7 @@ class _Pursuer:
             silent = asyncio.get_running_loop().time() - self._heard
             if silent > SILENCE and not self._is_told:
                 self._is_told = True
-                self._fail(f"no frame of the referee for {silent:.1f} s")
+                self._tell(f"no frame of the referee for {silent:.1f} s")
             if silent > GIVE_UP:
                 os._exit(LOST_REFEREE)
 
@@ -150,7 +148,7 @@ class _Pursuer:
         """Send what has happened since the last report."""
         link, trace = self._node.link, self._node.trace
         sent = [(*rest, datagram.hex()) for *rest, datagram in link.departures]
-        self._lines.tell("report", sent, link.outcomes, list(map(line_of, trace.events)))
+        self._lines.tell("report", sent, list(link.outcomes), list(map(line_of, trace.events)))
         for taken in (link.departures, link.outcomes, trace.events):
             taken.clear()
 
@@ -160,7 +158,7 @@ class _Pursuer:
         self._report()
         counts, lateness = node.transport_counts(), [] if node.clock is None else node.clock.lateness
         numbers = None if counts is None else list(counts)
-        lines.tell("done", numbers, list(node.link.drops), lateness, node.link.errors, cpu)
+        lines.tell("done", numbers, list(node.link.drops), lateness, list(node.link.errors), cpu)
         lines.close()
         await asyncio.wait({lines.ended}, timeout=LEAVING)
 
