@@ -10,8 +10,8 @@ packages that are unpacked, not installed; no root needed), Mesa, GrADyS-SIM and
 number of deliveries; mango runs a tenth of the turns only. `--runs` is the number of laps. Every way runs once in each
 lap; a way that takes more than 5 s in the first lap is left out of the others. A rate is the number of deliveries per
 second of CPU time, the median over the laps. Then the costs of large teams, losses on arrival, whole runs, recording,
-start-up and replays are measured, in time, memory and size. Some costs have an upper limit; the table marks a cost
-above its limit.
+start-up, replays and live runs are measured, in time, memory and size. Some costs have an upper limit; the table marks
+a cost above its limit.
 """
 
 from collections.abc import Mapping, Sequence
