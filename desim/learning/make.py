@@ -9,8 +9,6 @@ from desim.scenario.scenario import Scenario
 from desim.scenario.toml import load
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from desim.learning.environments import AECPursuit, ParallelPursuit
     from desim.learning.rewards import Reward
 
@@ -18,7 +16,7 @@ if TYPE_CHECKING:
 @naming_extras()
 @naming_arguments
 def env(
-    scenario: "Scenario | str | Path | None" = None,
+    scenario: "Scenario | str | PathLike[str] | None" = None,
     seed: int | None = None,
     *,
     reward: "Literal['wonderful_life', 'team'] | Reward" = "wonderful_life",
@@ -73,7 +71,7 @@ def env(
 @naming_extras()
 @naming_arguments
 def parallel_env(
-    scenario: "Scenario | str | Path | None" = None,
+    scenario: "Scenario | str | PathLike[str] | None" = None,
     seed: int | None = None,
     *,
     reward: "Literal['wonderful_life', 'team'] | Reward" = "wonderful_life",

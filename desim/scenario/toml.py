@@ -30,7 +30,7 @@ PATH = Argument("the path of a scenario file", (str, PathLike), MappingProxyType
 
 
 @naming_arguments
-def load(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Scenario:
+def load(file: str | PathLike[str], overrides: Sequence[str] = (), *, allow_import: bool = False) -> Scenario:
     """Return the scenario in a TOML file.
 
     Use it for a scenario file, optionally with a few keys changed. To build a scenario in Python, use `Scenario(...)`.
@@ -62,7 +62,7 @@ def load(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool 
     return validate(source)
 
 
-def read_source(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Source:
+def read_source(file: str | PathLike[str], overrides: Sequence[str] = (), *, allow_import: bool = False) -> Source:
     """Return the source of a TOML file before validation, merged with its bases and overrides; see `load`.
 
     A base is another scenario file, which the key `base` names.
@@ -252,7 +252,7 @@ def _read_text(file: Path) -> str:
         raise ScenarioError(f"{file}:{line}: not TOML: not UTF-8 text ({error.reason})") from error
 
 
-def _syntax_error(file: str | Path, message: str, text: str) -> str:
+def _syntax_error(file: str | PathLike[str], message: str, text: str) -> str:
     """Return the error message for a text that is not TOML, with file and line, given the message of `tomllib`."""
     match = re.search(r" \(at (?:line (\d+), column (\d+)|end of document)\)$", message)
     last = text.rstrip().count("\n") + 1

@@ -22,7 +22,7 @@ PATH = Argument("the path of a folder with results", (str, PathLike), MappingPro
 
 
 @naming_arguments
-def open(path: str | Path, *, allow_import: bool = False) -> Result | SweepResult:  # noqa: A001 - as `desim.open`
+def open(path: str | PathLike[str], *, allow_import: bool = False) -> Result | SweepResult:  # noqa: A001 - as `desim.open`
     """Read the run or the sweep in a folder; the scenario file is not needed.
 
     Use it in a notebook for results that the command line made: `desim.open("out/relay").plot()`.
@@ -58,8 +58,8 @@ def _of_scenario(path: Path) -> str:
 
 @naming_arguments
 def compare(
-    first: SweepResult | str | Path,
-    second: SweepResult | str | Path,
+    first: SweepResult | str | PathLike[str],
+    second: SweepResult | str | PathLike[str],
     metrics: Sequence[str] = SHOWN,
 ) -> Comparison:
     """Compare two sweeps: the second minus the first, for each configuration that both have.
@@ -91,7 +91,7 @@ def compare(
     return Comparison.of(sweeps[0], sweeps[1], metrics, (names[0], names[1]), changes)
 
 
-def _sweep_of(value: SweepResult | str | Path) -> SweepResult:
+def _sweep_of(value: SweepResult | str | PathLike[str]) -> SweepResult:
     """Return a sweep, read from its folder if a path is given.
 
     Raises:

@@ -113,7 +113,7 @@ def _reason(error: ValidationError, exporter: Any) -> str:
 
 
 @naming_arguments
-def export(result: Result | StreamedResult, file: str | Path, exporter: Any = None) -> int | None:
+def export(result: Result | StreamedResult, file: str | PathLike[str], exporter: Any = None) -> int | None:
     """Write a run to a file, and return the number of its rows, packets, messages or other items.
 
     Use it to read a run in another program; `desim.open` reads a run that desim has written to a folder. The file is

@@ -77,8 +77,9 @@ def spacetime(
     figure = None if ax is None else figure_of(ax, size=size)
     width, height = size_of(size or "17cm") if ax is None else (ax.get_window_extent().width / ax.figure.dpi, None)
     begin, end = (None if time is None else real(time, name) for time, name in ((begin, "begin"), (end, "end")))
-    if pursuers is not None and (isinstance(pursuers, str) or not isinstance(pursuers, Iterable)):
-        raise ValueError(f"pursuers should be a list of their numbers (got {pursuers!r})")
+    numbers: Any = pursuers
+    if numbers is not None and (isinstance(numbers, str) or not isinstance(numbers, Iterable)):
+        raise ValueError(f"pursuers should be a list of their numbers (got {numbers!r})")
     shown = _busiest(result) if pursuers is None else [whole(pursuer, "a pursuer") for pursuer in pursuers]
     _check(result, shown, begin, end)
     window, shown_messages = _window(result, shown, begin, end, round(MAX_DENSITY * width * 2.54))
