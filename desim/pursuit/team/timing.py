@@ -90,9 +90,9 @@ class Timing:
         Raises:
             StandstillError: if it goes on without end at one instant.
         """
-        now = self._env.now
-        if now != self._resumed:
-            self._resumed, self._resumptions = now, 0
+        if (now := self._env.now) != self._resumed:
+            self._resumed, self._resumptions = now, 1
+            return
         self._resumptions += 1
         if self._resumptions > MAX_AT_ONE_INSTANT:
             raise self._standstill(
