@@ -67,14 +67,14 @@ class TeamProcesses:
     def begin(self) -> None:
         """Start all processes."""
         env, announce, protocol = self._env, self._scenario.announce, self._scenario.protocol
-        has_heartbeats = self._scenario.announces and announce.has_heartbeats
+        announces = self._scenario.announces
         for pursuer, agent in self._agents.items():
-            if self._scenario.announces and announce.start == "announced":
+            if announces and announce.start == "announced":
                 # In the relay phase: without latency it arrives, over all hops, before the first decision.
                 agent.after(self._start_delay(agent), agent.broadcast, Phase.RELAY)
             relay = RestartableProcess(env, agent, announce.dissemination, Phase.RELAY)
             self.processes[pursuer] = relay, RestartableProcess(env, agent, protocol, Phase.DECISION)
-            if has_heartbeats:
+            if announces and announce.has_heartbeats:
                 env.process(repeat(agent, agent.broadcast, announce.heartbeat, "heartbeat", announce.jitter))
             if self._sensor is not None:
                 view, period = self._sensor.views[pursuer], self._sensor.sensing.period
