@@ -96,7 +96,7 @@ def _draw(
         axes.errorbar(x, y, error, color=colour, marker=mark, ms=3, lw=1.0, elinewidth=0.6, label=motion)
 
 
-@study("bodies", __doc__, seconds=10, runs=40)
+@study("bodies", __doc__, seconds=3.5, runs=40)
 def main(options: Options) -> None:
     """Run the pursuits and show the results."""
     cells = measure(options)

@@ -95,7 +95,7 @@ def picture(curves: "dict[str, NDArray[np.float64]]", seed: int) -> "Figure":
     return figure
 
 
-@study("boids", __doc__, seconds=1, runs=20)
+@study("boids", __doc__, seconds=0.6, runs=20)
 def main(options: Options) -> None:
     """Fly, average and draw."""
     seeds = seeds_from(options.seed, options.runs)

@@ -74,7 +74,7 @@ def picture(cells: Sequence[Cell]) -> "Figure":
     return figure
 
 
-@study("coherence", __doc__, seconds=20, runs=20)
+@study("coherence", __doc__, seconds=2, runs=20)
 def main(options: Options) -> None:
     """Run the pursuits and show the results."""
     cells = measure(options)

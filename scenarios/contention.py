@@ -153,7 +153,7 @@ def draw_ages(axes: "Axes", ages: Sequence[Age], size: int) -> None:
     axes.minorticks_off()
 
 
-@study("contention", __doc__, seconds=22, runs=20)
+@study("contention", __doc__, seconds=7, runs=20)
 def main(options: Options) -> None:
     """Run the pursuits and show the results."""
     pursuits, ages, lora = measure(options), measure_ages(options), measure_lora(options)

@@ -119,7 +119,7 @@ def draw_heat_map(axes: "Axes", cells: Sequence[Cell]) -> None:
     scale.minorticks_off()
 
 
-@study("delay", __doc__, seconds=13, runs=10)
+@study("delay", __doc__, seconds=4, runs=10)
 def main(options: Options) -> None:
     """Measure the law and the pursuits, and compare them."""
     points = measure_law(options)

@@ -205,7 +205,7 @@ def draw_sight(shares: "Axes", times: "Axes", sight: Sequence[Sighted]) -> None:
         show_default=True,
         help="One-way latency, s.",
     ),
-    seconds=24,
+    seconds=11,
 )
 def main(options: Options) -> None:
     """Measure, compare and show."""

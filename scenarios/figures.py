@@ -241,7 +241,7 @@ def table(runs_of: dict[tuple[int, str], list[RunMetrics]]) -> str:
     return aligned(rows)
 
 
-@study("figures", __doc__, seconds=8, runs=1)
+@study("figures", __doc__, seconds=6, runs=1)
 def main(options: Options) -> None:
     """Measure and draw."""
     scenarios = {(count, name): scenario for count in COUNTS for name, scenario in panels(count).items()}

@@ -55,7 +55,7 @@ def picture(means: dict[float, "NDArray[np.float64]"]) -> "Figure":
     return figure
 
 
-@study("first_picture", __doc__, seconds=0.5, runs=100)
+@study("first_picture", __doc__, seconds=0.25, runs=100)
 def main(options: Options) -> None:
     """Run, average and draw."""
     scenarios = [load(FILE, [f"network.latency.value={latency}"]) for latency in LATENCIES]

@@ -123,6 +123,8 @@ def _with_delays(options: Options) -> None:
     __doc__,
     30,
     Option(["--delays"], is_flag=True, help="Compare training with and without delay instead."),
+    seconds=0.4,
+    once=30,
 )
 def main(options: Options) -> None:
     """Train, compare and draw."""

@@ -18,6 +18,8 @@ from scenarios.studies.study import Options, study
     Option(
         ["--steps"], type=IntRange(min=1), default=250_000, show_default=True, help="Steps of pursuers in training."
     ),
+    seconds=0.4,
+    once=180,
 )
 def main(options: Options) -> None:
     """Train and compare."""

@@ -148,7 +148,7 @@ def _draw(axes: "Axes", lines: Mapping[str, Sequence[Cell]], measure: str) -> No
         axes.errorbar(x, y, error, color=colour, marker="o", ms=3, lw=1.0, elinewidth=0.6, label=defence)
 
 
-@study("liars", __doc__, seconds=15, runs=40)
+@study("liars", __doc__, seconds=7.5, runs=40)
 def main(options: Options) -> None:
     """Run the pursuits and show the results."""
     cells = measure(options)

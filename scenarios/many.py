@@ -187,7 +187,7 @@ def draw_pursuits(axes: "Axes", moved: Sequence[PursuitSummary]) -> None:
     )
 
 
-@study("many", __doc__, seconds=15, runs=40)
+@study("many", __doc__, seconds=5, runs=40)
 def main(options: Options) -> None:
     """Measure the static games and the pursuits, and show them."""
     games, moved = run_static_games(options), run_pursuits(options)

@@ -116,7 +116,7 @@ def draw_games(axes: "Axes", static: Sequence[Games]) -> None:
         counts.legend(fontsize=7, loc="upper right")
 
 
-@study("range", __doc__, seconds=28, runs=10)
+@study("range", __doc__, seconds=9, runs=10)
 def main(options: Options) -> None:
     """Run the pursuits, enumerate the games, and show the results."""
     pursuits = measure(options)

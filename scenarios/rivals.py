@@ -110,7 +110,7 @@ def draw(axes: "Axes", world: str, names: Sequence[str], cells: Sequence[Cell]) 
     axes.spines[:].set_visible(False)
 
 
-@study("rivals", __doc__, seconds=90, runs=10)
+@study("rivals", __doc__, seconds=45, runs=10)
 def main(options: Options) -> None:
     """Measure, compare and show."""
     cells = measure(options)

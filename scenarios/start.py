@@ -79,7 +79,7 @@ def worth_table(worth: Sequence[Worth], runs: int) -> str:
     60,
     Option(["--law"], is_flag=True, help="Measure the scaling law instead."),
     Option(["--worth"], is_flag=True, help="Measure what a message is worth instead."),
-    seconds=8,
+    seconds=1.7,
 )
 def main(options: Options) -> None:
     """Measure the costs, and who causes them; or the law; or the worth of messages."""

@@ -123,7 +123,7 @@ def draw(axes: "Axes", swept: str, lines: Mapping[str, Sequence[Estimate]]) -> N
     axes.set_xticks(range(len(values)), [f"{value:g}" for value in values])
 
 
-@study("transport", __doc__, seconds=22, runs=8)
+@study("transport", __doc__, seconds=6, runs=8)
 def main(options: Options) -> None:
     """Run the pursuits and show the results."""
     cells = measure(options)

@@ -98,7 +98,7 @@ def picture(cells: list[Cell]) -> "Figure":
     return figure
 
 
-@study("two_clocks", __doc__, seconds=3, runs=40)
+@study("two_clocks", __doc__, seconds=1.3, runs=40)
 def main(options: Options) -> None:
     """Measure, compare and show."""
     cells = measure(options)

@@ -110,7 +110,7 @@ def picture(costs: Sequence[Cost]) -> "Figure":
     return figure
 
 
-@study("walls", __doc__, seconds=90, runs=10)
+@study("walls", __doc__, seconds=2, runs=10)
 def main(options: Options) -> None:
     """Run the pursuits among walls, and show the results."""
     costs = measure(options)

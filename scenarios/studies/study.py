@@ -83,22 +83,23 @@ class Options:
                 click.echo(f"wrote {path}", err=True)
 
 
-def expected_time(seconds: float, runs: int, jobs: int) -> str:
+def expected_time(seconds: float, runs: int, jobs: int, once: float = 0.0) -> str:
     """Return how long a study takes, as text.
 
     Args:
         seconds: CPU time of one run of each cell, s, as measured.
         runs: number of runs per cell.
         jobs: number of worker processes; 0 = one per core.
+        once: CPU time of what does not depend on the number of runs, such as a training, s.
     """
     workers = jobs or os.cpu_count() or 1
-    minutes = seconds * runs / 60.0
+    minutes = (seconds * runs + once) / 60.0
     cores = "1 idle core" if workers == 1 else f"{workers} idle cores"
     return f"takes about {minutes:.2g} min of CPU time, {minutes / workers:.2g} min on {cores}"
 
 
 def study(
-    name: str, doc: str | None, runs: int, *options: click.Option, seconds: float | None = None
+    name: str, doc: str | None, runs: int, *options: click.Option, seconds: float | None = None, once: float = 0.0
 ) -> Callable[[Callable[[Options], None]], click.Command]:
     """Return a decorator that turns a function of `Options` into the command of a study.
 
@@ -109,6 +110,7 @@ def study(
         options: options that only this study has; see `Options.own`.
         seconds: CPU time of one run of each cell, s, from which the expected time follows that is printed first;
             None: nothing is printed.
+        once: CPU time of what does not depend on the number of runs, s.
     """
 
     def command(run: Callable[[Options], None]) -> click.Command:
@@ -128,7 +130,7 @@ def study(
         @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
         def main(runs: int, jobs: int, seed: int, out: Path, as_json: bool, **choices: Any) -> None:
             if seconds is not None:
-                click.echo(f"{name} {expected_time(seconds, runs, jobs)}", err=True)
+                click.echo(f"{name} {expected_time(seconds, runs, jobs, once)}", err=True)
             run(Options(name, runs, jobs, seed, out, as_json, choices))
 
         main.params.extend(options)

@@ -50,7 +50,7 @@ from scenarios.studies import (
     start_runs,
     transport_runs,
 )
-from scenarios.studies.study import Options
+from scenarios.studies.study import SCENARIOS, Options, expected_time
 from tests.command import strict_json
 from tests.scenarios.patching import patch_study
 from tests.summaries import changed
@@ -76,6 +76,16 @@ STUDIES = (
     two_clocks,
     walls,
 )
+
+
+def test_each_study_tells_first_how_long_it_takes():
+    """From the time of one run of each cell, and of what is done once."""
+    assert expected_time(2.0, 30, 2, once=60.0) == "takes about 2 min of CPU time, 1 min on 2 idle cores"
+    assert expected_time(6.0, 10, 1) == "takes about 1 min of CPU time, 1 min on 1 idle core"
+    texts = [file.read_text(encoding="utf-8") for file in SCENARIOS.glob("*.py")]
+    studies = [text.partition("@study(")[2].partition("def main")[0] for text in texts if "@study(" in text]
+    assert len(studies) > 15
+    assert all("seconds=" in options for options in studies)
 
 
 @pytest.mark.parametrize("module", STUDIES, ids=lambda module: module.__name__)
