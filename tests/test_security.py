@@ -380,7 +380,6 @@ ALLOWED = {
     "desim/testing/__init__.py": {"import_module"},  # of its own modules
     "desim/testing/judging.py": {"cloudpickle.loads"},  # what it has just pickled
     "desim/view/pages/replay_columns.py": {"np.frombuffer"},  # numbers alone
-    "desim/live/frames.py": {"np.frombuffer"},  # numbers alone
     "desim/study/workers/serialization.py": {"pickle.loads", "marshal"},  # what the driver sent to its workers
     "desim/study/comparing/suite.py": {"load"},  # of a scenario file
     "desim/study/workers/batch_system.py": {"pickle.loads"},  # what its own jobs returned

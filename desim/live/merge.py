@@ -146,7 +146,7 @@ def _counts(end: int, events: list[Event], sizes: list[int]) -> MessageCounts:
     lost = Counter(event.cause for event in events if isinstance(event, Lost))
     in_flight = sum(arrival > end for arrival in arrivals)
     fates = len(arrivals), len(arrivals) - in_flight - lost.total(), lost.total(), in_flight
-    return MessageCounts(end, *fates, dict(sorted(lost.items())), len(sizes), sum(sizes), 0.0)
+    return MessageCounts(end, *fates, dict(sorted(lost.items())), len(sizes), portable_sum(sizes), 0.0)
 
 
 def _sum(end: int, transports: list[TransportCounts]) -> list[TransportCounts]:

@@ -5,6 +5,7 @@ from functools import partial
 
 import desim
 from desim import Result, Scenario, run
+from desim.kernel.core.portable_math import portable_sum
 from desim.learning.environments import AECPursuit, ParallelPursuit
 from desim.learning.episode import rule_of
 from desim.learning.playing import play
@@ -67,12 +68,12 @@ def decisions(result: Result) -> int:
 
 def _in_runs(scenarios: Sequence[Scenario], seed: int) -> int:
     """Run scenarios; return the number of decisions."""
-    return sum(decisions(run(scenario, seed)) for scenario in scenarios)
+    return portable_sum(decisions(run(scenario, seed)) for scenario in scenarios)
 
 
 def _in_environments(envs: Sequence[AECPursuit], seed: int) -> int:
     """Let the rules of scenarios play in their environments; return the number of decisions."""
-    return sum(decisions(play(env, rule_of(env.scenario), seed)) for env in envs)
+    return portable_sum(decisions(play(env, rule_of(env.scenario), seed)) for env in envs)
 
 
 def _learner(env: AECPursuit, seed: int) -> int:

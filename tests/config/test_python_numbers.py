@@ -50,8 +50,10 @@ ALONE_WRONG = {
         "bias",
         "chaser",
         "dimensions",
+        "duplicate",
         "duty_cycle",
         "frequencies",
+        "frequency",
         "gateways",
         "line",
         "noise",
@@ -62,7 +64,7 @@ ALONE_WRONG = {
         "weights",
     )
 }
-"""Fields that are right together with others only, so that only refusals are compared."""
+"""Fields that are right with others only, or take none of these values, so that only refusals are compared."""
 
 
 def forms_of(value: Any) -> list[Any]:

@@ -508,7 +508,7 @@ def test_a_kind_that_one_value_has_names_it_and_a_key_can_be_renamed():
         both.differences("active_time", "protocol=sap")
     with pytest.raises(ValueError, match="a reference should be a mapping"):
         both.plot(against=["protocol=sap"])
-    with pytest.raises(ValueError, match="a size should be a width"):
+    with pytest.raises(ValueError, match="size should be a width"):
         both.plot(size=(8.5, 6.0))
     with pytest.raises(TypeError, match="unexpected keyword argument 'label'"):
         both.plot(label={"sap": "SAP"})

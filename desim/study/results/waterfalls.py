@@ -13,6 +13,7 @@ from desim.analysis.drawing.plots import (
 )
 from desim.analysis.statistics import Estimate
 from desim.config.trust import escaped
+from desim.kernel.core.portable_math import portable_sum
 from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT, Cost, CostByMetric
 from desim.study.results.figure_labels import literal
 
@@ -38,7 +39,7 @@ def waterfall(
             draw_waterfall(ax, cost)
             ax.set_ylabel(literal(f"{cost.label} ({cost.unit})" if cost.unit else cost.label))
         return figure
-    usual = sum(max(4.4, BAR * _bars(cost)) for cost in explanation.costs.values())
+    usual = portable_sum(max(4.4, BAR * _bars(cost)) for cost in explanation.costs.values())
     width, height = (usual, None) if size is None else size_of(size)
     with styled(figsize=(width, height or 4.0), font=9.0 if width >= NARROW else 8.0, style=style) as figure:
         for axes, cost in zip(

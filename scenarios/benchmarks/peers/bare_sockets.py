@@ -9,6 +9,7 @@ import os
 import socket
 import time
 from collections.abc import Callable
+from math import fsum
 from typing import NamedTuple
 
 HOST = "127.0.0.1"
@@ -57,7 +58,7 @@ def bare_sockets(traffic: Traffic) -> float:
     spent = asyncio.run(_referee(traffic, [here for here, _ in ends], begin))
     for _ in range(traffic.pursuers):
         os.wait()
-    return spent + sum(map(float, os.read(times[0], LARGEST).split()))
+    return spent + fsum(map(float, os.read(times[0], LARGEST).split()))
 
 
 class _Sink(asyncio.Protocol):
