@@ -99,7 +99,7 @@ class Lobby:
         if local:
             await nursery.start(self._scenario, local, self._ended)
         await self._until(lambda: len(self._joined) == len(starts), HOSTS if self._distant else JOINING)
-        addresses = [self._joined[pursuer].address for pursuer in range(len(starts))]
+        addresses = [self._joined[pursuer].addresses for pursuer in range(len(starts))]
         for pursuer, joined in self._joined.items():
             joined.lines.tell("start", addresses, pursuer not in self._distant)
         await self._until(lambda: len(self._ready) == len(starts), JOINING)
@@ -164,7 +164,7 @@ class Lobby:
     def _admit(self, lines: Lines, word: str, *values: Any) -> None:
         """Let a process join the run, or refuse it."""
         match word, *values:
-            case "hello", int(pursuer), str(token), scenario, address:
+            case "hello", int(pursuer), str(token), scenario, [here, mailbox]:
                 why = self._refusal(pursuer, token, scenario)
             case _:
                 why = "it does not speak as a pursuer does"
@@ -172,7 +172,7 @@ class Lobby:
             lines.tell("refused", why)
             lines.close()
             return
-        self._joined[pursuer] = _Pursuer(lines, address)
+        self._joined[pursuer] = _Pursuer(lines, [here, mailbox])
         lines.hear, lines.lost = partial(self._take, pursuer), partial(self._leave, pursuer)
         self._changed.set()
 
@@ -221,7 +221,7 @@ class _Pursuer:
     """A pursuer that has joined."""
 
     lines: Lines
-    address: list[Any]
+    addresses: list[Any]
     is_done: bool = False
     """Whether it has reported its last, or was lost."""
     loss: asyncio.Task[None] | None = None

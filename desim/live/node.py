@@ -15,6 +15,7 @@ import socket
 from collections.abc import AsyncIterator, Callable, Iterable, Sequence
 from contextlib import ExitStack, asynccontextmanager
 from functools import partial
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ from desim.kernel.state.network_state import NetworkState
 from desim.live.frames import Mirror, WorldFrame, frame_of, hex_digits, segment_list
 from desim.live.link import SocketLinkLayer
 from desim.live.refusals import check_live
-from desim.live.sockets import Datagrams, checked_address, resolved, udp_socket
+from desim.live.sockets import TIMESTAMP, Datagrams, Mailbox, checked_address, resolved, udp_socket
 from desim.live.start import Address
 from desim.live.wall_clock import Lateness, WallClock
 from desim.live.wire import Wire, is_record
@@ -109,7 +110,10 @@ class Node:
         self._unread: list[tuple[bytes, int | None, int | None]] = []
         """Datagrams with their senders, and when they arrived, ns; None: before the start."""
         self._datagrams: Datagrams | None = None
+        self._mailbox: Mailbox | None = None
         self._peers: list[Address] = []
+        self._mailboxes: list[Address] = []
+        """Where each pursuer takes records."""
         self._number_of: dict[Address, int] = {}
         self._wire = Wire.of(scenario)
         self._agent = self._make_agent(draws=draws)
@@ -189,8 +193,24 @@ class Node:
         self._datagrams = Datagrams(bound, self.arrived)
         return self._datagrams.address
 
-    def connect(self, peers: Sequence[Address]) -> None:
+    def bind_mailbox(self, bound: socket.socket) -> Address | None:
+        """Take records at another socket, which wakes no process; return its address.
+
+        Return None, and close the socket, if a record may have to wake a process, or the system does not tell when a
+        datagram arrived.
+        """
+        if TIMESTAMP is None or not self.link.delivery.is_certain:
+            bound.close()
+            return None
+        self._mailbox = Mailbox(bound)
+        return self._mailbox.address
+
+    def connect(self, peers: Sequence[Address], mailboxes: Sequence[Address | None] = ()) -> None:
         """Name the addresses of all pursuers, in order.
+
+        Args:
+            peers: the addresses of their sockets.
+            mailboxes: where they take records; None, or nothing: at the same sockets.
 
         Raises:
             ValueError: if they are no pairs of a host and a port, or there are more or fewer of them than pursuers.
@@ -201,6 +221,7 @@ class Node:
             raise ValueError(f"peers should be the addresses of {self._state.size} pursuers (got {len(peers)})")
         self._peers = [peer if number == self.pursuer else resolved(peer) for number, peer in enumerate(addresses)]
         self._number_of = {peer: number for number, peer in enumerate(self._peers)}
+        self._mailboxes = [box or peer for box, peer in zip_longest(mailboxes, self._peers)]
 
     async def run(self, now: Callable[[], int] | None = None) -> None:
         """Run the protocol until `stop` is called, or the horizon is reached.
@@ -218,8 +239,9 @@ class Node:
             self._read()
         finally:
             self.stop()
-            if self._datagrams is not None:
-                self._datagrams.close()
+            for bound in (self._datagrams, self._mailbox):
+                if bound is not None:
+                    bound.close()
 
     def stop(self, at: int | None = None) -> None:
         """End the run of this node.
@@ -242,7 +264,8 @@ class Node:
     def _post(self, datagram: bytes, nodes: Iterable[int]) -> None:
         """Send a datagram to some nodes, as far as their addresses are known."""
         if self._datagrams is not None and self._peers:
-            self._datagrams.send(datagram, [self._peers[node] for node in nodes])
+            addresses = self._mailboxes if is_record(datagram) else self._peers
+            self._datagrams.send(datagram, [addresses[node] for node in nodes])
 
     def arrived(self, datagram: bytes, address: Address) -> None:
         """Take a datagram from the socket.
@@ -262,6 +285,10 @@ class Node:
         unread, self._unread = self._unread, []
         for datagram, sender, when in unread:
             self.link.receive(datagram, sender, max(self.clock.now(), 0) if when is None else when)
+        if self._mailbox is not None:
+            now, begin = self.clock.now(), self._env.now
+            for datagram, address, age in self._mailbox.read():
+                self.link.receive(datagram, self._number_of.get(address), max(now - age, begin))
 
     # What the robot tells, and what it is told.
 

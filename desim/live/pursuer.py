@@ -62,13 +62,16 @@ class _Pursuer:
                 self._tell(f"no referee at {start.referee[0]}, port {start.referee[1]}: {why}")
             return ALONE
         with within_namespace(start.namespace):
-            bound = udp_socket((start.host, 0))
-        lines.tell("hello", start.pursuer, start.token, start.scenario, self._node.bind(bound))
+            here, mailbox = (udp_socket((start.host, 0)) for _ in range(2))
+        addresses = self._node.bind(here), self._node.bind_mailbox(mailbox)
+        lines.tell("hello", start.pursuer, start.token, start.scenario, addresses)
         while True:
             match await heard.get():
                 case "start", addresses, shares_clock:
                     self._offset = 0 if shares_clock else await self._measured_offset(heard)
-                    self._node.connect([(host, port) for host, port in addresses])  # before others may send
+                    peers, mailboxes = zip(*addresses, strict=True)
+                    # Before others may send.
+                    self._node.connect([*map(tuple, peers)], [box and tuple(box) for box in mailboxes])
                     lines.tell("ready")
                 case "begin", begin:
                     self._begin = begin

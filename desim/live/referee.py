@@ -21,7 +21,7 @@ from desim.live.refusals import check_live
 from desim.live.result import REFEREE, Conduct, LiveResult
 from desim.live.wall_clock import WallClock
 from desim.live.wire import Wire
-from desim.pursuit.core.events import BrokeDown, Captured
+from desim.pursuit.core.events import BrokeDown, Captured, Ended
 from desim.pursuit.sensing.views import View
 from desim.scenario.scenario import Scenario
 from desim.simulation.run_end import RunEnd
@@ -92,9 +92,9 @@ class Referee:
                 lobby.tell_all("begin", begin)
                 self._clock = WallClock(self._env, self._end.over, lambda: monotonic_ns() - begin)
                 await self._clock.ended
-                result = await self._finish(self._clock)
+                missing = await self._last_reports()
                 self._conduct.cpu[REFEREE] = process_time() - spent
-                return result
+                return self._result(self._clock, missing)
             finally:
                 lobby.close()
 
@@ -173,15 +173,23 @@ class Referee:
         if self._clock is not None:
             self._clock.meet(act)
 
-    async def _finish(self, clock: WallClock) -> LiveResult:
-        """Tell that the run is over, wait for the reports of the pursuers, and merge all events."""
-        conduct, end = self._conduct, self._end.event
-        assert end is not None
+    async def _last_reports(self) -> list[int]:
+        """Tell that the run is over, and wait for the reports of the pursuers; return those that have not reported."""
         self._world.sample()
-        self._lobby.tell_all("over", end.t)
+        self._lobby.tell_all("over", self._ended.t)
         missing = await self._lobby.reports(LINGER)
         if self._lobby.errors:
             raise LiveError(self._lobby.errors[0])
+        return missing
+
+    @property
+    def _ended(self) -> Ended:
+        assert self._end.event is not None
+        return self._end.event
+
+    def _result(self, clock: WallClock, missing: list[int]) -> LiveResult:
+        """Merge all events."""
+        conduct = self._conduct
         conduct.notes += [f"pursuer {pursuer} has not reported within {LINGER:g} s of the end" for pursuer in missing]
         conduct.lateness = dict(sorted(conduct.lateness.items()))
         conduct.note(REFEREE, clock.lateness, [])
@@ -189,5 +197,5 @@ class Referee:
         if late.worst > STALL:
             conduct.notes.append(f"the referee stalled for {late.worst:.1f} s")
         trace = Trace()
-        trace.events = self._logs.merged([*self._trace, end], messages=self._scenario.record.messages is True)
+        trace.events = self._logs.merged([*self._trace, self._ended], messages=self._scenario.record.messages is True)
         return LiveResult(self._scenario, self._seed, trace, conduct)

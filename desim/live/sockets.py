@@ -1,18 +1,29 @@
-"""The UDP socket of a node."""
+"""The UDP sockets of a node."""
 
 import asyncio
 import socket
+import sys
+import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from ipaddress import ip_address
+from struct import Struct
 from typing import Any
 
+from desim.kernel.core.units import SECOND
 from desim.live.start import Address
 
 RECEIVE_BUFFER = 1 << 21
 """Bytes of the receive buffer of a socket, as far as the system allows it."""
 LARGEST = 1 << 16
 """Bytes of the largest datagram."""
+TIMESTAMP = 35 if sys.platform == "linux" else None
+"""The option of a socket whose datagrams the system stamps on arrival, `SO_TIMESTAMPNS`; None: there is none."""
+ANCILLARY = 64
+"""Bytes of a time stamp, with what the system needs beside it, at most."""
+MAX_TAKEN = 4096
+"""Number of datagrams that are read at a time at most, lest a flood of them stops everything else."""
+_TIMESPEC = Struct("@ll")
 
 
 def checked_address(value: Any) -> Address:
@@ -100,4 +111,40 @@ class Datagrams:
     def close(self) -> None:
         """Close the socket."""
         self._loop.remove_reader(self._socket)
+        self._socket.close()
+
+
+class Mailbox:
+    """The datagrams that arrive at a socket, and stay there until they are read.
+
+    No process wakes for them, which takes most of the time of a datagram. The system notes when each arrives.
+
+    Args:
+        bound: the socket.
+
+    Raises:
+        OSError: if the system has no time stamps.
+    """
+
+    def __init__(self, bound: socket.socket):
+        if TIMESTAMP is None:
+            raise OSError("this system stamps no datagrams")
+        bound.setsockopt(socket.SOL_SOCKET, TIMESTAMP, 1)
+        self._socket, self._looked = bound, time.monotonic_ns()
+        self.address: Address = bound.getsockname()[:2]
+
+    def read(self) -> list[tuple[bytes, Address, int]]:
+        """Return the datagrams since the last time, the addresses from which they came, and their ages, ns."""
+        now, day = time.monotonic_ns(), time.time_ns()
+        longest, self._looked = now - self._looked, now  # the clock of the day may have been set
+        taken: list[tuple[bytes, Address, int]] = []
+        with suppress(BlockingIOError):  # there are no more
+            while len(taken) < MAX_TAKEN:
+                datagram, [(_, _, stamp)], _, sender = self._socket.recvmsg(LARGEST, ANCILLARY)
+                whole, rest = _TIMESPEC.unpack(stamp)
+                taken.append((datagram, sender[:2], min(max(day - (whole * SECOND + rest), 0), longest)))
+        return taken
+
+    def close(self) -> None:
+        """Close the socket."""
         self._socket.close()

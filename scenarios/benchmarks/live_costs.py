@@ -145,6 +145,6 @@ def live(options: Options) -> list[Cost]:
             Cost(f"{protocol}: its datagrams and lines, without nodes", sockets * 1e6, "us"),
             Cost(f"{protocol}: live, all processes", total * 1e6, "us"),
             Cost(f"{protocol}: nodes / simulated", nodes / simulated, "", 2.0),
-            Cost(f"{protocol}: live / (2 simulated + sockets)", total / (2 * simulated + sockets), "", 1.0),
+            Cost(f"{protocol}: live / (simulated + sockets)", total / (simulated + sockets), "", 2.0),
         ]
     return costs

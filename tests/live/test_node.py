@@ -16,10 +16,10 @@ from desim.kernel.core.records import Record
 from desim.kernel.state.inbox import Message
 from desim.kernel.transport.frames import Segment
 from desim.kernel.transport.layer import PORT as FRAMES
-from desim.live import Node, NotLiveError
+from desim.live import Node, NotLiveError, sockets
 from desim.live.own_bodies import OwnBodies
 from desim.live.refusals import reasons
-from desim.live.sockets import udp_socket
+from desim.live.sockets import Mailbox, udp_socket
 from desim.live.wire import Wire
 from desim.pursuit.team.announcements import Assignment, Forwarded
 from protocols.dissemination import PORT as ANNOUNCEMENTS
@@ -225,6 +225,61 @@ def test_a_record_is_read_later_as_if_at_its_arrival_and_a_message_at_once():
         node.stop()
         await running
         assert node.link.drops.foreign == 1
+
+    asyncio.run(play())
+
+
+@pytest.mark.skipif(sockets.TIMESTAMP is None, reason="the system does not stamp datagrams")
+def test_a_mailbox_tells_how_long_ago_each_datagram_arrived(monkeypatch):
+    box, sender = Mailbox(udp_socket((LOCAL, 0))), udp_socket((LOCAL, 0))
+    begin = time.monotonic_ns()
+    for datagram in (b"first", b"second"):
+        sender.sendto(datagram, box.address)
+        time.sleep(0.02)
+    (first, whence, older), (second, _, newer) = box.read()
+    assert (first, second, whence) == (b"first", b"second", sender.getsockname())
+    assert 20_000_000 <= newer < older - 20_000_000 < time.monotonic_ns() - begin
+    assert box.read() == []
+    sender.sendto(b"third", box.address)
+    monkeypatch.setattr(sockets.time, "time_ns", lambda: 1 << 62)  # the clock of the day has been set
+    ((_, _, age),) = box.read()
+    assert age <= time.monotonic_ns() - begin
+    sender.close()
+    box.close()
+
+
+@pytest.mark.skipif(sockets.TIMESTAMP is None, reason="the system does not stamp datagrams")
+def test_records_that_may_have_to_wake_a_process_do_not_wait_in_a_mailbox():
+    fault = Partition(start=0.1, groups=[[0], [1, 2]])
+    experiment = scenario()
+    for faults in ((), (fault,)):
+        node = Node(experiment.model_copy(update={"fault": faults}), 1, 5)
+        address = node.bind_mailbox(bound := udp_socket((LOCAL, 0)))
+        assert (address is None) == (bound.fileno() == -1) == bool(faults)
+        bound.close()
+
+
+@pytest.mark.slow
+def test_records_in_a_mailbox_are_read_as_if_at_their_arrival():
+    async def play():
+        node, sender = node_with(loss=Bernoulli()), udp_socket((LOCAL, 0))
+        begin = time.monotonic_ns()
+        box = node.bind_mailbox(udp_socket((LOCAL, 0)))
+        node.connect([sender.getsockname(), (LOCAL, 2), (LOCAL, 3)], [None, box, None])
+        running = asyncio.create_task(node.run(lambda: time.monotonic_ns() - begin))
+        await asyncio.sleep(0)
+        sent = time.monotonic_ns() - begin
+        sender.sendto(announcement(1), box)
+        sender.sendto(announcement(1), box)
+        await asyncio.sleep(0.15)  # its heartbeats are each 0.1 s
+        node.stop()
+        await running
+        sender.close()
+        (outcome,), (late,) = node.link.outcomes, node.link.errors
+        assert outcome.arrival == 100_000_000  # at the time stamp plus the latency
+        assert late == 0
+        assert sent < 50_000_000
+        assert node.link.drops.replayed == 1
 
     asyncio.run(play())
 
