@@ -3,7 +3,7 @@
 Six pursuers look for an evader in four rooms (`scenarios/rooms.toml`). The walls block nothing, one of radio, sight and
 motion, or all of them. With walls for radio, pursuers hear each other within a room and through doors; with walls for
 sight, they see the evader so; with walls for motion, all players walk around walls. Each cost is the difference from
-walls that block nothing, with the same seeds.
+walls that block nothing, with the same seeds. All start at the same places, which are outside of the walls.
 """
 
 from collections.abc import Mapping, Sequence
@@ -52,7 +52,7 @@ class Cost:
 def rooms(protocol: str, blocks: Sequence[str]) -> Scenario:
     """Return the scenario of a protocol among walls that block some of radio, sight and motion."""
     base = load(SCENARIOS / "rooms.toml")
-    walls = [wall.model_copy(update={"blocks": tuple(blocks)}) for wall in base.wall] if blocks else []
+    walls = [wall.model_copy(update={"blocks": (*blocks, "start")}) for wall in base.wall]
     changes: dict[str, Any] = {"wall": walls, "protocol": {"kind": protocol}}
     return base.with_(changes)
 

@@ -371,7 +371,7 @@ def random_places(rng: np.random.Generator, box: tuple[float, float], count: int
     """
     places = rng.uniform(*box, size=(count, 2))
     for _ in range(MAX_DRAWS):
-        taken = ~space.are_free(complex_points(places))
+        taken = ~space.may_start(complex_points(places))
         if not taken.any():
             return places
         places[taken] = rng.uniform(*box, size=(np.count_nonzero(taken), 2))

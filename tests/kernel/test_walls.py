@@ -148,7 +148,7 @@ BAD = {
     "a sign": ({"svg": "M 0 0 L 1 %"}, "is neither a command nor a number"),
     "numbers first": ({"svg": "1 2 L 3 4"}, "should come before 1"),
     "a missing file": ({"file": "no.wkt"}, "no.wkt cannot be read"),
-    "an unknown name": ({"line": SQUARE, "blocks": ["sound"]}, "'radio', 'sight' or 'motion'"),
+    "an unknown name": ({"line": SQUARE, "blocks": ["sound"]}, "'motion' or 'start'"),
     "nothing": ({"line": SQUARE, "blocks": []}, "at least 1 item"),
     "a name twice": ({"line": SQUARE, "blocks": ["sight", "sight"]}, "each name once"),
     "a negative loss": ({"line": SQUARE, "loss": -1.0}, "loss: should be"),

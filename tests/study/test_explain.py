@@ -208,16 +208,17 @@ def whole():
 @pytest.mark.whole
 def test_costs_equal_those_of_single_runs_seed_by_seed(whole):
     found = whole
-    assert (found.name, found.runs, found.failed, found.absent) == ("small", 2, 0, ())
+    absent = "channel memory", "walls (radio)", "walls (sight)", "walls (motion)"
+    assert (found.name, found.runs, found.failed, found.absent) == ("small", 2, 0, absent)
     ideal = BAD
     for remove in IMPERFECTIONS.values():
         ideal = remove(ideal)
     bad, good = by_hand(BAD, SEEDS), by_hand(ideal, SEEDS)
-    better = {name: by_hand(remove(BAD), SEEDS) for name, remove in IMPERFECTIONS.items()}
+    better = {name: by_hand(remove(BAD), SEEDS) for name, remove in IMPERFECTIONS.items() if name not in absent}
     for metric, cost in found.costs.items():
         as_it_is, best = bad[metric], good[metric]
         saved = {name: as_it_is - values[metric] for name, values in better.items()}
-        assert list(cost.parts) == list(IMPERFECTIONS)
+        assert list(cost.parts) == list(better)
         assert cost.parts == {name: Saving.of(list(each)) for name, each in saved.items()}
         assert cost.together == Saving.of(list(as_it_is - best))
         assert (cost.as_it_is, cost.ideal) == (estimate(list(as_it_is)), estimate(list(best)))

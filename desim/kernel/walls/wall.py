@@ -16,7 +16,7 @@ from desim.kernel.walls.outlines import Outline, file_text, svg_outlines, withou
 
 Corner = tuple[Coordinate, Coordinate]
 """The position [x, y] of a corner, m."""
-What = Literal["radio", "sight", "motion"]
+What = Literal["radio", "sight", "motion", "start"]
 """What a wall may block."""
 Thickness = Annotated[float, Field(gt=0, le=10, allow_inf_nan=False, strict=True)]
 """m: a greater number is one in cm or mm."""
@@ -54,7 +54,8 @@ class Wall(Value):
     offset: Corner = (0.0, 0.0)
     """Displacement [x, y] that is added after scaling, m."""
     blocks: Annotated[tuple[What, ...], NotEmpty(), AfterValidator(_each_once)] = ("radio", "sight", "motion")
-    """What the wall blocks: radio, sight of evaders and of pursuers, motion."""
+    """What the wall blocks: radio, sight of evaders and of pursuers, motion, start. No random start is on or inside a
+    wall that blocks motion or start; one that blocks start alone lets players through."""
     loss: Limit = inf
     """Loss of radio at each crossing of a line or of an edge of a polygon, dB; inf: nothing is received through it. The
     straight line from sender to receiver is counted. A solid polygon is entered and left, so it counts twice."""

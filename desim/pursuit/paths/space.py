@@ -32,13 +32,15 @@ class Plane:
 
     Args:
         sight: walls that block sight.
+        starts: walls on which no random start is, if others than those that block motion are among them.
     """
 
     is_open: ClassVar[bool] = True
     """Whether no wall blocks motion."""
 
-    def __init__(self, sight: Sequence[Wall] = ()):
+    def __init__(self, sight: Sequence[Wall] = (), starts: Sequence[Wall] = ()):
         self._sight = blocking(sight, "sight")
+        self._starts = Obstacles([wall.shapes for wall in starts]) if starts else None
         self._hiding_places: dict[float, Points] = {}
 
     @property
@@ -71,6 +73,10 @@ class Plane:
     def are_free(self, places: Points) -> Bools:
         """Return which of (k,) places a player may have, (k,)."""
         return np.ones(len(places), dtype=bool)
+
+    def may_start(self, places: Points) -> Bools:
+        """Return at which of (k,) places a player may start, (k,)."""
+        return self.are_free(places) if self._starts is None else self._starts.are_free(places)
 
     def free_place(self, place: complex) -> complex:
         """Return a place itself if a player may have it, else a close one that it may have, m."""
@@ -121,12 +127,13 @@ class Walled(Plane):
     Args:
         walls: the walls.
         sight: walls that block sight.
+        starts: as in a plane.
     """
 
     is_open: ClassVar[bool] = False
 
-    def __init__(self, walls: Sequence[Wall], sight: Sequence[Wall] = ()):
-        super().__init__(sight)
+    def __init__(self, walls: Sequence[Wall], sight: Sequence[Wall] = (), starts: Sequence[Wall] = ()):
+        super().__init__(sight, starts)
         self.obstacles = Obstacles([wall.shapes for wall in walls])
         self.paths = ShortestPaths(self.obstacles)
 
@@ -270,12 +277,14 @@ _spaces: dict[tuple[bytes, ...], Plane] = {}
 def space_among(walls: Sequence[Wall]) -> Plane:
     """Return the space among some walls; the distances of corners are computed once."""
     motion, sight = ([wall for wall in walls if way in wall.blocks] for way in ("motion", "sight"))
-    if not motion and not sight:
+    starts = [wall for wall in walls if not {"motion", "start"}.isdisjoint(wall.blocks)]
+    if not sight and not starts:
         return PLANE
+    others = starts if starts != motion else []
     key = tuple(text for wall in walls for text in _content(wall))
     space = _spaces.get(key)
     if space is None:
-        space = _spaces[key] = Walled(motion, sight) if motion else Plane(sight)
+        space = _spaces[key] = Walled(motion, sight, others) if motion else Plane(sight, others)
         if len(_spaces) > MAX_SPACES:
             del _spaces[next(iter(_spaces))]
     return space

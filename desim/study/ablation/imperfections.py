@@ -194,10 +194,14 @@ def without_flow(scenario: Scenario) -> Scenario:
 
 
 def without_walls(use: What) -> Callable[[Scenario], Scenario]:
-    """Return a function that returns a scenario in which no wall blocks radio, sight or motion."""
+    """Return a function that returns a scenario in which no wall blocks radio, sight or motion.
+
+    All start where they do among the walls, so that walls that block motion block starts from then on.
+    """
 
     def without(scenario: Scenario) -> Scenario:
-        kept = [(wall, tuple(name for name in wall.blocks if name != use)) for wall in scenario.wall]
+        instead: tuple[What, ...] = ("start",) if use == "motion" else ()
+        kept = [(wall, _replaced(wall.blocks, use, instead)) for wall in scenario.wall]
         walls = tuple(wall.model_copy(update={"blocks": blocks}) for wall, blocks in kept if blocks)
         if walls == scenario.wall:
             return scenario
@@ -206,6 +210,11 @@ def without_walls(use: What) -> Callable[[Scenario], Scenario]:
         return scenario.model_copy(update={"wall": walls, **sensing})
 
     return without
+
+
+def _replaced(blocks: tuple[What, ...], use: What, instead: tuple[What, ...]) -> tuple[What, ...]:
+    """Return what a wall blocks with something else, which it may block already, in the place of a use."""
+    return tuple(dict.fromkeys(name for block in blocks for name in (instead if block == use else (block,))))
 
 
 IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
