@@ -33,12 +33,13 @@ def fates(log: Path, file: Path, seed: int | None, out: Path | None, overrides: 
     if lies := [fault for fault in scenario.fault if fault not in scenario.network_faults]:
         echo(f"warning: {file}: fault: {type(lies[0]).__name__} has no effect: nobody lies in a log", err=True)
     names = scenario.network.node_names
+    are_numbers = any(name.isdecimal() for name in names)  # "1" is then a name, and not the second node
 
     def node_of(cell: str) -> int:
         name = cell.strip()
         if name in names:
             return names.index(name)
-        if name.isascii() and name.isdecimal() and int(name) < scenario.team.count:
+        if not are_numbers and name.isascii() and name.isdecimal() and int(name) < scenario.team.count:
             return int(name)
         some = f"{names[0]} .. {names[-1]}" if names else f"0 .. {scenario.team.count - 1}"
         raise ValueError(f"there is no node {escaped(name)}: the nodes are {some}")

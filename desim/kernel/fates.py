@@ -141,8 +141,8 @@ def _rows(messages: Any) -> Iterable[Any]:
             f"messages should be rows of {', '.join(COLUMNS)} (got {messages!r}); `desim fates` reads files"
         )
     names = getattr(getattr(messages, "dtype", None), "names", None)
-    columns = list(getattr(messages, "columns", ()) if names is None else names)
-    table: Any = messages[list(COLUMNS)] if set(COLUMNS) <= set(columns) else messages  # type: ignore[index]
+    order = _order(getattr(messages, "columns", ()) if names is None else names)
+    table: Any = messages if order is None else messages[order]  # type: ignore[index]
     if names is not None:
         return list(table.tolist())
     rows: Iterable[Any] = table
@@ -153,16 +153,32 @@ def _rows(messages: Any) -> Iterable[Any]:
     return iter(rows)
 
 
+def _order(names: Iterable[Any]) -> list[Any] | None:
+    """Return the names of `COLUMNS`, large or small, among those of a table; None if the table names no columns.
+
+    Raises:
+        ValueError: if the table has names, and other ones: its columns would be taken in their order.
+    """
+    known = {name.lower(): name for name in names if isinstance(name, str)}
+    if missing := [column for column in COLUMNS if column not in known]:
+        if known:
+            raise ValueError(
+                f"columns should be {', '.join(COLUMNS)}: no {missing[0]} among {', '.join(known.values())}"
+            )
+        return None
+    return [known[column] for column in COLUMNS]
+
+
 def _logged(values: Any) -> LoggedMessage:
     """Return the message of a row.
 
     Raises:
         ValueError: if it is not one.
     """
-    if isinstance(values, Mapping) and set(COLUMNS) <= values.keys():
-        values = [values[column] for column in COLUMNS]
-    elif set(COLUMNS) <= set(getattr(values, "_fields", ())):
-        values = [getattr(values, column) for column in COLUMNS]
+    if isinstance(values, Mapping):
+        values = [values[name] for name in _order(values) or values]
+    elif fields := getattr(values, "_fields", ()):
+        values = [getattr(values, name) for name in _order(fields) or fields]
     row = tuple(values) if isinstance(values, Iterable) and not isinstance(values, str) else ()
     if len(row) != len(COLUMNS):
         raise ValueError(f"a message should be {', '.join(COLUMNS)}")

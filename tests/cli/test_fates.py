@@ -114,6 +114,37 @@ def test_names_of_columns_and_fields_count_and_not_their_order():
     assert fates(frame[["t", "src", "dst", "size"]].rename(columns=str.upper), 3, Links(latency=0.5)) == expected
 
 
+@pytest.mark.parametrize("names", [("t_ms", "src", "dst", "size"), ("from", "to", "bytes", "time")])
+def test_columns_with_other_names_are_refused_whatever_names_them(names):
+    """Taken in their order, they would be read in a wrong unit or as one another."""
+    frame = pd.DataFrame([(500, 0, 1, 24)], columns=names)
+    named = NamedTuple("Row", [(f"{name}_", int) for name in names])
+    for rows in (frame, Polars(frame), frame.to_records(index=False), frame.to_dict("records"), [named(500, 0, 1, 24)]):
+        with pytest.raises(ValueError, match="columns should be t, src, dst, size: no "):
+            fates(rows, 3)
+    assert fates(frame.set_axis(range(4), axis=1), 3) == fates([(500, 0, 1, 24)], 3)  # none is named
+
+
+def test_columns_may_be_written_large():
+    rows = [(0.0, 1, 0, 24)]
+    frame = pd.DataFrame(rows, columns=["T", "Src", "Dst", "SIZE"])
+    assert fates(frame[["SIZE", "Dst", "Src", "T"]], 2) == fates(rows, 2)
+
+
+@pytest.mark.parametrize(("names", "cells"), [("123", ("0", "3")), ("012", ("0", "2")), ("abc", ("0", "c"))])
+def test_a_number_is_the_name_of_a_node_where_names_are_numbers(files, names, cells):
+    """Among nodes 1 .. 3, a log that counts from 0 would be read as one that counts from 1, but for its 0."""
+    graph = "\n".join(f"{a} {b}" for a, b in zip(names, names[1:] + names[0], strict=True))
+    (files / "ring.txt").write_text(graph)
+    (files / "net.toml").write_text('team.count = 3\nnetwork.graph = { kind = "edges", file = "ring.txt" }\n')
+    (files / "log.csv").write_text(f"t,src,dst,size\n0.0,{cells[0]},{cells[1]},8\n")
+    arguments = "fates", files / "log.csv", files / "net.toml"
+    if cells[0] in names or names == "abc":
+        assert "delivered" in accepted(*arguments).stdout
+    else:
+        assert "there is no node 0: the nodes are 1 .. 3" in refused(*arguments)
+
+
 class Polars:
     """A frame as that of polars."""
 
