@@ -34,6 +34,7 @@ from desim.kernel.core.ports import ReservedPort
 from desim.kernel.core.seeds import seed_of
 from desim.kernel.core.units import SECOND, nanoseconds
 from desim.kernel.fault_injection import inject
+from desim.kernel.graph_files.graph_attributes import unread_attributes
 from desim.kernel.graph_files.node_names import numbered
 from desim.kernel.models.faults import (
     FAULTS,
@@ -571,9 +572,8 @@ def _described(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, tuple
     if not len(graph):
         raise ValueError("a network should have at least 1 node (got an empty graph)")
     edges, numbers = Edges.of(graph), numbered(graph).numbers
-    for note in edges.notes:
-        if note.startswith("edges have"):  # nodes may have positions, which are given beside the graph
-            warn(note, UserWarning, stacklevel=3)
+    for note in unread_attributes(graph, of_links_only=True):  # positions of nodes are given beside the graph
+        warn(note, UserWarning, stacklevel=3)
     labels = tuple(sorted(numbers, key=numbers.__getitem__))
     links = links.model_copy(update={"graph": edges}).numbered(edges.names)
     return links, labels, None if labels == tuple(range(len(labels))) else numbers

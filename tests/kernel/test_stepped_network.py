@@ -410,6 +410,20 @@ def test_attributes_of_edges_that_are_not_read_are_warned_of():
         SteppedNetwork(graph)
 
 
+def test_links_described_at_the_nodes_or_the_graph_give_a_warning():
+    """An access link has its bandwidth and its loss at the node in the graphs of Shadow."""
+    graph = nx.Graph([(0, 1), (1, 2)], latency=0.05, title="three")
+    nx.set_node_attributes(graph, {0: {"packet_loss": 0.5, "pos": (1.0, 2.0), "robot": object()}})
+    with pytest.warns(UserWarning, match="attributes that are not read") as caught:
+        SteppedNetwork(graph)
+    of_nodes, of_graph = (str(warning.message) for warning in caught)
+    assert (
+        of_nodes == "nodes have attributes that are not read: packet_loss (did you mean loss, from 0 to 1?); "
+        "no attribute of a node is read"
+    )
+    assert "the graph has attributes that are not read: latency" in of_graph
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

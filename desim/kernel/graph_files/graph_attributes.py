@@ -36,16 +36,22 @@ UNIT = re.compile(r"[_\s(\[]+(ms|us|ns|s|sec|percent|pct|%|bps|kbps|mbps|gbps)[)
 """Matches the unit at the end of a name."""
 
 
-def unread_attributes(graph: "nx.Graph[Any]") -> tuple[str, ...]:
-    """Return the sentences about the attributes of edges, of nodes and of the graph that are not read."""
+def unread_attributes(graph: "nx.Graph[Any]", *, of_links_only: bool = False) -> tuple[str, ...]:
+    """Return the sentences about the attributes of edges, of nodes and of the graph that are not read.
+
+    Args:
+        graph: the graph.
+        of_links_only: whether attributes of nodes that do not seem to be about links, such as places, are left out.
+    """
     of_edges = {name: None for *_, attributes in graph.edges(data=True) for name in attributes}
     of_nodes = {name: None for _, attributes in graph.nodes(data=True) for name in attributes}
+    node_names = _link_names(of_nodes) if of_links_only else _node_names(of_nodes)
     return tuple(
         f"{whose} attributes that are not read: {', '.join(names)}; {advice}"
         for whose, names, advice in (
             ("edges have", list(_edge_names(of_edges)), f"those of an edge that are read are {', '.join(READ)}"),
-            ("nodes have", list(_node_names(of_nodes)), "no attribute of a node is read"),
-            ("the graph has", list(_graph_names(graph.graph)), "give them to its edges"),
+            ("nodes have", list(node_names), "no attribute of a node is read"),
+            ("the graph has", list(_link_names(graph.graph)), "give them to its edges"),
         )
         if names
     )
@@ -63,8 +69,8 @@ def _node_names(names: Collection[Any]) -> Iterator[str]:
             yield f"{name}{' (team.positions has initial positions, in m)' if name.lower() in POSITIONS else ''}"
 
 
-def _graph_names(attributes: Mapping[Any, Any]) -> Iterator[str]:
-    """Yield the attributes of a graph that seem to be about links."""
+def _link_names(attributes: Mapping[Any, Any]) -> Iterator[str]:
+    """Yield the attributes of a graph, or of its nodes, that seem to be about links."""
     for name in map(str, attributes):
         if _simple(name) in MEANT or name.lower() in READ:
             yield f"{name}{_meant(name)}"
