@@ -407,6 +407,31 @@ def test_an_overridden_call_is_that_of_the_run(name, kind):
     assert events(theirs) == events(family.with_model(plain(model, family.function, family.beside)))
 
 
+class Passing:
+    """A wrapper that passes on what it lacks from a model, as people write them."""
+
+    def __init__(self, inner):
+        self.inner = inner
+
+    def __getattr__(self, name):
+        return getattr(self.inner, name)
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize(("name", "kind"), CASES)
+def test_the_call_of_a_wrapper_is_that_of_the_run(name, kind):
+    """Or it is refused; the fast ways of the model that it wraps do not count."""
+    family, model = FAMILIES[name], kind_of(name, kind)
+    body = {"__call__": lambda _, *given: family.function(*given)}
+    inner = model(**PARAMETERS.get(kind, {}))
+    try:
+        theirs = family.with_model(type("Theirs", (Passing,), body)(inner))
+    except (KeyedError, ValueError) as error:
+        assert re.search(r"own start_run|passes on|should have covariance|velocity\(", str(error))  # noqa: PT017
+        return
+    assert events(theirs) == events(family.with_model(plain(model, family.function, family.beside)))
+
+
 def test_each_family_that_is_called_is_covered():
     """`BASES` of per_pair are asked for quantiles; exporters are no part of a run; a plan of lies is compared below."""
     PROTOCOLS.choices(), DISSEMINATIONS.choices()

@@ -286,6 +286,8 @@ class _Copier(pickle.Pickler):
             return kind, (dict(value),)
         if kind is CACHED:
             return _cached, (value.__wrapped__, value.cache_parameters())
+        if passes_on_attributes(kind):
+            return with_state_setter(value.__reduce_ex__(5))
         if kind.__module__ == "itertools":  # Python 3.14 cannot copy them, and 3.12 warns of it
             raise TypeError(f"cannot pickle {kind.__qualname__!r} object of itertools")
         return NotImplemented
@@ -351,6 +353,32 @@ class _Reader(pickle.Unpickler):
     def persistent_load(self, number: int) -> Any:
         """Return the object of a number."""
         return self._kept[number]
+
+
+def passes_on_attributes(kind: Any) -> bool:
+    """Return whether objects of a class would look for `__setstate__` in an object that they wrap, and do not have yet.
+
+    This is so if they pass on what they lack by `__getattr__`; the look-up then never ends.
+    """
+    if not hasattr(kind, "__getattr__") or hasattr(kind, "__setstate__") or issubclass(kind, type):
+        return False
+    return not _never_changes(module_of(kind))
+
+
+def with_state_setter(reduced: Any) -> Any:
+    """Return how to make an object again, with a function that sets its state as pickle does by default."""
+    if not isinstance(reduced, tuple) or len(reduced) < 3 or reduced[2] is None:
+        return reduced
+    parts = (*reduced, None, None, None)[:6]
+    return parts if parts[5] is not None else (*parts[:5], _set_state)
+
+
+def _set_state(value: Any, state: Any) -> None:
+    attributes, slots = state if isinstance(state, tuple) and len(state) == 2 else (state, None)
+    if attributes:
+        vars(value).update(attributes)
+    for name, item in (slots or {}).items():
+        object.__setattr__(value, name, item)
 
 
 def _complete(function: FunctionType, state: tuple[dict[str, Any], dict[str, Any]]) -> None:

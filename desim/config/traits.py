@@ -11,7 +11,9 @@ Private attributes, and attributes set in `__init__` or on a `functools.partial`
 
 A trait may follow from other methods of a model, as a fast way to do the same does, or a bound. A class that overrides
 such a method, but not the trait, then lacks the trait, because the inherited one still follows the overridden method:
-see `Follows`. The other way round, a class that overrides only a fast way is refused: see `Traits.twins`.
+see `Follows`. The other way round, a class that overrides only a fast way is refused: see `Traits.twins`. An object
+that wraps a model, and passes on its attributes by `__getattr__`, lacks such traits for the same reason: see
+`is_passed_on`.
 """
 
 import re
@@ -91,8 +93,8 @@ class Traits(Value):
             ValueError: if an attribute has a value that its trait cannot have.
         """
         try:
-            outdated = cls.outdated(type(value))
-            return cls.model_validate(attributes(value, [name for name in cls.model_fields if name not in outdated]))
+            left_out = cls.outdated(type(value)) | cls.passed_on(value)
+            return cls.model_validate(attributes(value, [name for name in cls.model_fields if name not in left_out]))
         except ValidationError as error:
             first = error.errors()[0]
             raise ValueError(
@@ -127,6 +129,13 @@ class Traits(Value):
         return _outdated(cls, model)
 
     @classmethod
+    def passed_on(cls, value: Any) -> frozenset[str]:
+        """Return the names of the traits that a model passes on from another one, and that follow from its methods."""
+        if not hasattr(type(value), "__getattr__"):
+            return frozenset()
+        return frozenset(name for name in _followers(cls) if is_passed_on(value, name))
+
+    @classmethod
     def calls(cls) -> Mapping[str, Sequence[str]]:
         """Return the names of the arguments of each trait that is a method, as its description begins with them."""
         return _calls(cls)
@@ -156,8 +165,30 @@ def _calls(traits: type[Traits]) -> Mapping[str, Sequence[str]]:
     return {name: tuple(filter(None, match[1].split(", "))) for name, match in begun.items() if match}
 
 
+@lru_cache(maxsize=64)
+def _followers(traits: type[Traits]) -> tuple[str, ...]:
+    """Return the names of the traits that follow from methods, and `kind`, which names the class that has them."""
+    fields = traits.model_fields.items()
+    return ("kind", *(name for name, field in fields if any(isinstance(marker, Follows) for marker in field.metadata)))
+
+
+def is_passed_on(value: Any, name: str) -> bool:
+    """Return whether an attribute is neither of an object nor of its class: `__getattr__` returns that of another one.
+
+    A class of a user that wraps a model in this way has methods of its own, such as `__call__`. A trait of the model
+    that follows from the model's method does not follow from that of the wrapper.
+    """
+    kind: type = type(value)
+    if not hasattr(kind, "__getattr__") or isinstance(value, BaseModel):
+        return False
+    held = object.__getattribute__(value, "__dict__") if kind.__dictoffset__ else {}
+    return not positions(kind, name) and name not in held
+
+
 def check_inherited_flag(value: Any, flag: str, methods: Iterable[str], effect: str) -> None:
-    """Raise ValueError if a user's class overrides methods that are not called, because it inherits a flag that is set.
+    """Raise ValueError if a user's class has methods that are not called, because it inherits a flag that is set.
+
+    Or because it passes on the flag of another object.
 
     Args:
         value: the model.
@@ -165,11 +196,15 @@ def check_inherited_flag(value: Any, flag: str, methods: Iterable[str], effect: 
         methods: the names of the methods.
         effect: what the flag says, as a clause.
     """
-    overridden = [name for name in methods if Follows(name).is_outdated(flag, type(value))]
+    kind: type = type(value)
+    is_theirs = is_passed_on(value, flag)
+    overridden = [
+        name for name in methods if (positions(kind, name) if is_theirs else Follows(name).is_outdated(flag, kind))
+    ]
     if overridden and getattr(value, flag):
         raise ValueError(
-            f"{name_of(value)} inherits {flag} = True, so that {effect}, and its own {', '.join(overridden)} would have"
-            f" no effect: it should have {flag}: ClassVar[bool] = False, too"
+            f"{name_of(value)} {'passes on' if is_theirs else 'inherits'} {flag} = True, so that {effect}, and its own"
+            f" {', '.join(overridden)} would have no effect: it should have {flag}: ClassVar[bool] = False, too"
         )
 
 

@@ -167,7 +167,27 @@ class Weak:
         return self.calls[self.key]
 
 
+class Passing:
+    """Passes on what it lacks from an object, also `__setstate__` while it is made anew, if it is asked."""
+
+    def __init__(self, inner):
+        self.inner = inner
+
+    def __getattr__(self, name):
+        return getattr(self.inner, name)
+
+    def __call__(self, *given):
+        return self.inner(*given)
+
+
+class PassingSlots:
+    __slots__ = ("inner",)
+    __init__, __getattr__, __call__ = Passing.__init__, Passing.__getattr__, Passing.__call__
+
+
 STATEFUL = {
+    "wrapper that passes on attributes": lambda: Passing(Remembering()),
+    "wrapper with slots": lambda: PassingSlots(Remembering()),
     "weak keys": Weak,
     "instance": Remembering,
     "method": lambda: Remembering().turn,
@@ -273,6 +293,7 @@ STRATEGIES = {
     "method": lambda: Strategy().direct,
     "partial": lambda: functools.partial(Strategy()),
     "nonlocal": counting,
+    "wrapper": lambda: Passing(Strategy()),
     "nested": lambda: {"kind": "listener", "during_handover": Strategy(), "normally": Strategy()},
 }
 

@@ -1,6 +1,7 @@
 """Serialization of calls: their bytes include the code of user modules, also if threads pack calls at the same time."""
 
 import importlib
+import pickle
 from functools import partial
 from threading import Event, Thread
 
@@ -37,3 +38,17 @@ def test_a_call_packed_while_another_thread_packs_includes_its_code(tmp_path, mo
     first.join(timeout=10.0)
     assert contents == {0: alone, 1: alone}
     assert b"packed_by_two.py" in alone
+
+
+def test_a_wrapper_that_passes_on_attributes_arrives_in_another_process():
+    """Made anew, it has nothing yet from which it could pass on `__setstate__`."""
+
+    class Passing:
+        def __init__(self, inner):
+            self.inner = inner
+
+        def __getattr__(self, name):
+            return getattr(self.inner, name)
+
+    assert pickle.loads(packed(partial(Passing([3]).index, 3)))() == 0
+    assert pickle.loads(packed(partial(getattr, Passing(3 + 4j), "imag")))() == 4

@@ -51,6 +51,13 @@ class LinkTraits(Traits):
         """Check the traits of a model, see `Traits.check`, and that its state is started by its own class."""
         super().check(value)
         model: type = type(value)
+        if "start_run" in cls.passed_on(value) and (start_run := getattr(value, "start_run", None)) is not None:
+            inner = getattr(start_run, "__self__", None)
+            if start_run(1) is not inner:
+                raise ValueError(
+                    f"{name_of(value)} passes on start_run of {name_of(inner)}, which makes another model for each run,"
+                    f" and its own __call__ knows only the one without state: {NEEDED}"
+                )
         if "start_run" not in cls.outdated(model):
             return
         starter = model.__mro__[positions(model, "start_run")[0]]
@@ -60,9 +67,15 @@ class LinkTraits(Traits):
         if (calls_super or not is_ours(starter)) and not isinstance(value.start_run(1), model):
             raise ValueError(
                 f"{name_of(value)} has its own {method}, and start_run of {starter.__name__} makes another model for"
-                " each run, which keeps the state of the links: it should have its own start_run(size), too, which"
-                " returns the model of one run of `size` nodes (itself if it has no state)"
+                f" each run, which keeps the state of the links: {NEEDED}"
             )
+
+
+NEEDED = (
+    "it should have its own start_run(size), too, which returns the model of one run of `size` nodes (itself if it has"
+    " no state)"
+)
+"""What is missing if a model has another start of its runs than that of its own class."""
 
 
 def link_trait(model: Any, name: str) -> Any:

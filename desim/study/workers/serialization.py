@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 
 import cloudpickle
 
+from desim.config.fresh import passes_on_attributes, with_state_setter
 from desim.config.traits import OURS
 from desim.study.plan.user_code import is_installed
 
@@ -29,12 +30,19 @@ _REGISTERING = RLock()
 class CallPickler(cloudpickle.Pickler):  # type: ignore[misc]
     """A pickler whose code objects keep the names of their files, so that tracebacks are the same in any process.
 
-    The code objects of cloudpickle 3.1.3 have no file.
+    The code objects of cloudpickle 3.1.3 have no file. Objects that pass on the attributes of another one arrive, too.
     """
 
     dispatch_table: ClassVar = ChainMap(
         {CodeType: lambda code: (marshal.loads, (marshal.dumps(code),))}, cloudpickle.Pickler.dispatch_table
     )
+
+    def reducer_override(self, value: Any) -> Any:
+        """Return how to make an object again in another process; NotImplemented for the usual way."""
+        reduced = super().reducer_override(value)
+        if reduced is NotImplemented and passes_on_attributes(type(value)):
+            return with_state_setter(value.__reduce_ex__(5))
+        return reduced
 
 
 def packed(call: Call) -> bytes:
