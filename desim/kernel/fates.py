@@ -159,14 +159,14 @@ def _order(names: Iterable[Any]) -> list[Any] | None:
     Raises:
         ValueError: if the table has names, and other ones: its columns would be taken in their order.
     """
-    known = {name.lower(): name for name in names if isinstance(name, str)}
-    if missing := [column for column in COLUMNS if column not in known]:
-        if known:
+    by_column = {name.lower(): name for name in names if isinstance(name, str)}
+    if missing := [column for column in COLUMNS if column not in by_column]:
+        if by_column:
             raise ValueError(
-                f"columns should be {', '.join(COLUMNS)}: no {missing[0]} among {', '.join(known.values())}"
+                f"columns should be {', '.join(COLUMNS)}: no {missing[0]} among {', '.join(by_column.values())}"
             )
         return None
-    return [known[column] for column in COLUMNS]
+    return [by_column[column] for column in COLUMNS]
 
 
 def _logged(values: Any) -> LoggedMessage:

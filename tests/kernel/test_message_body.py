@@ -263,6 +263,82 @@ def test_what_cannot_be_copied_or_recorded_is_refused_at_sending(way, body, told
     assert str(refusal.value).startswith(told)
 
 
+class CopiesItself:
+    """Says how it is copied; each of the functions below is such a rule."""
+
+    def __init__(self):
+        self.numbers, self.sent_as = [1], 1
+
+    def remembers(self, memo):
+        return self
+
+    def shares(self, memo):
+        copied = type(self)()
+        copied.numbers = self.numbers
+        return copied
+
+    def becomes(self, memo):
+        return self.numbers
+
+    def counts(self, memo):
+        copied = type(self)()
+        copied.sent_as = self.sent_as + 1
+        return copied
+
+    def forgets(self, memo):
+        copied = type(self)()
+        copied.numbers = [5]
+        return copied
+
+
+class Stamped:
+    """Passes on what it lacks from its value, which knows how it is copied."""
+
+    def __init__(self, value):
+        self.value, self.stamp = value, 3
+
+    def __getattr__(self, name):
+        return getattr(self.value, name)
+
+
+@pytest.mark.parametrize("around", [lambda body: body, lambda body: [body], lambda body: {"a": (body,)}])
+@pytest.mark.parametrize(
+    ("rule", "told"),
+    [
+        (CopiesItself.remembers, "its copies would share a list"),
+        (CopiesItself.shares, "its copies would share a list"),
+        (CopiesItself.becomes, "its copy is of another class, list"),
+        (CopiesItself.counts, "its copy has 2 where it has 1"),
+        (CopiesItself.forgets, "its copy has 5 where it has 1"),
+    ],
+)
+def test_a_body_that_its_class_does_not_copy_is_refused(rule, told, around):
+    """It would arrive with other content than it was sent with, or with what its sender changes later."""
+    body = around(type("Own", (CopiesItself,), {"__deepcopy__": rule})())
+    with pytest.raises(ValueError, match=f"cannot be sent: .*{told}"):
+        as_sent(body)
+
+
+@pytest.mark.parametrize("value", [np.arange(3), pd.Series([1, 2]), Links()], ids=lambda value: type(value).__name__)
+def test_a_wrapper_whose_copy_would_be_what_it_wraps_is_refused(value):
+    with pytest.raises(ValueError, match=f"another class, {type(value).__name__}: its __getattr__ should pass on no"):
+        as_sent(Stamped(value))
+
+
+def test_a_wrapper_that_looks_for_itself_is_refused_and_one_that_does_not_is_copied():
+    with pytest.raises(ValueError, match="its __getattr__ should pass on no names that begin with __"):
+        as_sent(Stamped((1, 2)))
+
+    class Copied(Stamped):
+        def __getattr__(self, name):
+            if name.startswith("__"):
+                raise AttributeError(name)
+            return super().__getattr__(name)
+
+    copied = as_sent(Copied(np.arange(3)))
+    assert (type(copied), copied.stamp, copied.sum()) == (Copied, 3, 3)
+
+
 def test_missing_numbers_are_null_and_as_long_as_numbers():
     for body in ([pd.NA], [np.ma.masked], (pd.NA,), np.array([pd.NA], object)):
         assert in_json_types(as_sent(body)) == [None]

@@ -39,6 +39,8 @@ ATOMS = JSON_ATOMS | {
 """Types without parts whose objects never change. Objects of a type that is derived from one may have attributes."""
 COMPARED = (int, float, complex, np.generic, tuple)
 """Types that compare with one another."""
+SHARED = (list, dict, set, bytearray, deque, np.ndarray)
+"""Types of collections that a sender can change after it has sent them."""
 Parts = Callable[[Any], Iterable[Any]]
 """A function that returns the objects of which an object consists."""
 
@@ -61,7 +63,7 @@ def as_sent(body: Any) -> Any:
         copied = deepcopy(body)
         _check_copy(body, copied)
     except Exception as error:
-        reason = "it is nested too deeply" if isinstance(error, RecursionError) else str(error)
+        reason = f"it is nested too deeply{_passed_on(body)}" if isinstance(error, RecursionError) else str(error)
         raise ValueError(f"a body of type {type(body).__name__} cannot be sent: {reason}") from error
     return copied
 
@@ -72,35 +74,53 @@ def own_copy(body: Any) -> Any:
 
 
 def _check_copy(value: Any, copied: Any, depth: int = 0) -> None:
-    """Check that a deep copy of an object has a content, and shares no collection with the object.
+    """Check that a deep copy of an object has its class and its content, and shares no collection with the object.
 
     A class can define how it is copied. pandas, for instance, does not copy the lists in a series. An object that is
-    its own copy, such as a symbol of an algebra system, counts as immutable.
+    its own copy, such as a symbol of an algebra system, counts as immutable, unless its class says so by
+    `__deepcopy__` and it holds a collection.
 
     Raises:
         ValueError: if it has not, or it is nested more than `MAX_DEPTH` levels deep.
     """
     check_depth(depth)
-    if type(copied) in ATOMS or is_missing(copied):
+    if type(copied) is not type(value):
+        raise ValueError(f"its copy is of another class, {type(copied).__name__}{_passed_on(value)}")
+    if is_missing(copied):
         return
-    if copied is value and isinstance(value, list | dict | set | bytearray | deque | np.ndarray):
+    if type(copied) in ATOMS:
+        if copied is not value and copied != value and copied == copied:  # nan differs from itself
+            raise ValueError(f"its copy has {copied!r} where it has {value!r}")
+        return
+    if copied is value and isinstance(value, SHARED):
         raise ValueError(f"its copies would share a {type(value).__name__}")
     if isinstance(copied, np.ndarray) and copied.dtype.kind in "biufc":
         return
     if copied is value:
         in_json_types(value)
+        if hasattr(type(value), "__deepcopy__"):
+            for part in attributes_of(value).values():
+                if isinstance(part, SHARED):
+                    raise ValueError(f"its copies would share a {type(part).__name__}")
         return
     parts, copies = content(value), content(copied)
     if type(copies) in JSON_ATOMS:
         return
     if isinstance(copies, Fields):
         for name, copied_part in copies.items():  # a copy may lack what was computed from others
-            _check_copy(parts.get(name), copied_part, depth + 1)
+            if name in parts and (name[0] != "_" or copied_part is not None):
+                _check_copy(parts[name], copied_part, depth + 1)
     elif isinstance(copies, list):
         for part, copied_part in zip(parts, copies, strict=True):
             _check_copy(part, copied_part, depth + 1)
     else:
         _check_copy(parts, copies, depth + 1)
+
+
+def _passed_on(value: Any) -> str:
+    """Return the probable reason why an object is not copied, after a colon; "" if it is not known."""
+    passes_on = hasattr(type(value), "__getattr__") and not hasattr(type(value), "__deepcopy__")
+    return ": its __getattr__ should pass on no names that begin with __" if passes_on else ""
 
 
 def is_immutable(value: Any, depth: int = 0) -> bool:
