@@ -154,6 +154,70 @@ def test_the_form_of_a_text_does_not_matter(name, form, tmp_path):
     assert read(name, FORMS[form](plain(name)), tmp_path) == read(name, plain(name), tmp_path)
 
 
+COMMENTS = {
+    "s": [
+        "# latency [ms]",
+        "#latency_ms",
+        "# all in milliseconds",
+        "# unit: µs",
+        "# ms",
+        "# RTT ms",
+        "# by ping\n# (us)",
+    ],
+    "m": ["# places [cm]", "# x, y in feet", "# units: px", "# in cm/s", "# in km, or km/h"],
+}
+UNITS = {"table of netem": "", **dict.fromkeys(("BonnMotion", "ns-2", "flow", "time of a flow"), "sm")}
+"""The units of readers that read others than times, in s."""
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_comment_that_names_another_unit_is_refused(name, tmp_path):
+    for unit in UNITS.get(name, "s"):
+        for comment in COMMENTS[unit]:
+            with pytest.raises(ValueError, match=rf"numbers.txt, line \d: the comment says .*read in {unit}: convert"):
+                read(name, f"{comment}\n{plain(name)}", tmp_path)
+
+
+FREE = [
+    "# [s], [m]",
+    "# t in s, x in m; RTT in ms, width in cm",
+    "# columns, ms or cm",
+    "# sums of links in us",
+    "# a_msg",
+]
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_comment_may_name_the_right_unit_and_have_any_words(name, tmp_path):
+    for comment in FREE[:3] + FREE[4:]:
+        assert read(name, f"{comment}\n{plain(name)}", tmp_path) == read(name, plain(name), tmp_path)
+    text = plain(name) + "# the end of what was measured in ms and cm\n"
+    assert read(name, text, tmp_path) == read(name, plain(name), tmp_path)
+
+
+def test_a_comment_may_explain_the_unit_or_the_scale_that_a_key_sets(tmp_path):
+    for name, text, made, expected in (
+        ("t.csv", "# in ms\nt,value\n0,50\n", lambda file: LatencyTrace(file=file, unit="ms").unit, "ms"),
+        ("m.txt", "# in ms\n0 50\n50 0\n", lambda file: LatencyMatrix(file=file, unit="ms").unit, "ms"),
+        (
+            "f.csv",
+            "# t in ms\nt,x,y\n0,1,1\n",
+            lambda f: RecordedFlow(file=f, time_unit="ms").velocities,
+            ((0.0, 1, 1),),
+        ),
+        ("b.movements", "# in cm\n0 50 70\n", lambda f: RecordedMotion(file=f, scale=0.5).waypoints, ((0, 25, 35),)),
+        ("w.txt", "# in cm\n0 0\n50 70\n", lambda file: Wall(file=file, scale=0.01).shapes[0].corners[1][0], 0.5),
+    ):
+        (tmp_path / name).write_text(text)
+        assert made(str(tmp_path / name)) == expected
+    for name, model in (("w.txt", Wall), ("b.movements", RecordedMotion)):
+        with pytest.raises(ValueError, match="line 1: the comment says 'cm'"):
+            model(file=str(tmp_path / name))
+    (tmp_path / "g.csv").write_text("# latency in ms\nsource,target,latency\n0,1,50\n")
+    with pytest.raises(ValueError, match="line 1: the comment says 'ms'"):
+        Edges(file=str(tmp_path / "g.csv"))
+
+
 @pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
 @pytest.mark.parametrize("name", READERS)
 def test_utf_16_is_read_with_a_byte_order_mark_and_refused_without(name, encoding, tmp_path):

@@ -7,6 +7,7 @@ these are refused, and so are decimal commas, thousands separators and units.
 import re
 import zlib
 from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
+from itertools import takewhile
 from pathlib import Path
 
 from desim.config.trust import regular_or_missing
@@ -67,6 +68,48 @@ def hint_of(text: str) -> str:
     if WITH_UNIT.fullmatch(cell):
         return "; a number has no unit here"
     return ""
+
+
+OTHER_UNITS = {
+    "s": "ms|msecs?|milliseconds?|us|[µμ]s|usecs?|microseconds?|ns|nsecs?|nanoseconds?|minutes|hours",
+    "m": "(?:m|c|k)m|(?:milli|centi|kilo)met(?:er|re)s?|ft|feet|inch(?:es)?|px|pixels?|deg(?:rees)?",
+}
+"""Expressions for units that people use instead of a unit."""
+SAME_UNIT = {"s": "s|secs?|seconds?", "m": "m|met(?:er|re)s?"}
+"""Expressions for the names of a unit."""
+
+
+def check_comments(text: str, file: Path, unit: str) -> None:
+    """Check that the comments at the head of a file do not say that its numbers have another unit.
+
+    The units of a table are those of its columns, but a file of numbers has no other place to say them. Comments that
+    also name the right unit may be about several columns, or about a conversion.
+
+    Args:
+        text: the content of the file.
+        file: the path, for the error message.
+        unit: the unit in which the numbers are read, "s" or "m".
+
+    Raises:
+        ValueError: if they say so, with the line.
+    """
+    lines = list(takewhile(lambda line: not line.strip() or line.lstrip().startswith("#"), text.split("\n")))
+    if any(_names_unit(line, SAME_UNIT[unit]) for line in lines):
+        return
+    for number, line in enumerate(lines, 1):
+        if other := _names_unit(line, OTHER_UNITS[unit]):
+            raise ValueError(
+                f"{file}, line {number}: the comment says {other!r}, and numbers are read in {unit}: convert them, or"
+                " leave the unit out of the comment"
+            )
+
+
+def _names_unit(line: str, unit: str) -> str | None:
+    """Return the unit that a comment names as that of numbers, such as `[ms]`, `_ms`, `in ms` or `latency ms`."""
+    before = r"[\[(_]\s*|\bin |\bunits?\s*[:=]?\s*"
+    form = rf"(?:{before})({unit})(?=[\])\s,;:./]|$)|^#+\s*(?:\w+[ :]+)?({unit})$"
+    match = re.search(form, line.strip())
+    return match and (match[1] or match[2])
 
 
 GZIP = b"\x1f\x8b"

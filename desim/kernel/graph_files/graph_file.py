@@ -11,7 +11,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from desim.config.number_files import content_of, text_of_file
+from desim.config.number_files import check_comments, content_of, text_of_file
 from desim.kernel.graph_files.edge_lists import (
     read_adjacency_list,
     read_edge_list,
@@ -69,12 +69,15 @@ def read_graph(file: Path, directed: bool | None = None) -> "nx.Graph[Any]":
     if directed is not None and not is_list:
         raise ValueError(f"directed is only for edge lists and adjacency lists: {file} is {name}, which says it")
     try:
-        return read()
+        graph = read()
     except Exception as error:  # the readers of networkx raise many types of exception for malformed input
         if is_list:
             raise
         missing = "there is no " if isinstance(error, KeyError) else ""
         raise ValueError(f"{file} is not a graph in {name.removeprefix('a ')}: {missing}{error}") from error
+    if is_list and any("latency" in attributes for *_, attributes in graph.edges(data=True)):
+        check_comments(text_of_file(file), file, "s")
+    return graph
 
 
 def _not_read(file: Path, form: str, function: str) -> str:

@@ -91,7 +91,8 @@ class LinkTrace(Value):
             if text is not None:
                 raise ValueError("should have a file or a table, not both")
             path = resolve_path(data["file"], info)
-            text, read_from = csv_text(path, names.used()), path.name
+            units = "s" if {"unit", "time_unit"}.isdisjoint(data) else ""  # else, the comments may explain these
+            text, read_from = csv_text(path, names.used(), units=units), path.name
         name = read_from or TABLE
         columns = _columns_in(csv_header(str(text), name), names, data, name)
         read = {"table": select(str(text), columns.used(), name), "src": columns.src, "dst": columns.dst}

@@ -18,7 +18,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from desim.config.number_files import is_plain, number_of, text_of_file
+from desim.config.number_files import check_comments, is_plain, number_of, text_of_file
 from desim.kernel.measured.ping import ping_table
 
 MAX_CELLS = 20_000_000
@@ -90,17 +90,24 @@ def cells_of(table: str, name: str) -> Cells:
     return Cells(name, lines[1:], {column: flat[width + k :: width] for k, column in enumerate(header)})
 
 
-def csv_text(path: Path, columns: Collection[str]) -> str:
+def csv_text(path: Path, columns: Collection[str], *, units: str = "s") -> str:
     """Return the text of a CSV file, or a file of another format as CSV.
 
     The other formats are Parquet (*.parquet), with some columns only and the cells of others empty, and the output of
     ping, see `desim.kernel.measured.ping`.
+
+    Args:
+        path: the file.
+        columns: the names of the columns that are read.
+        units: the units, "s", "m" or both, that comments may not contradict; see `check_comments`.
 
     Raises:
         ValueError: if the file cannot be read, or if it is a Parquet file and pyarrow is not installed.
     """
     if path.suffix.lower() != ".parquet":
         text = text_of_file(path)
+        for unit in units:
+            check_comments(text, path, unit)
         try:
             return ping_table(text) or text
         except ValueError as error:

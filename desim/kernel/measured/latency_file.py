@@ -6,7 +6,7 @@ Numbers are separated by white space, commas or semicolons; `#` begins a comment
 import re
 from pathlib import Path
 
-from desim.config.number_files import number_of, text_of_file, words_of
+from desim.config.number_files import check_comments, number_of, text_of_file, words_of
 from desim.kernel.measured.csv_tables import DECIMAL, plain_rows
 from desim.kernel.measured.measurements import number_or_nan
 from desim.kernel.measured.ping import Probe, probes_of
@@ -23,11 +23,12 @@ def latencies_of(file: Path) -> list[float]:
 
     Raises:
         ValueError: if the file cannot be read, contains no numbers or anything but times >= 0 s, has several numbers in
-            one of several lines, or a comma that may be a decimal comma.
+            one of several lines, a comma that may be a decimal comma, or a comment that names another unit.
     """
     text = text_of_file(file)
     if probes := _probes(text, file):
         return [probe.rtt / 2.0 for probe in probes if probe.rtt is not None]
+    check_comments(text, file, "s")
     rows = [(line, items) for line, row in enumerate(text.split("\n"), 1) if (items := _items(row, file, line))]
     numbers: list[float] = []
     for line, items in rows:
@@ -73,15 +74,22 @@ def _items(row: str, file: Path, line: int) -> list[str]:
     return words_of(" ".join(words).replace(",", " "))
 
 
-def matrix_of(file: Path) -> list[list[float]]:
+def matrix_of(file: Path, *, unit_is_given: bool = False) -> list[list[float]]:
     """Return the rows of a square matrix of numbers in a text file; nan where a cell is empty or nan.
+
+    Args:
+        file: the file.
+        unit_is_given: whether the caller knows the unit; if not, comments may name no other than s.
 
     Raises:
         ValueError: if the file cannot be read, is empty, has a cell that is not a number, or is no square.
     """
     rows: list[list[float]] = []
     lines: list[int] = []
-    for line, cells in plain_rows(text_of_file(file), str(file)):
+    text = text_of_file(file)
+    if not unit_is_given:
+        check_comments(text, file, "s")
+    for line, cells in plain_rows(text, str(file)):
         lines.append(line)
         try:
             rows.append([number_or_nan(cell) for cell in cells])

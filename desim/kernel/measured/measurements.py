@@ -214,7 +214,7 @@ def timed_rows(file: Path, columns: Sequence[str], unit: Unit = "s") -> tuple[li
         ValueError: if the file cannot be read, lacks a column, or has a cell that is not a finite number.
     """
     names, time = tuple(columns), columns[0]
-    cells = cells_of(select(csv_text(file, names), names, str(file)), str(file))
+    cells = cells_of(select(csv_text(file, names, units="ms" if unit == "s" else "m"), names, str(file)), str(file))
     times = cells.numbers(time, partial(time_of, unit=unit))
     start = start_of(times, f"{file}, column {time}")
     numbers = [cells.numbers(name, _finite) for name in names[1:]]

@@ -128,7 +128,7 @@ class LatencyMatrix(Value):
         if file is not None:
             if values is not None:
                 raise ValueError("should have values or a file of values, not both")
-            values = matrix_of(resolve_path(file, info))
+            values = matrix_of(resolve_path(file, info), unit_is_given="unit" in data)
         if isinstance(values, list | tuple) and all(isinstance(row, list | tuple) for row in values):
             values = [[inf if _is_nan(number) else number for number in row] for row in values]
         return data | {"file": None} | ({} if values is None else {"values": values})

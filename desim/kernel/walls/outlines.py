@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from desim.config.number_files import number_of, text_of_file, words_of
+from desim.config.number_files import check_comments, number_of, text_of_file, words_of
 from desim.config.suggestion import did_you_mean
 
 Corners = tuple[tuple[float, float], ...]
@@ -242,12 +242,12 @@ _COLUMNS = re.compile(r"""["']?x["']?[\s,]+["']?y["']?""", re.IGNORECASE)
 """A line that names the columns of a file of numbers."""
 
 
-def file_text(file: Path) -> tuple[str, str]:
+def file_text(file: Path, *, is_scaled: bool = False) -> tuple[str, str]:
     """Return the shapes in a file as a text, and the key whose value it can be: "svg" or "wkt".
 
     A file of SVG has elements `path`. A file of numbers has one corner x y in a line, and an empty line before each
     further shape; a shape whose last corner is its first is a polygon, and a first line `x,y` names the columns. Any
-    other file is WKT.
+    other file is WKT. Comments may name no other unit than m, unless the caller scales the corners.
 
     Raises:
         ValueError: if the file cannot be read; the message names the file.
@@ -255,6 +255,8 @@ def file_text(file: Path) -> tuple[str, str]:
     text = text_of_file(file)
     if "<" in text:
         return "svg", _svg_text(text, file)
+    if not is_scaled:
+        check_comments(text, file, "m")
     lines = [line.partition("#")[0] for line in text.split("\n")]
     first = next((line.strip() for line in lines if line.strip()), "")
     if not first:

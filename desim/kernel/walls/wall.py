@@ -79,7 +79,7 @@ class Wall(Value):
             data = data | {"wkt": text}
         if [key for key in SHAPE_KEYS if data.get(key) is not None] != ["file"]:
             return data
-        key, text = file_text(resolve_path(data["file"], info))
+        key, text = file_text(resolve_path(data["file"], info), is_scaled="scale" in data)
         return {name: value for name, value in data.items() if name != "file"} | {key: text}
 
     @model_validator(mode="after")

@@ -114,7 +114,7 @@ class RecordedMotion(_Record):
         waypoints: Waypoints = checked.waypoints
         if has_file:
             file = resolve_path(data["file"], info)
-            track = read_mobility(file, checked.dimensions).track(checked.node)
+            track = read_mobility(file, checked.dimensions, is_scaled=checked.scale != 1.0).track(checked.node)
             waypoints = [waypoint[:3] for waypoint in track.waypoints]
         elif checked.node:
             raise ValueError(f"waypoints are of one node: node {checked.node} needs a file")
@@ -243,7 +243,7 @@ class RecordedPositions(_Record):
             ValueError: if a key is not valid or the file cannot be read.
         """
         made = cls.model_validate(table, context=info.context)
-        mobility = read_mobility(resolve_path(made.file, info), made.dimensions)
+        mobility = read_mobility(resolve_path(made.file, info), made.dimensions, is_scaled=made.scale != 1.0)
         nodes = mobility.nodes if made.nodes is None else made.nodes
         tracks = [mobility.track(node) for node in nodes]
         first = [made.placed([waypoint[:3] for waypoint in track.waypoints])[0][0] for track in tracks]

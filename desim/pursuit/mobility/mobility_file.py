@@ -5,24 +5,28 @@ Motion is in the plane: heights are dropped.
 
 from pathlib import Path
 
-from desim.config.number_files import text_of_file
+from desim.config.number_files import check_comments, text_of_file
 from desim.pursuit.mobility.bonnmotion_file import BonnMotionFile, Dimensions
 from desim.pursuit.mobility.mobility import MobilityFile
 from desim.pursuit.mobility.mobility_table import MobilityTable, header_in
 from desim.pursuit.mobility.ns2_file import Ns2File, is_ns2
 
 
-def read_mobility(file: Path, dimensions: Dimensions | None = None) -> MobilityFile:
+def read_mobility(file: Path, dimensions: Dimensions | None = None, *, is_scaled: bool = False) -> MobilityFile:
     """Return the nodes of a mobility file; its content determines the format.
 
     Args:
         file: the path; the file may be compressed by gzip.
         dimensions: coordinates of each waypoint in a file of BonnMotion; None: as the file says.
+        is_scaled: whether the caller scales the places; if not, comments may name no other unit than m.
 
     Raises:
         ValueError: if the file cannot be read or has another format; the message names the file.
     """
-    lines = text_of_file(file).split("\n")
+    text = text_of_file(file)
+    for unit in "s" if is_scaled else "sm":
+        check_comments(text, file, unit)
+    lines = text.split("\n")
     first = next((line.strip() for line in lines if line.strip()), "")
     for beginning, advice in UNREAD.items():
         if first.startswith(beginning):
