@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable
 from functools import cached_property
 from types import FunctionType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 from warnings import catch_warnings
 
 import numpy as np
@@ -60,8 +60,10 @@ from desim.pursuit.sensing.tracking import ESTIMATORS
 from desim.pursuit.team.announcements import DISSEMINATIONS
 from desim.pursuit.team.trust import TRUSTS
 from desim.scenario.checks import warnings
+from desim.scenario.misfits import _fields_of_tables
 from desim.scenario.properties import KINDS as PROPERTIES
 from desim.scenario.scenario import PROTOCOLS
+from desim.scenario.sweep_table import Sweep
 from desim.view.formats.export import EXPORTERS
 from desim.view.pictures.link_traces import link_traces
 from protocols import BestResponse
@@ -444,6 +446,56 @@ def test_each_family_that_is_called_is_covered():
     known = [family.choice for family in FAMILIES.values()]
     inner = field(protocols.Synchronous, "schedule")  # of which only `mean_slot` is called
     assert all(any(each is other for other in (*known, BASES, EXPORTERS, PURSUER_FAULTS, inner)) for each in called)
+
+
+TABLES = {
+    "": lambda kind: kind(horizon=2.0),
+    "team": lambda kind: scenario(team=kind(count=3)),
+    "team.speeds": lambda kind: scenario(team=Team(count=3, speeds=kind(default=3.0, last=2.0))),
+    "team.relay.0": lambda kind: scenario(
+        team=Team(count=4, relay=(kind(pursuer=1, motion=RecordedMotion(waypoints=((0.0, 1.0, 1.0),))),))
+    ),
+    "evader.0": lambda kind: scenario(evader=(kind(position=(9.0, 8.0)),)),
+    "sensing": lambda kind: scenario(sensing=kind()),
+    "capture": lambda kind: scenario(capture=kind()),
+    "motion": lambda kind: scenario(motion=kind()),
+    "environment": lambda kind: scenario(environment=kind()),
+    "wall.0": lambda kind: scenario(wall=(kind(line=((5.0, 5.0), (6.0, 5.0))),)),
+    "announce": lambda kind: scenario(announce=kind()),
+    "network": lambda kind: scenario(network=kind()),
+    "network.coherence": lambda kind: linked(coherence=kind()),
+    "network.processing": lambda kind: linked(processing=kind()),
+    "network.link.0": lambda kind: linked(link=(kind(src=0, dst=1, loss=1.0),)),
+    "clocks": lambda kind: scenario(clocks=kind()),
+    "record": lambda kind: scenario(record=kind()),
+    "sweep": lambda kind: scenario(sweep=kind()),
+    "sweep.design": lambda kind: scenario(sweep=Sweep(grid={"horizon": "0.1:0.2"}, design=kind(size=2))),
+}
+"""A scenario with a table of some class, by the key of the table."""
+
+
+def tables(model, place=()):
+    """Yield the key and the class of each table in a scenario."""
+    yield ".".join(place), model
+    for name in _fields_of_tables(model):
+        annotation = model.model_fields[name].annotation
+        inner = [annotation, *get_args(annotation), *(each for part in get_args(annotation) for each in get_args(part))]
+        for kind in dict.fromkeys(each for each in inner if isinstance(each, type) and issubclass(each, Value)):
+            yield from tables(kind, (*place, name, *(["0"] if tuple[kind, ...] in inner else [])))
+
+
+@pytest.mark.parametrize(("key", "table"), [*tables(Scenario)])
+def test_a_table_whose_class_overrides_something_is_refused(key, table):
+    """It would be a table of the usual class again where its keys are written and read, as in a sweep."""
+    (name, field), *_ = table.model_fields.items()
+    default = {} if field.is_required() else {name: field.get_default(call_default_factory=True)}
+    bodies = {name: {"__annotations__": {name: Any}} | default}
+    bodies |= {method: {method: vars(base)[method]} for method, base in [*methods_of(table).items()][:1]}
+    for name, body in bodies.items():
+        derived_table = type(table)("Theirs", (table,), {"__module__": "theirs"} | body)
+        with pytest.raises(KeyedError, match=rf"{key}: Theirs has its own {name}"):
+            TABLES[key](derived_table)
+    TABLES[key](type(table)("Theirs", (table,), {"__module__": "theirs", "a_helper": lambda _: 3}))
 
 
 def test_an_overridden_plan_of_lies_is_that_of_the_run():

@@ -6,8 +6,13 @@ fit together. What the models of links say of the links that use them (`check_li
 """
 
 from collections.abc import Iterator
+from functools import cache
+from typing import Any, get_args
 
+from desim.config.choice import choices_of
 from desim.config.errors import KeyedError
+from desim.config.model import Value, annotated
+from desim.config.traits import is_ours
 from desim.kernel.clock_sync import TwoWay
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.graph_files.node_names import shortened
@@ -24,6 +29,9 @@ from desim.scenario.wall_misfits import Misfit, wall_misfits
 
 def misfits(scenario: AnyScenario) -> Iterator[Misfit]:
     """Yield the key and the text of each inconsistency between the tables of a scenario."""
+    if derived := list(_derived_tables(scenario)):
+        yield from derived
+        return
     no_pursuer = f"there is no pursuer {{}}: they are 0 .. {scenario.team.count - 1}"
     yield from _graph_misfits(scenario, no_pursuer)
     try:
@@ -43,6 +51,55 @@ def misfits(scenario: AnyScenario) -> Iterator[Misfit]:
     yield from _protocol_misfits(scenario, no_pursuer)
     yield from _fault_misfits(scenario, no_pursuer)
     yield from property_misfits(scenario)
+
+
+def _derived_tables(table: Value, place: tuple[str | int, ...] = ()) -> Iterator[Misfit]:
+    """Yield the key and the text of each table whose class is derived by a user, and overrides something.
+
+    A table is written and read again with its keys, for a file as for a changed scenario, and then has its own class.
+    A model with a kind may be derived: it is named by its class.
+    """
+    kind = type(table)
+    if not is_ours(kind):
+        yield from ((place, why) for why in _overridden(kind))
+    for name in _fields_of_tables(kind):
+        value = getattr(table, name)
+        if type(value) is tuple:
+            for k, item in enumerate(value if value and isinstance(value[0], Value) else ()):
+                yield from _derived_tables(item, (*place, name, k))
+        elif isinstance(value, Value):
+            yield from _derived_tables(value, (*place, name))
+
+
+@cache
+def _fields_of_tables(kind: type[Value]) -> tuple[str, ...]:
+    """Return the names of the fields of a table that hold tables, or lists of tables, and no models with a kind."""
+    fields = kind.model_fields.items()
+    return tuple(name for name, field in fields if _holds_table(field.annotation) and not choices_of(field))
+
+
+def _holds_table(annotation: Any) -> bool:
+    if isinstance(annotation, type) and issubclass(annotation, Value):
+        return "kind" not in annotation.model_fields
+    return any(map(_holds_table, get_args(annotation)))
+
+
+def _overridden(kind: type[Value]) -> Iterator[str]:
+    """Yield why a class that a user derives from a table is refused, if it has a key or a method of the table anew."""
+    base = next(each for each in kind.__mro__ if is_ours(each))
+    derived = kind.__mro__[: kind.__mro__.index(base)]
+    theirs = dict.fromkeys(name for each in derived for name in (*annotated(each), *vars(each)) if name[0] != "_")
+    if changed := [name for name in theirs if _is_of_table(base, name)]:
+        yield (
+            f"{kind.__name__} has its own {', '.join(changed)}, which a sweep, `with_` and a file would lose: they keep"
+            f" the keys of a table only; give a {base.__name__} with values, or a model of your own in a key that has a"
+            " kind"
+        )
+
+
+def _is_of_table(base: type[Value], name: str) -> bool:
+    """Return whether a table has a key, a method or a property of a name, but no other value has it."""
+    return name in base.model_fields or (hasattr(base, name) and not hasattr(Value, name))
 
 
 def _graph_misfits(scenario: AnyScenario, no_pursuer: str) -> Iterator[Misfit]:
