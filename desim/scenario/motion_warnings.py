@@ -1,10 +1,13 @@
 """Warnings about players that can be simulated and are probably not meant: their motion, and what they see."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from math import sqrt
 from typing import Any
 
+import numpy as np
+
 from desim.config.traits import inherits
+from desim.pursuit.core.state import complex_points
 from desim.pursuit.motion.flow import RecordedFlow
 from desim.pursuit.motion.guidance import PurePursuit
 from desim.pursuit.sensing.sensing import Sensing
@@ -15,6 +18,8 @@ from desim.scenario.wall_misfits import reach_warnings
 
 SLOW = 10.0
 """The time until the second row of a record, in horizons, from which on its times probably have another unit."""
+TINY = 0.5
+"""The width and height of all walls together, m, below which their coordinates probably have another unit."""
 RARE_TURNS = 10.0
 """The time between two turns of an evader, s, beyond which a filter that expects it gives a warning.
 
@@ -35,6 +40,7 @@ def motion_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     yield from _record_warnings(scenario)
     yield from _flow_warnings(scenario)
     yield from reach_warnings(scenario)
+    yield from _place_warnings(scenario)
     yield from _estimates_warnings(scenario)
     yield from _sensing_warnings(scenario)
     stride = scenario.motion.step * max(fastest, *evader_speeds)
@@ -112,6 +118,39 @@ def _flow_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             "the wind carries a pursuer aside that heads for where the evader is, so it comes later than its capture"
             " time says (by 5 to 19 % in examples): constant_bearing allows for the wind",
         )
+
+
+def _place_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the warnings about walls and evaders that are where nobody comes, as if they had other coordinates.
+
+    No player leaves the box around the starts by more than its speed times the horizon, and the line between two
+    players stays in this box.
+    """
+    environment, evaders = scenario.environment, scenario.evaders
+    pursuers = complex_points(scenario.team.start(scenario.seed, scenario.space))
+    starts = [complex(*evader.start(scenario.seed, k, scenario.space)) for k, evader in enumerate(evaders)]
+    top_speed = max(scenario.team.top_speed, *(evader.speed for evader in evaders)) + environment.top_speed
+    way = 0.0 if scenario.motion.static else top_speed * scenario.horizon
+    box, hint = (
+        _box([*pursuers, *starts], way),
+        "are its coordinates in another unit, in degrees, or from another origin?",
+    )
+    if scenario.wall:
+        walls = _box([complex(*corner) for wall in scenario.wall for shape in wall.shapes for corner in shape.corners])
+        if max(walls[1] - walls[0], walls[3] - walls[2]) < TINY:
+            yield "wall", f"it lies within {max(walls[1] - walls[0], walls[3] - walls[2]):.2g} m: {hint} (`scale`)"
+        elif walls[1] < box[0] or walls[0] > box[1] or walls[3] < box[2] or walls[2] > box[3]:
+            yield "wall", f"it is where no player can come within the horizon: {hint} (`scale`, `offset`)"
+    for k, start in enumerate(starts):
+        if np.abs(pursuers - start).min() > 2.0 * SLOW * way > 0.0:
+            key = f"evader.{k}" if isinstance(scenario.evader, tuple) else "evader"
+            yield key, f"it starts so far away that no pursuer could reach it in {SLOW:g} horizons: {hint}"
+
+
+def _box(points: Iterable[complex], margin: float = 0.0) -> tuple[float, float, float, float]:
+    """Return the least and greatest x, and the least and greatest y, of some points, m, with a margin around them."""
+    at = np.array(list(points))
+    return at.real.min() - margin, at.real.max() + margin, at.imag.min() - margin, at.imag.max() + margin
 
 
 def _estimates_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:

@@ -52,6 +52,10 @@ WIND = {"kind": "uniform", "velocity": (0.0, 0.3)}
 RELIABLE = Links(transport=Reliable())
 
 
+AT_CORNERS = {"team": Team(positions=[[0.0, 0.0], [40.0, 20.0]], speeds=2.0), "evader": Evader(position=(9.0, 9.0))}
+"""Players that come to x = 100 m at most in 30 s."""
+
+
 def users_own(me):
     """Send or announce what it likes: a protocol of a user."""
     yield from ()
@@ -332,6 +336,11 @@ def test_of_several_players_the_fastest_counts(speeds):
             "motion.step",
             "step x speed = 0.22 m is more than 2 x radius = 0.2 m",
         ),
+        ({"wall": [{"line": [[13.4012, 52.5034], [13.4013, 52.5039]]}]}, "wall", "it lies within 0.0005 m: are its"),
+        ({"wall": [{"line": [[391545.0, 5820012.0], [391560.0, 5820030.0]]}]}, "wall", "where no player can come"),
+        ({"wall": [{"line": [[100.1, 0.0], [100.1, 20.0]]}], **AT_CORNERS}, "wall", "where no player can come"),
+        ({"evader": Evader(position=(391545.0, 5820012.0))}, "evader", "could reach it in 10 horizons"),
+        ({"evader": [Evader(), Evader(position=(0.0, 1400.0))]}, "evader.1", "could reach it in 10 horizons"),
         (
             {
                 "motion": Motion(step=0.11),
@@ -422,6 +431,10 @@ def test_probably_unintended_values_are_named_with_key_and_reason(given, key, wh
         {"announce": Announcements(payload="course")},
         {"fault": [Liar(start=0.0, node=0, position="random")], "announce": {"payload": "course"}},
         {"motion": Motion(step=1.0), "horizon": 1.0},
+        {"wall": [{"line": [[99.9, 0.0], [99.9, 20.0]]}], **AT_CORNERS},
+        {"wall": [{"line": [[5.0, 5.0], [5.5, 5.0]]}]},
+        {"wall": [{"line": [[5.0, 5.0], [5.1, 5.0]]}, {"line": [[9.0, 5.0], [9.1, 5.0]]}]},
+        {"evader": Evader(position=(0.0, 1200.0))},
         {"motion": Motion(step=0.1), "capture": Capture(test="sample")},
         {"motion": Motion(step=0.11)},
         {
