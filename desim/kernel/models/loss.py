@@ -59,9 +59,10 @@ class GilbertElliott(Value):
     s = p / (p + r) and the mean bad period is 1 / r. A link starts in its stationary distribution. The share of lost
     messages is s `loss_bad` + (1 - s) `loss_good`; by default exactly the messages sent in the bad state are lost.
 
-    If the state advances with messages, as in netem, an idle link keeps it. A sender that waits before it repeats a
-    message then outlasts no burst, and alone on a link it takes 1 / (1 - s) attempts, as without bursts. Where messages
-    are repeated, let the state advance with time.
+    If the state advances with time, a link that was bad is bad again after t s with the probability s + (1 - s)
+    exp(-t / (burst (1 - s))). If it advances with messages, as in netem, an idle link keeps its state. A sender that
+    waits before it repeats a message then outlasts no burst, and alone on a link it takes 1 / (1 - s) attempts, as
+    without bursts. Where messages are repeated, let the state advance with time.
     """
 
     kind: Literal["gilbert_elliott"] = "gilbert_elliott"
