@@ -170,8 +170,9 @@ def energy(result: Result) -> float:
 
     v_i is the speed of pursuer i through its medium, and p is `team.power_exponent`. A drive that needs the force
     c v^(p-1) at the speed v spends c times as much, J: p = 1 is dry friction, 2 viscous friction, 3 the drag of air or
-    water. Not counted are what a robot consumes at rest and what accelerating takes. In a static game, where no pursuer
-    moves, the result is the energy that pursuers with the same actions would need to move.
+    water. Not counted are what a robot consumes at rest and what accelerating takes. A robot with inertia counts with
+    its full speed also while it is slower, and not while it brakes. In a static game, where no pursuer moves, the
+    result is the energy that pursuers with the same actions would need to move.
     """
     end = ended(result).t
     chasing = [end * bool(active) for active in started(result).active]  # active times, ns: integers, so sums are exact

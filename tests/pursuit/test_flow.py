@@ -288,16 +288,20 @@ def test_a_lone_pursuer_captures_a_fleeing_evader_after_its_capture_time(environ
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("wind", "phi", "bearing", "pure"),
-    [((0.0, 0.3), 4.5471, 4.5481, 4.790), ((0.2, 0.5), 3.9602, 3.9628, 4.713), ((-0.2, 0.5), 5.8539, 5.8578, 6.887)],
+    [((0.0, 0.3), 4.5471, 4.5481, 4.7899), ((0.2, 0.5), 3.9602, 3.9628, 4.7145), ((-0.2, 0.5), 5.8539, 5.8578, 6.8872)],
 )
 def test_the_table_of_what_guidances_attain_in_wind(wind, phi, bearing, pure):
-    """The table of the page on the game, at steps of 1 ms; phi is the aim of the edge of the capture disc."""
+    """The table of the page on the game; phi is the aim of the edge of the capture disc.
+
+    Times of pure pursuit are those of a Runge-Kutta integration without desim. At steps of 1 ms, in which the evader
+    moves first, captures are up to 1.2 ms early.
+    """
     environment = Environment(on="pursuers", flow=SteadyFlow(velocity=wind))
     times = capture_times_in_flow(
         environment, 5 + 0j, np.zeros(1, complex), np.array([5.0]), np.array([2.0]), 0.9, 0.1, 0
     )
     assert times == pytest.approx([phi], abs=6e-5)
-    for guidance, expected, error in (("constant_bearing", bearing, 6e-5), ("pure_pursuit", pure, 6e-4)):
+    for guidance, expected, error in (("constant_bearing", bearing, 6e-5), ("pure_pursuit", pure, 1.2e-3)):
         one = Scenario(
             team={"count": 1, "speeds": 2.0, "positions": [(0.0, 0.0)], "guidance": guidance},
             evader={"position": (5.0, 0.0)},
