@@ -6,10 +6,11 @@ the paper without sensing of teammates, so that announcements also carry positio
 times a second, so protocols make equally many transmissions, of unequal sizes. There are three exceptions. The
 centralised benchmark sends nothing. The geometric rules send nothing where positions are sensed. Under `server`,
 reports and orders replace the announcements, with about as many transmissions. A pursuer, or the planner of the
-centralised benchmark, decides ten times a second on average; the server decides whenever reports arrive. The value of
-communication is the decrease of active time compared with a silent team, in which each pursuer decides alone. The cost
-of delay is the increase of the potential gap (`desim.analysis.hindsight`) compared with the same protocol with the same
-seeds and without delay.
+centralised benchmark, decides ten times a second on average; the server decides whenever reports arrive. The cost of
+delay is the increase of the potential gap (`desim.analysis.hindsight`) compared with the same protocol with the same
+seeds and without delay. "nobody talks" is Spatial Adaptive Play without any announcement, not even of first actions;
+what a message is worth needs a silent team of the same protocol that knows as much at the start, and is measured by
+`python -m scenarios.start --worth`.
 """
 
 from collections import defaultdict
@@ -42,7 +43,7 @@ def _tables(world: str, cells: Sequence[Cell], runs: int) -> list[str]:
         if name != REFERENCE:
             paired.append((name, *(f"{cell.difference:+.1f} +- {cell.difference_half_width:.1f}" for cell in line)))
     heads = ["captured", "relayed", "after", "misassigned", "regret", "handovers", "sent/s", "kB/s"]
-    messages = [("", *heads, "saved/sent", "saved/kB")]
+    messages = [("", *heads)]
     for name in names:
         at = here[name, SHOWN]
         messages.append(
@@ -50,29 +51,21 @@ def _tables(world: str, cells: Sequence[Cell], runs: int) -> list[str]:
                 name,
                 f"{at.captured:.0%}",
                 f"{at.relayed:.0%}",
-                _number(at.time_to_relay, "s"),
+                "-" if at.time_to_relay is None else f"{at.time_to_relay:.2f} s",
                 f"{at.misassigned_time:.2f} s",
                 f"{at.network_regret:.1f} s^2",
                 f"{at.handovers:.1f}",
                 f"{at.transmissions:.0f}",
                 f"{at.kilobytes:.2f}",
-                _number(at.saved_per_transmission, "s", digits=3),
-                _number(at.saved_per_kilobyte, "s"),
             )
         )
     about = f"{world}, {N} pursuers, {runs} runs, 95 % intervals"
-    meaning = (
-        "regret: increase of the potential gap by delay; saved: decrease of active time compared with a silent team"
-    )
+    meaning = "regret: increase of the potential gap by delay"
     return [
         f"Sum of active times, s: {about}\n{aligned(active)}",
         f"Sum of active times minus that of {REFERENCE} with the same seeds, s: {about}\n{aligned(paired)}",
         f"At L = {SHOWN:g} s: {about}\n{meaning}\n{aligned(messages)}",
     ]
-
-
-def _number(value: float | None, unit: str, digits: int = 2) -> str:
-    return "-" if value is None else f"{value:.{digits}f} {unit}"
 
 
 def picture(cells: Sequence[Cell]) -> "Figure":

@@ -50,7 +50,7 @@ LEARNED = "policy"
 class Cell:
     """The results of one protocol in one scenario at one latency.
 
-    They are means over the runs, except rates and savings, which are quotients of totals over the runs.
+    They are means over the runs, except rates, which are quotients of totals over the runs.
     """
 
     world: str
@@ -76,10 +76,6 @@ class Cell:
     """Transmissions per second."""
     kilobytes: float
     """Kilobytes sent per second."""
-    saved_per_transmission: float | None
-    """Decrease of active time compared with a silent team, s per transmission; None without transmissions."""
-    saved_per_kilobyte: float | None
-    """Decrease of active time compared with a silent team, s per kilobyte; None without transmissions."""
 
 
 def contender(kind: str) -> object:
@@ -118,7 +114,6 @@ def measure(options: Options) -> list[Cell]:
             (world, protocol, latency),
             runs[world, protocol, latency],
             reference=runs[world, REFERENCE, latency],
-            silent=runs[world, SILENT, latency],
             prompt=runs[world, protocol, 0.0],
         )
         for world, protocol, latency in keys
@@ -141,7 +136,6 @@ def cell(
     outcomes: Sequence[tuple[Summary, float | None]],
     *,
     reference: Sequence[tuple[Summary, float | None]],
-    silent: Sequence[tuple[Summary, float | None]],
     prompt: Sequence[tuple[Summary, float | None]],
 ) -> Cell:
     """Return the results of one protocol, and their differences from other runs with the same seeds.
@@ -150,14 +144,12 @@ def cell(
         key: name in `WORLDS`, protocol and latency (s).
         outcomes: the summary and the time to relay of each run.
         reference: the same for Spatial Adaptive Play.
-        silent: the same for a team without announcements.
         prompt: the same for this protocol at latency 0.
     """
     runs = [run for run, _ in outcomes]
     relays = [time for _, time in outcomes if time is not None]
     active = estimate([run.active_time for run in runs])
     paired = estimate([run.active_time - other.active_time for run, (other, _) in zip(runs, reference, strict=True)])
-    saved = portable_sum(other.active_time - run.active_time for run, (other, _) in zip(runs, silent, strict=True))
     regrets = [_gap(run) - _gap(other) for run, (other, _) in zip(runs, prompt, strict=True)]
     sent = portable_sum(run.transmissions for run in runs)
     kilobytes = portable_sum(run.bytes_sent for run in runs) / 1000.0
@@ -176,8 +168,6 @@ def cell(
         _mean([float(run.handovers) for run in runs]),
         sent / duration,
         kilobytes / duration,
-        saved / sent if sent else None,
-        saved / kilobytes if kilobytes else None,
     )
 
 
