@@ -301,11 +301,13 @@ def test_a_list_with_one_table_is_that_table(tmp_path):
 
 
 def test_a_start_at_random_chases_every_evader_alike():
-    """Of 4,000 starts of one pursuer a third each, within 4 standard errors of 0.0075."""
+    """Of 4,000 starts of one pursuer a third each, within 4 standard errors of 0.0075. The control has 2 of the 3."""
     base = Scenario(team=Team(count=400, speeds=1.0), evader=Evader(count=3))
     starts = [world_of(base, seed).state.profile for seed in range(10)]
     assert len(set(map(tuple, starts))) == 10
     first = np.concatenate(starts)
     shares = [(first == action).mean() for action in (1, 2, 3)]
     assert max(abs(share - 1 / 3) for share in shares) < 4 * 0.0075
+    of_two = (first[first != 3] == 1).mean()
+    assert abs(of_two - 1 / 3) > 4 * 0.0075
     assert (first == 0).sum() == 0
