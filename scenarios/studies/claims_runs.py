@@ -8,16 +8,19 @@ from typing import Any
 import numpy as np
 
 from desim import Result, Scenario, Team, load
-from desim.analysis.metrics import active_time, end_time, excess_time
+from desim.analysis.metrics import active_time, end_time, excess_time, idle_time
 from desim.analysis.statistics import Estimate, mean, paired, wilson
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.pursuit.core.events import Estimated, Sampled
 from desim.pursuit.evaders.evasion import PureEvasion
-from desim.pursuit.team.announcements import Start
+from desim.pursuit.team.announcements import Announcements, Start
+from desim.pursuit.team.targeted_faults import ChaserCrash
 from desim.scenario.players import Evader
+from desim.scenario.scenario import Motion
 from desim.study.ablation.imperfections import IMPERFECTIONS, with_perfect_network, without_messages
 from protocols.best_response import BestResponse
+from protocols.centralised import Centralised
 from scenarios.studies import (
     bodies_runs,
     coherence_runs,
@@ -341,6 +344,31 @@ def normalised_error(result: Result) -> float:
             square = estimated.yy * x * x - 2.0 * estimated.xy * x * y + estimated.xx * y * y
             errors.append(square / (estimated.xx * estimated.yy - estimated.xy**2))
     return float(np.mean(errors)) if errors else nan
+
+
+def in_order(order: str) -> Scenario:
+    """Return the default pursuit under `centralised`, at steps of 0.1 s in an order of motion."""
+    return Scenario(protocol=Centralised(slot=0.1), motion=Motion(step=0.1, order=order))
+
+
+def leaves_alone(protocol: str, timeout: str) -> Number:
+    """Return what measures how often an evader whose chaser crashes is alone for 2 s longer than under `centralised`.
+
+    There are five pursuers, heartbeats each 0.34 s, and `timeout` is how long announcements are believed.
+    """
+    base = Scenario(
+        team=Team(count=5),
+        network=Links(latency=Constant(value=0.1)),
+        announce=Announcements(heartbeat=0.34),
+        fault=(ChaserCrash(start=0.6),),
+    )
+    late = base.with_({"protocol": protocol, "announce.belief_timeout": timeout})
+
+    def number(options: Options) -> tuple[float, float]:
+        idle, least = options.measure([late, base.with_({"protocol": "centralised"})], "", idle_time)
+        return in_trials(sum(some > other + 2.0 for some, other in zip(idle, least, strict=True)), len(idle))
+
+    return number
 
 
 def nearest_only(me: Any) -> Any:
