@@ -223,9 +223,14 @@ def _elsewhere() -> dict[str, str]:
     """Return, by names that users look for in this package, what to write instead."""
     protocols = homes_of_exports(str(package_folder("protocols") / "__init__.py"))
     imports = {name: f"from protocols import {name}" for name in protocols}
+    imports["SAP"] = imports["SpatialAdaptivePlay"]
     others = {"simulate": "run", "Simulation": "run", "Simulator": "run", "read": "open", "load_scenario": "load"}
     others |= {"Network": "Links", "Robot": "Team", "Pursuers": "Team", "Experiment": "Scenario", "Config": "Scenario"}
     return imports | {name: f"from desim import {here}" for name, here in others.items()}
+
+
+COMMANDS_ONLY = ("check", "keys", "live", "merge", "netem", "new", "report", "schema", "submit")
+"""Commands that are not functions of this package."""
 
 
 def __getattr__(name: str) -> object:
@@ -237,6 +242,8 @@ def __getattr__(name: str) -> object:
         HiddenPackageError: if another package or module hides `protocols`.
         ModuleNotFoundError: if its module needs a package of an extra that is not installed.
     """
+    if name in COMMANDS_ONLY:
+        raise AttributeError(f"module 'desim' has no attribute {name!r}: `desim {name}` is a command")
     if name not in _HOMES:
         raise missing_export("desim", name, _HOMES, _elsewhere())
     if (home := _HOMES[name]) not in sys.modules:

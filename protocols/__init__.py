@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from desim.config.exports import homes_of_exports, missing_export
+from desim.config.packages import package_folder
 
 if TYPE_CHECKING:
     from protocols.best_response import BestResponse as BestResponse
@@ -101,6 +102,8 @@ def __getattr__(name: str) -> object:
         imports = {kind.upper(): f"from protocols import {item}" for kind, item in kinds.items()} | {
             kind: f"from protocols import {item}, or protocol={kind!r} for its defaults" for kind, item in kinds.items()
         }
+        models = homes_of_exports(str(package_folder("desim") / "__init__.py"))
+        imports |= {model: f"from desim import {model}" for model in models if model not in imports}
         raise missing_export("protocols", name, _HOMES, imports)
     return getattr(import_module(_HOMES[name]), name)
 

@@ -13,6 +13,7 @@ import pytest
 from desim.analysis.metrics import summary
 from desim.analysis.statistics import FIRST_LOOK
 from desim.analysis.tables import counted
+from desim.config.extras import missing
 from desim.config.model import Value, fields_of
 from desim.kernel.models.latency import Gamma
 from desim.pursuit.core.traits import ProtocolTraits
@@ -152,7 +153,7 @@ def test_an_unknown_key_is_reported_with_the_tables_that_have_it(file, text, sug
 @pytest.mark.parametrize("command", ["run", "sweep", "explain"])
 def test_the_number_of_runs_has_the_bound_of_its_key(file, command):
     (most,) = (each.le for each in Sweep.model_fields["reps"].metadata if hasattr(each, "le"))
-    assert f"<=x<={most}" in refused(command, file(DUEL), "-n", most + 1)[-1]
+    assert f" to {most:,}; " in refused(command, file(DUEL), "-n", most + 1)[-1]
 
 
 def test_the_key_that_is_suggested_for_an_override_can_be_set(file):
@@ -678,7 +679,7 @@ def test_without_matplotlib_there_is_a_warning_and_no_picture(file, tmp_path, pi
     monkeypatch.setitem(sys.modules, "matplotlib", None)  # importing it now raises ImportError
     result = accepted("run", file(RANDOM), "-o", tmp_path / "out")
     assert names(tmp_path / "out") == FILES
-    warning = "warning: no picture without matplotlib: pip install 'pursuit-desim[plot]'"
+    warning = f"warning: no picture: {missing('matplotlib')}"
     assert result.stderr.splitlines() == [warning, f"wrote {tmp_path / 'out'}"]
 
 
@@ -1269,14 +1270,18 @@ def test_a_file_that_is_not_a_store_is_refused(file, tmp_path):
     (tmp_path / "empty.sqlite").write_text("")
     (tmp_path / "folder").mkdir()
     target = tmp_path / "x.csv"
-    assert refused("export", tmp_path / "none.sqlite", target) == [f"{tmp_path}/none.sqlite: there is no such store"]
+    (said,) = refused("export", tmp_path / "none.sqlite", target)
+    assert said == f"{tmp_path}/none.sqlite: there is no such store; `desim sweep FILE -o DIR` makes one in DIR"
+    (said,) = refused("export", tmp_path / "helo.sqlite", target)
+    assert said == f"{tmp_path}/helo.sqlite: there is no such store, did you mean 'hello.sqlite'?"
     nothing = "has no result of desim: neither trace.jsonl nor sweep.sqlite"
     assert refused("export", tmp_path / "folder", target) == [f"{tmp_path}/folder: {nothing}"]
     (tmp_path / "folder" / "delay").mkdir()
     (tmp_path / "folder" / "delay" / "sweep.sqlite").write_text("")
     below = "has no result itself, but its folders have (delay): give one of them"
     assert refused("export", tmp_path / "folder", target) == [f"{tmp_path}/folder: {below}"]
-    assert refused("export", tmp_path / "hello.sqlite", target) == [f"{tmp_path}/hello.sqlite: file is not a database"]
+    (said,) = refused("export", tmp_path / "hello.sqlite", target)
+    assert said.startswith(f"{tmp_path}/hello.sqlite: file is not a database, and is left as it is")
     assert refused("export", tmp_path / "empty.sqlite", target) == [f"{tmp_path}/empty.sqlite: is empty"]
     assert not target.exists()
 

@@ -15,7 +15,7 @@ from keyword import iskeyword
 from math import isnan, nan
 from operator import itemgetter
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from desim.analysis.activity import (
     active_time,
@@ -206,6 +206,16 @@ class Summary(Mapping[str, Any]):
 
     def __getitem__(self, name: str) -> Any:
         return self._values[name]
+
+    if not TYPE_CHECKING:  # a type checker reports missing attributes itself
+
+        def __getattr__(self, name: str) -> Any:
+            """Raise AttributeError with the name that may be meant; called only if there is no such attribute."""
+            if name.startswith("_") or hasattr(type(self), name):
+                return object.__getattribute__(self, name)
+            raise AttributeError(
+                f"there is no metric {name!r}{did_you_mean(name, self)}; the others are in print(summary)"
+            )
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._values)
@@ -497,6 +507,9 @@ def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType
     return tuple(metrics.items())
 
 
+ONE_NAME = "metric should be the name of one metric, 'active_time' for instance"
+
+
 def check_numeric(metric: str, added: Iterable[str] = ()) -> None:
     """Check that a name is that of a built-in metric with `is_number`, or one of the names in `added`.
 
@@ -506,8 +519,12 @@ def check_numeric(metric: str, added: Iterable[str] = ()) -> None:
     """
     asked: Any = metric
     if not isinstance(asked, str):
+        if isinstance(asked, Sequence):
+            raise ValueError(f"{ONE_NAME} (got {metric!r})")
         name = getattr(asked, "__name__", "mine")
         raise ValueError(f'metric should be a name: "{name}", with metrics={{"{name}": ...}} (got {metric!r})')
+    if "," in metric:
+        raise ValueError(f"{ONE_NAME} (got {metric!r})")
     numeric = [*(name for name, metric in METRICS.items() if metric.is_number), *added]
     if metric not in numeric:
         hint = did_you_mean(metric, numeric)

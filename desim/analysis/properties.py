@@ -82,6 +82,8 @@ def judge(prop: Stated, result: Result) -> Judgement:
         ValueError: if the text states no property, the property does not fit the scenario, the protocol is its own
             reference, or the trace lacks positions or messages that a quantity needs.
     """
+    if isinstance(prop, Result):
+        raise TypeError("judge takes the property first: judge('idle at most 2 in total', result)")
     run_argument(Result).check(result, "judge")
     prop = stated(prop, result.scenario)
     worst, reference = worst_of(prop, trace_index(result)), reference_scenario(prop, result.scenario)

@@ -93,7 +93,15 @@ def keys(key: str | None) -> None:
     except ValueError as error:
         from desim.config.key_index import homes_of
 
-        homes = list(dict.fromkeys(home.dotted for home in homes_of(str(key).split(".")[-1], Scenario)))
+        if Path(str(key)).is_file():
+            fail(
+                f"{key}: is a file: `desim check {key}` prints it with all keys; a KEY is network.latency for instance"
+            )
+        if "depends on the kind" in str(error):
+            fail(str(error))
+        above, _, last = str(key).rpartition(".")
+        homes = list(dict.fromkeys(home.dotted for home in homes_of(last, Scenario)))
+        homes.sort(key=lambda home: not home.startswith(f"{above}."))  # those in the same table first
         hint = f"; did you mean {' or '.join(homes[:3])}?" if homes else ""
         fail(f"{error}{hint}")
 

@@ -29,6 +29,8 @@ def fates(log: Path, file: Path, seed: int | None, out: Path | None, overrides: 
     from desim.kernel.fates import Fate, read_log
     from desim.kernel.fates import fates as fates_of
 
+    if log.suffix == ".toml" and file.suffix != ".toml":
+        fail(f"{log}: is a scenario file, and the log comes first: desim fates {file} {log}")
     _, scenario = source_of(file, overrides)
     if lies := [fault for fault in scenario.fault if fault not in scenario.network_faults]:
         echo(f"warning: {file}: fault: {type(lies[0]).__name__} has no effect: nobody lies in a log", err=True)

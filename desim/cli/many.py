@@ -71,8 +71,8 @@ class Precision(click.ParamType[tuple[str, float]]):
         metric, _, width = str(value).rpartition(":")
         try:
             return metric, float(width)
-        except ValueError as error:
-            self.fail(f"{PRECISION}, got {value!r}: {error}", param, ctx)
+        except ValueError:
+            self.fail(f"{PRECISION} (got {value!r})", param, ctx)
 
 
 @click.command()

@@ -12,6 +12,7 @@ import click
 
 from desim.cli import completion
 from desim.cli.usage import metric_option, problem, spelled
+from desim.config.extras import EXTRAS, missing
 from desim.config.file_names import files, folder_name
 from desim.config.trust import escaped, write_whole
 from desim.simulation.watchdog import checked_limit, within
@@ -124,15 +125,24 @@ ONE_METRIC = click.option(
 
 
 class Pair(click.ParamType[tuple[str, str]]):
-    """A parameter type: two texts, NAME=TEXT."""
+    """A parameter type: two texts, KEY=VALUE.
 
-    name = "NAME=TEXT"
+    Args:
+        example: an example, for the message about a value that has another form.
+    """
+
+    name = "KEY=VALUE"
+
+    def __init__(self, example: str = "protocol.kind=sap"):
+        self._example = example
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, str]:
         """Return the texts before and after the first equals sign."""
         first, equals, second = str(value).partition("=")
         if not (first and equals):
-            self.fail(f"{value!r} should be two texts with = between them", param, ctx)
+            form = self.name if param is None or ctx is None else param.make_metavar(ctx)
+            form = form if "=" in form else self.name
+            self.fail(f"{value!r} should be {form}, {self._example} for instance", param, ctx)
         return first, second
 
 
@@ -140,7 +150,7 @@ LABEL = click.option(
     "--label",
     "labels",
     multiple=True,
-    type=Pair(),
+    type=Pair('sap="SAP (ours)"'),
     metavar="VALUE=TEXT",
     help='The text for a value of a key, e.g. sap="SAP (ours)", or for a key; can be repeated.',
 )
@@ -264,6 +274,8 @@ def _instead_of(file: Path) -> str:
     if file.stem in examples() and file.parent == Path():
         return f"; an example: `desim examples {file.stem}` writes {file.stem}.toml, which then can be run"
     beside = [path.name for path in file.parent.glob("*.toml")] if file.parent.is_dir() else []
+    if not file.suffix and file.parent.is_dir():
+        beside += [path.name for path in file.parent.iterdir() if path.is_dir()]
     return did_you_mean(file.name, beside) or did_you_mean(file.stem, beside)
 
 
@@ -358,10 +370,12 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / ".writable").touch()
         (folder / ".writable").unlink()
+    except FileExistsError as error:
+        fail(f"--out {folder}: cannot be written: is a file, and should be a folder, made if absent ({error.filename})")
     except OSError as error:
-        fail(f"--out {folder}: cannot be written: {error.strerror}")
+        fail(f"--out {folder}: cannot be written: {error.strerror}; give another folder")
     if not can_plot():
-        echo("warning: no picture without matplotlib: pip install 'pursuit-desim[plot]'", err=True)
+        echo(f"warning: no picture: {missing('matplotlib')}", err=True)
 
 
 def write(page: bytes, path: Path) -> None:
@@ -392,8 +406,8 @@ def making(page: str) -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as error:
-        extra = "film" if error.name == "imageio_ffmpeg" else "plot"
-        fail(f"a {page} needs {error.name}: pip install 'pursuit-desim[{extra}]'")
+        package = (error.name or "").partition(".")[0]
+        fail(f"no {page}: {missing(package, EXTRAS.get(package, 'plot'))}")
     except ValueError as error:
         fail(problem(error))
 
@@ -412,9 +426,12 @@ def storing(folder: Path | None = None) -> Iterator[None]:
     """End the program if a store or a folder cannot be used, or a cluster does not respond."""
     try:
         yield
+    except FileExistsError as error:
+        fail(f"{error.filename or folder}: {error.strerror}: a file, where --out should name a folder")
     except OSError as error:
         file = error.filename or folder
-        fail(f"{file}: {error.strerror}" if error.strerror else str(error))  # desim's own errors have no strerror
+        option = "--out " if folder is not None and str(file).startswith(str(folder)) else ""
+        fail(f"{option}{file}: {error.strerror}" if error.strerror else str(error))  # desim's own have no strerror
 
 
 def echo(text: str, *, err: bool = False, end: str = "\n") -> None:

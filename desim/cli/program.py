@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from desim.cli.options import NO_MEMORY, OUT_OF_TIME, RAISED, echo, fail
-from desim.cli.usage import WORDS, advised
+from desim.cli.usage import WORDS, advised, check_hyphens
 from desim.config.errors import AnswerError, MetricError
 from desim.config.interrupts import exit_code, raising
 from desim.config.packages import HiddenPackageError
@@ -47,7 +47,7 @@ class Program(click.Command):
                 warnings.showwarning = lambda message, *_, **__: echo(f"warning: {message}", err=True)
                 return super().invoke(ctx)
         except click.UsageError as error:  # of a command of the group
-            raise advised(error) from None
+            raise advised(error, ctx.meta.get(WORDS, ()), ctx) from None
         except KeyboardInterrupt as error:
             text = f"interrupted {error}".rstrip()
             try:
@@ -83,9 +83,10 @@ class Program(click.Command):
         """Return the context of the command; an error says what to type instead."""
         words = tuple(args)  # parsing empties the list
         try:
+            check_hyphens(words, click.Context(self, info_name=info_name, parent=parent))
             context = super().make_context(info_name, args, parent, **extra)
         except click.UsageError as error:
-            raise advised(error) from None
+            raise advised(error, words) from None
         context.meta[WORDS] = words
         return context
 

@@ -9,6 +9,7 @@ import click
 
 from desim.cli.options import fail, is_import_allowed, source_of
 from desim.config.file_names import STORE, TRACE
+from desim.config.suggestion import did_you_mean
 
 if TYPE_CHECKING:
     from desim.simulation.run import Result
@@ -80,7 +81,9 @@ def results_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "R
     try:
         return open_results(source, allow_import=is_import_allowed())
     except OSError as error:
-        fail(f"{error.filename}: cannot be read: {error.strerror}" if error.strerror else str(error))
+        beside = sorted(path.name for path in source.parent.glob("*")) if source.parent.is_dir() else []
+        close = did_you_mean(source.name, beside) if isinstance(error, FileNotFoundError) else ""
+        fail(f"{error.filename}: cannot be read: {error.strerror}{close}" if error.strerror else str(error))
     except ValueError as error:
         fail(str(error))
 

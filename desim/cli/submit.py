@@ -1,11 +1,12 @@
 """`desim submit` and `desim status`: a sweep as an array job of Slurm, and how far it is."""
 
 import json
+import re
 import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -38,6 +39,35 @@ DESIM = (sys.executable, "-P", "-m", "desim")
 """The words that call desim on another machine, which has the same environment under the same path."""
 
 
+class SlurmText(click.ParamType[str]):
+    """A parameter type: a text of a form that Slurm reads, which it would otherwise refuse after the sweep is prepared.
+
+    Args:
+        name: what the text is, for the help.
+        pattern: the regular expression of the form.
+        examples: the forms, for the message about a text that has none.
+    """
+
+    def __init__(self, name: str, pattern: str, examples: str):
+        self.name = name
+        self._pattern = re.compile(pattern, re.ASCII)
+        self._examples = examples
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Return the text if it has the form."""
+        if not self._pattern.fullmatch(str(value)):
+            self.fail(f"should be {self._examples} (got {value!r})", param, ctx)
+        return str(value)
+
+
+LIMIT = SlurmText(
+    "TIME",
+    r"\d+(:\d+(:\d+)?)?|\d+-\d+(:\d+){0,2}|UNLIMITED|INFINITE",
+    "minutes, HOURS:MINUTES:SECONDS or DAYS-HOURS, for instance 90, 01:30:00 or 1-12",
+)
+SIZE = SlurmText("SIZE", r"\d+[KMGT]?", "a whole number with K, M, G or T, 500M or 2G for instance")
+
+
 @click.command()
 @FILE
 @click.option("--array", "parts", type=COUNT, required=True, help="The number of parts, each a task of the array.")
@@ -48,10 +78,10 @@ DESIM = (sys.executable, "-P", "-m", "desim")
 @click.option("--claim", is_flag=True, help="Let parts claim small lots of runs, so that a slow one delays nobody.")
 @click.option("--run", "is_run", is_flag=True, help="Submit the scripts; otherwise they are only written.")
 @click.option(
-    "--time", "time", default="02:00:00", help="Time limit of a part; it resumes after it.", show_default=True
+    "--time", type=LIMIT, default="02:00:00", help="Time limit of a part; it resumes after it.", show_default=True
 )
 @click.option("--cpus", type=COUNT, default=1, help="Cores and worker processes of a part.", show_default=True)
-@click.option("--memory", default="1G", help="Memory for each core.", show_default=True)
+@click.option("--memory", type=SIZE, default="1G", help="Memory for each core.", show_default=True)
 @click.option("--sbatch", multiple=True, help="A further option of sbatch: --sbatch=--partition=short.")
 @METRIC
 @MIX_VERSIONS

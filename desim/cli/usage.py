@@ -1,9 +1,10 @@
 """The messages about wrong words on the command line: what to type instead, for all commands and studies."""
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import click
 from click.core import ParameterSource
@@ -18,6 +19,7 @@ OPTIONS: Mapping[str, str] = MappingProxyType(
         "cpus": "--jobs",
         "dir": "--out",
         "folder": "--out",
+        "metric": "--y",
         "n-runs": "--runs",
         "num-runs": "--runs",
         "outdir": "--out",
@@ -29,6 +31,7 @@ OPTIONS: Mapping[str, str] = MappingProxyType(
         "seeds": "--runs",
         "threads": "--jobs",
         "workers": "--jobs",
+        "y": "--metric",
     }
 )
 """Options that other programs have, without their hyphens, and the option of desim."""
@@ -49,11 +52,26 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "simulate": "run",
         "start": "run",
         "validate": "check",
+        "version": "--version",
         "video": "plot FILE --kind film",
         "web": "play",
     }
 )
 """Names that users try, each with the command that they mean."""
+NEEDED: Mapping[str, str] = MappingProxyType(
+    {
+        "a": "the folder of a sweep, which `desim sweep FILE -o DIR` writes",
+        "dir": "a folder with results, which `desim run`, `sweep` and others write with -o DIR",
+        "file": "a scenario file; `desim examples relay` writes relay.toml, for instance",
+        "folder": "the folder of a sweep, which `desim sweep FILE -o DIR` writes",
+        "key": "a key of the grid, network.latency.value for instance",
+        "log": "a CSV or Parquet file with the columns t, src, dst and size",
+        "name": "the name of what is written, my_rule for instance",
+        "stores": "the folders of the sweeps to merge",
+        "to": "the file to write, runs.csv for instance; its suffix sets the format",
+    }
+)
+"""What an argument is, by the last part of its name in the usage of a command."""
 WORDS = "desim.words"
 """The key of the words of the command line in the context of a command."""
 ARGUMENT = re.compile(r"\A(?P<first>\w+)|`(?P<quoted>\w+)`")
@@ -71,17 +89,89 @@ def no_command(word: str) -> str | None:
     return None
 
 
-def advised(error: click.UsageError) -> click.UsageError:
-    """Return an error whose message says what to type instead; the error itself if that is not known."""
+def advised(
+    error: click.UsageError, words: Sequence[str] = (), of_program: click.Context | None = None
+) -> click.UsageError:
+    """Return an error whose message says what to type instead; the error itself if that is not known.
+
+    Args:
+        error: the error.
+        words: the words after the name of the command.
+        of_program: the context of the program, for an error without one.
+    """
+    context = error.ctx or _context_of(words, of_program)
     if isinstance(error, click.NoSuchOption):
-        return _about_option(error)
+        return _about_option(error, words)
+    if isinstance(error, click.MissingParameter) and error.param is not None and context is not None:
+        return click.UsageError(f"needs {_described(error.param, context)}", context)
+    if isinstance(error, click.BadOptionUsage) and context is not None:
+        option = next((param for param in context.command.params if error.option_name in param.opts), None)
+        return error if option is None else click.UsageError(f"{error.message} {_described(option, context)}", context)
     if type(error) is click.BadParameter and error.param is not None:
         message = _about_value(error.message, error.param)
         return click.BadParameter(message, error.ctx, error.param, error.param_hint)
+    if type(error) is click.UsageError and context is not None and error.message.startswith("Got unexpected extra"):
+        return click.UsageError(f"{error.message}: {_taken(context, error.message)}", context)
     return error
 
 
-def _about_option(error: click.NoSuchOption) -> click.NoSuchOption:
+def _context_of(words: Sequence[str], of_program: click.Context | None) -> click.Context | None:
+    """Return a context of the command that is typed after the name of a program; None if there is none."""
+    group = of_program and of_program.command
+    name = next((word for word in words if isinstance(group, click.Group) and word in group.commands), None)
+    if name is None or not isinstance(group, click.Group):
+        return of_program
+    return click.Context(group.commands[name], of_program, info_name=name)
+
+
+def check_hyphens(words: Iterable[str], context: click.Context) -> None:
+    """Raise UsageError if a long option has one hyphen: -seed would be read as -s with the value "eed".
+
+    Args:
+        words: the words after the name of the program.
+        context: a context of the program.
+    """
+    command, options = context.command, {"--help"}
+    for word in words:
+        if word == "--":
+            return
+        if isinstance(command, click.Group) and word in command.commands:
+            command = command.commands[word]
+        options |= {name for param in command.params for name in param.opts if len(name) > len("--n")}
+        name = word.partition("=")[0]
+        if f"-{name}" in options and not name.startswith("--"):
+            typed = context if command is context.command else click.Context(command, context, info_name=command.name)
+            raise click.UsageError(f"No such option {name!r}. Did you mean '-{name}'?", typed)
+
+
+def _described(param: click.Parameter, context: click.Context) -> str:
+    """Return a parameter as the usage of a command has it, and what it is."""
+    form = param.make_metavar(context)
+    if isinstance(param, click.Option):
+        return f"{min(param.opts, key=len)} {form}: {_purpose(param)}."
+    if len(choices := getattr(param.type, "choices", ())):
+        return f"one of {', '.join(choices)}"
+    meaning = NEEDED.get(form.replace("...", "").replace("|", " ").split()[-1].lower().strip("[]{}"))
+    if form == "DIR|FILE" or form.startswith("DIR|FILE "):
+        meaning = f"{NEEDED['dir']}, or a scenario file"
+    return f"{form}: {meaning or NEEDED['a']}"
+
+
+def _purpose(param: click.Parameter) -> str:
+    """Return the first sentence of the help of an option, without its full stop; "" if there is none."""
+    return re.split(r"\. (?=[A-Z])", getattr(param, "help", None) or "")[0].rstrip(".")
+
+
+def _taken(context: click.Context, message: str) -> str:
+    """Return what a command takes, for a message about arguments that it does not take."""
+    forms = [param.make_metavar(context) for param in context.command.params if isinstance(param, click.Argument)]
+    taken = f"{context.command_path} takes {' '.join(forms) or 'options only'}"
+    if "=" not in message:
+        return taken
+    return f"{taken}; a value with spaces, braces or brackets is in quotes: --set 'fault=[{{kind = \"crash\", ...}}]'"
+
+
+def _about_option(error: click.NoSuchOption, words: Sequence[str]) -> click.NoSuchOption:
     """Return the error with the option, or the key of a scenario, that a wrong option means."""
     params = [] if error.ctx is None else error.ctx.command.params
     options = {name: param.opts for param in params if isinstance(param, click.Option) for name in param.opts}
@@ -90,10 +180,31 @@ def _about_option(error: click.NoSuchOption) -> click.NoSuchOption:
     meant = OPTIONS.get(name)
     possible = ([min(options[meant], key=len)] if meant in options else []) or close
     advice = f" Did you mean {possible[0]!r}?" if possible else ""
-    if "--set" in options and meant is None and (keys := _keys(name)):
-        others = f", or {' or '.join(keys[1:])}" if keys[1:] else ""
-        advice = f" A key of the scenario is set by --set {keys[0]}=VALUE{others}."
+    keys = _keys(name) if "--set" in options and meant not in options else []
+    if is_known := meant in options or bool(close_to(f"--{name}", close, cutoff=0.9)):
+        keys = []
+    if others := [] if is_known or error.ctx is None else _having(error.option_name, error.ctx):
+        advice = f" It is an option of {', '.join(others)}."
+        keys = [key for key in keys if not key.startswith(("properties.", "sweep."))]
+        if error.ctx is not None and isinstance(error.ctx.command, click.Group):
+            typed = next((word for word in words if word in error.ctx.command.commands), others[0])
+            advice = f" Options follow the command: desim {typed} ... {error.option_name}"
+    if keys:
+        alternatives = f", or {' or '.join(keys[1:])}" if keys[1:] else ""
+        advice = f" A key of the scenario is set by --set {keys[0]}=VALUE{alternatives}."
+    if not advice:
+        there = [form for param in params if isinstance(param, click.Option) for form in param.opts if form[:2] == "--"]
+        advice = f" There are {', '.join(there)}."
     return click.NoSuchOption(error.option_name, f"No such option {error.option_name!r}.{advice}", ctx=error.ctx)
+
+
+def _having(option: str, context: click.Context) -> list[str]:
+    """Return the names of the other commands that have an option, in the order of the help."""
+    group = context.find_root().command
+    if not isinstance(group, click.Group):
+        return []
+    others = [command for command in group.commands.values() if command is not context.command]
+    return [str(command.name) for command in others if any(option in param.opts for param in command.params)]
 
 
 def _keys(option: str) -> list[str]:
@@ -110,17 +221,25 @@ def _keys(option: str) -> list[str]:
 
 def _about_value(message: str, param: click.Parameter) -> str:
     """Return the message about a value that an option does not take, with what it takes."""
-    if isinstance(param.type, click.IntRange) and message.endswith("is not a valid integer range."):
-        low, high = param.type.min, param.type.max
-        limits = "" if low is None else f" of at least {low}" if high is None else f" from {low} to {high:,}"
-        value = message.removesuffix(" is not a valid integer range.")
-        purpose = (getattr(param, "help", None) or "").partition(". ")[0].rstrip(".")
-        return "; ".join(filter(None, [f"{value} should be a whole number{limits}", purpose])) + "."
+    value, _, wrong = message.partition(" is not ")
+    if wrong.startswith(("a valid int", "a valid float", "in the range")):
+        number = "a whole number" if isinstance(param.type, click.types.IntParamType) else "a number"
+        return "; ".join(filter(None, [f"{value} should be {number}{_limits(param.type)}", _purpose(param)])) + "."
     if isinstance(param.type, click.Choice):
         value = message.partition("' is not")[0].lstrip("'")
         close = close_to(value, [str(choice) for choice in param.type.choices])
         return f"{message} Did you mean {close[0]!r}?" if close else message
     return message
+
+
+def _limits(of_type: click.ParamType[Any]) -> str:
+    """Return the range of a type of numbers, " from 1 to 50" for instance; "" without a range."""
+    low, high = getattr(of_type, "min", None), getattr(of_type, "max", None)
+    if low is None and high is None:
+        return ""
+    if high is None:
+        return f" above {low:,g}" if getattr(of_type, "min_open", False) else f" of at least {low:,}"
+    return f" from {low:,} to {high:,}"
 
 
 def options_given(names: Collection[str]) -> dict[str, str]:

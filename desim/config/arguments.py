@@ -74,28 +74,39 @@ def with_article(noun: str) -> str:
     return f"an {noun}" if noun[:1] in "AEIOUaeiou" else f"a {noun}"
 
 
+NUMBER_OF_RUNS = ("reps", "runs", "most")
 WORDS = MappingProxyType(
     {
-        "cores": "executor",
-        "filename": "path",
-        "jobs": "executor",
-        "n": "reps",
-        "n_jobs": "executor",
-        "n_runs": "reps",
-        "num_runs": "reps",
-        "overrides": "changes",
-        "processes": "executor",
-        "repeats": "reps",
-        "repetitions": "reps",
-        "runs": "reps",
-        "seeds": "seed",
-        "workers": "executor",
+        "cores": ("executor", "jobs"),
+        "filename": ("path",),
+        "jobs": ("executor",),
+        "latency": ("links",),
+        "loss": ("links",),
+        "n": NUMBER_OF_RUNS,
+        "n_jobs": ("executor", "jobs"),
+        "n_runs": NUMBER_OF_RUNS,
+        "network": ("links",),
+        "num_runs": NUMBER_OF_RUNS,
+        "overrides": ("changes",),
+        "processes": ("executor", "jobs"),
+        "range": ("links",),
+        "repeats": NUMBER_OF_RUNS,
+        "repetitions": NUMBER_OF_RUNS,
+        "reps": NUMBER_OF_RUNS,
+        "runs": NUMBER_OF_RUNS,
+        "samples": ("points",),
+        "seeds": ("seed",),
+        "window": ("begin",),
+        "workers": ("executor", "jobs"),
     }
 )
-"""Names that other packages have for an argument, and the name that it has here."""
+"""Names that other packages have for an argument, and the names that it has here; the first that a function has."""
 EXAMPLES = MappingProxyType(
     {
         "Scenario.with_": ", for instance scenario.with_({'network.latency.value': 0.5})",
+        "SweepResult.crossover": ", for instance"
+        " result.crossover('active_time', 'network.latency.value', {'protocol': 'sap'}, {'protocol': 'cbba'})",
+        "find_violation": "; another protocol is one of the scenario: scenario.with_({'protocol.kind': 'cbba'})",
         "run": "; for several seeds write [run(scenario, seed) for seed in range(5)], or use sweep",
     }
 )
@@ -115,7 +126,8 @@ def naming_arguments(function: Callable[Taken, Returned]) -> Callable[Taken, Ret
         except TypeError as error:
             if error.__traceback__ is None or error.__traceback__.tb_next is not None:  # raised inside of the function
                 raise
-            message = f"{error}{_meant(function, named)}; it is {function.__name__}{arguments_of(function)}"
+            name = function.__qualname__.removesuffix(".__init__").rpartition(".")[2]
+            message = f"{error}{_meant(function, named)}; it is {name}{arguments_of(function)}"
             message += EXAMPLES.get(function.__qualname__, "")
         raise TypeError(message)
 
@@ -128,17 +140,31 @@ def _meant(function: Callable[..., object], named: Mapping[str, object]) -> str:
     wrong = next((name for name in named if name not in names), None)
     if wrong is None:
         return ""
-    renamed = WORDS.get(wrong.lower())
-    return f", did you mean {renamed!r}?" if renamed in names else did_you_mean(wrong, names)
+    renamed = next((name for name in WORDS.get(wrong.lower(), ()) if name in names), None)
+    return did_you_mean(wrong, names) if renamed is None else f", did you mean {renamed!r}?"
 
 
 def arguments_of(function: Callable[..., object]) -> str:
-    """Return the arguments of a function as in its definition, without annotations and without `self`."""
+    """Return the arguments of a function as in its definition, without annotations and without `self`.
+
+    A default that is a function is shown as "...".
+    """
     of_function = signature(function)
     plain = [
-        item.replace(annotation=Parameter.empty) for name, item in of_function.parameters.items() if name != "self"
+        item.replace(annotation=Parameter.empty, default=_Ellipsis() if callable(item.default) else item.default)
+        if item.default is not Parameter.empty
+        else item.replace(annotation=Parameter.empty)
+        for name, item in of_function.parameters.items()
+        if name != "self"
     ]
     return str(of_function.replace(parameters=plain, return_annotation=of_function.empty))
+
+
+class _Ellipsis:
+    """The text for a default that has none of its own."""
+
+    def __repr__(self) -> str:
+        return "..."
 
 
 class HintedItems:

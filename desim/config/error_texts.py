@@ -7,6 +7,7 @@ OF_EXCEPTIONS = {"value_error", "assertion_error"}
 """Types of errors whose message is the text of an exception, after the words "Value error, " for instance."""
 BEGINNINGS = {
     "Input should be a valid tuple": "should be a list",
+    "Input should be a valid dictionary": "should be a table",
     "Input should be a valid integer": "should be an integer",
     "Input should be a valid boolean": "should be true or false",
     "Input should be a valid ": "should be a ",

@@ -28,6 +28,10 @@ def missing_export(package: str, name: str, names: Collection[str], elsewhere: M
         elsewhere: by missing name, the import that users mean. Such an error is an ImportError, because Python replaces
             the text of an AttributeError in `from package import name`.
     """
-    if name in elsewhere:
-        return ImportError(f"{package} has no {name!r}: write {elsewhere[name]}", name=package)
+    imports = {export: f"from {package} import {export}" for export in names} | dict(elsewhere)
+    meant = elsewhere.get(name)
+    if meant is None and name != name.lower():  # a name in lower case may be that of a module
+        meant = {key.lower(): text for key, text in imports.items()}.get(name.lower())
+    if meant is not None:
+        return ImportError(f"{package} has no {name!r}: write {meant}", name=package)
     return AttributeError(f"module {package!r} has no attribute {name!r}{did_you_mean(name, names)}")

@@ -12,6 +12,7 @@ EXTRAS: Mapping[str, str] = MappingProxyType(
         "distributed": "cluster",
         "greenlet": "rl",
         "gymnasium": "rl",
+        "imageio_ffmpeg": "film",
         "jinja2": "plot",
         "matplotlib": "plot",
         "mcap": "mcap",

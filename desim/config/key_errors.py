@@ -142,7 +142,7 @@ class Wording:
             if isinstance(value, type):
                 return f"should be {with_article(name)}, not a class: {name}()"
             return f"should be {with_article(name)} or a table of its keys{_wrapped(value, info)}"
-        if kind in NOT_A_TABLE and isinstance(error["input"], list):
+        if kind in NOT_A_TABLE and isinstance(error["input"], list) and isinstance(place[-1], str):
             return f"should be one table, headed by [{place[-1]}] instead of [[{place[-1]}]]"
         if kind in NOT_A_TABLE:
             return "should be a table"
@@ -155,6 +155,8 @@ class Wording:
             return f"should have at {'most' if most else 'least'} {limit} items, has {context['actual_length']}"
         if kind in NUMBERS and RANGE.fullmatch(str(error["input"])):
             return "should be a number; a range in a grid is written FIRST:LAST:STEP, 0:1:0.1 for instance"
+        if kind in NUMBERS and INFINITE.fullmatch(str(error["input"])):
+            return f"should be inf without quotes instead of the text {error['input']!r}"
         if kind in NUMBERS and isinstance(error["input"], str):
             return why_no_number(error["input"], {(info and unit_in(info)) or "1"}) or text_of(error)
         return text_of(error)
@@ -162,13 +164,16 @@ class Wording:
     def _input_text(self, error: ErrorDetails) -> str:
         if error["type"] in {"extra_forbidden", "union_tag_invalid", "import_refused", "missing", "value_error"}:
             return ""
-        if error["type"] in NUMBERS and isinstance(error["input"], str) and why_no_number(error["input"]):
+        is_text = error["type"] in NUMBERS and isinstance(error["input"], str)
+        if is_text and (INFINITE.fullmatch(error["input"]) or why_no_number(error["input"])):
             return ""
         text = self.written(error["input"])
         return f" (got {text if len(text) < MAX_SHOWN else text[: MAX_SHOWN - 3] + '...'})"
 
 
 NUMBERS = {"float_type", "int_type"}
+INFINITE = re.compile(r"\+?inf(inite|inity)?", re.IGNORECASE)
+"""Matches a text that stands for an infinite number."""
 RANGE = re.compile(r"[\d.]*\d(\.\.+|-)\d[\d.]*")
 """Matches what other programs take for a range."""
 NOT_A_TABLE = {"model_type", "model_attributes_type"}
@@ -242,9 +247,11 @@ RENAMED = {
     "packetloss": "loss",
     "pass_on": "relay",
     "patience": "winner_timeout",
+    "pursuer": "node",
     "q": "participation",
     "reach": "reception",
     "reaction": "reaction_delay",
+    "robot": "node",
     "sight": "sensing_range",
     "sigma": "cv",
     "spread": "dissemination",
@@ -304,6 +311,9 @@ def _other_key(place: KeyPath, allowed: Sequence[str], whole: type[BaseModel]) -
     word = str(place[-1]).split(".")[-1]
     close = _similar(word, allowed)
     homes = homes_of(word, whole) or homes_of(RENAMED.get(word, word), whole)
+    is_loose = close == close_to(word, allowed) and not close_to(word, allowed, cutoff=0.8)
+    if is_loose and any(key.place[-1] == word for key in homes):
+        close = []
     if close:  # then suggest other tables only for a key of exactly this name, and none for a renamed key
         homes = [key for key in homes if key.place[-1] == word and close != [RENAMED.get(word)]]
     here = [part for part in place if isinstance(part, str)]

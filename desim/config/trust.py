@@ -43,7 +43,9 @@ def write_new(files: Mapping[Path, bytes]) -> None:
     """
     for path in files:
         if path.exists() or path.is_symlink():  # a link to nothing is there, too
-            raise FileExistsError(EEXIST, "exists already and is not overwritten", str(path))
+            raise FileExistsError(
+                EEXIST, "exists already and is not overwritten: move it, or write elsewhere", str(path)
+            )
     for path, content in files.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("xb") as file:

@@ -199,7 +199,8 @@ def read_log(file: Path, node_of: Callable[[str], Any]) -> list[LoggedMessage]:
         ValueError: if the file is not such a table, with the line.
     """
     text, name = csv_text(file, COLUMNS), str(file)
-    csv_header(text, name)
+    if set(COLUMNS) - set(header := csv_header(text, name)):
+        raise ValueError(f"{name}: a log has the columns {', '.join(COLUMNS)}; this one has {', '.join(header)}")
     cells = cells_of(select(text, COLUMNS, name), name)
     senders, sizes = cells.numbers("src", node_of), cells.numbers("size", int)
     receivers = cells.numbers("dst", lambda cell: None if cell.strip() in ALL else node_of(cell))

@@ -22,6 +22,7 @@ from warnings import warn
 
 import numpy as np
 
+from desim.config.arguments import naming_arguments
 from desim.config.arrays import Floats
 from desim.config.errors import KeyedError
 from desim.config.fresh import fresh_copy
@@ -131,6 +132,7 @@ class SteppedNetwork:
         ValueError: if an argument is not valid, or arguments do not fit together.
     """
 
+    @naming_arguments
     def __init__(
         self,
         nodes: "int | nx.Graph[Any]",

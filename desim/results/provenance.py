@@ -130,7 +130,8 @@ def read(path: Path) -> Document:
     try:
         made = json.loads(content)
     except json.JSONDecodeError as error:
-        raise ProvenanceError(f"{path}:{error.lineno}: not JSON: {error.msg}") from error
+        instead = f"; a scenario file is run without --from: desim run {path}" if path.suffix == ".toml" else ""
+        raise ProvenanceError(f"{path}:{error.lineno}: not JSON: {error.msg}{instead}") from error
     except (ValueError, RecursionError) as error:
         raise ProvenanceError(f"{path}: not JSON: {error}") from error
     if not isinstance(made, dict):

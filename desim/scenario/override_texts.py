@@ -79,7 +79,7 @@ def _parsed_list(text: str) -> list[Any]:
         begun.append(part)
         value = ",".join(begun).strip()
         if not value:
-            raise ValueError(f"{text!r} has an empty value")
+            raise ValueError(f"{text!r} has an empty value: values are separated by commas, 0,0.1 for instance")
         try:
             numbers = range_of(value)
             values.extend([_parsed(value)] if numbers is None else numbers)

@@ -181,7 +181,7 @@ class Source:
             key = _key(part, node)
             default = default.get(key) if isinstance(default, dict) else None
             if isinstance(default, tuple) and not holds(node, key):
-                raise ScenarioError(Problem(f"the list {'.'.join(map(str, (*place, key)))} is empty", name))
+                raise ScenarioError(Problem(_empty_list(".".join(map(str, (*place, key)))), name))
             if isinstance(node, dict) and key not in node:
                 node[key] = {"kind": default["kind"]} if isinstance(default, dict) and "kind" in default else {}
             if holds(node, key) and isinstance(node[key], Value):
@@ -311,6 +311,12 @@ def _defaults(model: type[Value], tables: dict[str, Any]) -> dict[str, Any]:
 def _tables_of_defaults(model: type[Value]) -> dict[str, Any]:
     """Return the defaults of a model as tables, which callers only read; a sweep asks for them at every point."""
     return model().model_dump()
+
+
+def _empty_list(name: str) -> str:
+    """Return the message about an item of a list that has none."""
+    whole = f"'{name}=[{{ kind = \"crash\", node = 3, start = 1.0 }}]'" if name == "fault" else f"{name}=[...]"
+    return f"the list {name} is empty: set it as a whole, {whole}"
 
 
 def _key(part: str, node: Any) -> str | int:

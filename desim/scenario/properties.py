@@ -510,6 +510,8 @@ def property_of(value: Any, *, allow_import: bool = True, folder: Any = None) ->
     Raises:
         ValueError: if it is not the text or the table of a property.
     """
+    if value is None or isinstance(value, int | float):
+        raise ValueError(f"a property should be a text, such as 'idle at most 2 in total' (got {value!r})")
     try:
         made: Property = _One.model_validate(
             {"one": value}, context={"allow_import": allow_import, "folder": folder}

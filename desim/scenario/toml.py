@@ -15,6 +15,7 @@ import tomli_w
 from desim.config.arguments import Argument, naming_arguments
 from desim.config.errors import KeyPath, Problem
 from desim.config.own_modules import CodeName
+from desim.config.suggestion import close_to
 from desim.config.traits import kind_of
 from desim.config.trust import path_in, regular_or_missing
 from desim.scenario.examples import examples
@@ -55,10 +56,16 @@ def load(file: str | PathLike[str], overrides: Sequence[str] = (), *, allow_impo
     try:
         source = read_source(file, overrides, allow_import=allow_import)
     except FileNotFoundError as error:
-        if (name := Path(file).stem) not in examples():
-            raise
-        why = f"{error.strerror}; load(examples()[{name!r}]) reads the example"
+        if (name := Path(file).stem) in examples():
+            why = f"{error.strerror}; load(examples()[{name!r}]) reads the example"
+        else:
+            path = Path(file)
+            close = close_to(path.name, [other.name for other in path.parent.glob("*.toml")], cutoff=0.8)
+            why = f"{error.strerror}, did you mean {close[0]!r}?" if close else error.strerror
         raise FileNotFoundError(error.errno, why, str(file)) from None
+    except IsADirectoryError as error:
+        why = f"{error.strerror}: a scenario is one file, NAME.toml; results are read by desim.open"
+        raise IsADirectoryError(error.errno, why, str(file)) from None
     return validate(source)
 
 
@@ -265,11 +272,14 @@ def _syntax_error(file: str | PathLike[str], message: str, text: str) -> str:
     if meant := what_was_meant(text.split("\n")[line - 1]):
         return f"{file}:{line}: not TOML: {meant}"
     if problem.startswith("Cannot declare"):
+        problem = re.sub(r"\('(.*?)',?\)", lambda head: f"[{head[1].replace(DOT, '.')}]", problem)
         problem += ": a table has one head, below which all its keys are"
     column = f" (column {match[2]})" if match and match[2] else ""
     return f"{file}:{line}: not TOML: {problem}{column}"
 
 
+DOT = "', '"
+"""What `tomllib` writes between the parts of a key."""
 UNCLOSED = {r"Illegal character '\n'", "Unterminated string", """Expected "'\"""", "Expected '\"'"}
 """The messages of `tomllib` for a text without a closing quote."""
 

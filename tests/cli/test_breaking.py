@@ -125,7 +125,7 @@ def test_messages_are_lost_late_or_repeated(folder):
         (["-g", "team.count=few"], "-g: team.count: should be an integer"),
         (["--grid", "team.count=few"], "--grid: team.count: should be an integer"),
         (["--budget", "nan"], "--budget should be positive"),
-        (["--budget", -1], "'--budget': -1.0 is not in the range"),
+        (["--budget", -1], "'--budget': -1.0 should be a number above 0; Begin no further cases"),
         (["--losses", 1, "--delay", "nan"], "--delay should be positive"),
         (["-n", 5, "--losses", 1], "-n is only used without --losses"),
         (["-g", "network.loss=0.1,1.5"], "network.loss"),

@@ -43,7 +43,7 @@ def test_a_log_goes_in_and_a_table_of_fates_comes_out(files):
     [
         ("t,src,dst,size\n0.0,0,9,8\n", "log.csv, line 2: dst: there is no node 9: the nodes are 0 .. 2"),
         ("t,src,dst,size\n0.0,a,1,8\n", "log.csv, line 2: src: there is no node a"),
-        ("t,src,dst\n0.0,0,1\n", "log.csv has no column 'size'"),
+        ("t,src,dst\n0.0,0,1\n", "log.csv: a log has the columns t, src, dst, size; this one has t, src, dst"),
         ("t,src,dst,size\n1.0,0,1,8\n0.5,0,1,8\n", "message 1 (0.5, 0, 1, 8): t should be ascending"),
         ("t,src,dst,size\n0.0,0,1,-8\n", "at least 0 bytes"),
         ("t,src,dst,size\n0.0,1,1,8\n", "to itself"),

@@ -45,7 +45,7 @@ def test_an_example_is_copied_to_a_file_or_into_a_folder_that_need_not_exist(fol
 def test_an_example_overwrites_nothing(folder):
     (folder / "wired.json").write_text("mine")
     said = refused("examples", "wired")
-    assert said == "wired.json: cannot be written: exists already and is not overwritten\n"
+    assert said == "wired.json: cannot be written: exists already and is not overwritten: move it, or write elsewhere\n"
     (folder / "relay.toml").symlink_to(folder / "elsewhere.toml")
     assert refused("examples", "relay").startswith("relay.toml: cannot be written: exists already")
     assert sorted(path.name for path in folder.iterdir()) == ["relay.toml", "wired.json"]
@@ -96,7 +96,10 @@ def test_a_new_file_passes_the_test_that_comes_with_it(what, folder, monkeypatch
 def test_a_new_file_overwrites_nothing(folder):
     (folder / "mine.toml").write_text("seed = 1\n")
     for what in TEMPLATES:
-        assert refused("new", what, "mine") == "mine.toml: cannot be written: exists already and is not overwritten\n"
+        assert (
+            refused("new", what, "mine")
+            == "mine.toml: cannot be written: exists already and is not overwritten: move it, or write elsewhere\n"
+        )
     assert [path.name for path in folder.iterdir()] == ["mine.toml"]
 
 

@@ -183,7 +183,9 @@ def test_what_has_no_crossover_is_refused(tmp_path):
     with pytest.raises(ValueError, match="confidence should be between 0 and 1"):
         swept.crossover("active_time", KEY, A, B, confidence=95)
     assert three.crossover("active_time", KEY, A, B, where={"network.range": 6}).pairs == 4
-    assert "should be two texts with =" in refused("crossover", tmp_path, KEY, "sap", "protocol=cbba")
+    assert "'sap' should be KEY=VALUE, protocol.kind=sap for instance" in refused(
+        "crossover", tmp_path, KEY, "sap", "protocol=cbba"
+    )
 
 
 @pytest.mark.whole_but_one

@@ -90,14 +90,15 @@ def test_a_file_that_is_not_a_store_is_named(tmp_path, file):
     (folder / "sweep.sqlite").mkdir(parents=True)
     text.mkdir()
     (text / "sweep.sqlite").write_text("all work and no play " * 99)
-    assert (
-        refused("sweep", file, "--allow-import", "-o", folder)
-        == f"{folder / 'sweep.sqlite'}: unable to open database file"
-    )
-    assert refused("sweep", file, "--allow-import", "-o", text) == f"{text / 'sweep.sqlite'}: file is not a database"
+    told = refused("sweep", file, "--allow-import", "-o", folder)
+    assert told == f"{folder / 'sweep.sqlite'}: unable to open database file: give a path that can be written"
+    told = refused("sweep", file, "--allow-import", "-o", text)
+    assert told.startswith(f"{text / 'sweep.sqlite'}: file is not a database, and is left as it is: give")
     assert (text / "sweep.sqlite").read_text().startswith("all work")
-    assert refused("sweep", file, "--allow-import", "-o", file) == f"{file}: File exists"
-    assert refused("sweep", file, "--allow-import", "-o", file / "below") == f"{file / 'below'}: Not a directory"
+    told = refused("sweep", file, "--allow-import", "-o", file)
+    assert told == f"{file}: File exists: a file, where --out should name a folder"
+    told = refused("sweep", file, "--allow-import", "-o", file / "below")
+    assert told == f"--out {file / 'below'}: Not a directory"
 
 
 def test_a_database_of_something_else_is_refused_and_left_alone(tmp_path, file):
@@ -131,7 +132,8 @@ def test_a_store_of_another_version_is_refused(tmp_path, file, name, monkeypatch
 
 def test_an_export_of_no_store_or_an_empty_one_is_refused(tmp_path):
     missing = tmp_path / "none"
-    assert refused("export", missing, tmp_path / "a.csv") == f"{missing}: there is no such store"
+    told = refused("export", missing, tmp_path / "a.csv")
+    assert told == f"{missing}: there is no such store; `desim sweep FILE -o DIR` makes one in DIR"
     missing.mkdir()
     assert (
         refused("export", missing, tmp_path / "a.csv")

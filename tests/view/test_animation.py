@@ -220,4 +220,7 @@ def test_without_its_package_a_video_names_the_extra(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
     (tmp_path / "a.toml").write_text('name = "a"\nhorizon = 0.1\nteam.count = 2\n')
     message = refused("plot", tmp_path / "a.toml", "--kind", "film", "-o", tmp_path / "film.mp4")
-    assert message == "a picture needs imageio_ffmpeg: pip install 'pursuit-desim[film]'\n"
+    assert message == (
+        "no picture: imageio_ffmpeg is missing: pip install 'pursuit-desim[film]',"
+        " or in a clone pip install '.[film]'\n"
+    )

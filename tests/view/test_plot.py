@@ -221,7 +221,7 @@ def test_the_figure_of_a_sweep_is_that_of_python(swept, tmp_path):
     [
         (["--against", "protocol=sapp"], "protocol does not take the value sapp: it takes sap, cbba"),
         (["--against", "protocl=sap"], "the grid has no key protocl, did you mean protocol?"),
-        (["--against", "protocol"], "'protocol' should be two texts with = between them"),
+        (["--against", "protocol"], "'protocol' should be KEY=VALUE, protocol.kind=sap for instance"),
         (["-y", "activetime"], "did you mean 'active_time'?"),
         (["-x", "protocl"], "did you mean protocol?"),
         (["-x", "protocol", "--by", "protocol"], "cannot be both the abscissa and the name of the lines"),

@@ -802,7 +802,7 @@ def test_without_jinja_the_command_names_the_package_to_install(tmp_path, monkey
     monkeypatch.setitem(sys.modules, "jinja2", None)
     done = invoke(SCENARIOS / "relay.toml", "--set", "horizon=0.1", "-o", tmp_path / "x.html")
     assert done.exit_code == 2
-    assert "a replay needs jinja2: pip install" in done.stderr
+    assert "no replay: jinja2 is missing: pip install" in done.stderr
 
 
 def test_a_page_that_cannot_be_written_is_refused(tmp_path):

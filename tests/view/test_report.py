@@ -374,7 +374,7 @@ def test_without_its_dependencies_the_command_names_the_packages_to_install(fold
     monkeypatch.setitem(sys.modules, "jinja2", None)
     done = invoke(folder)
     assert done.exit_code == 2
-    assert "a report needs jinja2: pip install" in done.stderr
+    assert "no report: jinja2 is missing: pip install" in done.stderr
 
 
 def test_a_page_that_cannot_be_written_is_refused(folder, tmp_path):

@@ -39,6 +39,7 @@ from desim.study.results.costs import (
     Saving,
 )
 from desim.study.results.explanation import EXPLAINED, Explanation
+from desim.study.store.file import path_of_store
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep import RunError, SweepPlan, carry_out
@@ -84,7 +85,7 @@ def explain(
         shown = [shown]
     variants = Variants.of(scenario, runs, seed, metrics)
     variants.check_shown(shown)
-    with Store(None if store is None else Path(store)) as kept, workers_for(executor, variants.plan.runs) as workers:
+    with Store(path_of_store(store)) as kept, workers_for(executor, variants.plan.runs) as workers:
         variants.plan.register(kept, mix_versions=mix_versions)
         return variants.carry_out(kept, workers, shown, timeout=timeout)
 

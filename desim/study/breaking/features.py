@@ -113,6 +113,9 @@ def of_grid(grid: Mapping[str, Sequence[Any]], scenario: Scenario) -> Mapping[st
             return lambda rng, _: {key: setting_at(values, rng.random())}
         return lambda rng, _: {key: values[int(rng.integers(len(values)))]}
 
+    for key, values in grid.items():
+        if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray):
+            raise ValueError(f"vary: {key}: should be a list of values, [{values!r}] (got {values!r})")
     ranges = {key: values for key, values in grid.items() if is_range(values)}
     grid = {**grid, **checked_ranges(Source.of(scenario), ranges)}
     for key, values in grid.items():

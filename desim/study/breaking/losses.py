@@ -198,7 +198,8 @@ def _checked_fates(fates: Sequence[MessageFate], delay: float) -> tuple[MessageF
     if not fates:
         return ("lost",) if delay == inf else ("late",)
     if delay == inf and set(fates) != {"lost"}:
-        raise ValueError(f"{next(fate for fate in fates if fate != 'lost')!r} needs a delay, in s")
+        moved = next(fate for fate in fates if fate != "lost")
+        raise ValueError(f"`delay` is missing: {moved!r} needs a delay, in s, for instance 0.5")
     return tuple(fate for fate in FATES if fate in fates)
 
 

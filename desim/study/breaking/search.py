@@ -8,7 +8,7 @@ from typing import Any
 
 from desim.analysis.properties import Judgement, Stated, stated, under_protocol
 from desim.config.arguments import naming_arguments, scenario_argument
-from desim.config.python_numbers import real
+from desim.config.python_numbers import real, whole
 from desim.config.suggestion import did_you_mean
 from desim.kernel.core.seeds import run_seed, stream
 from desim.scenario.properties import CANNOT_FAIL, Property
@@ -196,6 +196,8 @@ def find_violation(
     scenario_argument(Scenario).check(scenario, "find_violation")
     if not real(budget, "budget") > 0.0:
         raise ValueError(f"budget should be positive, s (got {budget:g})")
+    if whole(runs, "runs") < 1:
+        raise ValueError(f"runs should be at least 1 (got {runs})")
     prop = checked_property(prop, scenario)
     cases = _Cases(scenario, features_of(features, vary or {}, scenario), scenario.seed if seed is None else seed, runs)
     search = Search()
@@ -226,7 +228,7 @@ def features_of(
     Raises:
         ValueError: if there is no feature of a name, there are none at all, or the scenario takes no such value.
     """
-    names = [*FEATURES] if names is None else names
+    names = [*FEATURES] if names is None else [names] if isinstance(names, str) else names
     if unknown := [name for name in names if name not in FEATURES]:
         raise ValueError(
             f"features: there is no {unknown[0]!r}{did_you_mean(unknown[0], FEATURES)}; there are {', '.join(FEATURES)}"

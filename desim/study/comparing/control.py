@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from desim.analysis.control_variates import MIN_CONTROLS, MIN_PAIRS, ControlledEstimate, control_variate
-from desim.analysis.metrics import Metrics, title, words
+from desim.analysis.metrics import Metrics, check_numeric, title, words
 from desim.analysis.tables import aligned, as_json, counted, digits_of, with_half_width
 from desim.config.arguments import naming_arguments
 from desim.config.html import html_table
@@ -24,7 +24,8 @@ from desim.scenario.scenario import Scenario
 from desim.study.ablation.imperfections import with_perfect_network
 from desim.study.plan.configurations import Configuration, SweepGrid
 from desim.study.results.result import SweepResult
-from desim.study.results.runs import Group, text
+from desim.study.results.runs import Group, each_name, text
+from desim.study.store.file import path_of_store
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep import SweepPlan, carry_out
 from desim.study.workers.executors import workers_for
@@ -275,9 +276,12 @@ def controlled(
     """
     plan = SweepPlan.of(scenario, grid, reps, seed, metrics)
     control_plan = ControlPlan.of(plan, control, control_runs)
+    shown = each_name(shown)
+    for metric in shown:
+        check_numeric(metric, dict(plan.metrics))
     with (
-        Store(None if store is None else Path(store)) as kept,
-        Store(None if control_store is None else Path(control_store)) as kept_control,
+        Store(path_of_store(store)) as kept,
+        Store(path_of_store(control_store)) as kept_control,
         workers_for(executor, plan.runs) as workers,
     ):
         plan.register(kept, mix_versions=mix_versions)

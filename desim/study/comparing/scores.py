@@ -28,6 +28,7 @@ from desim.analysis.statistics import Estimate, estimate
 from desim.analysis.table_formats import TableFormat, formatted
 from desim.analysis.tables import aligned, as_json
 from desim.config.arrays import Floats
+from desim.config.extras import naming_extras
 from desim.config.html import html_table
 from desim.kernel.core.portable_math import portable_sum
 from desim.study.comparing.suite import AS_IT_IS, PERFECT, REFERENCE, SILENT, CostsByProtocol
@@ -261,6 +262,7 @@ class Benchmark:
         """Return the tables as HTML, for notebooks."""
         return "".join(html_table(title, rows) for title, rows in self.tables())
 
+    @naming_extras()
     def plot(self, *, size: str | None = None, style: "Style" = None) -> "Figure":
         """Return a figure of the totals with their intervals, and of the scores by scenario; needs matplotlib.
 

@@ -12,6 +12,7 @@ from pydantic import BaseModel
 
 from desim.config.data_files import in_short
 from desim.config.errors import Problem
+from desim.config.model import Value
 from desim.config.suggestion import did_you_mean
 from desim.config.traits import kind_of
 from desim.scenario.overrides import ScenarioError, Source
@@ -105,6 +106,8 @@ def sweep_of(source: Source, grid: SweepGrid | None, design: Design | str | None
         why = (
             "should have at least one key of the scenario, and a list of values for it,"
             ' "network.latency.value" = [0.0, 0.1] for instance'
+            " (on the command line --grid network.latency.value=0,0.1,"
+            ' in Python the grid {"network.latency.value": [0.0, 0.1]})'
         )
         raise ScenarioError(_about_grid(source, why))
     return source, sweep
@@ -170,7 +173,7 @@ def _check_design(source: Source, grid: SweepGrid, design: Design | None) -> Non
     if design is None and ranges:
         why = (
             f"{grid[ranges[0]][0]} is a range without steps, from which a design chooses:"
-            ' give `sweep.design`, "sobol:64" for instance, or a step'
+            ' give a step, or `sweep.design`, --design or design, "sobol:64" for instance'
         )
         raise ScenarioError(_about_grid(source, why, ranges[0]))
     if design is None:
@@ -261,6 +264,9 @@ def _with_grid(source: Source, grid: SweepGrid | None, design: Design | str | No
     """
     changed = source.copy()
     if grid is not None:
+        for key, values in grid.items():
+            if isinstance(values, Value):
+                raise ScenarioError(Problem(f"{key}: should be a list: [{values!r}]", "sweep.grid", "the grid"))
         changed.tables["sweep"] = {"grid": grid}
         changed.origins["sweep", "grid"] = "the grid"
     if design is not None:

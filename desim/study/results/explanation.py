@@ -14,6 +14,7 @@ from desim.analysis.metrics import with_unit, words
 from desim.analysis.statistics import Estimate, wilson
 from desim.analysis.table_formats import TableFormat, formatted
 from desim.analysis.tables import aligned, as_json, number, with_half_width
+from desim.config.extras import naming_extras
 from desim.config.html import html_table
 from desim.kernel.core.portable_math import portable_sum
 from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT, Bounds, Cost, Saving
@@ -71,6 +72,7 @@ class Explanation:
             return "\n".join([self._head(), aligned(self.rows()), *self.remarks()])
         return formatted([(self._head(), self.rows())], self.remarks(), format)
 
+    @naming_extras()
     def plot(
         self,
         metric: str | None = None,

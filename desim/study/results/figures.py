@@ -220,7 +220,7 @@ def _abscissa(result: SweepRuns, x: str | None, by: Sequence[str]) -> str | None
     if x is not None:
         result.values(x)
         if x in by:
-            raise ValueError(f"{x} cannot be both the abscissa and the name of the lines")
+            raise ValueError(f"`x` and `by` should be different keys (got {x} for both)")
         return x
     varied = [key for key in result.keys if key not in by and len(result.values(key)) > 1]
     return next((key for key in swept_numbers(result) if key in varied), varied[0] if by and varied else None)

@@ -206,6 +206,7 @@ class SweepResult(SweepRuns, HintedAttributes):
         """Return means, half widths and paired differences as JSON-compatible values; None where undefined."""
         return sweep_tables.document(self, each_name(metrics))
 
+    @naming_arguments
     def crossover(
         self,
         metric: str,
@@ -238,6 +239,7 @@ class SweepResult(SweepRuns, HintedAttributes):
         """
         return Crossover.of(self, metric, key, a, b, where, confidence)
 
+    @naming_arguments
     def threshold(
         self,
         metric: str,
@@ -293,6 +295,7 @@ class SweepResult(SweepRuns, HintedAttributes):
         """
         return export.data_frame(self)
 
+    @naming_arguments
     def write(
         self,
         file: str | Path,

@@ -21,6 +21,7 @@ from desim.simulation.watchdog import checked_limit
 from desim.study.plan.configurations import SweepGrid
 from desim.study.selection.kim_nelson import check_confidence, check_first, check_zone, kim_nelson
 from desim.study.selection.race_result import RaceResult
+from desim.study.store.file import path_of_store
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.metric_values import metric_value
@@ -99,7 +100,7 @@ def race(
         scenario_argument(Scenario).check(scenario, "race")
     plan = SweepPlan.of(scenario, grid, most, seed, metrics, design)
     rules = RaceRules.of(plan, metric, zone, confidence, maximise, first)
-    with Store(None if store is None else Path(store)) as kept, workers_for(executor) as workers:
+    with Store(path_of_store(store)) as kept, workers_for(executor) as workers:
         plan.register(kept, mix_versions=mix_versions)
         return carry_out_race(plan, kept, workers, rules, timeout=timeout)
 

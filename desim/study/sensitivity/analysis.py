@@ -34,6 +34,7 @@ from desim.study.plan.configurations import (
 from desim.study.sensitivity.morris import ElementaryEffects, elementary_effects, morris_points
 from desim.study.sensitivity.sensitivity_result import SensitivityResult
 from desim.study.sensitivity.sobol_indices import SobolIndices, saltelli_points, sobol_indices
+from desim.study.store.file import path_of_store
 from desim.study.store.store import Store
 from desim.study.sweeps.metric_values import metric_values
 from desim.study.sweeps.sweep import SweepPlan, carry_out
@@ -98,7 +99,7 @@ def sensitivity(
     if timeout is not None:
         checked_limit(timeout)
     analysis = Analysis.of(scenario, grid, metric, points, trajectories, runs, seed, metrics)
-    with Store(None if store is None else Path(store)) as kept, workers_for(executor) as workers:
+    with Store(path_of_store(store)) as kept, workers_for(executor) as workers:
         return analysis.carry_out(kept, workers, timeout=timeout, mix_versions=mix_versions)
 
 

@@ -9,12 +9,15 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import cache, wraps
+from os import PathLike
 from pathlib import Path
 from typing import Any, ParamSpec, Self, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
+from desim.config.file_names import STORE
 from desim.config.interrupts import deferred
+from desim.config.suggestion import close_to
 from desim.study.store.connection import (
     LOCK_TIMEOUT,
     connected,
@@ -75,9 +78,36 @@ def naming_the_file(method: Callable[Arguments, Returned]) -> Callable[Arguments
         try:
             return method(*args, **kwargs)
         except (sqlite3.Error, UnicodeDecodeError) as error:  # a message of SQLite may quote invalid UTF-8
-            raise StoreError(f"{args[0].path}: {error}") from error  # type: ignore[attr-defined]
+            path = args[0].path  # type: ignore[attr-defined]
+            raise StoreError(f"{path}: {_why_unusable(error, path)}") from error
 
     return call
+
+
+def path_of_store(store: Any) -> Path | None:
+    """Return the path of a store, None for one in memory; raise TypeError if it is no path."""
+    if not isinstance(store, str | PathLike | None):
+        raise TypeError(f"store should be the path of a file, 'out/sweep.sqlite' for instance (got {store!r})")
+    return None if store is None else Path(store)
+
+
+def _missing(path: Path | None) -> str:
+    """Return the message about a store that is not there, with what may have been meant, or how to make one."""
+    sought = path.parent if path is not None and path.name == STORE and not path.parent.is_dir() else path
+    beside = sorted(other.name for other in sought.parent.glob("*")) if sought is not None else []
+    close = close_to(sought.name, beside, cutoff=0.8) if sought is not None else []
+    instead = f", did you mean {close[0]!r}?" if close else "; `desim sweep FILE -o DIR` makes one in DIR"
+    return f"{path}: there is no such store{instead}"
+
+
+def _why_unusable(error: Exception, path: object) -> str:
+    """Return the message of SQLite about a file, with what to give instead."""
+    text = str(error)
+    if text == "unable to open database file":
+        return f"{text}: give a path that can be written"
+    if text == "file is not a database" and isinstance(path, Path):
+        return f"{text}, and is left as it is: give the path of a store (.sqlite), or of a new file"
+    return text
 
 
 class StoreFile:
@@ -98,7 +128,7 @@ class StoreFile:
         self._lock: LockFile | None = None
         self._open_things = ExitStack()
         if read_only and not (path and path.is_file()):
-            raise StoreError(f"{path}: there is no such store")
+            raise StoreError(_missing(path))
         self._open(path, read_only)
 
     @naming_the_file

@@ -84,11 +84,13 @@ def status(folder: str | Path) -> SweepStatus:
     """
     folder = Path(folder)
     if folder.is_file():
-        raise ValueError(f"{folder}: is no folder")
+        raise ValueError(f"{folder}: is no folder: give the one of `desim submit`, or of `desim sweep -o`")
     job = ArrayJob.read(folder)
     stores = dict(_stores(folder, job))
     if job is None and not stores:
-        raise ValueError(f"{folder}: has no sweep: neither {STORE} nor parts of one")
+        raise ValueError(
+            f"{folder}: has no sweep: neither {STORE} nor parts of one; `desim sweep FILE -o {folder}` makes one"
+        )
     live = states(job.jobs) if job is not None else {}
     counts = {name: _Counts.of(path) for name, path in stores.items()}
     parts = []

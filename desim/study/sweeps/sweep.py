@@ -28,6 +28,7 @@ from desim.study.plan.configurations import Configuration, SweepGrid, configurat
 from desim.study.plan.metric_code import units_and_codes
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import SHOWN, Group, SweepRuns
+from desim.study.store.file import path_of_store
 from desim.study.store.properties import flat
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
@@ -279,7 +280,7 @@ def sweep(
             raise ValueError(f"until should be a metric and a half width, {form} for instance (got {until!r})")
         until = until[0], real(until[1], f"the half width of {until[0]}")
         check_target(*until, plan.metrics)
-    with Store(None if store is None else Path(store)) as kept, workers_for(executor, plan.runs) as workers:
+    with Store(path_of_store(store)) as kept, workers_for(executor, plan.runs) as workers:
         plan.register(kept, mix_versions=mix_versions)
         return carry_out(plan, kept, workers, until=until, fail_fast=fail_fast, timeout=timeout)
 

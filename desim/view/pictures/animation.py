@@ -115,7 +115,8 @@ def animate(
     last = seconds(ended(result).t) if end is None else min(end, seconds(ended(result).t))
     if not 0.0 <= begin < last:
         raise ValueError(
-            f"the window from {begin:g} s to {last:g} s is empty: the run lasted {seconds(ended(result).t):g} s"
+            f"`begin`, `end`: the window from {begin:g} s to {last:g} s is empty: the run lasted"
+            f" {seconds(ended(result).t):g} s"
         )
     if not (0.0 < speed < inf and 1 <= fps <= 50):
         raise ValueError(f"the speed should be greater than 0 and fps from 1 to 50, got {speed:g} and {fps}")

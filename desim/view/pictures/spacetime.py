@@ -137,12 +137,13 @@ def _check(result: Result, shown: Sequence[int], begin: float | None, end: float
     size, last = len(started(result).active), seconds(ended(result).t)
     for pursuer in shown:
         if not 0 <= pursuer < size:
-            raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {size - 1}")
+            raise ValueError(f"pursuers: there is no pursuer {pursuer}: they are 0 .. {size - 1}")
     if len(set(shown)) < len(shown) or not shown:
         raise ValueError(f"pursuers should be given once each, and at least one, got {list(shown)}")
     if not 0.0 <= (begin or 0.0) < min(inf if end is None else end, last):
         until = "its end" if end is None else f"{end:g} s"
-        raise ValueError(f"the window from {begin or 0.0:g} s to {until} is empty: the run lasted {last:g} s")
+        window = f"the window from {begin or 0.0:g} s to {until}"
+        raise ValueError(f"`begin`, `end`: {window} is empty: the run lasted {last:g} s")
 
 
 def _window(
