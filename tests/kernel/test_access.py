@@ -986,6 +986,19 @@ def test_a_node_is_silent_after_a_frame_so_that_it_transmits_at_most_the_duty_cy
         assert starts(trace) == sorted([(0, t) for t in expected] + [(1, 5000.0)], key=lambda each: each[1])
 
 
+@pytest.mark.parametrize("ack_timeout", [None, 75e-6])
+def test_a_node_is_silent_after_a_frame_whether_or_not_its_acknowledgement_can_be_lost(ack_timeout):
+    """The node counts its slots during the 9 ms of silence. The control has no duty cycle."""
+    for duty_cycle, period in ((0.1, 10_000.0), (None, None)):
+        clock, net, trace = network(CsmaCa(ack_timeout=ack_timeout), medium={"duty_cycle": duty_cycle})
+        for _ in range(3):
+            net.send(0, 1, None, size=SIZE)
+        clock.run()
+        assert net.message_counts().delivered == 3
+        periods = np.diff([message.t / US for message in trace.of(Sent)]).tolist()
+        assert periods == [period] * 2 if period else max(periods) < 2000.0
+
+
 def test_a_silent_node_keeps_the_newest_frames():
     """Frames A to Z, one per ms, and 9 ms of silence after each frame: B waits at 1 ms, and is superseded."""
     clock, net, trace = network(Aloha(), medium={"duty_cycle": 0.1, "queue_limit": 1})

@@ -251,6 +251,14 @@ def test_an_override_of_a_key_of_a_grid_replaces_it_however_it_is_written(text, 
     assert source.where(("sweep", "grid", "network.range")) == f"--set sweep.grid.{key}=[2.0, 3.0]"
 
 
+@pytest.mark.parametrize("quote", ["", "'", '"'])
+@pytest.mark.parametrize("key", ["x.first", "first.x", "_first.last_"])
+def test_only_the_quotes_around_a_key_of_a_grid_are_left_out(key, quote):
+    source = of_text("")
+    source.override(f"sweep.grid.{quote}{key}{quote}=[1.0]")
+    assert list(source.tables["sweep"]["grid"]) == [key]
+
+
 def test_a_key_of_a_grid_that_is_written_twice_is_refused():
     source = of_text('[sweep.grid]\nnetwork.range = [1.0]\n"network.range" = [2.0]')
     with pytest.raises(ScenarioError, match=r"^f:1: sweep\.grid: network\.range is given twice"):
