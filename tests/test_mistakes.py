@@ -193,6 +193,12 @@ CALLS: dict[str, tuple[Any, ...]] = {
 }
 
 
+def test_the_name_of_the_object_itself_is_no_argument_to_suggest():
+    with pytest.raises(TypeError, match="unexpected keyword argument 'slf'; it is with_") as refused:
+        Scenario().with_(slf={})
+    assert "did you mean" not in str(refused.value)
+
+
 class AtPath:
     """A path of another library: an object that tells its path."""
 

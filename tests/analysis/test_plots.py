@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from desim.analysis.drawing.plots import html_image, save, size_of, styled, trajectory
+from desim.analysis.drawing.plots import COLUMN, html_image, save, size_of, styled, trajectory
 from desim.kernel.core.events import Trace
 from desim.kernel.core.units import SECOND
 from desim.pursuit.core.events import Captured, Ended, Sampled, Started
@@ -231,6 +231,10 @@ def test_a_figure_keeps_its_labels_when_it_is_resized():
 def test_a_size_is_a_width_and_perhaps_a_height_with_a_unit(text, size):
     found = size_of(text)
     assert [each and round(each * 2.54, 9) for each in found] == [*size]
+
+
+def test_a_column_of_a_paper_is_8_5_cm_wide():
+    assert size_of("8.5cm")[0] == pytest.approx(COLUMN)
 
 
 @pytest.mark.parametrize("text", ["", "8.5", "cm", "8.5cmx", "8.5km", "-8.5cm", "1cm", "infcm", "1e9cm", "3inx0in"])

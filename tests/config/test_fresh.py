@@ -185,6 +185,20 @@ class PassingSlots:
     __init__, __getattr__, __call__ = Passing.__init__, Passing.__getattr__, Passing.__call__
 
 
+def unbound(held):
+    """Return a function that reads a variable which is deleted."""
+    late = None
+
+    def act():
+        try:
+            return late
+        except NameError:
+            return held()
+
+    del late
+    return act
+
+
 STATEFUL = {
     "wrapper that passes on attributes": lambda: Passing(Remembering()),
     "wrapper with slots": lambda: PassingSlots(Remembering()),
@@ -198,6 +212,7 @@ STATEFUL = {
     "closure over an instance": lambda: over(Remembering(), lambda held: held()),
     "closure over a generator of numbers": lambda: over(np.random.default_rng(1), lambda rng: rng.random()),
     "method of a generator of numbers": lambda: np.random.default_rng(1).random,
+    "closure over a name without a value": lambda: unbound(Remembering()),
     "closure over an iterator": lambda: over(iter([1, 2, 3]), next),
     "attribute of a local function": with_attribute,
     "two closures": sharing,

@@ -6,8 +6,14 @@ import networkx as nx
 import numpy as np
 import pytest
 
+from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.events import Trace
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.core.positions import PositionSource, as_position_source, distances
+from desim.kernel.core.units import nanoseconds
+from desim.kernel.models.latency import Uniform
+from desim.kernel.models.links import Links
+from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.kernel.topology.topology import Topology
 
@@ -44,6 +50,23 @@ def test_a_position_function_is_called_each_time_and_may_reuse_its_array_or_retu
     assert positions.of(np.array([2])).tolist() == [[7.0, 7.0]]
     assert positions().tolist() == at.tolist()
     assert as_position_source(AT.tolist).of(np.array([1])).tolist() == [[3.0, 4.0]]
+
+
+@pytest.mark.parametrize("trace", [None, Trace()], ids=["untraced", "traced"])
+def test_a_position_function_is_asked_as_a_record_arrives_with_and_without_a_trace(trace):
+    """A receiver of the first record leaves before it arrives, and is back when the record is read."""
+    clock, at = Clock(), np.zeros((3, 2))
+    links = Links(latency=Uniform(low=0.9, high=1.1), range=5.0, range_check="both")
+    net = Network(clock, nx.complete_graph(3), links, positions=lambda: at, trace=trace)
+    for t, x in ((0.5, 9.0), (1.5, 0.0)):
+        Instant(clock, nanoseconds(t), Phase.DECISION).callbacks.append(lambda _, x=x: at[1].fill(x))
+    net.publish(0, "first")
+    clock.run(until=nanoseconds(2.0))
+    net.publish(0, "second")
+    assert not net.latest_records(1)
+    assert net.message_counts().lost_by == {"out_of_range": 1}
+    clock.run(until=nanoseconds(4.0))
+    assert net.latest_records(1)[0][1].body == "second"
 
 
 def test_distances_are_relative_to_one_node():

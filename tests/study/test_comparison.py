@@ -185,6 +185,13 @@ def test_the_command_compares_the_metrics_that_it_is_given_or_the_usual_ones(mon
     assert asked == [("energy",), SHOWN]
 
 
+def test_the_command_writes_the_table_in_each_format(monkeypatch):
+    comparison = compare(sweep_of(BEFORE), sweep_of(AFTER), ["active_time"])
+    monkeypatch.setattr(module, "compare", lambda *_: comparison)
+    for form in ("text", "latex", "markdown"):
+        assert comparison.table(format=form) in accepted("compare", "a", "b", "--format", form).stdout
+
+
 def test_a_notebook_shows_it_with_its_names_escaped():
     comparison = Comparison.of(sweep_of(BEFORE), sweep_of(AFTER), ["active_time"], ("<b>", "&"))
     assert "<b>" not in comparison._repr_html_()

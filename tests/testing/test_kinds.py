@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from inspect import signature
 
 import numpy as np
 import pytest
@@ -50,6 +51,15 @@ CHECKS = [
     (check_flow, FLOWS),
     (check_exporter, EXPORTERS),
 ]
+
+
+def test_all_checks_that_run_a_model_have_one_time_limit():
+    checks = [getattr(desim.testing, name) for name in dir(desim.testing) if name.startswith("check_")]
+    limits = [
+        signature(check).parameters["limit"].default for check in checks if "limit" in signature(check).parameters
+    ]
+    assert len(limits) > 5
+    assert set(limits) == {10.0}
 
 
 SHARES = {
