@@ -1,5 +1,6 @@
 """Natural mistakes, in Python, in files and in commands: each is told its place, the reason and a way out."""
 
+import ast
 import datetime
 import random
 import time
@@ -191,6 +192,16 @@ CALLS: dict[str, tuple[Any, ...]] = {
     "SteppedNetwork(3, sed=1)": ("did you mean 'seed'?", "it is SteppedNetwork(nodes"),
     "load('.')": ("a scenario is one file", "desim.open"),
 }
+
+
+@pytest.mark.parametrize("name", ["plot", "run", "export", "nothing_of_it"])
+def test_what_takes_a_scenario_is_written_as_python_and_is_in_the_facade(name):
+    with pytest.raises(AttributeError, match="functions take it, such as ") as refused:
+        getattr(SHORT, name)
+    calls = str(refused.value).partition("such as ")[2].partition("; ")[0]
+    for call in ast.parse(f"[{calls}]", mode="eval").body.elts:
+        assert isinstance(call, ast.Call)
+        assert hasattr(desim, call.func.id) if isinstance(call.func, ast.Name) else hasattr(SHORT, call.func.attr)
 
 
 def test_the_name_of_the_object_itself_is_no_argument_to_suggest():

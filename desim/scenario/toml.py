@@ -57,7 +57,7 @@ def load(file: str | PathLike[str], overrides: Sequence[str] = (), *, allow_impo
         source = read_source(file, overrides, allow_import=allow_import)
     except FileNotFoundError as error:
         if (name := Path(file).stem) in examples():
-            why = f"{error.strerror}; load(examples()[{name!r}]) reads the example"
+            why: str | None = f"{error.strerror}; load(examples()[{name!r}]) reads the example"
         else:
             path = Path(file)
             close = close_to(path.name, [other.name for other in path.parent.glob("*.toml")], cutoff=0.8)

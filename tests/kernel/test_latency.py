@@ -512,6 +512,12 @@ def test_a_matrix_with_numbers_of_nodes_beside_it_is_refused(tmp_path, header):
         LatencyMatrix(file=str(tmp_path / "m.csv"))
 
 
+def test_a_decimal_comma_in_quotes_between_commas_is_refused(tmp_path):
+    (tmp_path / "m.csv").write_text('0,"0,1"\n"0,2",0\n')
+    with pytest.raises(ValueError, match=r"m\.csv, line 1: .*0,1"):
+        LatencyMatrix(file=str(tmp_path / "m.csv"))
+
+
 @pytest.mark.parametrize("text", ["0,041,0,052", "0,1 0,041,0,052", "12,05,7"])
 def test_decimal_commas_between_commas_are_refused(tmp_path, text):
     (tmp_path / "ms.txt").write_text(text)

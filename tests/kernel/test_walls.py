@@ -342,6 +342,14 @@ def test_edges_that_touch_are_found_among_many():
     assert (contact.first, contact.second) == (70, 110)
 
 
+def test_edges_that_go_back_are_those_of_one_polygon_also_if_several_have_some():
+    """The second edge of each triangle of no area goes back on the first."""
+    flat = np.array([[0.0, 0.0], [2.0, 0.0], [1.0, 0.0]])
+    contact = first_contact([(k, WallShape(flat + np.array([0.0, k]), closed=True)) for k in range(3)])
+    assert (contact.first, contact.second) == (0, 0)
+    assert contact.ends == [[0.0, 0.0], [2.0, 0.0], [2.0, 0.0], [1.0, 0.0]]
+
+
 def random_fields(fields, density, length, distance, seed):
     """Return how many walls a line of a length crosses in each of many random fields of segments."""
     rng = np.random.default_rng(seed)

@@ -1,6 +1,7 @@
 """A node: what it draws for a datagram, what it drops, and how a program embeds it."""
 
 import asyncio
+import json
 import subprocess
 import sys
 import time
@@ -17,10 +18,12 @@ from desim.kernel.state.inbox import Message
 from desim.kernel.transport.frames import Segment
 from desim.kernel.transport.layer import PORT as FRAMES
 from desim.live import Node, NotLiveError, sockets
+from desim.live.frames import _segment_of, segment_list
 from desim.live.own_bodies import OwnBodies
 from desim.live.refusals import reasons
 from desim.live.sockets import Mailbox, udp_socket
 from desim.live.wire import Wire
+from desim.pursuit.motion.dead_reckoning import TrackSegment
 from desim.pursuit.team.announcements import Assignment, Forwarded
 from protocols.dissemination import PORT as ANNOUNCEMENTS
 from scenarios.studies.study import SCENARIOS
@@ -161,6 +164,12 @@ def test_random_datagrams_do_not_stop_a_node():
     assert sum(node.link.drops) >= 99_900
 
 
+def test_a_motion_step_arrives_as_it_was_sent():
+    segment = TrackSegment(1, 2.0 + 3.0j, 4.0 - 5.0j, -6.0 + 7.0j, 8)
+    assert _segment_of(json.loads(json.dumps(segment_list(segment)))) == segment
+    assert segment_list(None) == []
+
+
 def test_a_program_of_ones_own_puts_positions_in_and_gets_commands_out():
     async def play():
         experiment = scenario(team={"count": 2, "speeds": 2.0}, latency=0.02, horizon=5.0)
@@ -174,7 +183,7 @@ def test_a_program_of_ones_own_puts_positions_in_and_gets_commands_out():
         async with nodes[0].open(addresses[0], addresses, now), nodes[1].open(addresses[1], addresses, now):
             for _ in range(100):
                 for k, node in enumerate(nodes):
-                    node.sense([3.0 * k, 0.0], [[1.0, 0.0]], [[0.0, 0.0], [3.0, 0.0]], [[0.5, 0.0]])
+                    node.sense([3.0 * k + 1.0, 7.0], [[2.0, 7.0]], [[1.0, 7.0], [4.0, 7.0]], [[0.5, 0.0]])
                 if {node.action for node in nodes} == {0, 1} and nodes[0].now > 0.3:
                     break
                 await asyncio.sleep(0.02)

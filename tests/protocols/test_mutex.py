@@ -215,6 +215,21 @@ def test_a_neighbour_that_does_not_answer_gets_the_documented_number_of_requests
         assert (late[0], set(late[1:])) == (attempts, {1})
 
 
+def test_a_request_is_repeated_after_the_documented_time_outs():
+    """A request of 32 bytes and its reply of 56 take 11/150 s at 9600 bit/s: 5/4 of (0.04 s + 11/150 s 1.5^k).
+
+    The first request may have waited for the transmitter, so the pauses before the third and the fourth are compared.
+    """
+    fault = Crash(start=2.0, node=1, scope="radio")
+    links = {"latency": 0.02, "medium": Bitrate(bitrate=9600.0)}
+    result = run(frozen(flips(LocalMutex(attempts=4)), count=2, faults=(fault,), **links), 0)
+    asked = [sent for sent in bodies(result, Request) if sent.src == 0]
+    (stamp, number), *_ = Counter(sent.body.stamp for sent in asked).most_common(1)
+    assert number == 4
+    pauses = np.diff([sent.t / SECOND for sent in asked if sent.body.stamp == stamp])
+    assert pauses[1:] == pytest.approx([1.25 * (0.04 + 11.0 / 150.0 * 1.5**k) for k in (1, 2)])
+
+
 @pytest.mark.slow
 def test_after_a_partition_all_exclude_each_other_again():
     log = []

@@ -159,6 +159,14 @@ def test_more_rows_make_a_higher_picture():
     assert heights[1] > 2.0 * heights[0]
 
 
+def test_a_figure_of_more_lines_is_higher_by_its_legend():
+    heights = [
+        means(result({"x": [1.0, 2.0], "y": [f"value {k}" for k in range(n)]}), "active_time").get_size_inches()[1]
+        for n in (1, 9)
+    ]
+    assert heights[1] > heights[0]
+
+
 GRIDS = {
     "numbers": ({"x": [1.0, 2.0], "y": ["$a_$", "b"]}, "active_time"),
     "labels": ({"x": ["<lambda>", "$a$ & b"]}, "capture_time"),
