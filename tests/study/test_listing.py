@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import sqlite3
 
 import pytest
@@ -48,6 +49,14 @@ def test_each_result_has_a_line_with_its_state(results):
     assert [name for name in found if name.startswith("two")] == ["two/seed-0", "two/seed-1"]
     assert set(found) == {"one", "swept", "parts", "two/seed-0", "two/seed-1"}
     assert {entry.scenario for entry in ls(results)} == {"relay"}
+
+
+def test_the_runs_of_all_parts_are_counted(results, tmp_path):
+    part = results / "parts" / "sweep.1-of-2.sqlite"
+    for name in ("sweep.1-of-2.sqlite", "sweep.2-of-2.sqlite"):
+        shutil.copy(part, tmp_path / name)
+    (entry,) = ls(tmp_path)
+    assert entry.runs == 2 * states(results)["parts"][1]
 
 
 def test_a_store_of_a_script_is_listed_with_its_file(tmp_path):

@@ -18,7 +18,7 @@ import pytest
 from click.testing import CliRunner
 
 from desim import Scenario
-from desim.analysis.metrics import summary
+from desim.analysis.metrics import METRICS, summary, words
 from desim.cli.many import merge
 from desim.cli.pages import report as command
 from desim.results import provenance
@@ -240,6 +240,14 @@ def test_pictures_are_as_large_as_in_print_so_that_all_type_is_of_one_size(full)
     heads = re.findall(r"<svg [^>]*>", full.text)
     assert len(heads) == 9
     assert not any(re.search(r"\s(height|version)=", head) for head in heads)  # the height follows from the width
+
+
+def test_each_picture_has_its_subject_as_text(full):
+    labels = re.findall(r'<svg [^>]*aria-label="([^"]*)"', full.text)
+    metrics = [label for label in labels if label in map(words, METRICS)]
+    others = [label for label in labels if label not in metrics]
+    assert (len(metrics), len(set(metrics))) == (5, 5)
+    assert [label.rpartition(", ")[2] for label in others] == ["costs", "costs", "legend of the figures", "heat map"]
 
 
 def test_some_of_many_failures_are_shown_and_a_missing_run_json_is_reported(tmp_path):
