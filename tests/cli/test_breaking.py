@@ -6,6 +6,8 @@ import pytest
 
 from desim import judge, load, run
 from desim.cli.breaking import VIOLATED
+from desim.scenario.scenario import PROTOCOLS
+from desim.study.breaking.found import case_text
 from tests.command import desim, refused, strict_json
 
 GAME = (
@@ -50,6 +52,34 @@ def test_a_violation_is_a_scenario_that_shows_it(folder):
     assert again.stdout.startswith(f"kept: kept/{kept.name}: violates: margin -")
     other = desim(*command, "--protocol", "local_min", "-n", 1)
     assert "kept:" not in other.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("_undrawn")
+def test_a_violation_is_written_and_kept_with_all_that_repeats_it(folder):
+    """A game that all lose: two pursuers, of whom one cannot know within the horizon that the other one chases."""
+    (folder / "tiny.toml").write_text(
+        'seed = 1\nhorizon = 0.2\nprotocol = "cbaa"\nproperties = ["idle at most 0 in total"]\n'
+        "[team]\ncount = 2\n[network]\nlatency = 0.1\n"
+    )
+    command = ("break", "tiny.toml", "--feature", "latency", "-n", 1, "-j", 1, "--keep", "kept", "-o", "found")
+    result = desim(*command, "--json")
+    made = strict_json(result.stdout)
+    assert (result.exit_code, made["property"], made["runs"]) == (VIOLATED, "idle at most 0 in total", 1)
+    violation = made["violation"]
+    smallest = load(violation["file"])
+    assert smallest.seed == violation["seed"]
+    assert violation["verdict"] == judge(smallest.properties[0], run(smallest))._asdict()
+    assert violation["searched"] == 1
+    assert violation["protocols"].keys() == PROTOCOLS.choices().keys() - {"policy"}
+    assert violation["protocols"]["cbaa"] == violation["verdict"]
+    text = (folder / "found" / "break.txt").read_text()
+    assert text.startswith(f"violated in case 1: seed {smallest.seed}, margin -0.01 s (it has 0.01 s)\n")
+    assert f"smallest after {violation['shrunk']} more runs: {case_text(violation['case'])}\n" in text
+    again = desim(*command)
+    assert again.exit_code == VIOLATED
+    assert again.stdout.startswith(f"kept: kept/cbaa-idle_at_most_0_in_total-{smallest.seed}.toml: violates: margin -")
+    assert "cases" not in again.stdout
 
 
 def runs_in(lines):

@@ -237,7 +237,7 @@ def test_an_edge_to_a_node_that_is_not_declared_and_half_a_file_are_refused(tmp_
     content, end = file.read_text(), LAST_END[kind]
     file.write_text(content.replace(end, end.replace("2" if "3" not in end else "3", "7")))
     assert file.read_text() != content
-    with pytest.raises(ValueError, match="is not a graph in"):
+    with pytest.raises(ValueError, match=r"an edge ends at node '?7'?, which is not declared|undefined|should be two"):
         read(file)
     file.write_text(content[: len(content) // 2 if kind != "net.net" else content.rindex("2 3") + 2])
     with pytest.raises(ValueError, match="is not a graph in"):

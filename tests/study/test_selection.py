@@ -217,6 +217,9 @@ def test_a_race_finds_the_best_and_says_who_was_dropped_when():
     assert result.plain_runs < result.independent_runs
     document = result.document()
     assert document["best"] == {"team.count": 4}
+    assert [one["mean"]["mean"] for one in document["configurations"]] == [
+        result.mean_of(system).mean for system in result.order
+    ]
     assert [one["dropped_after"] for one in document["configurations"]] == [
         None,
         *(dropped.after for dropped in reversed(result.selection.dropped)),

@@ -69,6 +69,7 @@ def test_the_intervals_hold_what_a_paired_t_test_does_not_exclude(seed):
     for share in found.relative[1]:
         assert ttest_rel(table[:, -1], (1.0 + share) * table[:, 0]).pvalue == pytest.approx(0.05)
     assert found.relative[1][0] < found.relative_means[1] < found.relative[1][1]
+    assert found.low < found.at < found.high
     for end in (found.low, found.high):
         values = [np.interp(end, X, run) for run in table]
         assert ttest_rel(values, 1.1 * table[:, 0]).pvalue == pytest.approx(0.05)
