@@ -702,6 +702,11 @@ def test_keys_lists_every_key_of_a_table_with_default_and_unit():
     assert not any(line.startswith("network") for line in lines)
 
 
+def test_the_key_that_names_another_file_is_listed_alone():
+    (line,) = accepted("keys", "base").stdout.splitlines()
+    assert line.startswith("base: ")
+
+
 def test_keys_goes_to_the_given_depth():
     latency = accepted("keys", "network.latency").stdout.splitlines()
     assert latency[0].startswith("latency = { kind = 'constant' }: ")

@@ -21,6 +21,7 @@ from pettingzoo.utils import aec_to_parallel, parallel_to_aec
 
 import desim
 from desim import Crash, Links, Lognormal
+from desim.adapters.env_network import EnvNetwork
 from desim.adapters.message_spaces import blank
 from tests.adapters.environments import NAMES, Line, Turns
 
@@ -344,3 +345,13 @@ def test_episodes_leave_nothing_behind():
         gc.collect()
         sizes.append(len(gc.get_objects()))
     assert sizes[2] - sizes[1] < 50
+
+
+def test_a_place_of_an_earlier_episode_is_none_of_the_next():
+    places = {"a": (0.0, 0.0), "b": (1.0, 0.0)}
+    network = EnvNetwork(None, ["a", "b"], {"range": 5.0}, positions=lambda _: places)
+    network.reset(1)
+    del places["b"]
+    network.step()  # it stays where it was
+    with pytest.raises(ValueError, match="positions"):
+        network.reset(2)

@@ -65,6 +65,11 @@ def scenario(trust="none", *faults):
     )
 
 
+def test_a_run_without_lies_has_no_damage_of_them():
+    with pytest.raises(ValueError, match="no pursuer has a Byzantine fault in the run with seed 3"):
+        damage_per_liar(run(Scenario(horizon=0.1, team=Team(count=2)), 3), active_time)
+
+
 @pytest.mark.slow
 def test_damage_is_that_of_the_same_seed_without_lies():
     liars = [Liar(node=node, start=0.0, action="chase", phi=0.0, acts="stay") for node in (0, 1)]

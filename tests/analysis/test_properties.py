@@ -3,6 +3,7 @@
 import random
 from functools import cache
 from itertools import pairwise
+from math import inf
 
 import pytest
 
@@ -186,6 +187,11 @@ def test_a_watcher_ends_a_run_as_soon_as_it_violates_the_property(text):
     unbroken = PropertyWatcher("crowded never longer than 5", LOSSY)
     assert list(map(line_of, run(LOSSY, 1, unbroken).trace)) == list(map(line_of, whole.trace))
     assert unbroken.margin == judge("crowded never longer than 5", whole).margin
+
+
+def test_before_a_run_nothing_is_violated():
+    watcher = PropertyWatcher("always active <= 2", LOSSY)
+    assert (watcher.margin, watcher.violated_at) == (inf, None)
 
 
 def test_a_watcher_refuses_what_is_known_after_the_run_only():

@@ -110,6 +110,16 @@ def test_scores_are_between_the_bounds_and_a_bad_protocol_does_not_look_robust()
     assert (made.best, made.is_behind("good"), made.is_behind(REFERENCE)) == (REFERENCE, True, False)
 
 
+def test_a_benchmark_has_the_scores_of_each_scenario_in_its_document():
+    made = benchmark_of(
+        perfect=[10.0, 10.1, 9.9], silent=[50.0, 50.1, 49.9], good=([20.0, 20.1, 19.9], [8.0, 8.1, 7.9])
+    )
+    for name, protocol in made.document()["protocols"].items():
+        assert protocol["scenarios"].keys() == {"one"}
+        assert protocol["scenarios"]["one"].keys() == protocol["total"].keys()
+        assert protocol["behind"] == made.is_behind(name)
+
+
 @pytest.mark.slow
 def test_equal_protocols_are_seldom_said_to_be_behind_the_one_that_looks_best():
     """In at most 5 % of all benchmarks, within 3 standard errors; a bound for pairs with a known best has 20 %."""

@@ -2,6 +2,7 @@
 
 from itertools import count, islice
 from math import inf, nan
+from types import SimpleNamespace
 
 import networkx as nx
 import numpy as np
@@ -37,6 +38,8 @@ from desim.simulation.watchdog import TimedOut, within
 from desim.study.breaking.case_log import CaseLog, CaseRun
 from desim.study.breaking.copies import ReadingTime, copies, looks, readings
 from desim.study.breaking.features import FEATURES, applied, drawn
+from desim.study.breaking.found import case_text
+from desim.study.breaking.search import Violation
 from desim.study.breaking.shrinking import Tried, shrunk
 from desim.study.breaking.sightings import SIGHTINGS, seen_in
 from scenarios.studies.study import SCENARIOS
@@ -571,6 +574,24 @@ def test_what_is_seen_in_a_run():
 def test_bad_use_is_told(arguments, message):
     with pytest.raises(ValueError, match=message):
         find_violation(SMALL, **{"prop": "idle at most 1 in total"} | arguments)
+
+
+def test_the_changes_of_a_case_are_one_line_in_the_form_of_a_file():
+    case = {"far": {"network.range": [1.0, 2.5], "fault": [{"kind": "crash", "node": 1}]}, "slow": {"team.count": 3}}
+    assert case_text(case) == 'network.range = [1.0, 2.5], fault = [{ kind = "crash", node = 1 }]; team.count = 3'
+    assert case_text({}) == "nothing changed"
+
+
+def test_a_protocol_of_a_user_is_the_first_of_those_that_are_compared(monkeypatch):
+    """The run of the violation is not repeated."""
+
+    def rule(me):
+        yield me.sleep(1.0)
+
+    scenario, verdict = Scenario(protocol=rule), Judgement(-1.0, 2.0, 0.5, None)
+    monkeypatch.setattr("desim.study.breaking.search.PROTOCOLS", SimpleNamespace(choices=dict))
+    violation = Violation(scenario, 1, property_of(SHORT), verdict, case={}, first={}, searched=1, shrunk=0)
+    assert violation.protocols(1) == {scenario.protocol_name: verdict}
 
 
 def test_a_search_is_about_a_scenario():
