@@ -287,6 +287,16 @@ def test_a_wrong_line_of_a_protocol_says_what_to_write(line):
     assert LINES[line] in " ".join([str(refused.value), *getattr(refused.value, "__notes__", ())])
 
 
+class Key:
+    """A key of a dict, as people write it."""
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Key)
+
+    def __hash__(self) -> int:
+        return hash(("a", 3))
+
+
 OUTSIDE: dict[str, Any] = {
     "sleep": time.sleep,
     "clock": time.time,
@@ -333,8 +343,35 @@ def test_random_numbers_without_the_seed_are_warned_of(line, name):
 
 
 @pytest.mark.parametrize(
+    ("line", "name"),
+    [
+        ("import os; os.environ.get('SPEED')", r"os\.environ"),
+        ("from os import environ; environ['HOME']", r"os\.environ"),
+        ("import os; 'A' in os.environ", r"os\.environ"),
+        ("from os import getenv as tell; tell('A')", r"os\.getenv"),
+        ("import os; os.getpid() % 2", r"os\.getpid"),
+        ("import sys; len(sys.argv)", r"sys\.argv"),
+        ("import socket; socket.gethostname()", r"socket\.gethostname"),
+        ("hash('uav')", r"hash\(\)"),
+        ("max(['a', 'b'], key=hash)", r"hash\(\)"),
+        ("(lambda: [hash(name) for name in 'ab'])()", r"hash\(\)"),
+    ],
+)
+def test_what_differs_from_process_to_process_is_warned_of(line, name):
+    names = dict(OUTSIDE)
+    exec(f"def mine(me):\n    yield me.sleep(0.001)\n    {line}", names)
+    with pytest.warns(StateWarning, match=f"^{name}: what a process has is no part of the scenario"):
+        desim.run(SHORT.with_({"protocol": names["mine"]}))
+
+
+@pytest.mark.parametrize(
     "line",
     [
+        "import os; os.path.join('a', 'b')",
+        "import sys; sys.version_info >= (3, 12)",
+        "hash = len; hash('uav')",
+        "me.hash = 3",
+        "{Key(): 1}[Key()]",
         "np.random.default_rng(me.id).random()",
         "rng(7).random()",
         "import time; time.perf_counter()",
@@ -343,8 +380,8 @@ def test_random_numbers_without_the_seed_are_warned_of(line, name):
         "import uuid; uuid.UUID(int=3)",
     ],
 )
-def test_seeded_numbers_and_measured_durations_are_not_warned_of(line):
-    names = dict(OUTSIDE)
+def test_what_is_the_same_in_each_run_and_measured_durations_are_not_warned_of(line):
+    names = OUTSIDE | {"Key": Key}
     exec(f"def mine(me):\n    yield me.sleep(0.001)\n    {line}", names)
     desim.run(SHORT.with_({"protocol": names["mine"]}))
 

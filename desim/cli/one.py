@@ -88,6 +88,8 @@ def run(
     count = runs or recorded
     if count > 1:  # each run has its own limit
         whole_command.close()
+    is_repeated = repeated is not None and seed is None and not overrides
+    before = _recorded_results(repeated) if is_repeated and repeated is not None else {}
     into = None if out is None else _make_output(out, scenario, count, folder)
     start = time.perf_counter()
     try:
@@ -103,6 +105,8 @@ def run(
         if not isinstance(error, WriteError):
             raise
         fail(f"--out {error.filename or out}: cannot be written: {error.strerror}")
+    for result in results:
+        _compare(repeated, before.get(result.seed, {}), plain(result))
     if as_json:
         table = json.dumps(
             {"scenario": scenario.plain(), "runs": [plain(metrics_of_run) for metrics_of_run in results]}, indent=2
@@ -248,6 +252,33 @@ def _recorded(path: Path, overrides: tuple[str, ...], metrics: tuple[str, ...]) 
     if path.with_name(LIVE).exists():
         echo(f"warning: {path}: was recorded live, by desim live: this repeats it in simulation", err=True)
     return scenario, provenance.home(path, made), made["runs"]
+
+
+def _recorded_results(path: Path) -> dict[int, dict[str, Any]]:
+    """Return the metrics that are recorded beside a run.json, by seed; without those that cannot be read."""
+    from desim.config.file_names import LIVE
+
+    if path.with_name(LIVE).exists():  # a simulation is another run
+        return {}
+    recorded = {}
+    for file in (path.with_name("summary.json"), *path.parent.glob("seed-*/summary.json")):
+        with suppress(OSError, ValueError, KeyError, TypeError):
+            metrics = json.loads(file.read_text(encoding="utf-8"))
+            recorded[int(metrics["seed"])] = metrics
+    return recorded
+
+
+def _compare(path: Path | None, before: dict[str, Any], now: dict[str, Any]) -> None:
+    """Print a warning if a repeated run has other metrics than the recorded one."""
+    now = json.loads(json.dumps(now))
+    if changed := [name for name in before if name in now and before[name] != now[name]]:
+        name = changed[0]
+        text = (
+            f"warning: {path}: the run with seed {now['seed']} has other results than recorded: {name} was"
+            f" {before[name]} and is {now[name]}; code of the scenario may depend on the process, as by the order of a"
+            " set, hash(), id() or a file that it changes"
+        )
+        echo(text, err=True)
 
 
 def _how_to_repeat(made: "Mapping[str, Any]") -> str:

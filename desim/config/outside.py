@@ -1,13 +1,17 @@
-"""What a function takes from outside of a run: the clock of the computer, and random numbers without the run's seed.
+"""What a function takes from outside of a run: clocks, random numbers without the run's seed, and the process.
 
 The function is not called: its instructions are read, and the names in them are looked up.
 """
 
+import builtins
 import os
+import platform
 import random
 import re
 import secrets
+import socket
 import sys
+import threading
 import time
 import uuid
 from collections import ChainMap
@@ -41,6 +45,15 @@ SEEDED = {
     random.Random: "random.Random()",
 }
 """The names of the generators that do so if they are created without a seed."""
+PROCESS = {
+    **{getattr(os, name): f"os.{name}" for name in ("getenv", "getpid", "getppid", "getlogin")},
+    **{socket.gethostname: "socket.gethostname", platform.node: "platform.node"},
+    threading.get_ident: "threading.get_ident",
+    hash: "hash()",
+}
+"""The names of the functions whose results differ from process to process; the hash of a text does."""
+VARIABLES = ((os.environ, "os.environ"), (sys.argv, "sys.argv"))
+"""The variables of a process, with their names."""
 BETWEEN = frozenset({"PUSH_NULL", "PRECALL", "RESUME", "NOP", "EXTENDED_ARG"})
 """Instructions that may be between a name and its call."""
 
@@ -55,26 +68,44 @@ class Use(NamedTuple):
     """Whether it is called without arguments."""
 
 
-def outside_sources(function: FunctionType) -> tuple[set[str], set[str]]:
-    """Return the names of the clocks that a function reads or waits for, and those of its sources of random numbers."""
-    clocks, entropy = set(), set()
+class Outside(NamedTuple):
+    """The names of what a function takes from outside of a run."""
+
+    clocks: set[str]
+    """Clocks that it reads or waits for."""
+    entropy: set[str]
+    """Sources of random numbers."""
+    process: set[str]
+    """What differs from process to process."""
+
+
+NOTHING = Outside(set(), set(), set())
+
+
+def outside_sources(function: FunctionType) -> Outside:
+    """Return the names of what a function takes from outside of a run."""
+    clocks, entropy, process = set[str](), set[str](), set[str]()
     around = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
     places = ChainMap({name: cell.cell_contents for name, cell in around if cell != CellType()}, function.__globals__)
     for use in _uses(function.__code__):
         source = _denoted(use, places)
+        variables = [_denoted(use._replace(names=use.names[:k]), places) for k in range(1, len(use.names) + 1)]
+        process |= {name for variable, name in VARIABLES if any(each is variable for each in variables)}
         try:
+            is_own_hash = source is hash and function.__name__ == "__hash__"
+            process |= {PROCESS[source]} if source in PROCESS and not is_own_hash else set()
             clocks |= {CLOCKS[source]} if source in CLOCKS else set()
             entropy |= {ENTROPY[source]} if source in ENTROPY else set()
             entropy |= {SEEDED[source]} if use.is_called_alone and source in SEEDED else set()
         except TypeError:  # it has no hash, and is none of them
             continue
-    return clocks, entropy
+    return Outside(clocks, entropy, process)
 
 
 def _denoted(use: Use, places: Mapping[str, Any]) -> Any:
     """Return what a dotted name denotes; None if that is not known without running code of a user."""
     first, *others = use.names
-    denoted = sys.modules.get(use.module) if use.module else places.get(first)
+    denoted = sys.modules.get(use.module) if use.module else places.get(first, vars(builtins).get(first))
     for name in others:
         if not isinstance(denoted, ModuleType | type):
             return None
@@ -89,8 +120,8 @@ def _uses(code: CodeType) -> frozenset[Use]:
     imported = dict(_imports(steps))
     uses = set()
     for k, (operation, name) in enumerate(steps):
-        if operation != "LOAD":
-            continue
+        if operation != "LOAD" or (name in {*code.co_varnames, *code.co_cellvars} and name not in imported):
+            continue  # a local variable denotes none of them
         module, *inner = imported.get(name, "").split(":")
         names, end = [name, *inner], k + 1
         while steps[end][0] == "ATTRIBUTE":

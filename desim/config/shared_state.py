@@ -18,7 +18,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from desim.config.outside import inner_code, outside_sources
+from desim.config.outside import NOTHING, Outside, inner_code, outside_sources
 from desim.config.own_modules import plain_name
 from desim.config.traits import module_of
 
@@ -49,7 +49,8 @@ _FOREIGN = {*sys.stdlib_module_names, "desim", "protocols", "numpy", "pydantic",
 class StateWarning(UserWarning):
     """Warns of state in a class, a function, a module or a collection that an earlier run has left.
 
-    The clock of the computer is such state, too, and so are random numbers without a seed.
+    The clock of the computer is such state, too, and so are random numbers without a seed, and variables of the
+    process.
     """
 
 
@@ -95,16 +96,22 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
     """
     objects = _reached(objects)
     outside = [_outside(item) for item in objects]
-    if clocks := sorted({name for names, _ in outside for name in names}):
+    if clocks := sorted({name for names, _, _ in outside for name in names}):
         text = (
             f"{' and '.join(clocks)}: the clock of the computer is not the one of the simulation; a protocol reads the"
             " time with `me.now` and waits with `yield me.sleep(0.1)`, and a model has the times in its arguments"
         )
         _warn(text)
-    if entropy := sorted({name for _, names in outside for name in names}):
+    if entropy := sorted({name for _, names, _ in outside for name in names}):
         text = (
             f"{' and '.join(entropy)}: these random numbers do not follow from the seed, so another run gives other"
             " results; a protocol should draw from `me.rng`, any other model from the `rng` that it is called with"
+        )
+        _warn(text)
+    if process := sorted({name for _, _, names in outside for name in names}):
+        text = (
+            f"{' and '.join(process)}: what a process has is no part of the scenario, and may differ in another one, so"
+            " another run may give other results; give parameters as fields of a model, and hash texts with zlib.crc32"
         )
         _warn(text)
     reads = list(_shared(objects))
@@ -317,13 +324,13 @@ def _functions_in(values: Iterable[Any]) -> Iterator[FunctionType]:
             yield from (item for item in _definitions_of(value) if isinstance(item, FunctionType))
 
 
-def _outside(item: Any) -> tuple[set[str], set[str]]:
-    """Return the clocks and the sources of random numbers that a function, or the methods of a class, take."""
+def _outside(item: Any) -> Outside:
+    """Return what a function, or the methods of a class, take from outside of a run."""
     functions = [getattr(item, "__func__", item)]
     for base in item.__mro__ if isinstance(item, type) else type(item).__mro__:
         functions += [] if is_foreign(base) else [getattr(value, "__func__", value) for value in [*vars(base).values()]]
     found = [outside_sources(code) for code in functions if isinstance(code, FunctionType) and not is_foreign(code)]
-    return set().union(*(clocks for clocks, _ in found)), set().union(*(entropy for _, entropy in found))
+    return Outside(*(set[str]().union(*names) for names in zip(*found, strict=True))) if found else NOTHING
 
 
 def _is_installed(module: ModuleType) -> bool:

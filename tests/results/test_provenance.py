@@ -752,6 +752,41 @@ def test_a_repetition_on_the_same_machine_is_not_warned_of(earlier):
     assert accepted("run", "--from", earlier).stderr == ""
 
 
+OUTSIDE = """
+from pathlib import Path
+
+def follow(me):
+    me.assign(int(Path(__file__).with_name("choice").read_text()))
+    yield me.sleep(9.0)
+"""
+
+
+@pytest.mark.whole_but_one
+@pytest.mark.slow
+@pytest.mark.parametrize("runs", [1, 2])
+def test_a_repetition_that_gives_other_results_is_warned_of(tmp_path, runs):
+    """A file, about which the scenario says nothing, determines what the pursuers do."""
+    (tmp_path / "outside.py").write_text(OUTSIDE)
+    (tmp_path / "s.toml").write_text('horizon = 0.2\nteam.count = 3\nprotocol = "outside:follow"\n')
+    (tmp_path / "choice").write_text("0")
+    path = tmp_path / "out" / "run.json"
+    accepted("run", tmp_path / "s.toml", "--allow-import", "-n", runs, "-j", 1, "-o", path.parent)
+
+    def repeated(*options):
+        told = accepted("run", "--from", path, "--allow-import", "-j", 1, *options).stderr
+        return told.count("has other results than recorded: active_time was ")
+
+    assert repeated() == 0
+    (tmp_path / "choice").write_text("1")
+    assert repeated() == runs
+    assert repeated("-s", 1) == repeated("--set", "horizon=0.1") == 0
+    assert repeated("-o", path.parent) == runs
+    assert repeated() == 0
+    for file in path.parent.rglob("summary.json"):
+        file.write_text("[]")
+    assert repeated() == 0
+
+
 def test_changes_since_the_record_give_a_warning_on_stderr(kept, made):
     path = kept(made | {"commit": "abc", "code": "00", "versions": made["versions"] | {"numpy": "1.0"}})
     result = accepted("run", "--from", path, "--json")
