@@ -19,10 +19,12 @@ def array_of(value: Any) -> "NDArray[Any]":
     """Return what a function of a user has returned, or a caller has given, as an array of numbers or booleans.
 
     The dtype of the array is object if something in it is neither, such as a number with a unit or a masked one:
-    `np.asarray` would take the number.
+    `np.asarray` would take the number. It also is if the labels of a series of pandas are not in order.
     """
     if type(value) in PLAIN or (type(value) is np.ndarray and value.dtype.kind in "biufc"):
         return np.asarray(value)
+    if hasattr(value, "iloc") and not value.index.is_monotonic_increasing:
+        return np.array(None)  # values are taken in their order, and labels may say another one
     converted = as_python(value)
     try:
         return np.array(None) if isinstance(converted, np.ma.MaskedArray) else np.asarray(converted)

@@ -172,6 +172,8 @@ def _of_array(value: Any) -> Any:
 def _in_order(value: Any) -> Any:
     """Return a table with its named columns in the order t, x, y, or in that of its rows of the same names.
 
+    A series, and a table of places without times, have one row for each player, and perhaps its number as label.
+
     Raises:
         ValueError: if they are in another unit than those of desim.
     """
@@ -182,10 +184,26 @@ def _in_order(value: Any) -> Any:
     names = getattr(getattr(value, "dtype", None), "names", None)
     labels = list(getattr(value, "columns", ()) if names is None else names)
     if (order := coordinate_columns(labels)) is not None:
-        return value[[labels[k] for k in order]]
+        columns = value[[labels[k] for k in order]]
+        return columns if len(order) > 2 else _by_number(columns)
     rows = list(value.index) if hasattr(value, "index") and labels else []
     is_permuted = len(set(labels)) == len(labels) == len(rows) and set(labels) == set(rows) and labels != rows
-    return value[rows] if is_permuted else value
+    return value[rows] if is_permuted else value if labels else _by_number(value)
+
+
+def _by_number(value: Any) -> Any:
+    """Return a series or a table of pandas in the order of its labels, if these are the numbers 0 .. n - 1.
+
+    pandas keeps them when it sorts or shuffles rows.
+    """
+    if not hasattr(value, "iloc") or not hasattr(value, "index"):
+        return value
+    labels = list(value.index)
+    numbers = list(range(len(labels)))
+    try:
+        return value.loc[numbers] if labels != numbers and sorted(labels) == numbers else value
+    except TypeError:  # they cannot be compared
+        return value
 
 
 def _asarray(value: Any) -> Any:

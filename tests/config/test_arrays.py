@@ -83,6 +83,12 @@ def test_numbers_of_any_kind_are_numbers(value, numbers):
     assert array.tolist() == numbers
 
 
+def test_a_series_whose_labels_say_another_order_is_none():
+    """As that of values for receivers 1, 2 and 3 that were sorted by value."""
+    assert array_of(pd.Series([1.0, 2.0, 3.0], index=[1, 2, 3])).tolist() == [1.0, 2.0, 3.0]
+    assert array_of(pd.Series([3.0, 1.0, 2.0], index=[3, 1, 2])).dtype == object
+
+
 def test_an_array_of_numpy_is_not_copied():
     for array in (np.zeros(3), np.zeros((2, 2), bool), np.zeros(2, complex)):
         assert array_of(array) is array

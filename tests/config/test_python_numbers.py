@@ -389,6 +389,21 @@ def test_named_columns_are_taken_by_their_names():
         assert LatencyMatrix(values=square[list(order)]).values == tuple(map(tuple, matrix.tolist()))
 
 
+def test_rows_that_are_labelled_with_numbers_are_those_of_the_pursuers_of_these_numbers():
+    """pandas keeps the labels of sorted rows, and aligns by them. Rows of other labels, and over time, are in order."""
+    table = pd.DataFrame({"x": [3.0, 1.0, 2.0], "y": [0.0, 5.0, 0.0], "speed": [2.0, 3.0, 1.0]})
+    expected = Team(positions=[[3.0, 0.0], [1.0, 5.0], [2.0, 0.0]], speeds=[2.0, 3.0, 1.0])
+    for other in (table.sort_values("x"), table[::-1], table.sort_values("speed")):
+        given = {"positions": other[["x", "y"]], "speeds": other["speed"]}
+        assert Team(**given) == expected
+        assert Scenario().with_({f"team.{key}": value for key, value in given.items()}).team == expected
+    named = table.set_index(pd.Index([5, 3, 4]))["speed"]
+    assert Team(count=3, speeds=named).speeds == (2.0, 3.0, 1.0)
+    record = pd.DataFrame({"t": [1.0, 0.0], "x": [3.0, 4.0], "y": [5.0, 6.0]}).sort_values("t")
+    for rows in (record, record.set_axis([0, 1, 2], axis=1)):
+        assert RecordedMotion(waypoints=rows).waypoints == ((0.0, 4.0, 6.0), (1.0, 3.0, 5.0))
+
+
 class Labelled:
     """An array with labels along its last dimension, as that of xarray."""
 
