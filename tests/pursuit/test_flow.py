@@ -293,8 +293,8 @@ def test_a_lone_pursuer_captures_a_fleeing_evader_after_its_capture_time(environ
 def test_the_table_of_what_guidances_attain_in_wind(wind, phi, bearing, pure):
     """The table of the page on the game; phi is the aim of the edge of the capture disc.
 
-    Times of pure pursuit are those of a Runge-Kutta integration without desim. Headings that are held for steps of 1 ms,
-    as here, make captures up to 1.2 ms early.
+    Times of pure pursuit are those of a Runge-Kutta integration without desim. Headings that are held for steps of
+    1 ms, as here, make captures up to 1.2 ms early.
     """
     environment = Environment(on="pursuers", flow=SteadyFlow(velocity=wind))
     times = capture_times_in_flow(
