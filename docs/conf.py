@@ -148,10 +148,10 @@ class _Dark(SphinxTransform):
 
 
 def _note_keys(app: Sphinx, _tree: object) -> None:
-    """Register the keys of scenario files, so that the search finds them by name and pages can link to them."""
-    if app.env.docname == "reference/keys":
-        for key, anchor in pages.key_anchors().items():
-            app.env.domains.standard_domain.note_object("confval", key, anchor)
+    """Register keys of scenario files and metrics, so that the search finds them by name and pages can link to them."""
+    anchors = {"reference/keys": pages.key_anchors, "reference/metrics": pages.metric_anchors}
+    for name, anchor in anchors[app.env.docname]().items() if app.env.docname in anchors else ():
+        app.env.domains.standard_domain.note_object("confval", name, anchor)
 
 
 def setup(app: Sphinx) -> None:

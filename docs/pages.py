@@ -157,6 +157,11 @@ def key_anchors() -> dict[str, str]:
     return anchors
 
 
+def metric_anchors() -> dict[str, str]:
+    """Return the anchor of each metric on the page of the metrics, by the attribute of a summary that it is."""
+    return {f"summary.{name}": f"metric-{name}" for _, group in METRIC_GROUPS.values() for name in group}
+
+
 def protocols() -> str:
     """Return the page of the protocols: the header of each module, which names its paper, and its parameters."""
     parts = [

@@ -255,3 +255,6 @@ def test_the_search_knows_the_keys_and_their_rank():
     assert "reference/keys" in html("_static/language_data.js")
     index = html("searchindex.js")
     assert all(name in index for name in chain(("network", "announce"), ('"latency"', '"heartbeat"')))
+    assert '"summary"' in index
+    assert '"metric-active_time"' in index or '"active_time"' in index
+    assert 'page === "reference/metrics"' in html("_static/language_data.js")

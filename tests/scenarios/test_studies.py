@@ -202,9 +202,9 @@ def test_the_search_judges_configurations_as_the_simulator_does(delta):
     ("option", "value", "why"),
     [
         ("--team", "30", "'30' is not one of '20', '40'"),
-        ("--most", "0", "0 is not in the range x>=1"),
-        ("--draws", "0", "0 is not in the range x>=1"),
-        ("--seed", "-1", "-1 is not in the range x>=0"),
+        ("--most", "0", "0 should be a whole number of at least 1"),
+        ("--draws", "0", "0 should be a whole number of at least 1"),
+        ("--seed", "-1", "-1 should be a whole number of at least 0"),
     ],
 )
 def test_an_option_of_the_search_out_of_range_is_refused(option, value, why, monkeypatch):

@@ -297,7 +297,7 @@ def test_the_command_prints_the_table_of_the_version():
         (["--version", "2"], "there is no version 2 of the benchmark; allowed: 1"),
         (["-n", 1000], "-n should be 2 to 16"),
         (["--runs", 1000], "--runs should be 2 to 16"),
-        (["-n", 1], "1 is not in the range"),
+        (["-n", 1], "1 should be a whole number of at least 2"),
         (["--protocol", "sapp"], "--protocol sapp: protocol.kind: there is no 'sapp', did you mean 'sap'?"),
         (["--protocol", "my_rules:Mine"], "allow-import"),
         (["--protocol", "{ kind = 'sap', tauu = 1 }"], "tau"),

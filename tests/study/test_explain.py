@@ -952,7 +952,7 @@ def test_the_folder_of_another_scenario_is_refused(file):
 
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
-    [(("-n", 1), "range 2<=x<=1000000"), (("--set", "team.count=0"), "team.count")],
+    [(("-n", 1), "should be a whole number from 2 to 1,000,000"), (("--set", "team.count=0"), "team.count")],
 )
 def test_bad_options_are_refused(file, arguments, complaint):
     result = command(file, *arguments)

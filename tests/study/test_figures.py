@@ -494,7 +494,7 @@ def test_a_figure_of_a_given_size_has_it_and_no_title():
         ({"by": "z"}, "the grid has no key z"),
         ({"against": {"protocol": "spa"}}, "protocol does not take the value spa: it takes sap, cbba"),
         ({"labels": {"spa": "SAP"}}, "no key takes the value spa"),
-        ({"x": "x", "by": ["x"]}, "x cannot be both"),
+        ({"x": "x", "by": ["x"]}, "`x` and `by` should be different keys"),
         ({"size": "wide"}, "got 'wide'"),
     ],
 )

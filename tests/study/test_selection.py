@@ -343,6 +343,13 @@ def test_a_race_over_a_design_is_one_over_its_points():
 def test_the_figure_of_a_race_has_a_line_for_each_configuration():
     figure = raced().plot()
     upper, lower = figure.axes
-    assert len(upper.lines) == 1 + 2 * 3  # the end of the first runs; means and their ends
+    means = [line for line in upper.lines if not line.get_label().startswith("_")]
+    ends = [line for line in upper.lines if line.get_marker() == "x"]
+    assert len(means) == 3
+    assert len(upper.lines) == 1 + len(means) + len(ends)  # the end of the first runs; those that were dropped
+    assert len({line.get_color() for line in means}) == len({line.get_marker() for line in means}) == 3
+    assert len({line.get_markevery()[0] for line in means}) > 1  # the marks of equal lines stand beside each other
+    assert all(tick % 1 == 0 for tick in lower.get_xticks())
+    assert upper.get_ylabel() == "score"
     assert next(text.get_text() for text in figure.legends[0].get_texts()) == "team.count = 4"
     assert next(iter(lower.lines[0].get_ydata())) == 3

@@ -206,7 +206,7 @@ def test_what_cannot_be_shown_is_reported_with_its_run(two):
         (("a.html", "other", "-s", "3"), "the results in a DIR are recorded"),
         (("a.html", "missing.toml", "-o", "x"), "missing.toml: cannot be read: No such file or directory"),
         (("a.html", "swept"), "swept: is the folder of a sweep or an explanation, which keeps metrics only; "),
-        ((), "Missing argument"),
+        ((), "needs DIR|FILE [DIR|FILE]: a folder with results"),
     ],
     ids=["three", "name", "itself", "one of them", "seed", "missing", "sweep", "none"],
 )

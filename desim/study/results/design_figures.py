@@ -167,7 +167,7 @@ def _draw_bands(
     levels = np.linspace(low, high if high > low else low + 1.0, LEVELS + 1)
     means = [estimate.mean for _, estimate in panel]
     axes.tricontourf(Triangulation(x, y, triangles), means, levels=levels, norm=colours.norm, cmap=colours.get_cmap())
-    axes.plot(x, y, ls="none", marker="o", ms=2.0, color="white", mec="#111111", mew=0.5)
+    axes.plot(x, y, ls="none", marker="o", ms=2.0, color="white", mec="#111111", mew=0.5, clip_on=False)
     for axis, key in zip("xy", keys, strict=True):
         _scale(axes, key, points, axis)
     axes.set(xlabel=key_with_unit(keys[0]), ylabel=key_with_unit(keys[1]))

@@ -48,7 +48,7 @@ def metric_with_unit(
     """Return the name and the unit of a metric, or of its difference from a reference, whose label is its name."""
     unit = f" ({unit_name})" if (unit_name := unit_of_metric(metric, result.units)) else ""
     if against is None:
-        return literal(f"{words(metric)}{unit}")
+        return axis_label(words(metric), unit_name)
     reference = {key: text(result.setting(key, value)) for key, value in against.items()}
     if len(reference) > 1:  # values alone do not say of which keys they are
         names = ", ".join(
@@ -66,10 +66,14 @@ def _label_or_text(name: str, labels: Mapping[str, str]) -> str:
     return escaped(labels[name]) if name in labels else literal(name)
 
 
+def axis_label(name: str, unit: str | None) -> str:
+    """Return a name and its unit, if it has one, as the label of an axis: "active time (s)"."""
+    return literal(f"{name} ({unit})" if unit else name)
+
+
 def key_with_unit(key: str) -> str:
     """Return a key and its unit as the label of an axis."""
-    unit = unit_of_key(key, Scenario)
-    return literal(f"{key} ({unit})" if unit else key)
+    return axis_label(key, unit_of_key(key, Scenario))
 
 
 def literal(name: str) -> str:

@@ -76,7 +76,7 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
         colour = GREY if is_interaction else signs[cost.more_is][step.mean.mean <= 0.0]
         axes.bar(at, step.mean.mean, bottom=level, color=colour, width=0.6, hatch="//" if is_interaction else None)
         axes.plot([at - 0.7, at + 0.3], [level, level], color=GREY, lw=0.7)
-        _mark(axes, at, level, step.mean, "+.2f")
+        _mark(axes, at, level, step.mean, "+z.2f")
         level += step.mean.mean
     _mark(axes, last, 0.0, cost.as_it_is, ".2f")
     places = list(range(len(names)))

@@ -4,14 +4,17 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from desim.analysis.drawing.palette import GREY
 from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, as_it_is, figure_of, in_style, size_of, styled
-from desim.analysis.metrics import with_unit, words
+from desim.analysis.metrics import words
 from desim.config.trust import escaped
-from desim.study.results.figure_labels import height_of_legend, look_of
+from desim.study.results.figure_labels import axis_label, height_of_legend, look_of
 from desim.study.selection.kim_nelson import Selection
 
+MARKS = 5
+"""The number of marks on a line of the longest race."""
 NAMED = 10
 """The largest number of configurations that a legend names: the best ones."""
 
@@ -47,7 +50,7 @@ def draw_race(
         ValueError: if the size or the style is invalid.
         TypeError: if `ax` is not one pair of axes of matplotlib.
     """
-    label = with_unit(words(metric), unit)
+    label = axis_label(words(metric), unit)
     if ax is not None:
         figure = figure_of(ax, size=size)
         with in_style(style):
@@ -79,11 +82,12 @@ def _draw_means(axes: Axes, selection: Selection, order: Sequence[int], names: S
         numbers = selection.samples[system]
         counts = np.arange(1, len(numbers) + 1)
         means = np.cumsum(numbers) / counts
-        look = look_of(rank) | {"marker": ""}
+        look = look_of(rank) if rank < NAMED else look_of(rank) | {"marker": ""}
         label = escaped(name).replace("$", r"\$") if rank < NAMED else None
-        axes.plot(counts[1:], means[1:], label=label, **look)
-        mark = "X" if system in lost else "o"
-        axes.plot(counts[-1:], means[-1:], marker=mark, ls="none", color=look["color"], ms=5, zorder=3)
+        gap = max(len(means) // MARKS, 1)  # the marks of equal lines stand beside each other
+        axes.plot(counts[1:], means[1:], label=label, markevery=(rank % gap, gap), **look)
+        if system in lost:
+            axes.plot(counts[-1:], means[-1:], marker="x", ls="none", color=look["color"], ms=7, mew=1.6, zorder=3)
 
 
 def _draw_survivors(axes: Axes, selection: Selection) -> None:
@@ -94,3 +98,4 @@ def _draw_survivors(axes: Axes, selection: Selection) -> None:
     axes.step(times, [*left, left[-1]], where="post", color="#555555", lw=1.2)
     axes.set(xlabel="runs of each configuration", ylabel="left", ylim=(0.0, count + 0.5))
     axes.set_yticks(sorted({1, count}))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))

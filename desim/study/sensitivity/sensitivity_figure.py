@@ -5,8 +5,9 @@ from math import isnan
 
 from desim.analysis.drawing.palette import BLUE, GREY, SKY
 from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, as_it_is, size_of, styled
-from desim.analysis.metrics import with_unit, words
+from desim.analysis.metrics import words
 from desim.config.trust import escaped
+from desim.study.results.figure_labels import axis_label
 from desim.study.sensitivity.morris import ElementaryEffects
 from desim.study.sensitivity.sobol_indices import IndexEstimate, SobolIndices
 
@@ -53,7 +54,7 @@ def draw_sensitivity(
         for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False, sharey=True)[0], panels, strict=True):
             if panel == "effects" and effects is not None:
                 _draw_bars(axes, effects.mean_absolute, range(len(keys)), 0.0, GREY)
-                axes.set_xlabel(with_unit(f"effect on {words(metric)}", unit))
+                axes.set_xlabel(axis_label(f"effect on {words(metric)}", unit))
             elif indices is not None:
                 _draw_bars(axes, indices.total, kept, HEIGHT / 2, BLUE, "total index")
                 _draw_bars(axes, indices.first, kept, -HEIGHT / 2, SKY, "first-order index")
