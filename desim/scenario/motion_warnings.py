@@ -18,6 +18,8 @@ from desim.scenario.wall_misfits import reach_warnings
 
 SLOW = 10.0
 """The time until the second row of a record, in horizons, from which on its times probably have another unit."""
+SHORT = 10.0
+"""The horizon, s, below which a scenario probably only tries something out."""
 TINY = 0.5
 """The width and height of all walls together, m, below which their coordinates probably have another unit."""
 RARE_TURNS = 10.0
@@ -124,13 +126,13 @@ def _place_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about walls and evaders that are where nobody comes, as if they had other coordinates.
 
     No player leaves the box around the starts by more than its speed times the horizon, and the line between two
-    players stays in this box.
+    players stays in this box. A horizon below `SHORT` is one to try something out, and tells nothing about distances.
     """
     environment, evaders = scenario.environment, scenario.evaders
     pursuers = complex_points(scenario.team.start(scenario.seed, scenario.space))
     starts = [complex(*evader.start(scenario.seed, k, scenario.space)) for k, evader in enumerate(evaders)]
     top_speed = max(scenario.team.top_speed, *(evader.speed for evader in evaders)) + environment.top_speed
-    way = 0.0 if scenario.motion.static else top_speed * scenario.horizon
+    way = 0.0 if scenario.motion.static else top_speed * max(scenario.horizon, SHORT)
     box, hint = (
         _box([*pursuers, *starts], way),
         "are its coordinates in another unit, in degrees, or from another origin?",

@@ -365,6 +365,7 @@ def test_probably_unintended_values_are_named_with_key_and_reason(given, key, wh
     "given",
     [
         {"team": Team(count=2, speeds=(0.5, 0.91))},
+        {"team": Team(count=2), "horizon": 0.1},
         {"network": Links(range=1e6, reception=QuasiUnitDisk())},
         {"sensing": Sensing(radius=0.11, estimate="hold")},
         {"network": Links(preset="lte")},

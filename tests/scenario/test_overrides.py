@@ -212,7 +212,7 @@ def test_a_wrong_key_of_what_a_bare_value_stands_for_is_refused(tmp_path):
 
 
 def test_an_item_of_a_list_that_is_empty_is_refused():
-    with pytest.raises(ScenarioError, match=r"^fault\.0\.start: the list fault is empty$"):
+    with pytest.raises(ScenarioError, match=r"^fault\.0\.start: the list fault is empty: set it as a whole, "):
         Source.of(Scenario()).set("fault.0.start", 1.0, "the test")
 
 
