@@ -7,12 +7,14 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from desim.analysis.metrics import summary
 from desim.analysis.statistics import FIRST_LOOK
 from desim.analysis.tables import counted
+from desim.cli.recorded import labels_of
 from desim.config.extras import missing
 from desim.config.model import Value, fields_of
 from desim.kernel.models.latency import Gamma
@@ -700,6 +702,12 @@ def test_keys_lists_every_key_of_a_table_with_default_and_unit():
     assert any(line.startswith("    heartbeat = 0.1: Time between two heartbeats of a pursuer, s.") for line in lines)
     assert any(line.strip().startswith("flooding: ") for line in lines)
     assert not any(line.startswith("network") for line in lines)
+
+
+def test_a_label_is_split_after_the_shortest_value_of_the_sweep():
+    swept = SimpleNamespace(keys=("x",), values=lambda key: ["a", "a=b", "c=d"])
+    given = [("a", "b=text"), ("c", "d=text"), ("other", "text=more")]
+    assert labels_of(swept, given) == {"a": "b=text", "c=d": "text", "other": "text=more"}
 
 
 def test_the_key_that_names_another_file_is_listed_alone():

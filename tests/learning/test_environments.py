@@ -21,6 +21,7 @@ from pettingzoo.test.state_test import state_test
 import desim
 from desim import Crash, Evader, Scenario, Team, load, run
 from desim.kernel.core.trace_file import line_of
+from desim.learning.episode import Episode
 from desim.learning.playing import play
 from desim.learning.rewards import team as team_reward
 from desim.pursuit.core.events import Ended
@@ -480,6 +481,17 @@ def test_a_copy_has_an_episode_of_its_own(make, copied):
     assert np.array_equal(twin.state(), env.state())
     env.close()
     assert lines(copied(env).result) == lines(env.result)
+
+
+@pytest.mark.parametrize("is_closed", [False, True])
+def test_an_episode_is_pickled_as_open_or_closed_as_it_is(is_closed):
+    episode = Episode(small(), 3)
+    episode.act(1)
+    if is_closed:
+        episode.close()
+    again = pickle.loads(pickle.dumps(episode))
+    assert (again.turn is None, again.result is None) == (episode.turn is None, episode.result is None)
+    assert (again.turn is None) == is_closed
 
 
 class Counter:

@@ -560,6 +560,17 @@ def test_one_metric_may_be_given_by_its_name_alone():
     assert PLAIN.table("active_time") == PLAIN.table(["active_time"])
 
 
+@pytest.mark.parametrize("kind", ["scatter", "contour"])
+def test_a_figure_of_another_kind_than_means_has_no_options_of_means(kind, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(f"desim.study.results.design_figures.{kind}", lambda *given, **options: drawn.append(options))
+    for name in ("x", "by", "against", "labels", "xlabel", "ylabel"):
+        with pytest.raises(ValueError, match=f"a figure of {kind} has no option '{name}': it is one of means"):
+            PLAIN.plot(kind=kind, **{name: "network.range"})
+    PLAIN.plot(kind=kind, size="8.5cm")
+    assert drawn == [{"size": "8.5cm", "style": None, "ax": None}]
+
+
 def test_nan_is_nothing_in_a_document():
     odd = SweepResult("odd", ("x",), (group({"x": nan}, ok(0)), group({"x": -inf}, ok(0))))
     assert [each["settings"]["x"] for each in odd.document()["configurations"]] == [None, "-Infinity"]

@@ -1,6 +1,6 @@
 """Sensitivity: the estimators against known indices, and the analysis that performs runs for them."""
 
-from math import pi, sqrt
+from math import nan, pi, sqrt
 
 import numpy as np
 import pytest
@@ -8,7 +8,8 @@ from scipy import stats
 
 from desim import Scenario, sensitivity
 from desim.study.sensitivity.morris import LEVELS, STEP, elementary_effects, morris_points
-from desim.study.sensitivity.sobol_indices import saltelli_points, sobol_indices
+from desim.study.sensitivity.sensitivity_result import _with_interval
+from desim.study.sensitivity.sobol_indices import IndexEstimate, saltelli_points, sobol_indices
 from desim.study.store.store import Store
 
 FIRST = (0.313905, 0.442411, 0.0)
@@ -210,3 +211,8 @@ def endless(_):
 def test_what_is_no_analysis_is_refused(options, why):
     with pytest.raises(ValueError, match=why):
         analysed(**({"points": 8, "trajectories": 2} | options))
+
+
+def test_an_index_is_told_with_its_interval_and_none_by_a_dash():
+    assert _with_interval(IndexEstimate(0.25, 0.125, 0.5)) == "0.25 (0.125 .. 0.5)"
+    assert _with_interval(IndexEstimate(nan, nan, nan)) == "-"

@@ -349,3 +349,8 @@ def test_ctrl_c_waits_until_workers_have_started_whichever_thread_receives_it():
     over.set()
     assert reached == ["the end"]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_where_the_number_of_cores_is_unknown_there_is_one_worker(monkeypatch):
+    monkeypatch.setattr("os.cpu_count", lambda: None)
+    assert places.Workers(object()).count == 1

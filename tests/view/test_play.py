@@ -235,6 +235,27 @@ def test_a_run_that_fails_leaves_no_folder(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_workers_that_died_between_two_requests_are_replaced(small, monkeypatch):
+    class Dead(InProcess):
+        renewed = 0
+
+        def submit(self, call):
+            if not self.renewed:
+                raise OSError("they died")
+            return super().submit(call)
+
+        def died(self, error):
+            return isinstance(error, OSError)
+
+        def renew(self):
+            self.renewed += 1
+
+    monkeypatch.setattr(Playground, "save", lambda *_: {"folder": "out"})
+    workers = Dead()
+    assert Session(small, workers).save(SMALL) == {"folder": "out"}
+    assert workers.renewed == 1
+
+
 @pytest.mark.slow
 def test_paired_runs_are_those_of_both_scenarios_with_equal_seeds(small):
     changes = [*SMALL, "network.latency.value=0.3"]
@@ -522,7 +543,9 @@ def test_an_error_in_a_request_is_told_unless_the_browser_has_closed_the_connect
             raise error
         except type(error):
             made.handle_error(None, ("127.0.0.1", 1))
-    assert ("KeyError: 'rgb'" in capsys.readouterr().err) == is_told
+    told = capsys.readouterr().err
+    assert ("KeyError: 'rgb'" in told) == is_told
+    assert ("from ('127.0.0.1', 1)" in told) == is_told
 
 
 def test_a_wrong_file_is_refused_as_by_run(tmp_path):
