@@ -235,14 +235,12 @@ def test_a_run_that_fails_leaves_no_folder(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_workers_that_died_between_two_requests_are_replaced(small, monkeypatch):
+@pytest.mark.parametrize("call", ["submit", "result"])
+def test_workers_that_died_are_replaced(small, call, monkeypatch):
+    """A call that finds them dead is made again; one that they died of has an error, and the next one a result."""
+
     class Dead(InProcess):
         renewed = 0
-
-        def submit(self, call):
-            if not self.renewed:
-                raise OSError("they died")
-            return super().submit(call)
 
         def died(self, error):
             return isinstance(error, OSError)
@@ -250,10 +248,19 @@ def test_workers_that_died_between_two_requests_are_replaced(small, monkeypatch)
         def renew(self):
             self.renewed += 1
 
+    def act(self, given):
+        if not self.renewed:
+            raise OSError("they died")
+        return getattr(InProcess, call)(self, given)
+
+    monkeypatch.setattr(Dead, call, act, raising=False)
     monkeypatch.setattr(Playground, "save", lambda *_: {"folder": "out"})
     workers = Dead()
-    assert Session(small, workers).save(SMALL) == {"folder": "out"}
+    session = Session(small, workers)
+    first = session.save(SMALL)
+    assert first == ({"folder": "out"} if call == "submit" else {"error": "OSError: they died"})
     assert workers.renewed == 1
+    assert session.save(SMALL) == {"folder": "out"}
 
 
 @pytest.mark.slow
