@@ -155,6 +155,19 @@ def simulated():
     return [run(game("sap"), seed) for seed in range(2)]
 
 
+@pytest.mark.slow
+def test_what_is_no_result_is_told_beside_the_results(simulated, tmp_path, monkeypatch):
+    live = [pretended(result, [30_000_000] * 100) for result in simulated]
+    for result in live:
+        result.conduct.notes.append("a note")
+    monkeypatch.setattr("desim.live.runs.runs", lambda *_, **__: live)
+    done = CliRunner().invoke(main, ["live", RELAY, "-n", "2", "--json", "-o", str(tmp_path / "out")])
+    assert done.exit_code == 0
+    assert json.loads(done.stdout)
+    assert done.stderr.count("a note") == 2
+    assert f"wrote {tmp_path / 'out'}" in done.stderr
+
+
 def test_runs_that_are_equal_agree_and_late_timers_give_no_verdict(simulated):
     same = Agreement(game("sap"), [pretended(result) for result in simulated], simulated)
     assert same.agrees is True

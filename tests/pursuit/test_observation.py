@@ -5,7 +5,7 @@ import pytest
 
 import desim
 from desim import Evader, Links, Scenario, Still, Team
-from desim.pursuit.team.observation import evader_block
+from desim.pursuit.team.observation import evader_block, observation_bounds, observation_names
 from protocols import CBAA, LocalMin, Rounds
 
 STILL = Evader(position=(10.0, 10.0), strategy=Still(), speed=0.0)
@@ -98,6 +98,18 @@ def test_each_payload_is_observed_within_the_bounds(payload, protocol):
         numbers, _, terminated, truncated, _ = env.last()
         assert space.contains(numbers)
         env.step(None if terminated or truncated else 1)
+
+
+def test_the_bounds_are_those_of_players_within_an_extent():
+    """Two players, each at most 3 m from the centre in each coordinate, differ by at most 6 m."""
+    names = observation_names(2, 1)
+    bounds = observation_bounds(2, 1, horizon=7.0, extent=3.0, centre=1.0 - 2.0j, top_speed=1.5)
+    of = dict(zip(names, zip(*bounds, strict=True), strict=True))
+    assert (of["own.x"], of["own.y"]) == ((-2.0, 4.0), (-5.0, 1.0))
+    assert {of["evader_1.dx"], of["evader_1.dy"], of["pursuer_0.dx"], of["pursuer_1.dy"]} == {(-6.0, 6.0)}
+    assert of["evader_1.uncertainty"] == (0.0, 6.0)
+    assert (of["evader_1.xx"], of["evader_1.xy"]) == ((0.0, 36.0), (-36.0, 36.0))
+    assert (of["own.speed"], of["own.time_left"], of["pursuer_0.age"]) == ((0.0, 1.5), (0.0, 7.0), (0.0, 7.0))
 
 
 def test_covariances_are_those_of_the_filter():

@@ -8,6 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from desim import Links, Motion, Recording, Scenario, Team, bench, run
+from desim.analysis.drawing.palette import BLUE
 from desim.analysis.metrics import active_time
 from desim.cli import main
 from desim.study.ablation.imperfections import without_messages
@@ -118,6 +119,17 @@ def test_a_benchmark_has_the_scores_of_each_scenario_in_its_document():
         assert protocol["scenarios"].keys() == {"one"}
         assert protocol["scenarios"]["one"].keys() == protocol["total"].keys()
         assert protocol["behind"] == made.is_behind(name)
+
+
+def test_the_figure_has_the_totals_and_the_scores():
+    made = benchmark_of(
+        perfect=[10.0, 10.1, 9.9], silent=[50.0, 50.1, 49.9], good=([20.0, 20.1, 19.9], [8.0, 8.1, 7.9])
+    )
+    totals, scores = made.plot().axes
+    (quality, score), *_ = zip(*[iter(totals.containers)] * 2, strict=True)
+    assert [drawn[0].get_xdata()[0] for drawn in (quality, score)] == pytest.approx([1.0, 1.0])
+    assert {drawn[0].get_markerfacecolor() for drawn in totals.containers} == {"white", BLUE}
+    assert [text.get_text() for text in scores.texts] == ["1.00", "0.75"]
 
 
 @pytest.mark.slow
@@ -319,6 +331,23 @@ def nearest(me):
         me.assign(all(me.capture_time() <= phi for phi in others))
         me.announce()
 """
+
+
+def test_the_command_keeps_the_runs_of_a_protocol_in_its_folder(tmp_path, monkeypatch):
+    asked, made = (
+        [],
+        benchmark_of(perfect=[10.0, 10.1, 9.9], silent=[50.0, 50.1, 49.9], good=([20.0, 20.1, 19.9], [8.0, 8.1, 7.9])),
+    )
+
+    def measured(entered, runs, executor, **options):
+        asked.append((options["folder"], options["again"]))
+        return made
+
+    monkeypatch.setattr("desim.study.comparing.bench.bench", measured)
+    assert command("--again", "-o", tmp_path / "out").exit_code == 0
+    assert command().exit_code == 0
+    assert asked == [(tmp_path / "out", True), (None, False)]
+    assert json.loads((tmp_path / "out" / "bench.json").read_text()) == made.document()
 
 
 BAD = """

@@ -17,7 +17,7 @@ from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import run
 from desim.study.results.costs import AS_IT_IS, IDEAL
-from desim.study.results.figures import _label_outer, _mark_flat, legend, means, multiples
+from desim.study.results.figures import _label_outer, _mark_flat, is_wide, legend, means, multiples
 from desim.study.results.heat_maps import INK, _cell_format, _cell_text, phase
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import Group
@@ -157,6 +157,22 @@ def test_values_that_are_not_numeric_are_rows_with_the_first_on_top(values):
 def test_more_rows_make_a_higher_picture():
     heights = [means(result({"x": [str(k) for k in range(n)]}), "active_time").get_size_inches()[1] for n in (1, 10)]
     assert heights[1] > 2.0 * heights[0]
+
+
+@pytest.mark.parametrize(
+    ("values", "wide"),
+    [
+        ([1.0, 24.0, 30.0, 100.0], True),  # the second of four is below a quarter of the largest
+        ([1.0, 26.0, 30.0, 100.0], False),
+        ([1.0, 24.0, 30.0, 40.0, 100.0], True),
+        ([10.0, 24.0, 30.0, 199.0], False),
+        ([0.0, 1.0, 100.0], False),
+        ([0.0, 1.0, 2.0, 100.0], True),
+        ([-1.0, 1.0, 2.0, 100.0], False),
+    ],
+)
+def test_an_axis_is_logarithmic_if_the_lower_half_is_below_a_quarter_of_the_largest(values, wide):
+    assert is_wide(values) == wide
 
 
 def test_a_figure_of_more_lines_is_higher_by_its_legend():

@@ -1,6 +1,8 @@
 """Films: what stands where in which frame, how long frames are shown, and the same bytes every time."""
 
 import sys
+from contextlib import contextmanager
+from types import SimpleNamespace
 
 import matplotlib as mpl
 import numpy as np
@@ -62,6 +64,18 @@ def test_frames_of_runs_by_hand_are_golden():
 
 
 @pytest.mark.slow
+def test_the_progress_counts_each_frame(monkeypatch):
+    counted = []
+
+    @contextmanager
+    def counting(total, *_):
+        yield SimpleNamespace(update=lambda: counted.append(total))
+
+    monkeypatch.setattr("desim.view.pictures.animation.progress", counting)
+    frames(history(), [0, 150 * MS, 300 * MS])
+    assert counted == [3, 3, 3]
+
+
 def test_the_frames_of_two_evaders_are_in_the_colours_of_their_palette():
     """What is drawn in a hue stays near it: the green of the chasers of evader 2 is in the picture."""
     image = frames(pair(), [800 * MS])[0]
