@@ -239,6 +239,11 @@ def test_a_decision_depends_only_on_earlier_events_of_its_instant():
     assert pair(by_hand((True, True), 2.0, first, second, decided(1.0, 1)))[2] == 0.0
 
 
+def test_a_decision_at_the_end_of_a_run_depends_on_what_is_known_then():
+    first = announced(0, 1, 0.0, {1: 0.5})
+    assert pair(by_hand((True, True), 2.0, first, decided(2.0, 1)))[2] == 2.0
+
+
 def test_a_pursuer_that_loses_its_memory_has_no_records_until_the_next_reception():
     """Received at 1 s (of 0 s), forgotten at 2 s, received at 3 s (of 2.5 s), until 4 s: (1 x 1.5 + 1 x 1) / 2, no
     peak.
