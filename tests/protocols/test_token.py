@@ -31,7 +31,15 @@ from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import token_passing
 from protocols.schedules.periodic import Poisson
 from protocols.schedules.token import TokenRing, TokenWalk, metropolis
-from protocols.schedules.token_messages import Token, TokenNotice, TokenReceipt, longest_absent, not_absent
+from protocols.schedules.token_messages import (
+    PORT,
+    Token,
+    TokenNotice,
+    TokenReceipt,
+    age_of,
+    longest_absent,
+    not_absent,
+)
 from protocols.schedules.token_passing import TokenNode, circulate, full_token
 from protocols.temperature import ConstantTau
 from tests.law import RELAY, measured, static_game
@@ -563,3 +571,26 @@ def test_an_absent_pursuer_is_due_after_as_many_hops_as_there_are_pursuers():
     token = Token((1, 0, 0.0), 10, (10, 7, 6, 5), (1, 2, 3), ())
     assert [longest_absent(token, [j]) for j in (0, 1, 2, 3)] == [None, None, 2, 3]
     assert longest_absent(token, [1, 2, 3]) == 3
+
+
+def test_a_receipt_of_an_earlier_hop_does_not_bring_back_a_pursuer_that_falls_silent():
+    """Pursuer 1 answers its first token as if it were that of the hop before, and nothing else."""
+    tried = []
+
+    def protocol(me):
+        if me.id == 0:
+            present = lambda _, token: next((j for j in (1, 2) if j not in token.absent), None)  # noqa: E731
+            yield from circulate(me, lambda: None, 0.01, 2, present)
+        while True:
+            yield me.arrival(PORT)
+            for token in [message.body for message in me.mail(PORT) if isinstance(message.body, Token)]:
+                if me.id == 1:
+                    tried.append(token)
+                    if len(tried) == 1:
+                        me.send(0, TokenReceipt(token.epoch, token.hop - 1), PORT)
+                else:
+                    me.send(0, TokenReceipt(*age_of(token)), PORT)
+                    me.send(0, token._replace(hop=token.hop + 1), PORT)
+
+    run(standing(protocol, count=3, latency=0.02, horizon=2.0), 0)
+    assert len(tried) == 2
