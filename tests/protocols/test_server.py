@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim import Scenario, run
-from desim.kernel.core.events import Sent
+from desim.kernel.core.events import ClockCorrected, Sent
 from desim.kernel.core.seeds import stream
 from desim.kernel.models.access import Tdma
-from desim.kernel.models.faults import Crash, Partition
+from desim.kernel.models.faults import ClockSkew, Crash, Partition
 from desim.kernel.models.graphs import Ring, Star
 from desim.kernel.models.latency import Constant, Lognormal, Uniform
 from desim.kernel.models.links import Links
@@ -305,6 +305,20 @@ def test_reports_of_one_instant_make_one_decision():
     """Without latency the reports of 1, 2, 3 come one by one at every tick, each better than the one before."""
     team = Team(positions=[(9.1 - j, 0.0) for j in range(4)], speeds=1.0)
     assert len({sent.body.number for sent in orders(run(static(Server(), team=team, horizon=20.0)))}) == 1
+
+
+def test_orders_are_newer_than_those_before_also_if_the_clock_of_the_host_was_set_back():
+    """The host is 3 s ahead until its first synchronisation. The chaser then crashes, and the next one is ordered."""
+    faults = (ClockSkew(node=1, offset=3.0), Crash(node=0, start=2.0))
+    scenario = static(Server(host=1), latency=0.05, horizon=4.0, fault=faults)
+    result = run(scenario.with_({"clocks.sync": {"kind": "two_way"}}), 1)
+    corrected = [
+        event.correction for event in result.trace.of(ClockCorrected) if event.node == 1 and event.t < 2 * SECOND
+    ]
+    assert min(corrected) == pytest.approx(-3.0)
+    numbers = {sent.body.chasers: sent.body.number for sent in orders(result)}
+    assert list(numbers) == [(0,), (1,)]
+    assert numbers[0,] < numbers[1,] < numbers[0,] + 2 * SECOND
 
 
 def test_a_repaired_pursuer_does_not_send_its_missed_reports():
