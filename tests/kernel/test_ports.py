@@ -27,6 +27,20 @@ def test_every_port_of_the_simulator_is_reserved():
     assert len({str(port) for port in PORTS}) == len(PORTS)
 
 
+def test_the_names_of_reserved_ports_in_traces_and_logs_stay():
+    assert sorted(map(str, PORTS)) == [
+        "accusations",
+        "announcements",
+        "clock synchronisation",
+        "forged announcements",
+        "mutex",
+        "server",
+        "sightings",
+        "token",
+        "transport frames",
+    ]
+
+
 @pytest.mark.parametrize("port", PORTS, ids=str)
 def test_a_reserved_port_is_no_other_text_and_one_object_in_every_copy(port):
     text = str(port)
