@@ -8,8 +8,9 @@ from scipy import stats
 
 from desim import Scenario, sensitivity
 from desim.study.sensitivity.morris import LEVELS, STEP, elementary_effects, morris_points
+from desim.study.sensitivity.sensitivity_figure import draw_sensitivity
 from desim.study.sensitivity.sensitivity_result import _with_interval
-from desim.study.sensitivity.sobol_indices import IndexEstimate, saltelli_points, sobol_indices
+from desim.study.sensitivity.sobol_indices import IndexEstimate, SobolIndices, saltelli_points, sobol_indices
 from desim.study.store.store import Store
 
 FIRST = (0.313905, 0.442411, 0.0)
@@ -216,3 +217,13 @@ def test_what_is_no_analysis_is_refused(options, why):
 def test_an_index_is_told_with_its_interval_and_none_by_a_dash():
     assert _with_interval(IndexEstimate(0.25, 0.125, 0.5)) == "0.25 (0.125 .. 0.5)"
     assert _with_interval(IndexEstimate(nan, nan, nan)) == "-"
+
+
+def test_the_figure_of_indices_names_its_bars_if_there_are_some():
+    part, none = IndexEstimate(0.5, 0.25, 0.75), IndexEstimate(nan, nan, nan)
+    for is_varied, estimate in ((True, part), (False, none)):
+        indices = SobolIndices((estimate,) * 2, (estimate,) * 2, 1.0, nan, is_varied)
+        figure = draw_sensitivity(["a", "b"], None, indices, [0, 1], title="game", metric="energy", unit="J")
+        assert [text.get_text() for legend in figure.legends for text in legend.get_texts()] == (
+            ["total index", "first-order index"] if is_varied else []
+        )
