@@ -9,11 +9,13 @@ import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 
+import click
 import pytest
 
 from desim.analysis.metrics import summary
 from desim.analysis.statistics import FIRST_LOOK
 from desim.analysis.tables import counted
+from desim.cli import main
 from desim.cli.recorded import labels_of
 from desim.config.extras import missing
 from desim.config.model import Value, fields_of
@@ -702,6 +704,22 @@ def test_keys_lists_every_key_of_a_table_with_default_and_unit():
     assert any(line.startswith("    heartbeat = 0.1: Time between two heartbeats of a pursuer, s.") for line in lines)
     assert any(line.strip().startswith("flooding: ") for line in lines)
     assert not any(line.startswith("network") for line in lines)
+
+
+def commands_of(group, names=()):
+    """Yield the names and the object of each command."""
+    for name, made in group.commands.items():
+        yield from commands_of(made, (*names, name)) if isinstance(made, click.Group) else [((*names, name), made)]
+
+
+def test_every_command_and_every_option_has_a_help_text():
+    commands = dict(commands_of(main))
+    assert len(commands) > 25
+    for names, made in commands.items():
+        assert made.help, names
+        assert not [option.opts for option in made.params if isinstance(option, click.Option) and not option.help], (
+            names
+        )
 
 
 def test_a_label_is_split_after_the_shortest_value_of_the_sweep():
