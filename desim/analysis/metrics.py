@@ -454,10 +454,13 @@ def summary(result: Result, metrics: Metrics = MappingProxyType({})) -> Summary:
 
 def measured(added: UsersMetrics, result: Result) -> Summary:
     """Return the built-in metrics of a run and those of a user; see `summary`."""
-    with fresh_copy(result.scenario, alone=True) as scenario:  # metrics call models, which may remember the calls
+    with (
+        fresh_copy(result.scenario, alone=True) as scenario,  # metrics call models, which may remember the calls
+        fresh_copy(added, is_run=True) as fresh_metrics,  # and may remember something themselves
+    ):
         index = trace_index(replace(result, scenario=scenario))
         values = {name: metric(index) for name, metric in METRICS.items()}
-        values |= {name: _checked(name, metric, index) for name, metric in added}
+        values |= {name: _checked(name, metric, index) for name, metric in fresh_metrics}
     return Summary(values, {name: metric.unit for name, metric in added})
 
 

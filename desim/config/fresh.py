@@ -134,6 +134,8 @@ def _form(kind: type) -> Literal["constant", "model", "items", "values", "object
         return "values"
     if not _never_changes(module_of(kind)):
         return "constant" if kind in {*CONSTANTS, np.ndarray} else "object"
+    if issubclass(kind, tuple):  # a named tuple, such as a metric with its unit
+        return "items"
     return "model" if issubclass(kind, BaseModel) else "constant"
 
 

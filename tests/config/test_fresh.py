@@ -24,6 +24,7 @@ from pydantic import BaseModel
 import desim
 import protocols
 from desim import Evader, Scenario, Team, run, summary, sweep
+from desim.analysis.metrics import Metric
 from desim.config.choice import choices_of
 from desim.config.fresh import StateError, fresh_copy
 from desim.config.shared_state import StateWarning
@@ -862,6 +863,57 @@ class Counting:
     def __call__(self, context, rng):
         self.calls.append(1)
         return 1e-4 * len(self.calls)
+
+
+class Measuring(Remembering):
+    def __call__(self, result):
+        return super().__call__()
+
+    def is_first(self, result):
+        return super().__call__() == 1
+
+
+MEASURED = {
+    "instance": lambda: (lambda count: lambda result: count())(Remembering()),
+    "method": lambda: (lambda held: functools.partial(lambda count, result: count(), held.turn))(Remembering()),
+    "with a unit": lambda: Metric(Measuring(), "s"),
+    "in what decides whether it is given": lambda: Metric(lambda result: 1.0, given=Measuring().is_first),
+    "nonlocal": lambda: (lambda count: lambda result: count())(nonlocal_counter()),
+}
+"""Metrics that remember earlier calls."""
+
+
+@pytest.mark.parametrize("make", MEASURED.values(), ids=MEASURED)
+def test_a_metric_starts_afresh_at_each_measurement(make):
+    """Alone, in each run of a sweep, and in the next one: it could otherwise depend on the number of workers."""
+    metric, result = {"mine": make()}, run(Scenario(team=Team(count=2), horizon=0.1), 1)
+    first, second = (summary(result, metric)["mine"] for _ in range(2))
+    assert first == second
+    for _ in range(2):
+        swept = sweep(result.scenario, {"team.count": [2, 3]}, reps=2, executor=1, metrics=metric)
+        values = [row.summary["mine"] for group in swept.groups for row in group.rows]
+        assert values == [first] * 4
+
+
+def test_a_metric_that_reads_a_list_of_its_earlier_values_is_warned_of():
+    """It shares the list with the caller, who may read what it reports."""
+    seen, reported = [], []
+
+    def measured_so_far(result):
+        seen.append(1)
+        return len(seen)
+
+    def reports(result):
+        reported.append(result.seed)
+        return 1
+
+    result = run(Scenario(team=Team(count=2), horizon=0.1), 1)
+    for _ in range(2):
+        summary(result, {"mine": reports})
+    assert reported == [1, 1]
+    summary(result, {"mine": measured_so_far})
+    with pytest.warns(StateWarning, match="seen of .*measured_so_far: an earlier run has changed it"):
+        summary(result, {"mine": measured_so_far})
 
 
 def test_state_that_metrics_change_between_runs_is_warned_of():

@@ -288,10 +288,11 @@ METRICS = {
         r"a run that ends at time 0 raises MetricError",
     ),
     "another value": (
-        lambda result: np.random.default_rng().random(),
-        r"computed again, 0\.\d+: expected equal values",
+        lambda result: time.perf_counter(),
+        r"computed again, \d+\.\d+: expected equal values",
     ),
-    "random": (lambda result: random.seed(1) or 1.0, "draws from the global generator of random"),
+    "other random numbers": (lambda result: np.random.default_rng().random(), "do not follow from the seed"),
+    "random": (lambda result: random.seed(1) or 1.0, "random: the run has drawn from the global generator"),
     "no arguments": (lambda: 1.0, r"raises"),
 }
 """Wrong metrics, and what each is told."""
