@@ -225,6 +225,23 @@ def _snapshot(value: Any) -> Any:
     return sha256(content.getvalue()).digest(), [id(item) for item in copier.kept]
 
 
+class Remembered:
+    """Tells whether an object that is used again has changed since it was used first; it is told once.
+
+    It is for an object of the caller that is not copied, because the caller may read it, or want it to learn.
+    """
+
+    def __init__(self) -> None:
+        self._states: list[Any] = []
+
+    def has_changed(self, value: Any) -> bool:
+        """Return whether the object has changed between the first and this, the second, call; later False."""
+        if len(self._states) > 1:
+            return False
+        self._states.append(_snapshot(value))
+        return len(self._states) == 2 and None not in self._states and self._states[0] != self._states[1]
+
+
 class _Kept:
     """Stands for an object to which a copy refers."""
 

@@ -4,13 +4,16 @@ from collections.abc import Mapping
 from copy import deepcopy
 from secrets import randbits
 from typing import Any, Self
+from warnings import warn
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete, Space
 from numpy.typing import NDArray
 
 from desim.config.extras import naming_extras
+from desim.config.fresh import Remembered
 from desim.config.python_numbers import whole
+from desim.config.shared_state import StateWarning
 from desim.kernel.core.events import Trace
 from desim.kernel.core.seeds import run_seed, seed_of
 from desim.learning.episode import Episode, rule_of
@@ -71,7 +74,7 @@ class Pursuit:
         self.scenario = scenario
         self._played = scenario if render_mode is None else with_recordings(scenario)
         self._reward, self._agents_leave = reward_named(reward), agents_leave
-        self._is_of_game = isinstance(reward, str)
+        self._is_of_game, self._remembered = isinstance(reward, str), Remembered()
         self.max_cycles, self.render_mode = max_cycles, render_mode
         self.possible_agents = [f"pursuer_{i}" for i in range(scenario.team.count)]
         self._ids = {name: i for i, name in enumerate(self.possible_agents)}
@@ -200,6 +203,12 @@ class Pursuit:
         self.close()
         self._episode = self._start = None  # if the run fails at once, no old one is left
         self._episode = Episode(self._played, self._seed)
+        if self._remembered.has_changed(self._reward):
+            text = (
+                "reward: it has changed since the first episode, so an episode of the same seed may have other rewards;"
+                " if it should not learn, let it depend on the step alone"
+            )
+            warn(text, StateWarning, stacklevel=3)
         self.agents = self.possible_agents.copy()
 
     def _checked(self, agent: str, action: Any) -> int:

@@ -202,6 +202,21 @@ def test_an_exporter_of_a_user_gets_the_result(own, result, tmp_path):
         desim.export(result, tmp_path / "x.edges", lambda result, file: None)
 
 
+def test_an_exporter_with_state_writes_each_file_as_its_first(result, tmp_path):
+    class Numbered:
+        def __init__(self):
+            self.files = 0
+
+        def __call__(self, result, file):
+            self.files += 1
+            file.write_text(str(self.files))
+
+    exporter = Numbered()
+    for _ in range(2):
+        desim.export(result, tmp_path / "f", exporter)
+        assert (tmp_path / "f").read_text() == "1"
+
+
 @pytest.mark.slow
 def test_an_exporter_is_named_on_the_command_line(own, tmp_path):
     options = "--exporter", "own_kinds:Edges"

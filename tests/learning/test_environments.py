@@ -20,6 +20,7 @@ from pettingzoo.test.state_test import state_test
 
 import desim
 from desim import Crash, Evader, Scenario, Team, load, run
+from desim.config.shared_state import StateWarning
 from desim.kernel.core.trace_file import line_of
 from desim.learning.episode import Episode
 from desim.learning.playing import play
@@ -261,6 +262,24 @@ def test_a_reward_of_a_user_is_a_function_of_a_step():
         env.reset()
         with pytest.raises(ValueError, match=r"a reward should be a finite .* from <lambda> [(]"):
             env.step(1)
+
+
+@pytest.mark.parametrize("make", [desim.env, desim.parallel_env])
+def test_a_reward_that_remembers_earlier_episodes_is_warned_of_once(make):
+    """It may be meant to learn, so it is not made anew."""
+    act = (lambda env: env.step(1)) if make is desim.env else lambda env: env.step(dict.fromkeys(env.agents, 1))
+    reported = []
+    env = make(small(), 3, reward=lambda step: reported.append(step) or 1.0)
+    for _ in range(3):
+        env.reset()
+        act(env)
+    env = make(small(), 3, reward=Counter())
+    env.reset()
+    act(env)
+    with pytest.warns(StateWarning, match="reward: it has changed since the first episode"):
+        env.reset(seed=3)
+    act(env)
+    env.reset()
 
 
 def test_an_action_that_a_mask_excludes_has_the_effect_of_none():

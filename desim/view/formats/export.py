@@ -16,6 +16,7 @@ from desim.config.arguments import Argument, naming_arguments, run_argument
 from desim.config.choice import OneOf
 from desim.config.error_texts import text_of
 from desim.config.extras import missing
+from desim.config.fresh import fresh_copy
 from desim.config.model import Flag, Value
 from desim.config.suggestion import did_you_mean
 from desim.config.traits import Traits, kind_of
@@ -135,9 +136,9 @@ def export(result: Result | StreamedResult, file: str | PathLike[str], exporter:
     if not hasattr(result, "trace"):  # any object with a trace may be exported
         run_argument(Result, StreamedResult).check(result, "export")
     needed = ExporterTraits.of(chosen).requires
-    with replacing(file) as part:
+    with replacing(file) as part, fresh_copy({"exporter": chosen}) as copied:  # it may remember something
         try:
-            count = chosen(result, part)
+            count = copied["exporter"](result, part)
         except ModuleNotFoundError as error:
             package, extra = needed or ("", "")
             if (error.name or "").partition(".")[0] != package:
