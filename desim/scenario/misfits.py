@@ -22,7 +22,7 @@ from desim.kernel.models.graphs import names_of
 from desim.kernel.models.medium import Radio, airtime_of
 from desim.kernel.models.own_links import link_misfits
 from desim.kernel.topology.topology import Topology
-from desim.pursuit.core.traits import ScheduleTraits, UtilityTraits
+from desim.pursuit.core.traits import ScheduleTraits, UtilityTraits, size_by
 from desim.scenario.properties import AnyScenario, property_misfits
 from desim.scenario.wall_misfits import Misfit, wall_misfits
 
@@ -34,10 +34,13 @@ def misfits(scenario: AnyScenario) -> Iterator[Misfit]:
         return
     no_pursuer = f"there is no pursuer {{}}: they are 0 .. {scenario.team.count - 1}"
     yield from _graph_misfits(scenario, no_pursuer)
+    place: tuple[str, ...] = ("protocol",)
     try:
-        airtime_of(scenario.network.medium, scenario.announcement_size, scenario.team.count)
+        size = scenario.announcement_size
+        place = "network", "medium"
+        airtime_of(scenario.network.medium, size, scenario.team.count)
     except ValueError as error:
-        yield ("network", "medium"), str(error)
+        yield place, str(error)
     else:
         yield from _channel_misfits(scenario)
     yield from _name_misfits(scenario)
@@ -201,7 +204,7 @@ def _channel_misfits(scenario: AnyScenario) -> Iterator[Misfit]:
         return
     sizes = {"an announcement": scenario.announcement_size} if scenario.announces else {}
     if (message_size := scenario.schedule_traits.message_size) is not None:
-        sizes["a message of the schedule"] = message_size(count, scenario.announcement_size)
+        sizes["a message of the schedule"] = size_by(message_size, count, scenario.announcement_size)
     if not sizes:
         return
     message, size = max(sizes.items(), key=lambda entry: entry[1])

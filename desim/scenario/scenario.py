@@ -35,7 +35,7 @@ from desim.kernel.models.links import Links
 from desim.kernel.models.medium import airtime_of
 from desim.kernel.walls.wall import Wall
 from desim.pursuit.byzantine.lies import PURSUER_FAULTS, is_lie
-from desim.pursuit.core.traits import ProtocolTraits, ScheduleTraits
+from desim.pursuit.core.traits import ProtocolTraits, ScheduleTraits, size_by
 from desim.pursuit.motion.dynamics import Dynamics, Simple
 from desim.pursuit.motion.flow import Environment
 from desim.pursuit.paths.space import Plane, space_among
@@ -300,7 +300,8 @@ class Scenario(Value):
     def announcement_size(self) -> int:
         """Size of an announcement, bytes."""
         claim_size = self.protocol_traits.claim_size
-        return claim_size(self.team.count, len(self.evaders)) if claim_size else self.announce.payload_size
+        size = self.team.count, len(self.evaders)
+        return size_by(claim_size, *size) if claim_size else self.announce.payload_size
 
     @property
     def announcement_airtime(self) -> float:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from desim.config.choice import kind_of
+from desim.config.choice import OneOf, kind_of
 from desim.config.errors import KeyedError
 from desim.kernel.models.latency import Constant as ConstantLatency
 from desim.kernel.models.links import Links
@@ -287,6 +287,34 @@ def test_a_user_model_that_lacks_an_attribute_is_refused_at_once_with_its_name(m
     (problem,) = refused.value.problems
     assert problem.key == place
     assert says in problem.reason
+
+
+def needed_values():
+    """Yield each attribute, other than a method, that the models of a family need, with a model of the family."""
+    for family in OneOf.families:
+        for name in family.needs:
+            kinds = family.choices().values()
+            if not any(callable(getattr(kind, name, None)) for kind in kinds):
+                yield pytest.param(family, name, id=f"{next(iter(kinds)).__name__}.{name}")
+
+
+@pytest.mark.parametrize("wrong", ["no", None, object(), lambda self: True], ids=["text", "None", "object", "method"])
+@pytest.mark.parametrize(("family", "name"), [*needed_values()])
+def test_a_needed_attribute_of_a_wrong_type_is_refused_in_every_family(family, name, wrong):
+    """A text, or a method in place of its value, would count as true, or as the last of several names."""
+    if wrong is None and name == "period":  # None: no reports
+        return
+    defaults = {key: field.default for key, field in family.traits.model_fields.items() if key in family.needs}
+    model = type("Theirs", (), {"__call__": lambda self, *given: 0.0} | defaults | {name: wrong})()
+    with pytest.raises(ValueError, match=rf"{name} of Theirs: should be"):
+        family.traits.of(model)
+
+
+@pytest.mark.parametrize("size", [-1, 2.5, None, True, float("nan")])
+def test_a_size_that_is_no_number_of_bytes_is_refused(size):
+    protocol = type("Theirs", (), {"__call__": lambda self, me: iter(()), "claim_size": lambda self, n, m: size})()
+    with pytest.raises(KeyedError, match="protocol: the size of a message should be a number of bytes"):
+        Scenario(protocol=protocol)
 
 
 def test_a_complete_user_model_is_accepted():

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from desim.config.arrays import Floats
-from desim.config.model import Flag
+from desim.config.model import Flag, Limit
 from desim.config.traits import Follows, Traits, attributes, is_ours, name_of, positions
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.models.coherence import ChannelState, Variation
@@ -131,16 +131,24 @@ class _DrawnOnly:
 
 
 class MediumTraits(Traits):
-    """The optional method of a medium, in addition to `__call__`."""
+    """The attributes of a medium that must be valid, and its optional method, in addition to `__call__`."""
 
+    shared: Flag = False
+    """Whether one message at a time is transmitted in the whole network."""
+    half_duplex: Flag = False
+    """Whether a node that transmits does not receive."""
+    queue_limit: Limit = inf
+    """Largest number of transmissions that wait at a node; inf: any number."""
     airtime: Annotated[Callable[[int, int], float] | None, Follows("__call__")] = None
     """`airtime(size, node)` returns the airtime, s, of a message of `size` bytes that a node transmits; None: that of
     `__call__`, for all nodes alike."""
 
 
 class InterferenceTraits(Traits):
-    """The optional attributes of a model of interference, in addition to `__call__`."""
+    """The attributes of a model of interference, in addition to `__call__`; the first it must have."""
 
+    needs_positions: Flag = False
+    """Whether it depends on the positions of nodes."""
     has_noise: Annotated[Flag, Follows("__call__")] = True
     """Whether a frame may be lost although no other overlaps it."""
     cause: Annotated[str, Field(min_length=1)] = "collision"
@@ -182,10 +190,10 @@ class FaultTraits(Traits):
     """`named()` returns the nodes that it names, by key; an error about a node that does not exist names the key."""
     breaks: frozenset[str] = frozenset()
     """The assumptions of protocols (`assumes`) that it breaks, such as "no_crashes"."""
-    messages_only: bool = False
+    messages_only: Flag = False
     """Whether it only loses or delays messages, so that a perfect network is without it; a `Fault` does by default."""
-    is_scheduled: Annotated[bool, Follows("begin", "separates")] = False
+    is_scheduled: Annotated[Flag, Follows("begin", "separates")] = False
     """Whether its fields and the seed determine when it begins and what it does, so that the processes of a live run
     agree on it."""
-    memory: bool = True
+    memory: Flag = True
     """Whether the nodes that it takes down keep their memory."""

@@ -9,7 +9,9 @@ from math import inf
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal
 
+from desim.config.answers import wrong_answer
 from desim.config.model import Flag, Value
+from desim.config.python_numbers import as_python
 from desim.config.traits import Follows, Parameter, Traits
 
 AssumptionName = Literal[
@@ -72,6 +74,19 @@ class ProtocolTraits(Assuming):
     """The utility of an action; see `UtilityTraits`."""
 
 
+def size_by(function: Callable[[int, int], Any], *numbers: int) -> int:
+    """Return the size that a protocol or a schedule gives for its messages (`claim_size`, `message_size`), bytes.
+
+    Raises:
+        AnswerError: if it is not an integer of at least 0.
+    """
+    answer = function(*numbers)
+    size = as_python(answer)
+    if type(size) is not int or size < 0:
+        raise wrong_answer("the size of a message should be a number of bytes, an integer >= 0", answer, function)
+    return size
+
+
 class ScheduleTraits(Assuming):
     """The optional attributes of a schedule, in addition to `__call__` and `mean_slot`."""
 
@@ -94,8 +109,10 @@ class ScheduleTraits(Assuming):
 
 
 class UtilityTraits(Assuming):
-    """The optional attributes of a utility, in addition to `__call__` and `scope`."""
+    """The attributes of a utility, in addition to `__call__`; `scope` it must have."""
 
+    scope: Literal["heard", "neighbours", "component"] = "heard"
+    """The pursuers whose actions count: those whose announcements are known, those in range, or those connected."""
     twins: ClassVar[Mapping[str, tuple[str, ...]]] = MappingProxyType({"expected": ("__call__",)})
     expected: Annotated[
         Callable[[float, Sequence[float], Sequence[float], float], float] | None, Follows("__call__")

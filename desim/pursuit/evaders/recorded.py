@@ -207,8 +207,12 @@ class RecordedMotion(_Record):
 
 
 class RelayTraits(Traits):
-    """The method of the motion of a relay that must agree with its `__call__`."""
+    """The attributes of the motion of a relay that must be valid, or agree with its `__call__`."""
 
+    start: complex = 0j
+    """The initial position, m."""
+    top_speed: Annotated[float, Field(ge=0)] = 0.0
+    """The greatest speed, m/s."""
     velocity: Annotated[Callable[[int, complex], complex] | None, Follows("__call__")] = None
 
     @classmethod

@@ -15,7 +15,7 @@ from pydantic import Field
 from desim.config.answers import wrong_answer
 from desim.config.arrays import Floats, Points
 from desim.config.choice import OneOf
-from desim.config.model import Value
+from desim.config.model import Flag, Value
 from desim.config.traits import Follows, Traits, check_inherited_flag, is_ours
 from desim.pursuit.core.geometry import SMALLEST
 from desim.pursuit.core.state import lengths
@@ -287,7 +287,7 @@ CALLED_WITH_INERTIA = ("__call__", "steered", "headings", "capture_times")
 class DynamicsTraits(Traits):
     """The attribute of dynamics that must agree with their methods."""
 
-    is_simple: Annotated[bool, Follows(*CALLED_WITH_INERTIA)] = False
+    is_simple: Annotated[Flag, Follows(*CALLED_WITH_INERTIA)] = False
 
     @classmethod
     def check(cls, value: Any) -> None:
