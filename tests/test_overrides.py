@@ -9,6 +9,7 @@ from collections.abc import Callable
 from functools import cached_property
 from types import FunctionType
 from typing import Any, NamedTuple, get_args
+from unittest.mock import Mock
 from warnings import catch_warnings
 
 import numpy as np
@@ -622,6 +623,27 @@ def test_an_overridden_velocity_of_a_uniform_flow_is_that_of_the_run(kind):
         for flow in (theirs, lambda places, t: np.full(len(places), 0.5 + 0.25j))
     )
     assert events(one) == events(other)
+
+
+@pytest.mark.parametrize("name", ["latency", "loss", "reception", "strategy", "guidance", "flow", "protocol"])
+def test_a_built_in_class_whose_method_is_replaced_is_refused(name, monkeypatch):
+    """As tests do with a mock; the run of a kind that it knows need not call the method."""
+    family = FAMILIES[name]
+    for replaced in (lambda self, *given: 0.0, Mock(return_value=0.0)):
+        for kind in dict.fromkeys(family.choice.choices().values()):
+            model = kind(**PARAMETERS.get(kind.__name__, {}))
+            with monkeypatch.context() as patched:
+                patched.setattr(kind, "__call__", replaced)
+                with pytest.raises(KeyedError, match=f"__call__ of {kind.__name__} has been replaced in the class"):
+                    family.with_model(model)
+
+
+@pytest.mark.parametrize("kind", [*LATENCY_KINDS, type("Theirs", (), {"__call__": lambda *_: 0.1})])
+def test_a_call_that_is_an_attribute_of_the_object_is_refused(kind):
+    model = kind(**PARAMETERS.get(kind.__name__, {}))
+    vars(model)["__call__"] = lambda context, rng: 0.1
+    with pytest.raises(KeyedError, match="has __call__ as an attribute of the object"):
+        linked(latency=model)
 
 
 def test_checks_do_not_describe_the_kind_that_is_overridden():

@@ -106,6 +106,16 @@ class Traits(Value):
         """Raise ValueError if a model has an invalid or probably misspelt trait, or overrides a fast way alone."""
         cls.of(value)
         model: type = type(value)
+        if "__call__" in getattr(value, "__dict__", ()):
+            raise ValueError(
+                f"{name_of(value)} has __call__ as an attribute of the object, which Python does not call: define it in"
+                " the class"
+            )
+        if is_ours(model) and (name := _replaced(model, _trait_names(cls))):
+            raise ValueError(
+                f"{name} of {name_of(value)} has been replaced in the class, and a run need not call it: derive a class"
+                f" from {name_of(value)} that has its own {name}"
+            )
         for twin, methods in () if is_ours(model) else cls.twins.items():
             places = [place[0] for name in methods if (place := positions(model, name))]
             if places and overrides(model, twin, min(places)):
@@ -218,6 +228,33 @@ def _outdated(traits: type[Traits], model: type) -> frozenset[str]:
 
 OURS = frozenset({"desim", "protocols"})
 """The packages of the built-in models."""
+
+
+@lru_cache(maxsize=64)
+def _trait_names(traits: type[Traits]) -> tuple[str, ...]:
+    """Return the names of the methods that models of a family may have."""
+    return ("__call__", *traits.names())
+
+
+def _replaced(model: type, names: tuple[str, ...]) -> str | None:
+    """Return the first of some methods that is not as the built-in class has defined it; None: all are."""
+    for name in _methods_in(model, names):
+        function = getattr(model, name)
+        theirs = function if isinstance(function, FunctionType) else type(function)
+        if module_of(theirs).partition(".")[0] not in OURS:
+            return name
+    return None
+
+
+@lru_cache(maxsize=256)
+def _methods_in(model: type, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return those of some names that are methods of a class."""
+    return tuple(name for name in names if _is_method(model, name))
+
+
+def _is_method(model: type, name: str) -> bool:
+    attribute = next((vars(base)[name] for base in model.__mro__ if name in vars(base)), None)
+    return callable(attribute) and not isinstance(attribute, type | classmethod | staticmethod)
 
 
 def is_ours(model: type) -> bool:
