@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Circle
+from matplotlib.ticker import MaxNLocator
 
 from desim.analysis.activity import changes
 from desim.analysis.drawing.palette import (
@@ -198,6 +199,7 @@ def _fates(axes: Axes, result: Result) -> None:
         if chosen:
             axes.plot(*np.array(chosen).T, mark, color=colour, ms=4, ls="")
     axes.set(xlabel="time (s)", ylabel="from pursuer")
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True))
 
 
 def _latencies(axes: Axes, result: Result) -> None:

@@ -81,7 +81,9 @@ SEED = click.option(
     type=click.IntRange(min=0),
     help="Seed of the run, or root seed of several: run k then has the seed 1,000,000 s + k; default: the file's.",
 )
-JOBS = click.option("-j", "--jobs", type=click.IntRange(min=0), default=1, help="Worker processes; 0 = one per core.")
+JOBS = click.option(
+    "-j", "--jobs", type=click.IntRange(min=0), default=1, help="Worker processes; 0 = one per core; default: 1."
+)
 JSON = click.option(
     "--json", "as_json", is_flag=True, help="Print the result as JSON on stdout, and messages on stderr."
 )

@@ -101,7 +101,7 @@ class Agreement:
                 *(number(value) for value in (row.live.mean, row.simulated.mean, row.difference.mean)),
                 number(row.margin),
                 number(row.difference.standard_error),
-                f"{row.errors:+.1f}",
+                f"{row.errors:+z.1f}",
                 "agrees" if row.agrees else "differs",
             )
             for row in self.rows

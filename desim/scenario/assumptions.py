@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 Assumption = Callable[["Scenario"], str | None]
 
-NOT_FORWARDED = "announcements are not forwarded (`announce.dissemination`)"
+NOT_FORWARDED = "announcements are not forwarded (`announce.dissemination`: flooding and gossip forward)"
 
 
 def undivided(scenario: "Scenario") -> str | None:

@@ -327,7 +327,7 @@ def test_a_violated_assumption_is_reported_with_its_protocol_and_reason():
         fault=[ClockSkew(offset=0.1)],
     )
     hops = "not all pursuers hear each other at the start, and announcements are not forwarded"
-    hops += " (`announce.dissemination`)"
+    hops += " (`announce.dissemination`: flooding and gossip forward)"
     found = [
         ("protocol", "sap assumes one_at_a_time, but several pursuers may decide at the same instant"),
         ("protocol.schedule", "rounds assumes equal_clocks, but clocks differ"),

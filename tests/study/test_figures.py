@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
 
 from desim.analysis.drawing.plots import save
@@ -332,6 +333,9 @@ def test_a_phase_diagram_has_the_mean_of_each_configuration_at_its_place():
     figure = phase(result({"x": [2.0, 1.0], "prune": ["inf"], "y": [4.0, inf, 3.0]}), "active_time")
     axes, bar = figure.axes
     assert bar.get_ylabel() == "active time (s)"
+    figure.draw_without_rendering()
+    (solids,) = (part for part in bar.collections if isinstance(part, QuadMesh))
+    assert solids.get_edgecolor().tolist() == solids.get_facecolor().tolist()  # no page shows between its parts
     assert ticks(axes.xaxis) == {"1": 0, "2": 1}
     assert ticks(axes.yaxis) == {"3": 0, "4": 1, "inf": 2}
     assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_title()) == ("x", "y", "prune = inf")

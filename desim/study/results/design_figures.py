@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from math import isfinite, log10
+from typing import Any
 
 import numpy as np
 from matplotlib.cm import ScalarMappable
@@ -166,7 +167,9 @@ def _draw_bands(
     low, high = colours.get_clim()
     levels = np.linspace(low, high if high > low else low + 1.0, LEVELS + 1)
     means = [estimate.mean for _, estimate in panel]
-    axes.tricontourf(Triangulation(x, y, triangles), means, levels=levels, norm=colours.norm, cmap=colours.get_cmap())
+    bands = Triangulation(x, y, triangles), means
+    look: dict[str, Any] = {"levels": levels, "norm": colours.norm, "cmap": colours.get_cmap()}
+    axes.tricontourf(*bands, **look).set_edgecolor("face")  # else the page shows between two bands
     axes.plot(x, y, ls="none", marker="o", ms=2.0, color="white", mec="#111111", mew=0.5, clip_on=False)
     for axis, key in zip("xy", keys, strict=True):
         _scale(axes, key, points, axis)

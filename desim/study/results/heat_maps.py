@@ -158,6 +158,7 @@ def add_colour_bar(figure: Figure, colours: ScalarMappable, axes: Sequence[Axes]
     bar.outline.set_visible(False)
     if bar.solids is not None:
         bar.solids.set_rasterized(False)  # an image would have pixels even in an SVG
+        bar.solids.set_edgecolor("face")  # else the page shows between its parts, and its colours are not the cells'
 
 
 def _draw_map(axes: Axes, values: NDArray[np.float64], colours: ScalarMappable, form: str) -> None:
