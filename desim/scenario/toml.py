@@ -61,7 +61,7 @@ def load(file: str | PathLike[str], overrides: Sequence[str] = (), *, allow_impo
         else:
             path = Path(file)
             close = close_to(path.name, [other.name for other in path.parent.glob("*.toml")], cutoff=0.8)
-            why = f"{error.strerror}, did you mean {close[0]!r}?" if close else error.strerror
+            why = f"{error.strerror}, did you mean {close[0]!r}?" if close else str(error.strerror)
         raise FileNotFoundError(error.errno, why, str(file)) from None
     except IsADirectoryError as error:
         why = f"{error.strerror}: a scenario is one file, NAME.toml; results are read by desim.open"
