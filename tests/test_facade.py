@@ -2,6 +2,7 @@
 
 import ast
 import inspect
+import re
 import subprocess
 import sys
 from importlib import import_module
@@ -17,6 +18,7 @@ from desim.pursuit.motion.dynamics import DYNAMICS, Simple
 from protocols.rule import SCHEDULES
 from protocols.temperature import TEMPERATURES
 from scenarios.studies.study import SCENARIOS
+from tests.golden import golden
 
 FACADES = pytest.mark.parametrize("facade", [desim, protocols])
 
@@ -82,3 +84,19 @@ def test_the_example_of_the_package_runs(monkeypatch, capsys):
     _, example, _ = (desim.__doc__ or "").split("```")
     exec(example.removeprefix("python"), {})
     assert "active time: " in capsys.readouterr().out
+
+
+def test_the_keys_of_the_documents_in_json_are_golden():
+    """Scripts of users read them, and few tests ask for each."""
+    folder, lines = Path(desim.__file__).parent, []
+    for file in sorted(folder.rglob("*.py")):
+        text = file.read_text(encoding="utf-8")
+        if not re.search(r"def _?document\(", text):
+            continue
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef) and node.name.strip("_") == "document":
+                tables = [table.keys for table in ast.walk(node) if isinstance(table, ast.Dict)]
+                keys = [key.value for table in tables for key in table if isinstance(key, ast.Constant)]
+                if keys:
+                    lines.append(f"{file.relative_to(folder).as_posix()}: {' '.join(keys)}")
+    golden("documents.txt", "\n".join(lines) + "\n")
