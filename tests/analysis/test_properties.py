@@ -8,7 +8,7 @@ from math import inf
 import pytest
 
 from desim import Scenario, judge, load, run, summary
-from desim.analysis.properties import PropertyWatcher, worst_of
+from desim.analysis.properties import PropertyWatcher, stated, worst_of
 from desim.analysis.quantities import pieces_of
 from desim.kernel.core.trace_file import line_of
 from desim.kernel.core.units import SECOND
@@ -192,6 +192,12 @@ def test_a_watcher_ends_a_run_as_soon_as_it_violates_the_property(text):
 def test_before_a_run_nothing_is_violated():
     watcher = PropertyWatcher("always active <= 2", LOSSY)
     assert (watcher.margin, watcher.violated_at) == (inf, None)
+
+
+def test_of_equally_long_times_the_first_is_the_longest():
+    pieces = [(0, 2, (1.0,)), (2, 3, (-1.0,)), (3, 5, (0.0,)), (5, 6, (-1.0,)), (6, 7, (1.0,))]
+    *_, worst = stated("idle never longer than 0", SMALL).worst(iter(pieces))
+    assert (worst.measure, worst.at) == (2e-9, 0)
 
 
 def test_a_watcher_refuses_what_is_known_after_the_run_only():

@@ -287,6 +287,13 @@ def test_values_that_look_alike_have_different_hashes(one, other):
     assert stable_hash(one) != stable_hash(other)
 
 
+def test_a_set_has_the_hash_of_its_members_in_any_order():
+    words = [f"word {k}" for k in range(20)]
+    assert stable_hash(Plain(set(words))) == stable_hash(Plain(set(words[::-1])))
+    digests = {stable_hash(Plain(kind(members))) for kind in (set, frozenset) for members in (words, words[1:], ())}
+    assert len(digests) == 6
+
+
 @pytest.mark.slow
 def test_a_copy_has_the_hash_of_its_original():
     held = [Plain({"a": (TABLE, Slotted(1.0))}), circle(1.0), np.random.default_rng(3), nx.path_graph(3)]
