@@ -66,6 +66,11 @@ def test_sequence_numbers_go_on_after_the_last_and_a_log_may_begin_later():
     assert [rtt for _, rtt in probes_of(f"PING a\n{reply.format(3)}")] == [None, None, 0.001]
 
 
+@pytest.mark.parametrize("text", ["", "0.1 0.2", "time=0.1", "a table\nwith time=0.1 and time<1\n"])
+def test_a_text_without_a_reply_has_no_probes(text):
+    assert probes_of(text) == []
+
+
 def test_a_file_of_ping_is_a_list_of_latencies_and_a_table(tmp_path):
     file = tmp_path / "ping.txt"
     file.write_text(LINUX)

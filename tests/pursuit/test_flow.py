@@ -156,6 +156,19 @@ def test_a_capture_time_in_wind_is_the_first_of_a_dense_scan(flow):
         assert first == pytest.approx(found, abs=2.0 * times[1]) or (first == inf and found > 79.0)
 
 
+@pytest.mark.parametrize("flow", [NoFlow(), *UNIFORM, *UNEVEN], ids=lambda flow: flow.kind)
+def test_players_move_relative_to_each_other_at_most_as_fast_as_is_said(flow):
+    """Two carried players anywhere; and a carried pursuer and an evader that is not."""
+    rng = np.random.default_rng(3)
+    places = rng.uniform(-30.0, 30.0, 60) + 1j * rng.uniform(-30.0, 30.0, 60)
+    velocities = [Environment(flow=flow).flow(places, t) for t in (0.0, 0.7, 2.3)]
+    carried = max(float(abs(each[:, None] - each).max()) for each in map(np.asarray, velocities))
+    alone = max(float(abs(each).max()) for each in map(np.asarray, velocities))
+    assert carried <= Environment(flow=flow).relative_speed + 1e-12
+    assert alone <= Environment(flow=flow, on="pursuers").relative_speed + 1e-12
+    assert (Environment(flow=flow).relative_speed == 0.0) == Environment(flow=flow).keeps_distances
+
+
 def test_a_flow_that_carries_all_alike_changes_no_capture_time():
     speeds, offsets = np.array([1.0, 1.5, 0.8]), np.array([3.0 + 0j, 4j, -2.0 + 0j])
     simple = RadialTime(speeds, 0.9, 0.1)(np.abs(offsets)).tolist()
