@@ -436,6 +436,7 @@ FILES: dict[str, tuple[str, ...]] = {
     "network.latency = { kind = 'lognormal', mean = 50 ms }": ("mean should be a number, in s: 0.05",),
     "network.latency = 0,5": ("should be a number: 0.5 instead of '0,5'",),
     "network.loss = 0.1;": ("nothing follows the value: network.loss = 0.1",),
+    "network.loss = 0.1; # a share": ("nothing follows the value: network.loss = 0.1",),
     "protocol = sap": ('a text is in quotes: protocol = "sap"',),
     "network.latency = { kind = lognormal }": ('a text is in quotes: kind = "lognormal"',),
     "// late": ("a comment begins with #",),
