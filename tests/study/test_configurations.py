@@ -4,7 +4,7 @@ import re
 import subprocess
 import sys
 import threading
-from dataclasses import FrozenInstanceError
+from dataclasses import FrozenInstanceError, dataclass
 from functools import partial
 from math import inf
 from pathlib import Path
@@ -279,6 +279,22 @@ def test_a_grid_of_too_many_configurations_is_refused_before_they_are_made():
 def test_values_with_equal_labels_in_tables_are_refused():
     with pytest.raises(ScenarioError, match=r"several configurations have the name 'protocol = Plain'"):
         of({"protocol": [Plain(1.0), Plain(2.0)]})
+
+
+def test_objects_of_a_dataclass_have_the_names_of_their_fields():
+    @dataclass
+    class Late:
+        seconds: float
+        links: tuple[int, ...] = ()
+
+        def __call__(self, context, rng):
+            return self.seconds
+
+    found = of({"network.latency": [Late(0.1), Late(0.2, (1, 2))]})
+    assert [str(each) for each in found] == [
+        "network.latency = Late(seconds=0.1, links=[])",
+        "network.latency = Late(seconds=0.2, links=[1, 2])",
+    ]
 
 
 def test_the_label_of_a_measured_link_has_the_hash_of_its_table():

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property, partial
 from itertools import product
 from math import prod
@@ -233,8 +233,8 @@ def _check_distinct(chosen: Sequence[Configuration], source: Source, grid: Sweep
         why = (
             f"'{configuration}' is the same configuration as '{other}'"
             if same is not configuration
-            else f"several configurations have the name '{configuration}': functions in a grid should have distinct"
-            " names (__name__)"
+            else f"several configurations have the name '{configuration}': give functions distinct names"
+            " (__name__), and objects a class with fields: a dataclass, or a desim.config.model.Value"
         )
         raise ScenarioError(_about_grid(source, why, (differing or repeated)[0]))
 
@@ -359,4 +359,7 @@ def label(value: Any) -> str:
     if isinstance(value, partial):
         arguments = [*map(label, value.args), *(f"{key}={label(argument)}" for key, argument in value.keywords.items())]
         return f"{label(value.func)}({', '.join(arguments)})"
+    if is_dataclass(value) and not isinstance(value, type):
+        value = {"kind": type(value).__name__} | {field.name: getattr(value, field.name) for field in fields(value)}
+        return label(value)
     return str(getattr(value, "__name__", type(value).__name__))
