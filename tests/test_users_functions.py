@@ -21,11 +21,11 @@ from desim.kernel.models.loss import Bernoulli
 from desim.kernel.models.medium import Bitrate
 from desim.kernel.models.reception import Disk
 from desim.kernel.network import Network
-from desim.pursuit.byzantine.lies import Liar
+from desim.pursuit.byzantine.lies import ByzantineFault, Liar
 from desim.pursuit.core.events import Ended
 from desim.pursuit.motion.dynamics import Acceleration
 from desim.pursuit.sensing.noise import PositionNoise
-from desim.pursuit.team.trust import Credulous, Judge
+from desim.pursuit.team.trust import Credulous, Judge, ignored_by
 from desim.results.run_folder import read, write
 from desim.scenario.checks import warnings
 from desim.view.pages.replay import replay_page
@@ -388,6 +388,48 @@ def rain(context, rng):
 
 
 rain.cause = "rain"
+
+
+@pytest.mark.parametrize("answer", [None, 0, 1, "no", nan, [], np.array([True, False])])
+def test_a_wish_for_messages_that_is_no_truth_value_is_refused(answer):
+    """None, of a function without return, would drop all messages; a text would keep them."""
+
+    def listens(me):
+        me.send((me.id + 1) % me.team_size, 1)
+        yield me.arrival(wanted=lambda message: answer)
+
+    with pytest.raises(ValueError, match=r"wanted\(message\) should return True or False, got .* from <lambda>"):
+        run(scenario(protocol=listens), 1)
+
+
+@pytest.mark.parametrize("ignored", [[True, False], np.array([True]), (np.False_,)])
+def test_a_mask_in_place_of_pursuers_is_refused(ignored):
+    class Masking(Judge):
+        def ignored(self, own_time, claims):
+            return ignored
+
+    with pytest.raises(ValueError, match="should return a collection of pursuers"):
+        ignored_by(Masking(), 1.0, {0: 1.0})
+
+
+@pytest.mark.parametrize(
+    "says",
+    [
+        lambda me, body: None,
+        lambda me, body: body,
+        lambda me, body: (me.id, None),
+        lambda me, body: (me.id, 5),
+        lambda me, body: (str(me.id), body),
+        lambda me, body: (me.id, body, 1),
+    ],
+)
+def test_what_a_liar_of_a_user_says_is_a_pursuer_and_a_body_like_the_honest_one(says):
+    """Any other body would be read as that of an inactive pursuer."""
+    liar = type("Theirs", (ByzantineFault,), {"says": lambda self, me, body: says(me, body)})
+    with pytest.raises(ValueError, match=r"says\(me, body\) should return a pursuer and a body of the type"):
+        run(scenario(fault=(liar(node=0, start=0.0),), announce=Announcements(heartbeat=0.1)), 1)
+    honest = type("Theirs", (ByzantineFault,), {"says": lambda self, me, body: (np.int64(me.id), body)})
+    run(scenario(fault=(honest(node=0, start=0.0),), announce=Announcements(heartbeat=0.1)), 1)
 
 
 def test_losses_of_a_users_model_have_a_cause_of_their_own():

@@ -160,7 +160,7 @@ class Sleeper(ByzantineFault):
 class Margin(Value):
     """A utility: the gain over the fastest of the others, and a bonus."""
 
-    scope: ClassVar[str] = "all"
+    scope: ClassVar[str] = "heard"
     bonus: float = 0.0
 
     def __call__(self, own_time, other_times, reward):

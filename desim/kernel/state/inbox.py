@@ -5,8 +5,10 @@ from collections.abc import Callable
 from math import inf
 from typing import Any, NamedTuple
 
+import numpy as np
 import simpy
 
+from desim.config.answers import wrong_answer
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.message_body import is_immutable, own_copy
 from desim.kernel.core.portable_math import portable_sum
@@ -26,6 +28,13 @@ class Message(NamedTuple):
     def sent(self) -> float:
         """True time at which the message was sent, s."""
         return self.stamp / SECOND
+
+
+def _is_true(answer: Any, wanted: Callable[..., Any]) -> bool:
+    """Return the truth value of an answer of numpy; AnswerError if it is no truth value: None would drop messages."""
+    if isinstance(answer, np.bool_):
+        return bool(answer)
+    raise wrong_answer("wanted(message) should return True or False", answer, wanted)
 
 
 Wanted = Callable[[Message], bool]
@@ -130,7 +139,11 @@ class Inbox:
             if arrival > now:
                 self._expect(arrival)
                 return
-            if wanted is None or wanted(message):
+            if (
+                wanted is None
+                or (answer := wanted(message)) is True
+                or (answer is not False and _is_true(answer, wanted))
+            ):
                 event, self._waited_for = self._waited_for, None
                 if event is not None:
                     self._env.trigger(event, self._priority)

@@ -12,7 +12,10 @@ from typing import Any, NamedTuple
 
 import simpy
 
+from desim.config.answers import wrong_answer
 from desim.config.model import MAX_TIME
+from desim.config.python_numbers import as_python
+from desim.config.traits import is_ours
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.events import Trace
 from desim.kernel.core.message_body import as_sent
@@ -159,7 +162,10 @@ class LyingTeam:
         """Return what a pursuer announces in place of a body: in whose name, and the body."""
         name = src
         for model in self._active[src]:
-            name, body = model.says(self._speaker(src), body)
+            said: Any = model.says(self._speaker(src), body)
+            if not is_ours(type(model)):
+                _check_said(said, body, model)
+            name, body = said
         return name, body
 
     def _says_to(self, src: int, body: Any) -> list[tuple[Collection[int], Any]] | None:
@@ -247,3 +253,15 @@ class LyingTeam:
 
         if misbehaviour.end <= MAX_TIME:
             self._at(misbehaviour.end, end)
+
+
+def _check_said(said: Any, body: Any, model: ByzantineFault) -> None:
+    """Check what a fault of a user says in place of a body: any other would be read as that of an inactive pursuer.
+
+    Raises:
+        AnswerError: if it is not a pursuer and a body of the same type.
+    """
+    is_pair = isinstance(said, tuple | list) and len(said) == 2 and type(as_python(said[0])) is int
+    if not is_pair or not isinstance(said[1], type(body)):
+        form = f"says(me, body) should return a pursuer and a body of the type {type(body).__name__}"
+        raise wrong_answer(form, said, model)

@@ -9,6 +9,7 @@ from collections.abc import Collection, Mapping
 from math import exp, inf
 from typing import Annotated, Any, Literal, NamedTuple, Protocol
 
+import numpy as np
 from pydantic import Field
 
 from desim.config.answers import wrong_answer
@@ -140,9 +141,13 @@ def is_believed(judge: Judge, record: Record) -> bool:
         ValueError: if the judge of a user returns no boolean.
     """
     believed: Any = judge.believes(record)
-    if believed is not True and believed is not False:
+    if not isinstance(believed, bool | np.bool_):
         raise wrong_answer("believes(record) of a judge should return True or False", believed, judge)
     return bool(believed)
+
+
+TRUTH = (bool, np.bool_)
+"""The types of truth values: a list of them would be read as the pursuers 0 and 1."""
 
 
 def ignored_by(judge: Judge, own_time: float, claims: Mapping[int, float]) -> Collection[int]:
@@ -152,7 +157,7 @@ def ignored_by(judge: Judge, own_time: float, claims: Mapping[int, float]) -> Co
         ValueError: if the judge of a user returns something else.
     """
     ignored: Any = judge.ignored(own_time, claims)
-    if not isinstance(ignored, Collection) or isinstance(ignored, str):
+    if not isinstance(ignored, Collection) or isinstance(ignored, str) or any(isinstance(i, TRUTH) for i in ignored):
         raise wrong_answer("ignored(own_time, claims) should return a collection of pursuers", ignored, judge)
     return ignored
 
