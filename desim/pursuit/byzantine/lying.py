@@ -162,10 +162,10 @@ class LyingTeam:
         """Return what a pursuer announces in place of a body: in whose name, and the body."""
         name = src
         for model in self._active[src]:
-            said: Any = model.says(self._speaker(src), body)
+            answer: Any = model.says(self._speaker(src), body)
             if not is_ours(type(model)):
-                _check_said(said, body, model)
-            name, body = said
+                _check_answer(answer, body, model)
+            name, body = answer
         return name, body
 
     def _says_to(self, src: int, body: Any) -> list[tuple[Collection[int], Any]] | None:
@@ -255,13 +255,13 @@ class LyingTeam:
             self._at(misbehaviour.end, end)
 
 
-def _check_said(said: Any, body: Any, model: ByzantineFault) -> None:
+def _check_answer(answer: Any, body: Any, model: ByzantineFault) -> None:
     """Check what a fault of a user says in place of a body: any other would be read as that of an inactive pursuer.
 
     Raises:
         AnswerError: if it is not a pursuer and a body of the same type.
     """
-    is_pair = isinstance(said, tuple | list) and len(said) == 2 and type(as_python(said[0])) is int
-    if not is_pair or not isinstance(said[1], type(body)):
+    is_pair = isinstance(answer, tuple | list) and len(answer) == 2 and type(as_python(answer[0])) is int
+    if not is_pair or not isinstance(answer[1], type(body)):
         form = f"says(me, body) should return a pursuer and a body of the type {type(body).__name__}"
-        raise wrong_answer(form, said, model)
+        raise wrong_answer(form, answer, model)
