@@ -126,11 +126,11 @@ def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
     """Draw the paired difference of the active time over the offered load, a line per access model."""
     from desim.analysis.drawing import palette
 
-    for k, (colour, access) in enumerate(zip(palette.SERIES, ACCESSES, strict=False)):
+    for k, (colour, mark, access) in enumerate(zip(palette.SERIES, palette.MARKERS, ACCESSES, strict=False)):
         line = [pursuit for pursuit in pursuits if pursuit.access == access]
         x = [pursuit.load * 1.04 ** (k - 1.5) for pursuit in line]  # shifted, so that error bars do not overlap
         y, error = [pursuit.difference.mean for pursuit in line], [pursuit.difference.half_width for pursuit in line]
-        axes.errorbar(x, y, error, color=colour, marker="o", ms=3, lw=1.0, elinewidth=0.7, label=access)
+        axes.errorbar(x, y, error, color=colour, marker=mark, ms=3, lw=1.0, elinewidth=0.7, label=access)
     axes.set(xscale="log")
     axes.set_xticks(LOADS, [f"{load:g}" for load in LOADS], fontsize=7)
     axes.minorticks_off()
@@ -140,10 +140,10 @@ def draw_ages(axes: "Axes", ages: Sequence[Age], size: int) -> None:
     """Draw the mean age of information of a team over the heartbeat, a line per access model."""
     from desim.analysis.drawing import palette
 
-    for colour, access in zip(palette.SERIES, ACCESSES, strict=False):
+    for colour, mark, access in zip(palette.SERIES, palette.MARKERS, ACCESSES, strict=False):
         line = _of(ages, access, size)
         y, error = [age.age.mean for age in line], [age.age.half_width for age in line]
-        axes.errorbar([age.heartbeat for age in line], y, error, color=colour, marker="o", ms=3, lw=1.0)
+        axes.errorbar([age.heartbeat for age in line], y, error, color=colour, marker=mark, ms=3, lw=1.0)
     axes.axvline(best_heartbeat(size), color=palette.GREY, ls=":")
     axes.set(xscale="log", ylim=(0, None))
     axes.set_title(f"{size} pursuers", fontsize=9)

@@ -68,7 +68,7 @@ def picture(points: Sequence[Point], cells: Sequence[Cell]) -> "Figure":
 
     with plots.styled(figsize=(9.0, 3.9)) as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.25))
-        for colour, name in zip(palette.SERIES, SCHEDULES, strict=False):
+        for colour, mark, name in zip(palette.SERIES, palette.MARKERS, SCHEDULES, strict=False):
             line = [point for point in points if point.schedule == name]
             x = [max(point.delay, DELAYS[1] / 2) for point in line]
             left.errorbar(
@@ -76,7 +76,7 @@ def picture(points: Sequence[Point], cells: Sequence[Cell]) -> "Figure":
                 [point.excess for point in line],
                 [point.standard_error for point in line],
                 color=colour,
-                marker="o",
+                marker=mark,
                 ms=4,
                 lw=1.2,
                 label=name,

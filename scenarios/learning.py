@@ -74,14 +74,15 @@ def _draw_costs(axes: "Axes", cells: Sequence[Cell]) -> None:
     """Draw the cost of each rule over the latency."""
     from desim.analysis.drawing import palette
 
-    for colour, rule in zip(palette.SERIES, dict.fromkeys(cell.rule for cell in cells), strict=False):
+    rules = dict.fromkeys(cell.rule for cell in cells)
+    for colour, mark, rule in zip(palette.SERIES, palette.MARKERS, rules, strict=False):
         here = [cell for cell in cells if cell.rule == rule]
         axes.errorbar(
             [cell.latency for cell in here],
             [cell.cost for cell in here],
             yerr=[cell.standard_error for cell in here],
             color=colour,
-            marker="o",
+            marker=mark,
             ms=3,
             label=rule,
         )

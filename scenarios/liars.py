@@ -132,7 +132,7 @@ def _draw(axes: "Axes", lines: Mapping[str, Sequence[Cell]], measure: str) -> No
     """Draw a result over the value that varies, a line per defence."""
     from desim.analysis.drawing import palette
 
-    for k, (colour, defence) in enumerate(zip(palette.SERIES, DEFENCES, strict=False)):
+    for k, (colour, mark, defence) in enumerate(zip(palette.SERIES, palette.MARKERS, DEFENCES, strict=False)):
         here = lines.get(defence, ())
         if not here:
             continue
@@ -145,7 +145,7 @@ def _draw(axes: "Axes", lines: Mapping[str, Sequence[Cell]], measure: str) -> No
         else:
             estimates = [cell.active_time if measure == "active_time" else cell.false_accusations for cell in here]
             y, error = [estimate.mean for estimate in estimates], [[estimate.half_width for estimate in estimates]] * 2
-        axes.errorbar(x, y, error, color=colour, marker="o", ms=3, lw=1.0, elinewidth=0.6, label=defence)
+        axes.errorbar(x, y, error, color=colour, marker=mark, ms=3, lw=1.0, elinewidth=0.6, label=defence)
 
 
 @study("liars", __doc__, seconds=7.5, runs=40)

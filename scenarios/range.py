@@ -87,11 +87,11 @@ def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
     """Draw the active time over the range, a line per protocol."""
     from desim.analysis.drawing import palette
 
-    for k, (colour, name) in enumerate(zip(palette.SERIES, PROTOCOLS, strict=False)):
+    for k, (colour, mark, name) in enumerate(zip(palette.SERIES, palette.MARKERS, PROTOCOLS, strict=False)):
         line = [pursuit for pursuit in pursuits if pursuit.protocol == name]
         x = [pursuit.range * 1.03 ** (k - 2) for pursuit in line]  # shifted, so that error bars do not overlap
         y, error = [pursuit.active_time for pursuit in line], [pursuit.half_width for pursuit in line]
-        axes.errorbar(x, y, error, color=colour, marker="o", ms=3, lw=1.0, elinewidth=0.7, label=name)
+        axes.errorbar(x, y, error, color=colour, marker=mark, ms=3, lw=1.0, elinewidth=0.7, label=name)
     axes.set(xscale="log")
     axes.set_xticks(TICKS, [f"{tick:g}" for tick in TICKS])
     axes.minorticks_off()

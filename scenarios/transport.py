@@ -114,12 +114,12 @@ def draw(axes: "Axes", swept: str, lines: Mapping[str, Sequence[Estimate]]) -> N
     from desim.analysis.drawing import palette
 
     values = SWEEPS[swept]
-    for k, (colour, way) in enumerate(zip(palette.SERIES, WAYS, strict=False)):
+    for k, (colour, mark, way) in enumerate(zip(palette.SERIES, palette.MARKERS, WAYS, strict=False)):
         if way not in lines:
             continue
         places = [place + 0.05 * (k - 2) for place in range(len(values))]  # shifted, so that error bars are seen
         y, error = [estimate.mean for estimate in lines[way]], [estimate.half_width for estimate in lines[way]]
-        axes.errorbar(places, y, error, color=colour, marker="o", ms=3, lw=1.0, elinewidth=0.7, label=way)
+        axes.errorbar(places, y, error, color=colour, marker=mark, ms=3, lw=1.0, elinewidth=0.7, label=way)
     axes.set_xticks(range(len(values)), [f"{value:g}" for value in values])
 
 

@@ -1,6 +1,7 @@
 """Legends that would lie on data."""
 
 import pytest
+from matplotlib.lines import Line2D
 
 from desim.analysis.drawing.legends import covers_data
 from desim.analysis.drawing.plots import styled
@@ -42,6 +43,17 @@ def test_a_legend_on_data_is_moved_below_the_axes(draw, corner):
     (legend,) = figure.legends
     assert not covers_data(figure, legend.get_window_extent())
     assert not legend.get_window_extent().overlaps(axes.get_window_extent())
+
+
+def test_a_moved_legend_keeps_the_marks_of_lines_with_error_bars():
+    with styled(figsize=(3.0, 2.0)) as figure:
+        axes = figure.add_subplot()
+        for level, mark in ((0.2, "s"), (0.8, "D")):
+            axes.errorbar([0.05, 0.95], [level, level], yerr=0.5, marker=mark, label=mark)
+        axes.legend(loc="upper right")
+    (legend,) = figure.legends
+    marks = {line.get_marker() for line in legend.findobj(Line2D)}
+    assert {"s", "D"} <= marks
 
 
 def test_a_legend_beside_data_stays():

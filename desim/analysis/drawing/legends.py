@@ -21,7 +21,8 @@ def uncover_data(figure: Figure) -> bool:
         assert legend is not None
         texts, title = [text.get_text() for text in legend.get_texts()], legend.get_title().get_text()
         size = legend.get_texts()[0].get_fontsize()
-        handles = [handle for handle in legend.legend_handles if handle is not None]
+        drawn = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))  # a legend keeps no marks of these
+        handles = [drawn.get(text, handle) for text, handle in zip(texts, legend.legend_handles, strict=True)]
         legend.remove()
         columns = min(len(texts), MAX_COLUMNS)
         figure.legend(handles, texts, title=title, loc="outside lower center", ncols=columns, fontsize=size)
