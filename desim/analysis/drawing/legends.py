@@ -1,5 +1,7 @@
 """Legends that lie on data: they are moved out of the axes."""
 
+from typing import Any
+
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
@@ -21,8 +23,9 @@ def uncover_data(figure: Figure) -> bool:
         assert legend is not None
         texts, title = [text.get_text() for text in legend.get_texts()], legend.get_title().get_text()
         size = legend.get_texts()[0].get_fontsize()
-        drawn = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))  # a legend keeps no marks of these
-        handles = [drawn.get(text, handle) for text, handle in zip(texts, legend.legend_handles, strict=True)]
+        drawn, labels = axes.get_legend_handles_labels()
+        of_label: dict[str, Any] = dict(zip(labels, drawn, strict=True))  # with marks, which the handles may lack
+        handles = [of_label.get(text, handle) for text, handle in zip(texts, legend.legend_handles, strict=True)]
         legend.remove()
         columns = min(len(texts), MAX_COLUMNS)
         figure.legend(handles, texts, title=title, loc="outside lower center", ncols=columns, fontsize=size)
