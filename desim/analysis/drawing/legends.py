@@ -25,7 +25,9 @@ def uncover_data(figure: Figure) -> bool:
         size = legend.get_texts()[0].get_fontsize()
         drawn, labels = axes.get_legend_handles_labels()
         of_label: dict[str, Any] = dict(zip(labels, drawn, strict=True))  # with marks, which the handles may lack
-        handles = [of_label.get(text, handle) for text, handle in zip(texts, legend.legend_handles, strict=True)]
+        handles: list[Any] = [
+            of_label.get(text, handle) for text, handle in zip(texts, legend.legend_handles, strict=True)
+        ]
         legend.remove()
         columns = min(len(texts), MAX_COLUMNS)
         figure.legend(handles, texts, title=title, loc="outside lower center", ncols=columns, fontsize=size)
