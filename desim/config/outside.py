@@ -11,7 +11,6 @@ import re
 import secrets
 import socket
 import sys
-import threading
 import time
 import uuid
 from collections import ChainMap
@@ -46,9 +45,8 @@ SEEDED = {
 }
 """The names of the generators that do so if they are created without a seed."""
 PROCESS = {
-    **{getattr(os, name): f"os.{name}" for name in ("getenv", "getpid", "getppid", "getlogin")},
+    **{getattr(os, name): f"os.{name}" for name in ("getenv", "getlogin")},
     **{socket.gethostname: "socket.gethostname", platform.node: "platform.node"},
-    threading.get_ident: "threading.get_ident",
     hash: "hash()",
 }
 """The names of the functions whose results differ from process to process; the hash of a text does."""

@@ -31,8 +31,8 @@ class Message(NamedTuple):
 
 
 def _is_true(answer: Any, wanted: Callable[..., Any]) -> bool:
-    """Return the truth value of an answer of numpy; AnswerError if it is no truth value: None would drop messages."""
-    if isinstance(answer, np.bool_):
+    """Return a truth value, perhaps of numpy; AnswerError if the answer is none: None would drop messages."""
+    if isinstance(answer, bool | np.bool_):
         return bool(answer)
     raise wrong_answer("wanted(message) should return True or False", answer, wanted)
 
@@ -139,11 +139,7 @@ class Inbox:
             if arrival > now:
                 self._expect(arrival)
                 return
-            if (
-                wanted is None
-                or (answer := wanted(message)) is True
-                or (answer is not False and _is_true(answer, wanted))
-            ):
+            if wanted is None or _is_true(wanted(message), wanted):
                 event, self._waited_for = self._waited_for, None
                 if event is not None:
                     self._env.trigger(event, self._priority)
