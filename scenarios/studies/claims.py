@@ -498,6 +498,14 @@ CLAIMS = (
         sigmas=NORMAL_975,
     ),
     Claim(
+        "noisy",
+        GAME,
+        "With covariance intersection and c = .32 it is {.92 +- .12}",
+        [consistency(0.32, "covariance_intersection")],
+        share=2 / 3,
+        sigmas=NORMAL_975,
+    ),
+    Claim(
         "affordable",
         BREAKING,
         '`sap` violates "idle at most 2 in total against centralised" in {7.0 %} without it and in {2.5 %} with it,'

@@ -318,17 +318,17 @@ def chase_of_many(name: str) -> Scenario:
     return many_runs.moving_game(6, 6, many_runs.protocol_kind(name), many_runs.cooled(name, many_runs.COOLING))
 
 
-def noisy(diffusion: float) -> Scenario:
-    """Return `noisy.toml` with fusion by stamps and a diffusion of the velocity, m/s per sqrt(s)."""
-    changes = {"sensing.fusion": "by_stamp", "sensing.estimator.velocity_diffusion": diffusion}
+def noisy(diffusion: float, fusion: str) -> Scenario:
+    """Return `noisy.toml` with a kind of fusion and a diffusion of the velocity, m/s per sqrt(s)."""
+    changes = {"sensing.fusion": fusion, "sensing.estimator.velocity_diffusion": diffusion}
     return load(SCENARIOS / "noisy.toml").with_(changes)
 
 
-def consistency(diffusion: float) -> Number:
+def consistency(diffusion: float, fusion: str = "by_stamp") -> Number:
     """Return what measures the normalised squared error of `noisy`, over the runs in which a position is estimated."""
 
     def number(options: Options) -> tuple[float, float]:
-        (errors,) = options.measure([noisy(diffusion)], "", normalised_error)
+        (errors,) = options.measure([noisy(diffusion, fusion)], "", normalised_error)
         return of(mean([error for error in errors if not isnan(error)]))
 
     return number
