@@ -7,6 +7,7 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from pkgutil import walk_packages
 
 import pytest
 
@@ -21,6 +22,23 @@ from scenarios.studies.study import SCENARIOS
 from tests.golden import golden
 
 FACADES = pytest.mark.parametrize("facade", [desim, protocols])
+LAZY = [
+    package
+    for part in ("desim", "protocols")
+    for package in [
+        import_module(part),
+        *(import_module(m.name) for m in walk_packages(import_module(part).__path__, f"{part}.") if m.ispkg),
+    ]
+    if hasattr(package, "_HOMES")
+]
+"""The packages that import a public name on first access."""
+
+
+def test_every_name_that_a_package_imports_on_access_is_there():
+    assert {"desim", "desim.live", "desim.testing", "protocols"} <= {package.__name__ for package in LAZY}
+    for package in LAZY:
+        for name in package._HOMES:
+            assert getattr(package, name) is not None, (package.__name__, name)
 
 
 @FACADES

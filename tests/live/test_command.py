@@ -166,6 +166,10 @@ def test_what_is_no_result_is_told_beside_the_results(simulated, tmp_path, monke
     assert json.loads(done.stdout)
     assert done.stderr.count("a note") == 2
     assert f"wrote {tmp_path / 'out'}" in done.stderr
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {f"seed-{result.seed}" for result in live}
+    monkeypatch.setattr("desim.live.runs.runs", lambda *_, **__: live[:1])
+    assert CliRunner().invoke(main, ["live", RELAY, "-o", str(tmp_path / "one")]).exit_code == 0
+    assert (tmp_path / "one" / "run.json").is_file()
 
 
 def test_runs_that_are_equal_agree_and_late_timers_give_no_verdict(simulated):

@@ -224,6 +224,11 @@ def test_a_race_finds_the_best_and_says_who_was_dropped_when():
         None,
         *(dropped.after for dropped in reversed(result.selection.dropped)),
     ]
+    *others, best = result.selection.samples
+    for system, sample in enumerate(others):
+        both = min(len(sample), len(best))
+        assert result.behind(system).mean == pytest.approx(np.mean(sample[:both] - best[:both]))
+        assert result.behind(system).mean > 0.0
     assert raced(maximise=True).best == {"team.count": 2}
 
 

@@ -169,6 +169,10 @@ BODIES = {
         loose(at_once, steered=lambda self, command, *_: 2.0 * command),
         r"steered\(.*, expected a velocity of at most 2 m/s",
     ),
+    "steering that raises": (
+        loose(at_once, steered=lambda *_: 1 // 0),
+        r"steered\(.*\) raises ZeroDivisionError",
+    ),
     "no times": (
         loose(at_once, capture_times=lambda *_: None),
         r"capture_times\(.* of 8 pursuers returns None, expected as many times",
