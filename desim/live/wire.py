@@ -155,7 +155,7 @@ class Wire:
     def of(cls, scenario: Scenario) -> Self:
         """Return the datagrams of a scenario."""
         protocol, announce = scenario.protocol, scenario.announce
-        models = protocol, getattr(protocol, "schedule", None), announce.dissemination, announce.trust
+        models = protocol, scenario.protocol_traits.schedule, announce.dissemination, announce.trust
         return cls(scenario.team.count, len(scenario.evaders), OwnBodies(*models))
 
     def encode(self, content: Record | Message, port: str, size: int, *, to_one: bool, now: int = 0) -> bytes:
