@@ -14,12 +14,12 @@ import sys
 import time
 import uuid
 from collections import ChainMap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import date, datetime
 from dis import get_instructions
 from functools import lru_cache
 from types import CellType, CodeType, FunctionType, ModuleType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -50,6 +50,8 @@ PROCESS = {
     hash: "hash()",
 }
 """The names of the functions whose results differ from process to process; the hash of a text does."""
+GENERATORS = ((random.random.__self__, "random"), (np.random.random.__self__, "numpy.random"))  # type: ignore[attr-defined]
+"""The generators that all code of a process shares, with the names of their modules."""
 VARIABLES = ((os.environ, "os.environ"), (sys.argv, "sys.argv"))
 """The variables of a process, with their names."""
 BETWEEN = frozenset({"PUSH_NULL", "PRECALL", "RESUME", "NOP", "EXTENDED_ARG"})
@@ -75,20 +77,25 @@ class Outside(NamedTuple):
     """Sources of random numbers."""
     process: set[str]
     """What differs from process to process."""
+    generators: set[str]
+    """Generators of random numbers that all code shares."""
 
-
-NOTHING = Outside(set(), set(), set())
+    @classmethod
+    def of_all(cls, parts: Iterable["Outside"]) -> Self:
+        """Return what several functions take."""
+        return cls(*(set[str]().union(*names) for names in zip(cls(set(), set(), set(), set()), *parts, strict=True)))
 
 
 def outside_sources(function: FunctionType) -> Outside:
     """Return the names of what a function takes from outside of a run."""
-    clocks, entropy, process = set[str](), set[str](), set[str]()
+    clocks, entropy, process, generators = set[str](), set[str](), set[str](), set[str]()
     around = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
     places = ChainMap({name: cell.cell_contents for name, cell in around if cell != CellType()}, function.__globals__)
     for use in _uses(function.__code__):
         source = _denoted(use, places)
         variables = [_denoted(use._replace(names=use.names[:k]), places) for k in range(1, len(use.names) + 1)]
         process |= {name for variable, name in VARIABLES if any(each is variable for each in variables)}
+        generators |= {name for generator, name in GENERATORS if getattr(source, "__self__", None) is generator}
         try:
             is_own_hash = source is hash and function.__name__ == "__hash__"
             process |= {PROCESS[source]} if source in PROCESS and not is_own_hash else set()
@@ -97,7 +104,7 @@ def outside_sources(function: FunctionType) -> Outside:
             entropy |= {SEEDED[source]} if use.is_called_alone and source in SEEDED else set()
         except TypeError:  # it has no hash, and is none of them
             continue
-    return Outside(clocks, entropy, process)
+    return Outside(clocks, entropy, process, generators)
 
 
 def _denoted(use: Use, places: Mapping[str, Any]) -> Any:

@@ -3,6 +3,7 @@
 import random
 import re
 import sys
+import threading
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
@@ -18,7 +19,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from desim.config.outside import NOTHING, Outside, inner_code, outside_sources
+from desim.config.outside import Outside, inner_code, outside_sources
 from desim.config.own_modules import plain_name
 from desim.config.traits import module_of
 
@@ -88,31 +89,16 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
     These are the attributes of classes and functions, and the defaults, the variables of enclosing functions and the
     global variables that code of a user reads or writes. A collection to which the code only adds may change: it
     reports to the caller. A first run is never warned of, nor one before which the caller has reset the variable. But
-    even a first run is warned of if the global generators of `random` and `numpy.random` have advanced.
+    even a first run is warned of if the global generators of `random` and `numpy.random` have advanced; beside other
+    threads, only if its code names functions of theirs.
 
     Args:
         objects: the classes and functions, perhaps among other objects.
         snapshot: returns what differs if a value has changed; None if that cannot be found out.
     """
     objects = _reached(objects)
-    outside = [_outside(item) for item in objects]
-    if clocks := sorted({name for names, _, _ in outside for name in names}):
-        text = (
-            f"{' and '.join(clocks)}: the clock of the computer is not the one of the simulation; a protocol reads the"
-            " time with `me.now` and waits with `yield me.sleep(0.1)`, and a model has the times in its arguments"
-        )
-        _warn(text)
-    if entropy := sorted({name for _, names, _ in outside for name in names}):
-        text = (
-            f"{' and '.join(entropy)}: these random numbers do not follow from the seed, so another run gives other"
-            " results; a protocol should draw from `me.rng`, any other model from the `rng` that it is called with"
-        )
-        _warn(text)
-    if process := sorted({name for _, _, names in outside for name in names}):
-        text = (
-            f"{' and '.join(process)}: what a process has is no part of the scenario, and may differ in another one, so"
-            " another run may give other results; give parameters as fields of a model, and hash texts with zlib.crc32"
-        )
+    outside = Outside.of_all(map(_outside, objects))
+    for text in _warnings_of(outside):
         _warn(text)
     reads = list(_shared(objects))
     before = [snapshot(read()) for _, _, read in reads]
@@ -141,7 +127,9 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
                 " instance (self)"
             )
             _warn(text)
-    if drawn_from := [name for name, state in _global_generators().items() if state != generators[name]]:
+    is_alone = threading.active_count() == 1  # else another thread may have drawn, one of a cluster for instance
+    drawn = [name for name, state in _global_generators().items() if state != generators[name]]
+    if drawn_from := [name for name in drawn if is_alone or name in outside.generators]:
         text = (
             f"{' and '.join(drawn_from)}: the run has drawn from the global generator, so another run gives other"
             " results; a protocol should draw from `me.rng`, any other model from the `rng` that it is called with"
@@ -329,8 +317,31 @@ def _outside(item: Any) -> Outside:
     functions = [getattr(item, "__func__", item)]
     for base in item.__mro__ if isinstance(item, type) else type(item).__mro__:
         functions += [] if is_foreign(base) else [getattr(value, "__func__", value) for value in [*vars(base).values()]]
-    found = [outside_sources(code) for code in functions if isinstance(code, FunctionType) and not is_foreign(code)]
-    return Outside(*(set[str]().union(*names) for names in zip(*found, strict=True))) if found else NOTHING
+    return Outside.of_all(
+        outside_sources(code) for code in functions if isinstance(code, FunctionType) and not is_foreign(code)
+    )
+
+
+def _warnings_of(outside: Outside) -> Iterator[str]:
+    """Yield the warnings of clocks, random numbers without the run's seed, and what differs from process to process."""
+    if outside.clocks:
+        yield (
+            f"{' and '.join(sorted(outside.clocks))}: the clock of the computer is not the one of the simulation; a"
+            " protocol reads the time with `me.now` and waits with `yield me.sleep(0.1)`, and a model has the times in"
+            " its arguments"
+        )
+    if outside.entropy:
+        yield (
+            f"{' and '.join(sorted(outside.entropy))}: these random numbers do not follow from the seed, so another run"
+            " gives other results; a protocol should draw from `me.rng`, any other model from the `rng` that it is"
+            " called with"
+        )
+    if outside.process:
+        yield (
+            f"{' and '.join(sorted(outside.process))}: what a process has is no part of the scenario, and may differ in"
+            " another one, so another run may give other results; give parameters as fields of a model, and hash texts"
+            " with zlib.crc32"
+        )
 
 
 def _is_installed(module: ModuleType) -> bool:

@@ -995,12 +995,16 @@ def test_state_in_a_class_a_function_or_a_module_is_warned_of(strategy, name):
         run(game(strategy), 1)
 
 
-@pytest.mark.slow_but_one
-@pytest.mark.parametrize(
-    ("draw", "module"),
-    [(lambda: random.random(), "random"), (lambda: np.random.normal(), r"numpy\.random"), (lambda: 1.0, None)],  # noqa: NPY002
-)
-def test_a_first_run_that_draws_from_a_global_generator_is_warned_of(draw, module):
+GLOBALLY = [
+    (lambda: random.random(), "random"),
+    (lambda: np.random.normal(), "numpy.random"),  # noqa: NPY002
+    (lambda: 1.0, None),
+]
+
+
+def generators_warned_of(draw):
+    """Return the modules whose generators a run is warned of in which a strategy draws."""
+
     def strategy(state, rng):
         return np.exp(1j * draw())
 
@@ -1008,9 +1012,31 @@ def test_a_first_run_that_draws_from_a_global_generator_is_warned_of(draw, modul
         simplefilter("always")
         run(game(strategy), 1)
     texts = [str(warning.message) for warning in caught if warning.category is StateWarning]
-    assert len(texts) == (module is not None)
-    for text in texts:
-        assert re.match(f"{module}: the run has drawn from the global generator", text)
+    assert all(": the run has drawn from the global generator" in text for text in texts)
+    return [text.partition(":")[0] for text in texts]
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize(("draw", "module"), GLOBALLY)
+def test_a_first_run_that_draws_from_a_global_generator_is_warned_of(draw, module):
+    assert generators_warned_of(draw) == ([] if module is None else [module])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("draw", "module"), GLOBALLY)
+def test_draws_of_another_thread_are_not_those_of_the_run(draw, module):
+    """The threads of a cluster draw, too, so that a run beside them is warned of what its code names."""
+    over, expected = threading.Event(), [] if module is None else [module]
+
+    def other():
+        while not over.wait(1e-4):
+            random.random()
+
+    threading.Thread(target=other, daemon=True).start()
+    try:
+        assert generators_warned_of(draw) == expected
+    finally:
+        over.set()
 
 
 def with_a_global_on_its_edges(size):

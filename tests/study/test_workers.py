@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
 
@@ -240,13 +241,18 @@ def test_a_malformed_address_is_reported(tmp_path, monkeypatch, address):
     assert line.startswith(f"{address}: no scheduler answers")
 
 
+@contextmanager
 def dask(program, *options):
-    """Start a part of a cluster of one's own."""
-    return subprocess.Popen(
+    """Run a part of a cluster of one's own, and end it, also if the test fails."""
+    with subprocess.Popen(
         [sys.executable, "-m", f"distributed.cli.dask_{program}", *map(str, options), "--no-dashboard"],
         env={**os.environ, "PYTHONPATH": str(sweeps.ROOT)},
         stderr=subprocess.DEVNULL,
-    )
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 @pytest.fixture
@@ -257,7 +263,6 @@ def scheduler_alone(tmp_path):
         while not note.exists():
             time.sleep(0.05)
         yield process, json.loads(note.read_text())["address"]
-        process.kill()
 
 
 def test_a_cluster_whose_workers_or_scheduler_have_gone_is_reported():
@@ -291,10 +296,9 @@ def test_a_cluster_without_workers_and_the_loss_of_its_scheduler_are_reported(tm
 
     assert swept("none") == (f"{address}: has no workers within 2 s\n", 0)
     options = (address, "--nthreads", 1, "--no-nanny", "--death-timeout", 1)
-    with dask("worker", *options) as worker:
+    with dask("worker", *options):
         sweeps.await_workers(address, 1)
         said, done = swept("left", bad=(6,), how="leave")
-        worker.kill()
     assert said == f"{address}: has no workers within 2 s\n"
     assert 1 <= done < 40
 
@@ -303,13 +307,12 @@ def test_a_cluster_without_workers_and_the_loss_of_its_scheduler_are_reported(tm
             time.sleep(0.02)
         scheduler.kill()
 
-    with dask("worker", *options) as worker:
-        killer = threading.Thread(target=kill)
+    with dask("worker", *options):
+        killer = threading.Thread(target=kill, daemon=True)
         killer.start()
         sweeps.await_workers(address, 1)
         said, done = swept("lost", pause=0.05)
         killer.join()
-        worker.kill()
     assert said == f"{address}: disconnected before the runs were done\n"
     assert 5 <= done < 40
 
