@@ -7,6 +7,7 @@ import sys
 import time
 from math import sqrt
 from random import Random
+from types import SimpleNamespace
 from typing import ClassVar
 
 import pytest
@@ -20,6 +21,7 @@ from desim.kernel.transport.layer import PORT as FRAMES
 from desim.live import Node, NotLiveError, sockets
 from desim.live.frames import _segment_of, segment_list
 from desim.live.own_bodies import OwnBodies
+from desim.live.pursuer import _Pursuer
 from desim.live.refusals import reasons
 from desim.live.sockets import Mailbox, udp_socket
 from desim.live.wire import Wire
@@ -162,6 +164,23 @@ def test_random_datagrams_do_not_stop_a_node():
             node.link.outcomes.clear()
     node._env.advance(10**9)
     assert sum(node.link.drops) >= 99_900
+
+
+def test_a_pursuer_leaves_as_its_last_report_has_been_read():
+    async def leave():
+        told, ended = [], asyncio.get_running_loop().create_future()
+        lines = SimpleNamespace(
+            ended=ended, tell=lambda what, *_: told.append(what), close=lambda: told.append("close")
+        )
+        pursuer = object.__new__(_Pursuer)
+        pursuer._lines, pursuer._node = lines, node_with()
+        leaving = asyncio.create_task(pursuer._leave(0.0))
+        await asyncio.sleep(0.01)
+        assert (leaving.done(), told) == (False, ["report", "done", "close"])
+        ended.set_result(None)
+        await leaving
+
+    asyncio.run(leave())
 
 
 def test_a_motion_step_arrives_as_it_was_sent():
