@@ -269,3 +269,16 @@ def test_another_seed_has_other_states():
 @given(st.lists(st.floats(-1e5, 1e5), min_size=1, max_size=20))
 def test_the_cosine_of_turns_is_the_cosine(turns):
     np.testing.assert_allclose(cos_of_turns(np.array(turns)), np.cos(2.0 * pi * np.fmod(turns, 1.0)), atol=1e-9)
+
+
+@pytest.mark.parametrize(("m", "count"), [(0.5, 1), (1.0, 2), (1.6, 3), (8.0, 16), (20.0, 16)])
+def test_nakagami_fading_has_twice_m_processes_of_at_most_sixteen(m, count):
+    asked = []
+
+    def normals(number):
+        asked.append(number)
+        return np.ones((number, 3))
+
+    powers = nakagami_powers(m, normals)
+    assert asked == [count]
+    assert (powers == 1.0).all() == (2.0 * m == count)

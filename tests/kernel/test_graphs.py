@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from desim.kernel.models.graphs import Complete, Edge, Edges, Grid, Link, Ring, Star, as_model
+from desim.kernel.models.graphs import Complete, Edge, Edges, Grid, Link, Ring, Star, as_model, graph_of
 from desim.kernel.models.latency import Constant, Gamma
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli, GilbertElliott
@@ -196,3 +196,9 @@ def test_a_link_has_its_directions():
     lossy = {"loss": Bernoulli(p=0.5)}
     assert Link(src=2, dst=0, **lossy).ways() == [(2, 0)]
     assert Link(src=2, dst=0, both_ways=True, **lossy).ways() == [(2, 0), (0, 2)]
+
+
+@pytest.mark.parametrize("made", [None, 3, [0, 1, 2], {0: [1], 1: [0], 2: []}])
+def test_what_is_no_graph_of_networkx_is_refused(made):
+    with pytest.raises(ValueError, match=f"simple graph of 3 nodes, got {type(made).__name__}, not a networkx.Graph"):
+        graph_of(lambda size: made, 3)

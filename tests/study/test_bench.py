@@ -130,6 +130,7 @@ def test_the_figure_has_the_totals_and_the_scores():
     assert [drawn[0].get_xdata()[0] for drawn in (quality, score)] == pytest.approx([1.0, 1.0])
     assert {drawn[0].get_markerfacecolor() for drawn in totals.containers} == {"white", BLUE}
     assert [text.get_text() for text in scores.texts] == ["1.00", "0.75"]
+    assert [text.get_text().partition(":")[0] for text in totals.get_legend().get_texts()] == ["quality", "score"]
 
 
 @pytest.mark.slow

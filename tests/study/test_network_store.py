@@ -40,6 +40,8 @@ D: /mnt/d drvfs rw,noatime 0 0
 shared /media/sf_shared vboxsf rw,nodev,relatime 0 0
 share /guest virtiofs rw 0 0
 AFS /afs afs rw,relatime,dyn 0 0
+AuriStorFS /auri auristorfs rw 0 0
+old /old smbfs rw 0 0
 node:/volume /gluster fuse.glusterfs rw 0 0
 remote:drive /home/local/Drive fuse.rclone rw,nosuid,nodev 0 0
 overlay /container overlay rw,lowerdir=/a,upperdir=/home/b 0 0
@@ -97,6 +99,8 @@ def made(path):
         "/media/sf_shared/x": "a folder of the host",
         "/guest/x": "virtiofs",
         "/afs/cell/x": "AFS",
+        "/auri/x": "AFS",
+        "/old/x": "SMB",
         "/gluster/x": "FUSE",
         "/home/local/Drive/x": "FUSE",
         "/container/x": "",

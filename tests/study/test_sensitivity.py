@@ -1,6 +1,7 @@
 """Sensitivity: the estimators against known indices, and the analysis that performs runs for them."""
 
 from math import nan, pi, sqrt
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from scipy import stats
 from desim import Scenario, sensitivity
 from desim.study.sensitivity.morris import LEVELS, STEP, elementary_effects, morris_points
 from desim.study.sensitivity.sensitivity_figure import draw_sensitivity
-from desim.study.sensitivity.sensitivity_result import _with_interval
+from desim.study.sensitivity.sensitivity_result import SensitivityResult, _with_interval
 from desim.study.sensitivity.sobol_indices import IndexEstimate, SobolIndices, saltelli_points, sobol_indices
 from desim.study.store.store import Store
 
@@ -227,3 +228,12 @@ def test_the_figure_of_indices_names_its_bars_if_there_are_some():
         assert [text.get_text() for legend in figure.legends for text in legend.get_texts()] == (
             ["total index", "first-order index"] if is_varied else []
         )
+
+
+@pytest.mark.parametrize(
+    ("variance", "of_chance", "share"), [(3.0, 1.0, 0.25), (-0.5, 2.0, 1.0), (3.0, nan, nan), (0.0, 0.0, nan)]
+)
+def test_the_share_of_chance_is_that_of_the_variance_of_a_run(variance, of_chance, share):
+    """A variance that is estimated below 0 counts as 0."""
+    indices = SobolIndices((), (), variance, of_chance, is_varied=True)
+    assert SensitivityResult.chance.fget(SimpleNamespace(indices=indices)) == pytest.approx(share, nan_ok=True)
