@@ -224,6 +224,15 @@ def test_a_lock_of_another_host_is_stale_by_its_age_and_not_by_its_process(tmp_p
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_lock_that_is_never_released_does_not_keep_its_process(tmp_path):
+    others = {*threading.enumerate()}
+    lock = LockFile(tmp_path / "lock")
+    assert lock.try_acquire() is None
+    started = {*threading.enumerate()} - others
+    lock.release()
+    assert [thread.daemon for thread in started] == [True]
+
+
 @pytest.mark.parametrize(("pid", "is_free"), [((1 << 22) + 1, True), (os.getppid(), False)])
 def test_a_lock_of_this_host_is_stale_as_soon_as_its_process_is_gone(tmp_path, pid, is_free):
     lock = LockFile(held(tmp_path / "lock", place=lock_file.place(), pid=pid))
