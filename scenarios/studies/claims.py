@@ -16,6 +16,7 @@ from scenarios.studies import (
     coherence_runs,
     contention_runs,
     evaders_runs,
+    learning_runs,
     liars_runs,
     range_runs,
     start_runs,
@@ -25,12 +26,17 @@ from scenarios.studies.claims_runs import (
     Number,
     age,
     all_at_once,
+    alone,
+    alone_in_relay,
     announcing,
     average,
+    benchmarked,
     bounds_of_imperfect,
     chase_of_many,
     consistency,
     cost,
+    cost_of_learned,
+    crash_time,
     delayed_by,
     difference,
     excess,
@@ -41,18 +47,23 @@ from scenarios.studies.claims_runs import (
     increase,
     inferring,
     late,
+    learning_cost,
+    least_and_greatest,
     leaves_alone,
+    lossy,
     lost_by,
     nearest_at_random,
     nearest_only,
     of_inertia,
     of_latency,
     of_table1,
+    outliers,
     over_before_the_second,
     per_handover,
     price,
     raced,
     retransmitting_saves,
+    runs_of_version,
     share,
     survives,
     transported,
@@ -113,6 +124,7 @@ README, FINDINGS, NEGOTIATION = "README.md", "docs/explanation/findings.md", "do
 VALIDATION, GAME, TIME = "docs/explanation/validation.md", "docs/explanation/game.md", "docs/explanation/time.md"
 HOWTO, FIRST, OWN = "docs/howto/protocols.md", "docs/tutorials/first_pursuit.md", "docs/tutorials/own_protocol.md"
 RACE, BEST, BREAKING = "docs/howto/race.md", "docs/howto/which_is_best.md", "docs/howto/breaking.md"
+BENCH = "docs/howto/bench.md"
 COMMANDS = MappingProxyType(
     {
         "worth": "--worth",
@@ -121,6 +133,9 @@ COMMANDS = MappingProxyType(
         "inference": 'sweep(Scenario(protocol="local_min")',
         "noisy": "python -m scenarios.check_pages --only noisy --seed 0",
         "affordable": "python -m scenarios.check_pages --only affordable --seed 0 --runs 400",
+        "delays": "python -m scenarios.learning --delays",
+        "bench": "desim bench",
+        "break": "desim break relay.toml",
         "order": "python -m scenarios.check_pages --only order --seed 0 --runs 40",
         "howto": "Team(speeds=2.5), protocol=nearest_only",
         "tutorials": "sweep(",
@@ -130,6 +145,7 @@ COMMANDS = MappingProxyType(
 )
 """What a page names beside a number that no study of this name measured."""
 CLOCKS = SpatialAdaptivePlay(schedule=Poisson(rate=5.0))
+BEHIND = ("sap", "best_response")
 SIMPLE, RELIABLE = bodies_runs.SIMPLE, transport_runs.RELIABLE
 
 
@@ -515,6 +531,120 @@ CLAIMS = (
             for protocol in ("sap", "best_response", "local_min")
             for timeout in ("auto", "affordable")
         ],
+    ),
+    Claim(
+        "affordable",
+        BREAKING,
+        "violated with either, {14.8 %} and {14.8 %}. A time-out costs nearly nothing: with a loss of 0.2 and no crash,"
+        ' `sap` is active for {0.012 +- 0.008} s more with "affordable", of {6.2 +- 0.2} s',
+        (
+            *(leaves_alone("cbaa", timeout) for timeout in ("auto", "affordable")),
+            difference(active_time, lossy("affordable"), lossy("auto")),
+            average(active_time, lossy("auto")),
+        ),
+    ),
+    Claim(
+        "break",
+        BREAKING,
+        "argmin {-15.9} {18} violates argmin_known {-15.9} {18} violates cbaa {-15.9} {18} violates ... best_response"
+        " {0.63} {1.46} binary_log_linear {0.63} {1.46} sap {0.63} {1.46}",
+        [
+            alone_in_relay(protocol, beyond=beyond)
+            for protocol in ("argmin", "argmin_known", "cbaa", "best_response", "binary_log_linear", "sap")
+            for beyond in (True, False)
+        ],
+    ),
+    Claim("break", BREAKING, "(it has {18} s, centralised {0.09} s)", [*map(alone_in_relay, ("cbaa", "centralised"))]),
+    Claim(
+        "breaking",
+        BREAKING,
+        "the chaser crashes at {0.7} s ([file](../_static/broken/argmin.toml), "
+        '<a href="broken/argmin.html#t=0.7">film</a>) | {6.8} |',
+        (crash_time("argmin"), alone("argmin")),
+    ),
+    Claim(
+        "breaking",
+        BREAKING,
+        "| case 34: the same with three pursuers | {6.8} |",
+        [alone("argmin", {"protocol": "best_response", "team.count": 3})],
+    ),
+    Claim(
+        "breaking",
+        BREAKING,
+        "the chaser crashes at {0.7} s, and 6.8 s are left ([file](../_static/broken/jsfp.toml), "
+        '<a href="broken/jsfp.html#t=0.7">film</a>) | {6.8} | it takes over {0.9} s after the crash, too late for 7.5'
+        " s; with 9 s it is idle for {0.9} s in all. `sap` needs {0.6} s",
+        (
+            crash_time("jsfp"),
+            alone("jsfp"),
+            *[alone("jsfp", {"horizon": 9.0})] * 2,
+            alone("jsfp", {"protocol": "sap"}),
+        ),
+    ),
+    Claim(
+        "breaking",
+        BREAKING,
+        "number 2, the winner, crashes at {0.9} s ([file](../_static/broken/cbaa.toml), "
+        '<a href="broken/cbaa.html#t=0.9">film</a>); without such crashes case 1: four pursuers, the chaser crashes at'
+        ' {2} s ([file](../_static/broken/cbaa-2.toml), <a href="broken/cbaa-2.html#t=2">film</a>) | {6.6}; {5.5} |',
+        (crash_time("cbaa"), crash_time("cbaa-2"), alone("cbaa"), alone("cbaa-2")),
+    ),
+    Claim(
+        "breaking",
+        BREAKING,
+        "number 0, the server, crashes at {3} s ([file](../_static/broken/server.toml), "
+        '<a href="broken/server.html#t=3">film</a>) | {8.0} |',
+        (crash_time("server"), alone("server")),
+    ),
+    Claim("breaking", BREAKING, '-trimmed.html#t=4">film</a>) | {11.0} |', [alone("local_min-trimmed")]),
+    Claim(
+        "bench",
+        BENCH,
+        "The games `sap` and `best_response` are {0.05} to {0.07} behind `local_min` on a perfect network, and {0.07}"
+        " to {0.08} on those of the scenarios",
+        (*least_and_greatest("quality", BEHIND), *least_and_greatest("score", BEHIND)),
+    ),
+    Claim(
+        "bench",
+        BENCH,
+        "The network costs `argmin` {0.12} and `local_min` {0.12}",
+        [benchmarked("loss", protocol) for protocol in ("argmin", "local_min")],
+    ),
+    Claim(
+        "bench",
+        BENCH,
+        "On a perfect network `cbba` is worth {0.93}, and `sap` {0.93}",
+        [benchmarked("quality", protocol) for protocol in ("cbba", "sap")],
+    ),
+    Claim("bench", BENCH, "`argmin` would score about {1.04}", [benchmarked("quality", "argmin")]),
+    Claim(
+        "bench",
+        BENCH,
+        "come from {2} of {16} runs, {3} under `server`",
+        (outliers("cbaa"), runs_of_version, outliers("server")),
+    ),
+    Claim(
+        "learning",
+        FINDINGS,
+        "it costs {5.8 +- 0.4} s, `local_min` {5.7 +- 0.4} s, SAP {6.9 +- 0.5} s, and a team in which all chase {20.1"
+        " +- 1.6} s",
+        (
+            cost_of_learned(learning_runs.LATENCY, learning_runs.LATENCY),
+            *(learning_cost(rule, learning_runs.LATENCY) for rule in learning_runs.RIVALS.values()),
+        ),
+        sigmas=NORMAL_975,
+    ),
+    Claim(
+        "delays",
+        FINDINGS,
+        "costs {5.0 +- 0.4} s without delay and {30.8 +- 5.6} s at a latency of 1 s (+- standard error). Trained with 1"
+        " s it costs {5.1 +- 0.4} s and {12.1 +- 0.6} s",
+        [
+            cost_of_learned(trained_at, latency)
+            for trained_at in (learning_runs.NO_DELAY, learning_runs.DELAY)
+            for latency in (learning_runs.NO_DELAY, learning_runs.DELAY)
+        ],
+        sigmas=NORMAL_975,
     ),
     Claim(
         "order",

@@ -1,13 +1,15 @@
 """The measurements of the numbers in `scenarios.studies.claims`: each function returns what measures a number."""
 
-from collections.abc import Callable
-from functools import reduce
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial, reduce
 from math import isnan, nan
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from desim import Result, Scenario, Team, load
+from desim import Result, Scenario, Team, bench, load, run
 from desim.analysis.metrics import active_time, end_time, excess_time, idle_time
 from desim.analysis.statistics import Estimate, mean, paired, wilson
 from desim.kernel.models.latency import Constant
@@ -19,14 +21,17 @@ from desim.pursuit.team.targeted_faults import ChaserCrash
 from desim.scenario.players import Evader
 from desim.scenario.scenario import Motion
 from desim.study.ablation.imperfections import IMPERFECTIONS, with_perfect_network, without_messages
+from desim.study.comparing.suite import AS_IT_IS
 from protocols.best_response import BestResponse
 from protocols.centralised import Centralised
+from protocols.rule import Rule
 from scenarios.studies import (
     bodies_runs,
     coherence_runs,
     contention_runs,
     delay_runs,
     evaders_runs,
+    learning_runs,
     liars_runs,
     many_runs,
     range_runs,
@@ -351,22 +356,116 @@ def in_order(order: str) -> Scenario:
     return Scenario(protocol=Centralised(slot=0.1), motion=Motion(step=0.1, order=order))
 
 
+FIVE_CRASHED = Scenario(
+    team=Team(count=5),
+    network=Links(latency=Constant(value=0.1)),
+    announce=Announcements(heartbeat=0.34),
+    fault=(ChaserCrash(start=0.6),),
+)
+"""Five pursuers with heartbeats each 0.34 s; their chaser crashes."""
+
+
+def lossy(timeout: str) -> Scenario:
+    """Return the same team under `sap`, with a loss of 0.2 and no crash; `timeout`: how long beliefs last."""
+    return FIVE_CRASHED.with_({"protocol": "sap", "fault": (), "network.loss": 0.2, "announce.belief_timeout": timeout})
+
+
 def leaves_alone(protocol: str, timeout: str) -> Number:
     """Return what measures how often an evader whose chaser crashes is alone for 2 s longer than under `centralised`.
 
     There are five pursuers, heartbeats each 0.34 s, and `timeout` is how long announcements are believed.
     """
-    base = Scenario(
-        team=Team(count=5),
-        network=Links(latency=Constant(value=0.1)),
-        announce=Announcements(heartbeat=0.34),
-        fault=(ChaserCrash(start=0.6),),
-    )
-    late = base.with_({"protocol": protocol, "announce.belief_timeout": timeout})
+    late = FIVE_CRASHED.with_({"protocol": protocol, "announce.belief_timeout": timeout})
 
     def number(options: Options) -> tuple[float, float]:
-        idle, least = options.measure([late, base.with_({"protocol": "centralised"})], "", idle_time)
+        idle, least = options.measure([late, FIVE_CRASHED.with_({"protocol": "centralised"})], "", idle_time)
         return in_trials(sum(some > other + 2.0 for some, other in zip(idle, least, strict=True)), len(idle))
+
+    return number
+
+
+def alone_in(scenario: Scenario, seed: int) -> Number:
+    """Return what measures how long the evader is left alone in one run, s."""
+    return lambda _: (idle_time(run(scenario, seed)), 0.0)
+
+
+def broken(name: str) -> Scenario:
+    """Return a scenario of the page on what breaks protocols, with its seed."""
+    return load(SCENARIOS.parent / f"docs/_static/broken/{name}.toml")
+
+
+def alone(name: str, changes: Mapping[str, Any] = MappingProxyType({})) -> Number:
+    """Return what measures how long the evader is left alone in a scenario that breaks a protocol, changed or not."""
+
+    def number(options: Options) -> tuple[float, float]:
+        scenario = broken(name)
+        return alone_in(scenario.with_(changes), scenario.seed)(options)
+
+    return number
+
+
+def crash_time(name: str) -> Number:
+    """Return what reads when a pursuer crashes in a scenario that breaks a protocol, s."""
+    return lambda _: (broken(name).fault[0].start, 0.0)
+
+
+def alone_in_relay(protocol: str, *, beyond: bool = False) -> Number:
+    """Return what measures how long the evader is left alone in the smallest scenario of an example, s.
+
+    `beyond`: how much less that is than the property allows, 2 s longer than under `centralised`.
+    """
+    changes = {"network.latency": 0.1, "announce.heartbeat": 0.34, "fault": (ChaserCrash(start=4.0),), "horizon": 22.0}
+
+    def number(options: Options) -> tuple[float, float]:
+        relay = load(SCENARIOS / "relay.toml").with_(changes)
+        idle, least = (
+            alone_in(relay.with_({"protocol": one}), 1_000_018)(options)[0] for one in (protocol, "centralised")
+        )
+        return (least + 2.0 - idle if beyond else idle), 0.0
+
+    return number
+
+
+def benchmarked(part: str, protocol: str) -> Number:
+    """Return what reads the score, the quality or the loss of a protocol in the newest version of the benchmark."""
+    return lambda _: (getattr(bench().totals[protocol], part).value, 0.0)
+
+
+def least_and_greatest(part: str, protocols: Sequence[str]) -> tuple[Number, Number]:
+    """Return what reads by how much at least and at most protocols are behind `local_min` in the benchmark."""
+
+    def number(choose: Callable[[list[float]], float], options: Options) -> tuple[float, float]:
+        reference, *others = (benchmarked(part, protocol)(options)[0] for protocol in ("local_min", *protocols))
+        return choose([reference - other for other in others]), 0.0
+
+    return partial(number, min), partial(number, max)
+
+
+def runs_of_version(_: Options) -> tuple[float, float]:
+    """Return the number of runs of the newest version of the benchmark."""
+    return bench().runs, 0.0
+
+
+def outliers(protocol: str) -> Number:
+    """Return what counts the runs with liars in the benchmark that cost more than 3 s in which all of eight chase."""
+    return lambda _: (int(np.sum(bench().costs["liars"][protocol][AS_IT_IS] > 3.0 * 8)), 0.0)
+
+
+def learning_cost(rule: Rule, latency: float) -> Number:
+    """Return what measures the cost of a rule in the game of `scenarios.learning`, s."""
+    return average(learning_runs.cost, learning_runs.scenario(rule, latency))
+
+
+def cost_of_learned(trained_at: float, latency: float) -> Number:
+    """Return what measures the cost at a latency of the rule that `scenarios.learning` trains at another one, s.
+
+    The training has the root seed 0, as that of the page: another seed gives another rule. Its runs are kept in `out`.
+    """
+
+    def number(options: Options) -> tuple[float, float]:
+        training = replace(options, name=f"check_pages.trained_{trained_at:g}", runs=1, seed=0)
+        generations = learning_runs.train(training, learning_runs.notebook(training), trained_at)
+        return learning_cost(learning_runs.linear(generations[-1].mean), latency)(options)
 
     return number
 
