@@ -770,7 +770,10 @@ PIXEL = """(([x, y]) => {{
 
 def drag(page, start, end, *, drops=True):
     """Press the button of the mouse at a place (m), move to another one, and let it go."""
-    pixels = [page.value(PIXEL.format(list(place))) for place in (start, end)]
+    pixels, before = None, []
+    while pixels != before:  # a message that appears moves the plane, a frame later
+        time.sleep(0.1)
+        pixels, before = [page.value(PIXEL.format(list(place))) for place in (start, end)], pixels
     for kind, (x, y) in [("mousePressed", pixels[0]), *(("mouseMoved", each) for each in pixels)]:
         page.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
     if drops:
