@@ -14,7 +14,6 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 import desim
 from desim.learning.environments import ParallelPursuit
-from desim.learning.rewards import Step
 from protocols.policy import Policy
 from scenarios.studies.library_runs import LATELY, Progress, exported, game, minus_cost
 
@@ -28,10 +27,14 @@ class TeamVecEnv(VecEnv):
         env: the environment of the team.
         seed: the seed of the first episode; the next ones follow from it.
         features: the names of the n numbers of an observation that the policy gets.
+
+    Attributes:
+        costs: the costs of the last episodes; the reward of each pursuer is minus the cost of a step.
     """
 
     def __init__(self, env: ParallelPursuit, seed: int, features: Sequence[str]):
-        self.env, self._first_seed = env, seed
+        self.env, self._first_seed, self._cost = env, seed, 0.0
+        self.costs: deque[float] = deque(maxlen=LATELY)
         self._columns = [env.observation_names.index(name) for name in features]
         bounds: Any = env.observation_space(env.possible_agents[0])
         space = Box(bounds.low[self._columns], bounds.high[self._columns])
@@ -50,7 +53,10 @@ class TeamVecEnv(VecEnv):
         """Let all act; if the episode ends, the observations are the first ones of the next, as SB3 expects."""
         observations, rewards, terminations, truncations, self._infos = self.env.step(self._actions)
         infos: list[dict[str, Any]] = [{} for _ in observations]
+        self._cost -= next(iter(rewards.values()))
         if not self.env.agents:
+            self.costs.append(self._cost)
+            self._cost = 0.0
             for info, (name, last) in zip(infos, observations.items(), strict=True):
                 info |= {"terminal_observation": last[self._columns], "TimeLimit.truncated": truncations[name]}
             observations, self._infos = self.env.reset()
@@ -89,27 +95,10 @@ class TeamVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
 
-class Costs:
-    """A reward that also keeps the costs of the last episodes."""
-
-    def __init__(self) -> None:
-        self.ended: deque[float] = deque(maxlen=LATELY)
-        self._cost = 0.0
-
-    def __call__(self, step: Step) -> float:
-        """Return minus the cost of a step, the reward of each pursuer."""
-        reward = minus_cost(step)
-        self._cost -= reward
-        if step.is_last:
-            self.ended.append(self._cost)
-            self._cost = 0.0
-        return reward
-
-
 class Curve(BaseCallback):
     """Keep the progress of a training, once before each update of the policy."""
 
-    def __init__(self, costs: Costs):
+    def __init__(self, costs: deque[float]):
         super().__init__()
         self._costs = costs
         self.progress: list[Progress] = []
@@ -118,7 +107,7 @@ class Curve(BaseCallback):
         return True
 
     def _on_rollout_end(self) -> None:
-        self.progress.append(Progress(self.num_timesteps, float(np.mean(self._costs.ended))))
+        self.progress.append(Progress(self.num_timesteps, float(np.mean(self._costs))))
 
 
 def train(seed: int, steps: int) -> tuple[Policy, Sequence[Progress]]:
@@ -129,10 +118,10 @@ def train(seed: int, steps: int) -> tuple[Policy, Sequence[Progress]]:
         steps: the number of steps of pursuers.
     """
     torch.set_num_threads(1)
-    costs = Costs()
-    team = desim.parallel_env(game(), reward=costs)
+    team = desim.parallel_env(game(), reward=minus_cost)
     features = [name for name in team.observation_names if name.startswith(("own.", "evader_"))]
-    envs = VecNormalize(TeamVecEnv(team, seed + 1, features), gamma=0.99, epsilon=1e-2, clip_obs=100.0)
+    pursuers = TeamVecEnv(team, seed + 1, features)
+    envs = VecNormalize(pursuers, gamma=0.99, epsilon=1e-2, clip_obs=100.0)
     network = {"net_arch": [32, 32], "activation_fn": torch.nn.Tanh}
     model = MaskablePPO(
         "MlpPolicy",
@@ -145,7 +134,7 @@ def train(seed: int, steps: int) -> tuple[Policy, Sequence[Progress]]:
         device="cpu",
         policy_kwargs=network,
     )
-    curve = Curve(costs)
+    curve = Curve(pursuers.costs)
     model.learn(steps, callback=curve)
     linear = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
     layers = [(m.weight.detach().numpy(), m.bias.detach().numpy()) for m in linear if isinstance(m, torch.nn.Linear)]

@@ -64,7 +64,7 @@ def test_what_is_no_race_is_told(options, why):
 
 def test_a_race_needs_its_indifference_zone(folder):
     command = [word for word in RACE if word not in ("--zone", 0.5)]
-    assert "Missing option '--zone'" in refused(*command, "--minimise")
+    assert "needs --zone FLOAT" in refused(*command, "--minimise")
 
 
 SENSITIVITY = ("sensitivity", "game.toml", "--allow-import", "-y", "size", "--trajectories", 2, "-n", 1, "-o", "found")

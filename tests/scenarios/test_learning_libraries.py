@@ -48,7 +48,7 @@ def without_libraries(monkeypatch):
 @pytest.mark.usefixtures("without_libraries")
 def test_the_pursuers_of_a_team_are_environments_that_begin_and_end_together():
     runs = import_module("scenarios.studies.sb3_runs")
-    team = game().with_({"horizon": 0.7, "team.speeds": [0.5] + 7 * [2.0]}).parallel_env(reward=runs.Costs())
+    team = game().with_({"horizon": 0.7, "team.speeds": [0.5] + 7 * [2.0]}).parallel_env(reward=minus_cost)
     envs = runs.TeamVecEnv(team, 3, ["own.time_left", "own.speed"])
     assert envs.observation_space.shape == (2,)
     first = envs.reset()
@@ -60,6 +60,7 @@ def test_the_pursuers_of_a_team_are_environments_that_begin_and_end_together():
         observations, rewards, dones, infos = envs.step_wait()
         assert dones.all() == dones.any() == (rounds == 2)
     assert len(rewards) == 8
+    assert [*envs.costs] == [pytest.approx(7 * 0.5)]  # the fast ones chase from the first turn, at 0.2 s, to the end
     assert observations[:, 0] == pytest.approx(0.5)  # those of the next episode
     assert infos[0]["terminal_observation"][0] == 0.0
     assert not infos[0]["TimeLimit.truncated"]  # the horizon is the end of the game: the time left is observed
