@@ -252,7 +252,7 @@ def test_copies_that_wake_nobody_change_nothing(changes):
 @pytest.mark.slow
 def test_the_comparison_detects_news_that_wakes_nobody():
     """The control of the test above."""
-    assert flooded([])[0] != flooded([], lambda wanted: lambda message: wanted(message) and message.src % 2)[0]
+    assert flooded([])[0] != flooded([], lambda wanted: lambda message: wanted(message) and bool(message.src % 2))[0]
 
 
 # Within an instant.

@@ -194,7 +194,7 @@ def test_files_that_cannot_be_written_beside_a_store_are_reported(tmp_path, file
     (tmp_path / name).mkdir()
     made = command("sweep", file, "--allow-import", "-o", tmp_path)
     assert made.exit_code == WRONG_INPUT
-    assert made.stderr.splitlines()[-1] == f"{tmp_path / name}: Is a directory"
+    assert made.stderr.splitlines()[-1] == f"--out {tmp_path / name}: Is a directory"
 
 
 @cache

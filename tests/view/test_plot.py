@@ -224,7 +224,7 @@ def test_the_figure_of_a_sweep_is_that_of_python(swept, tmp_path):
         (["--against", "protocol"], "'protocol' should be KEY=VALUE, protocol.kind=sap for instance"),
         (["-y", "activetime"], "did you mean 'active_time'?"),
         (["-x", "protocl"], "did you mean protocol?"),
-        (["-x", "protocol", "--by", "protocol"], "cannot be both the abscissa and the name of the lines"),
+        (["-x", "protocol", "--by", "protocol"], "-x and --by should be different keys"),
         (["--label", "spa=SAP"], "no key takes the value spa"),
         (["--kind", "film"], "--kind film draws a run"),
         (["--kind", "phase", "--by", "protocol"], "--by is an option of"),
