@@ -82,7 +82,7 @@ class Outside(NamedTuple):
 
     @classmethod
     def of_all(cls, parts: Iterable["Outside"]) -> Self:
-        """Return what several functions take."""
+        """Return the sources that several functions take from together."""
         return cls(*(set[str]().union(*names) for names in zip(cls(set(), set(), set(), set()), *parts, strict=True)))
 
 
@@ -94,7 +94,7 @@ def outside_sources(function: FunctionType) -> Outside:
     for use in _uses(function.__code__):
         source = _denoted(use, places)
         variables = [_denoted(use._replace(names=use.names[:k]), places) for k in range(1, len(use.names) + 1)]
-        process |= {name for variable, name in VARIABLES if any(each is variable for each in variables)}
+        process |= {name for variable, name in VARIABLES if any(read is variable for read in variables)}
         generators |= {name for generator, name in GENERATORS if getattr(source, "__self__", None) is generator}
         try:
             is_own_hash = source is hash and function.__name__ == "__hash__"

@@ -13,7 +13,7 @@ async with node.open(("127.0.0.1", 9000), peers):
 import asyncio
 import socket
 from collections.abc import AsyncIterator, Callable, Iterable, Sequence
-from contextlib import ExitStack, asynccontextmanager
+from contextlib import ExitStack, asynccontextmanager, suppress
 from functools import partial
 from itertools import zip_longest
 from typing import Any
@@ -38,7 +38,7 @@ from desim.kernel.state.network_state import NetworkState
 from desim.live.frames import Mirror, WorldFrame, frame_of, hex_digits, segment_list
 from desim.live.link import SocketLinkLayer
 from desim.live.refusals import check_live
-from desim.live.sockets import TIMESTAMP, Datagrams, Mailbox, checked_address, resolved, udp_socket
+from desim.live.sockets import Datagrams, Mailbox, checked_address, resolved, udp_socket
 from desim.live.start import Address
 from desim.live.wall_clock import Lateness, WallClock
 from desim.live.wire import Wire, is_record
@@ -113,7 +113,7 @@ class Node:
         self._mailbox: Mailbox | None = None
         self._peers: list[Address] = []
         self._mailboxes: list[Address] = []
-        """Where each pursuer takes records."""
+        """The addresses of the sockets at which the pursuers receive records."""
         self._number_of: dict[Address, int] = {}
         self._wire = Wire.of(scenario)
         self._agent = self._make_agent(draws=draws)
@@ -199,11 +199,12 @@ class Node:
         Return None, and close the socket, if a record may have to wake a process, or the system does not tell when a
         datagram arrived.
         """
-        if TIMESTAMP is None or not self.link.delivery.is_certain:
-            bound.close()
-            return None
-        self._mailbox = Mailbox(bound)
-        return self._mailbox.address
+        if self.link.delivery.is_certain:
+            with suppress(OSError):
+                self._mailbox = Mailbox(bound)
+                return self._mailbox.address
+        bound.close()
+        return None
 
     def connect(self, peers: Sequence[Address], mailboxes: Sequence[Address | None] = ()) -> None:
         """Name the addresses of all pursuers, in order.

@@ -213,7 +213,7 @@ def without_walls(use: What) -> Callable[[Scenario], Scenario]:
 
 
 def _replaced(blocks: tuple[What, ...], use: What, instead: tuple[What, ...]) -> tuple[What, ...]:
-    """Return what a wall blocks with something else, which it may block already, in the place of a use."""
+    """Return `blocks` with one use replaced by others, each name once."""
     return tuple(dict.fromkeys(name for block in blocks for name in (instead if block == use else (block,))))
 
 
