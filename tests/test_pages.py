@@ -5,6 +5,7 @@ holds a copy of the scenarios, the files of a page are written first; then its P
 commands.
 """
 
+import ast
 import re
 import shlex
 import shutil
@@ -50,6 +51,30 @@ def small(words):
     if words[0] != "check" and any(word.endswith(".toml") for word in words):
         size += ["--set", f"horizon={0.2 if several else 1.5}"]
     return [*words, *size, *(["-j", "1"] if "-j" in words else [])]
+
+
+PROGRAMS = {
+    path.relative_to(ROOT).as_posix(): "\n".join(code)
+    for path in [ROOT / "README.md", *sorted(ROOT.glob("docs/**/*.md"))]
+    if (code := blocks(path.read_text(encoding="utf-8"), r"(?:python|\{code-cell\}.*)"))
+}
+"""The Python of each page."""
+
+
+@pytest.mark.parametrize("page", PROGRAMS)
+def test_what_a_page_imports_of_desim_exists(page):
+    """The code itself runs in slow tests, and when the site is built."""
+    program = ast.parse(PROGRAMS[page])
+    for node in ast.walk(program):
+        if isinstance(node, ast.Import):
+            names = [(alias.name, None) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [(node.module, alias.name) for alias in node.names]
+        else:
+            continue
+        for module, name in names:
+            if module.partition(".")[0] in {"desim", "protocols", "scenarios"}:
+                assert name is None or hasattr(import_module(module), name) or find_spec(f"{module}.{name}"), (module, name)
 
 
 def is_page_with(part):
