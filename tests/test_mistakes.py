@@ -34,6 +34,7 @@ CALLS: dict[str, tuple[Any, ...]] = {
     # a mistake, and what its message has
     "Team(cout=8)": ("Team: cout", "did you mean 'count'?", "allowed: active_at_start"),
     "Team(8)": ("Team(count=...)", "others: positions"),
+    "desim.Lognormal(0.1)": ("Lognormal(offset=..., mean=..., cv=...)",),
     "Team(count='8')": ("count: should be a number: 8 instead of the text '8'", "Number of pursuers"),
     "Team(count='eight')": ("count: should be an integer", "got 'eight'"),
     "Team(count=8.0)": ("count: should be an integer", "got 8.0"),
@@ -513,6 +514,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "compare f.toml f.toml --metric regret": ("Did you mean '-y'?",),
     "play f.toml --port 80": ("There are --no-browser, --timeout",),
     "-s 3 run f.toml": ("Options follow the command: desim run ... -s",),
+    "run f.toml --timeout 200ms": ("--timeout': '200ms' should be a number, in s: 0.2.",),
     "run f.toml -seed 3": ("No such option '-seed'. Did you mean '--seed'?",),
     "run f.toml -o": ("-o PATH: Folder for the trace",),
     "run f.toml f.toml": ("(f.toml): ",),

@@ -67,7 +67,7 @@ def test_a_number_of_runs_or_of_workers_that_is_not_an_integer_is_refused(reps):
         sweep(SHORT, {"horizon": [0.1]}, 1, executor=reps if reps != "2" else [2])
     with pytest.raises(ValueError, match=r"^the half width of end_time should be a number"):
         sweep(SHORT, {"horizon": [0.1]}, 1, until=("end_time", "2"))
-    with pytest.raises(ValueError, match=r"^a time limit should be a number"):
+    with pytest.raises(ValueError, match=r"^a time limit, in s, should be a number"):
         sweep(SHORT, {"horizon": [0.1]}, 1, timeout="2")
 
 

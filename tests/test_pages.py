@@ -74,7 +74,10 @@ def test_what_a_page_imports_of_desim_exists(page):
             continue
         for module, name in names:
             if module.partition(".")[0] in {"desim", "protocols", "scenarios"}:
-                assert name is None or hasattr(import_module(module), name) or find_spec(f"{module}.{name}"), (module, name)
+                assert name is None or hasattr(import_module(module), name) or find_spec(f"{module}.{name}"), (
+                    module,
+                    name,
+                )
 
 
 def is_page_with(part):

@@ -222,6 +222,10 @@ def _keys(option: str) -> list[str]:
 def _about_value(message: str, param: click.Parameter) -> str:
     """Return the message about a value that an option does not take, with what it takes."""
     value, _, wrong = message.partition(" is not ")
+    from desim.config.choice import why_no_number
+
+    if param.metavar == "SECONDS" and (reason := why_no_number(value.strip("'"), {"s"})):
+        return f"{value} {reason.partition(' instead of')[0]}."
     if wrong.startswith(("a valid int", "a valid float", "in the range")):
         number = "a whole number" if isinstance(param.type, click.types.IntParamType) else "a number"
         return "; ".join(filter(None, [f"{value} should be {number}{_limits(param.type)}", _purpose(param)])) + "."

@@ -145,14 +145,19 @@ DEPRECATED = frozenset(
 )
 """The methods of pydantic that it keeps for programs of its first version, and that warn."""
 
+MAX_KEYS_IN_CALL = 3
+"""The largest number of keys with which a message shows a call of a model; of more it lists the names."""
+
 
 def _by_name(model: type[BaseModel], args: Sequence[Any]) -> str:
     """Return the message for a call of a model by position."""
     names = [name for name in model.model_fields if name != "kind"]
     if not names:
         return f"{model.__name__} has no keys: {model.__name__}()"
-    keys = f"{model.__name__} takes its keys by name: {model.__name__}({names[0]}=...)"
-    other_names = f"; others: {', '.join(names[1:])}" if names[1:] else ""
+    shown = names if len(names) <= MAX_KEYS_IN_CALL else names[:1]
+    call = ", ".join(f"{name}=..." for name in shown)
+    keys = f"{model.__name__} takes its keys by name: {model.__name__}({call})"
+    other_names = f"; others: {', '.join(names[1:])}" if shown != names else ""
     is_file = isinstance(args[0], str | PurePath) and str(args[0]).endswith(".toml")
     return keys + other_names + (f"; a scenario file is read by load({str(args[0])!r})" if is_file else "")
 

@@ -50,7 +50,7 @@ def checked_limit(limit: float) -> float:
     Raises:
         ValueError: if the limit is not a number, is not positive, or is longer than a thread can wait.
     """
-    limit = real(limit, "a time limit")
+    limit = real(limit, "a time limit, in s,")
     if not 0.0 < limit <= TIMEOUT_MAX:
         raise ValueError(f"a time limit should be > 0 s and at most {TIMEOUT_MAX:g} s (got {limit:g})")
     return limit
