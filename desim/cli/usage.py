@@ -224,7 +224,11 @@ def _about_value(message: str, param: click.Parameter) -> str:
     value, _, wrong = message.partition(" is not ")
     from desim.config.choice import why_no_number
 
-    if param.metavar == "SECONDS" and (reason := why_no_number(value.strip("'"), {"s"})):
+    if (
+        param.metavar == "SECONDS"
+        and wrong.startswith("a valid float")
+        and (reason := why_no_number(value.strip("'"), {"s"}))
+    ):
         return f"{value} {reason.partition(' instead of')[0]}."
     if wrong.startswith(("a valid int", "a valid float", "in the range")):
         number = "a whole number" if isinstance(param.type, click.types.IntParamType) else "a number"
