@@ -93,7 +93,7 @@ def picture(points: Sequence[Point], cells: Sequence[Cell]) -> "Figure":
 
 
 def draw_heat_map(axes: "Axes", cells: Sequence[Cell]) -> None:
-    """Draw the measured active time as colours, the law as contour lines, and the line L lambda = `CRITICAL`."""
+    """Draw the measured active time as colours, the law in brackets, and the line L lambda = `CRITICAL`."""
     from matplotlib.colors import LogNorm
 
     measured = np.array([cell.active_time for cell in cells]).reshape(len(LATENCIES), len(SLOTS))
@@ -101,8 +101,6 @@ def draw_heat_map(axes: "Axes", cells: Sequence[Cell]) -> None:
     rows = np.arange(len(LATENCIES))
     columns = np.arange(len(SLOTS))
     image = axes.pcolormesh(columns, rows, measured, norm=LogNorm(), cmap="viridis_r", shading="nearest")
-    lines = axes.contour(columns, rows, predicted, levels=[6, 8, 12, 20, 40, 60], colors="black", linewidths=0.9)
-    axes.clabel(lines, fontsize=7)
     for row, column in np.ndindex(measured.shape):
         text = f"{measured[row, column]:.0f}\n({predicted[row, column]:.0f})"
         colour = "black" if measured[row, column] < 15 else "white"
@@ -112,7 +110,7 @@ def draw_heat_map(axes: "Axes", cells: Sequence[Cell]) -> None:
     axes.set_xticks(columns, [f"{slot:g}" for slot in SLOTS])
     axes.set_yticks(rows, [f"{latency:g}" for latency in LATENCIES])
     axes.set(xlabel=r"slot $\delta$ (s)", ylabel="one-way latency L (s)")
-    axes.set_title("sum of active times: measured (colour), by the law (lines and brackets)", fontsize=9)
+    axes.set_title("sum of active times: measured (colour), by the law (in brackets)", fontsize=9)
     axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.12), fontsize=8)
     scale = axes.figure.colorbar(image, ax=axes, label="s")
     scale.set_ticks([7, 10, 20, 40], labels=["7", "10", "20", "40"])
