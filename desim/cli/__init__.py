@@ -16,6 +16,7 @@ from desim.cli.explain import explain
 from desim.cli.export import export
 from desim.cli.fates import fates
 from desim.cli.live import live
+from desim.cli.merge import merge
 from desim.cli.netem import netem
 from desim.cli.one import run
 from desim.cli.pages import replay, report
@@ -26,7 +27,7 @@ from desim.cli.race import race
 from desim.cli.sensitivity import sensitivity
 from desim.cli.start import examples, new
 from desim.cli.submit import status, submit
-from desim.cli.sweep import merge, sweep
+from desim.cli.sweep import sweep
 from desim.cli.usage import no_command
 from desim.config.trust import no_cwd_import
 

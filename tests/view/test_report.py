@@ -19,8 +19,8 @@ from click.testing import CliRunner
 
 from desim import Scenario
 from desim.analysis.metrics import METRICS, summary, words
+from desim.cli.merge import merge
 from desim.cli.pages import report as command
-from desim.cli.sweep import merge
 from desim.results import provenance
 from desim.scenario.players import Team
 from desim.study.ablation.explain import Variants

@@ -1,0 +1,51 @@
+"""`desim merge`: the stores of several commands in one."""
+
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+
+import click
+
+from desim.cli.options import MIX_VERSIONS, echo, fail, storing
+from desim.config.file_names import STORE, TRACE
+
+
+@click.command()
+@click.argument("stores", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder of the merged store.")
+@MIX_VERSIONS
+def merge(stores: tuple[Path, ...], out: Path, mix_versions: bool) -> None:
+    """Merge the runs of several stores (files or folders) of one sweep into one store."""
+    from desim.results import provenance
+    from desim.study.store.store import Store
+
+    with storing(), ExitStack() as opened:
+        parts = [opened.enter_context(Store(path, read_only=True)) for path in store_files(stores)]
+        for part in parts:
+            parts[0].check_same(part.about)
+            parts[0].check_versions(part.versions, f"{part.path} has those of", mix=mix_versions)
+        store = opened.enter_context(Store(out / STORE))
+        for part in parts:
+            store.merge(part, mix_versions=mix_versions)
+        store.note_command(str(Path.cwd()), sys.argv)
+        count, names = len(store), [str(part.path) for part in parts]
+        # An empty store has no root seed.
+        root = store.read_property("root seed", int) if "root seed" in store.about else 0
+        provenance.write(out, provenance.document("merge", seed=root, runs=count, stores=names))
+    echo(f"{count} runs are in {out / STORE}")
+
+
+def store_files(stores: tuple[Path, ...]) -> list[Path]:
+    """Return the files of stores; a folder stands for all stores in it, shards included."""
+    return [file for source in stores for file in (_stores_in(source) if source.is_dir() else [source])]
+
+
+def _stores_in(folder: Path) -> list[Path]:
+    """Return the files of the stores in a folder; end the program if it has none."""
+    from desim.study.sweeps.folder import contents
+
+    stores = sorted(folder.glob("sweep*.sqlite"))
+    if not stores:
+        has_run = (folder / TRACE).exists()
+        fail(f"{folder}: {'is the folder of a run, not of a sweep' if has_run else contents(folder)}")
+    return stores
