@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from desim.cli import completion
-from desim.cli.options import ALLOW_IMPORT, FILE, SET, echo, fail, is_import_allowed, limited, making, source_of
+from desim.cli.options import ALLOW_IMPORT, FILE, SET, is_import_allowed, limited
+from desim.cli.output import echo, fail, making
 from desim.cli.plot import picture_paths, write_picture
+from desim.cli.sources import source_of
 
 if TYPE_CHECKING:
     from desim.scenario.scenario import Scenario

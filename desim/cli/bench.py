@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from desim.cli.execution import Execution, executing, failures_told
-from desim.cli.options import ALLOW_IMPORT, JSON, echo, fail, make_folder, protocol_of, storing, write
+from desim.cli.options import ALLOW_IMPORT, JSON
+from desim.cli.output import echo, fail, make_folder, storing, write
+from desim.cli.sources import protocol_of
 from desim.cli.usage import problem
 
 if TYPE_CHECKING:

@@ -9,24 +9,9 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from desim.cli.options import (
-    ALLOW_IMPORT,
-    FILE,
-    GRID,
-    JOBS,
-    JSON,
-    SEED,
-    SET,
-    TIMEOUT,
-    echo,
-    fail,
-    folder_for,
-    make_folder,
-    protocol_of,
-    source_of,
-    storing,
-    write,
-)
+from desim.cli.options import ALLOW_IMPORT, FILE, GRID, JOBS, JSON, SEED, SET, TIMEOUT
+from desim.cli.output import echo, fail, folder_for, make_folder, storing, write
+from desim.cli.sources import protocol_of, source_of
 from desim.cli.usage import options_given, problem
 from desim.config.trust import write_whole
 

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from desim.cli.options import JSON, Pair, echo, fail, of_option, storing
+from desim.cli.options import JSON, Pair
+from desim.cli.output import echo, fail, of_option, storing
 from desim.cli.usage import problem
 
 if TYPE_CHECKING:

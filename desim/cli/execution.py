@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from desim.cli.options import FAILED, JOBS, MIX_VERSIONS, TIMEOUT, echo, fail
+from desim.cli.options import JOBS, MIX_VERSIONS, TIMEOUT
+from desim.cli.output import FAILED, echo, fail
 from desim.config.file_names import STORE
 
 if TYPE_CHECKING:

@@ -7,22 +7,9 @@ from pathlib import Path
 import click
 
 from desim.cli.execution import Execution, executing
-from desim.cli.options import (
-    ALLOW_IMPORT,
-    COUNT,
-    FAILED,
-    FILE,
-    JSON,
-    METRIC,
-    SEED,
-    SET,
-    echo,
-    fail,
-    folder_for,
-    shown_metrics,
-    source_of,
-    storing,
-)
+from desim.cli.options import ALLOW_IMPORT, COUNT, FILE, JSON, METRIC, SEED, SET
+from desim.cli.output import FAILED, echo, fail, folder_for, storing
+from desim.cli.sources import shown_metrics, source_of
 from desim.config.file_names import STORE
 from desim.config.trust import write_whole
 

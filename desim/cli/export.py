@@ -6,7 +6,8 @@ from typing import Any
 import click
 
 from desim.cli.merge import store_files
-from desim.cli.options import ALLOW_IMPORT, LABEL, SEED, SET, echo, fail, is_import_allowed, limited, storing
+from desim.cli.options import ALLOW_IMPORT, LABEL, SEED, SET, is_import_allowed, limited
+from desim.cli.output import echo, fail, storing
 from desim.cli.recorded import check_recorded_options, is_recorded, labels_of, result_of
 from desim.cli.usage import problem
 from desim.config.file_names import STORE, TRACE

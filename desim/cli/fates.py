@@ -7,7 +7,9 @@ from pathlib import Path
 
 import click
 
-from desim.cli.options import ALLOW_IMPORT, FILE, SEED, SET, echo, fail, limited, source_of, write
+from desim.cli.options import ALLOW_IMPORT, FILE, SEED, SET, limited
+from desim.cli.output import echo, fail, write
+from desim.cli.sources import source_of
 from desim.config.trust import escaped
 
 

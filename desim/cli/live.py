@@ -8,24 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from desim.cli.options import (
-    ALLOW_IMPORT,
-    COUNT,
-    FAILED,
-    FILE,
-    JSON,
-    METRIC,
-    RAISED,
-    SEED,
-    SET,
-    echo,
-    fail,
-    folder_for,
-    make_folder,
-    making,
-    shown_metrics,
-    source_of,
-)
+from desim.cli.options import ALLOW_IMPORT, COUNT, FILE, JSON, METRIC, SEED, SET
+from desim.cli.output import FAILED, RAISED, echo, fail, folder_for, make_folder, making
+from desim.cli.sources import shown_metrics, source_of
 from desim.config.file_names import LIVE
 
 if TYPE_CHECKING:

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from desim.cli.options import MIX_VERSIONS, echo, fail, storing
+from desim.cli.options import MIX_VERSIONS
+from desim.cli.output import echo, fail, storing
 from desim.config.file_names import STORE, TRACE
 
 

@@ -4,7 +4,9 @@ from pathlib import Path
 
 import click
 
-from desim.cli.options import ALLOW_IMPORT, SET, echo, fail, source_of, write
+from desim.cli.options import ALLOW_IMPORT, SET
+from desim.cli.output import echo, fail, write
+from desim.cli.sources import source_of
 from desim.cli.usage import problem
 from desim.config.number_files import text_of_file
 

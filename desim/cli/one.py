@@ -9,24 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from desim.cli.options import (
-    ALLOW_IMPORT,
-    COUNT,
-    JOBS,
-    JSON,
-    METRIC,
-    SEED,
-    SET,
-    TIMEOUT,
-    add_metrics,
-    echo,
-    fail,
-    is_import_allowed,
-    make_folder,
-    shown_metrics,
-    source_of,
-    valid,
-)
+from desim.cli.options import ALLOW_IMPORT, COUNT, JOBS, JSON, METRIC, SEED, SET, TIMEOUT, is_import_allowed
+from desim.cli.output import echo, fail, make_folder
+from desim.cli.sources import add_metrics, shown_metrics, source_of, valid
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

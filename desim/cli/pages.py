@@ -7,22 +7,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from desim.cli.options import (
-    AGAINST,
-    ALLOW_IMPORT,
-    SEED,
-    SET,
-    echo,
-    fail,
-    limited,
-    making,
-    of_option,
-    page_at,
-    source_of,
-    storing,
-    write,
-)
+from desim.cli.options import AGAINST, ALLOW_IMPORT, SEED, SET, limited
+from desim.cli.output import echo, fail, making, of_option, page_at, storing, write
 from desim.cli.recorded import SOURCES, check_no_run, is_recorded, result_of
+from desim.cli.sources import source_of
 from desim.config.file_names import STORE, STORE_PARTS, TRACE
 
 if TYPE_CHECKING:

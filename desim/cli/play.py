@@ -8,7 +8,9 @@ from threading import Thread
 
 import click
 
-from desim.cli.options import ALLOW_IMPORT, SET, TIMEOUT, echo, is_import_allowed, making, source_of
+from desim.cli.options import ALLOW_IMPORT, SET, TIMEOUT, is_import_allowed
+from desim.cli.output import echo, making
+from desim.cli.sources import source_of
 
 
 @click.command()

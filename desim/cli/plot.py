@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from desim.cli.options import AGAINST, ALLOW_IMPORT, LABEL, SEED, SET, echo, fail, limited, making, of_option
+from desim.cli.options import AGAINST, ALLOW_IMPORT, LABEL, SEED, SET, limited
+from desim.cli.output import echo, fail, making, of_option
 from desim.cli.recorded import SOURCE, is_recorded, labels_of, results_of
 from desim.cli.usage import options_given
 from desim.config.file_names import PICTURE_SUFFIXES, files

@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from desim.cli.options import NO_MEMORY, OUT_OF_TIME, RAISED, echo, fail
+from desim.cli.output import NO_MEMORY, OUT_OF_TIME, RAISED, echo, fail
 from desim.cli.usage import WORDS, advised, check_hyphens
 from desim.config.errors import AnswerError, MetricError
 from desim.config.interrupts import exit_code, raising

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from desim.cli.options import fail, is_import_allowed, source_of
+from desim.cli.options import is_import_allowed
+from desim.cli.output import fail
+from desim.cli.sources import source_of
 from desim.config.file_names import STORE, TRACE
 from desim.config.suggestion import did_you_mean
 

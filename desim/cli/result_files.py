@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from desim.cli.options import echo, storing
+from desim.cli.output import echo, storing
 from desim.config.file_names import STORE
 from desim.config.trust import write_whole
 

@@ -6,21 +6,10 @@ from pathlib import Path
 import click
 
 from desim.cli.execution import Execution, executing
-from desim.cli.options import (
-    ALLOW_IMPORT,
-    COUNT,
-    FILE,
-    GRID,
-    JSON,
-    ONE_METRIC,
-    SEED,
-    SET,
-    added_metrics,
-    fail,
-    folder_for,
-    source_of,
-)
+from desim.cli.options import ALLOW_IMPORT, COUNT, FILE, GRID, JSON, ONE_METRIC, SEED, SET
+from desim.cli.output import fail, folder_for
 from desim.cli.result_files import adding_to, present
+from desim.cli.sources import added_metrics, source_of
 from desim.cli.usage import problem
 
 

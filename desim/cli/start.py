@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from desim.cli import completion
-from desim.cli.options import echo, fail
+from desim.cli.output import echo, fail
 from desim.config.trust import write_new
 from desim.scenario.templates import TEMPLATES, starting_files
 

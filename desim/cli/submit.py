@@ -21,14 +21,10 @@ from desim.cli.options import (
     SEED,
     SET,
     TIMEOUT,
-    echo,
-    fail,
-    folder_for,
     is_import_allowed,
-    shown_metrics,
-    source_of,
-    storing,
 )
+from desim.cli.output import echo, fail, folder_for, storing
+from desim.cli.sources import shown_metrics, source_of
 from desim.config.trust import write_whole
 
 if TYPE_CHECKING:

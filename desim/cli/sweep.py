@@ -12,26 +12,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from desim.cli.execution import Execution, executing
-from desim.cli.options import (
-    AGAINST,
-    ALLOW_IMPORT,
-    COUNT,
-    DESIGN,
-    FAILED,
-    FILE,
-    GRID,
-    JSON,
-    METRIC,
-    SEED,
-    SET,
-    echo,
-    fail,
-    folder_for,
-    protocol_of,
-    shown_metrics,
-    source_of,
-    storing,
-)
+from desim.cli.options import AGAINST, ALLOW_IMPORT, COUNT, DESIGN, FILE, GRID, JSON, METRIC, SEED, SET
+from desim.cli.output import FAILED, echo, fail, folder_for, storing
+from desim.cli.sources import protocol_of, shown_metrics, source_of
 from desim.config.file_names import STORE
 from desim.config.trust import write_whole
 

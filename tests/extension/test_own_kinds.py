@@ -11,7 +11,7 @@ import pytest
 
 import desim
 from desim import Bitrate, Evader, Links, Scenario, Team, run, summary
-from desim.cli.options import RAISED
+from desim.cli.output import RAISED
 from desim.kernel.core.events import Broadcast, Lost
 from desim.kernel.models.faults import CustomFault, FaultEnded, FaultStarted
 from desim.pursuit.byzantine.lies import ByzantineFault

@@ -20,7 +20,7 @@ from desim import explain, sweep
 from desim.analysis import metrics
 from desim.analysis.metrics import METRICS, Metric, Summary, active_time, end_time, summary
 from desim.analysis.statistics import runs_needed
-from desim.cli.options import shown_metrics
+from desim.cli.sources import shown_metrics
 from desim.scenario import named_metrics
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.players import Team

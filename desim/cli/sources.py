@@ -1,0 +1,169 @@
+"""From a scenario file and the options of a command to a scenario; an invalid one ends the program."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from desim.cli.usage import metric_option
+
+if TYPE_CHECKING:
+    from desim.scenario.overrides import Source
+    from desim.scenario.scenario import Scenario
+from desim.cli.options import is_import_allowed
+from desim.cli.output import echo, fail
+
+
+def source_of(
+    file: Path,
+    overrides: tuple[str, ...],
+    metrics: tuple[str, ...] = (),
+    grid: tuple[str, ...] = (),
+    design: str | None = None,
+    folder: Path | None = None,
+) -> "tuple[Source, Scenario]":
+    """Return the source of a scenario file and its scenario, with the values of --metric, --grid and --design.
+
+    Modules and files that it names are looked up in `folder`; None: that of the file. Print warnings, and end the
+    program if the scenario is invalid; see `valid`.
+    """
+    from desim.scenario.overrides import ScenarioError
+    from desim.scenario.toml import looked_up_in, read_source
+
+    try:
+        source = read_source(file, overrides, allow_import=is_import_allowed())
+        source = source if folder is None else looked_up_in(source, folder)
+        for setting in grid:
+            source.vary(setting)
+        if design is not None:
+            _set_design(source, design)
+        add_metrics(source, metrics)
+    except ScenarioError as error:
+        fail(str(error))
+    except OSError as error:
+        fail(f"{file}: cannot be read: {error.strerror}{_instead_of(file)}")
+    return source, valid(source)
+
+
+def added_metrics(metric: str) -> tuple[str, ...]:
+    """Return the metric of -y if it is to be added to those of a scenario, which are built in or named by its file."""
+    from desim.scenario.named_metrics import installed_metrics
+
+    return (metric,) if ":" in metric or metric in installed_metrics() else ()
+
+
+def _set_design(source: "Source", text: str) -> None:
+    """Set the method and the size of `sweep.design`; the other keys of the design remain.
+
+    Raises:
+        ScenarioError: if the text is not METHOD:SIZE.
+    """
+    from desim.scenario.overrides import ScenarioError
+    from desim.scenario.sweep_table import design_of
+
+    present = source.at(["sweep", "design"])
+    try:
+        table = design_of(text)
+    except ValueError as error:
+        raise ScenarioError(f"--design {text}: {error}") from None
+    source.set("sweep.design", (present if isinstance(present, dict) else {}) | table, f"--design {text}")
+
+
+def _instead_of(file: Path) -> str:
+    """Return what to give instead of a scenario file that cannot be read, as the end of a message; "" if unknown."""
+    from desim.config.suggestion import did_you_mean
+    from desim.scenario.examples import examples
+
+    if file.is_dir():
+        scenarios = sorted(file.glob("*.toml"))
+        return f"; a file in it is {scenarios[0]}" if scenarios else "; a scenario is one file, NAME.toml"
+    with_suffix = file.with_suffix(".toml")
+    if with_suffix != file and with_suffix.is_file():
+        return f", did you mean {with_suffix}?"
+    if file.stem in examples() and file.parent == Path():
+        return f"; an example: `desim examples {file.stem}` writes {file.stem}.toml, which then can be run"
+    beside = [path.name for path in file.parent.glob("*.toml")] if file.parent.is_dir() else []
+    if not file.suffix and file.parent.is_dir():
+        beside += [path.name for path in file.parent.iterdir() if path.is_dir()]
+    return did_you_mean(file.name, beside) or did_you_mean(file.stem, beside)
+
+
+def add_metrics(source: "Source", metrics: tuple[str, ...]) -> None:
+    """Add to `record.metrics` of a scenario the metrics of --metric that are not built in.
+
+    End the program if a metric does not exist or is not numeric. A MODULE:FUNCTION is imported and checked later, when
+    the scenario is validated.
+    """
+    if not metrics:
+        return
+    from desim.analysis.metrics import METRICS, check_numeric
+    from desim.scenario.named_metrics import installed_metrics
+
+    for metric in metrics:
+        try:
+            if ":" not in metric:
+                check_numeric(metric, installed_metrics())
+        except ValueError as error:
+            fail(f"{metric_option()} {metric}: {error}, and MODULE:FUNCTION")
+    added = [name for name in metrics if name not in METRICS]
+    table = source.tables.setdefault("record", {}) if added else None
+    named = table.get("metrics", []) if isinstance(table, dict) else None
+    if isinstance(table, dict) and isinstance(named, list):
+        table["metrics"] = [*named, *added]
+        source.origins.update(
+            (("record", "metrics", k), f"{metric_option()} {name}") for k, name in enumerate(added, len(named))
+        )
+
+
+def shown_metrics(scenario: "Scenario", metrics: tuple[str, ...], usual: tuple[str, ...] = ()) -> tuple[str, ...]:
+    """Return the names of the metrics to show, each once.
+
+    They are the metrics of --metric or, without this option, `usual` and the metrics of the scenario.
+    """
+    names = tuple(dict.fromkeys(metric.rpartition(":")[2] for metric in metrics))
+    return names or (*usual, *(metric.name for metric in scenario.record.metrics))
+
+
+def valid(source: "Source") -> "Scenario":
+    """Return the validated scenario of a source; print warnings, and end the program if it is invalid."""
+    from desim.scenario.checks import warnings
+    from desim.scenario.overrides import ScenarioError
+    from desim.scenario.toml import validate
+
+    try:
+        scenario = validate(source)
+    except ScenarioError as error:
+        fail(str(error))
+    if scenario.record.metrics:
+        from desim.analysis.metrics import users_metrics
+
+        for k in range(len(scenario.record.metrics)):
+            try:
+                users_metrics(scenario.record.metrics[: k + 1])
+            except ValueError as error:
+                fail(f"{source.where(('record', 'metrics', k))}: record.metrics.{k}: {error}")
+    for key, why in warnings(scenario):
+        place = tuple(int(part) if part.isdigit() else part for part in key.split("."))
+        echo(f"warning: {source.where(place)}: {key}: {why}", err=True)
+    return scenario
+
+
+def protocol_of(text: str, option: str) -> Any:
+    """Return the protocol that an option names as KIND, MODULE:NAME, FILE.py:NAME, or { kind = ..., ... }.
+
+    A module is an installed one, or lies in the working folder or in that of the file. End the program if it is
+    invalid, or names code without --allow-import.
+    """
+    from desim.scenario.overrides import ScenarioError, Source
+    from desim.scenario.scenario import Scenario
+    from desim.scenario.toml import validate
+
+    folder, name = Path(), text
+    file, colon, inner = text.rpartition(":")
+    if colon and file.endswith(".py"):
+        folder, name = Path(file).parent, f"{Path(file).stem}:{inner}"
+    source = Source(option, {}, Scenario, folder=folder, allow_import=is_import_allowed())
+    setting = f"protocol={name}"
+    try:
+        source.override(setting)
+        return validate(source).protocol
+    except ScenarioError as error:
+        fail(str(error).replace(f"--set {setting}", f"{option} {text}"))
