@@ -37,7 +37,7 @@ def released(error: BaseException | None) -> None:
 class Program(click.Command):
     """A command with the exit codes that shells expect, such as 128 + the number of the signal that interrupts it.
 
-    The message of an interrupt includes the notes of the exception; see `desim.cli.options.working`.
+    The message of an interrupt includes the notes of the exception; see `desim.cli.execution.failures_told`.
     """
 
     def invoke(self, ctx: click.Context) -> Any:

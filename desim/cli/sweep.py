@@ -6,6 +6,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ from desim.config.trust import write_whole
 
 if TYPE_CHECKING:
     from desim.scenario.overrides import Source
+    from desim.scenario.scenario import Scenario
     from desim.study.comparing.control import Controlled, ControlPlan
     from desim.study.results.result import SweepResult
     from desim.study.store.store import Store
@@ -122,7 +124,6 @@ def sweep(
     Runs that have succeeded are skipped, so the same command continues a sweep.
     """
     from desim.analysis.tables import counted
-    from desim.results import provenance
     from desim.study.results.runs import SHOWN
     from desim.study.store.store import Store
     from desim.study.sweeps.claims import carry_out_claimed
@@ -139,22 +140,14 @@ def sweep(
     control_plan = _control_plan(plan, control, control_runs, is_partial=bool(until or shard))
     folder = folder_for(scenario, out)
     path = folder / (f"sweep.{shard[0]}-of-{shard[1]}.sqlite" if shard else STORE)
-    start = time.perf_counter()
     if dry_run:
-        with storing(folder), Store(path if path.exists() else None, read_only=path.exists()) as store:
-            plan.check(store, mix_versions=execution.mix_versions)
-            text = _plan_text(plan, plan.shard(*(shard or (1, 1))), plan.done(store, shown), until)
-        echo(text)
+        _print_plan(plan, path, shown, until=until, shard=shard, mix_versions=execution.mix_versions)
         return
+    start = time.perf_counter()
     with storing(folder), Store(path) as store:
         before = len(store)
         plan.register(store, mix_versions=execution.mix_versions)
-
-        def note() -> None:
-            store.note_command(str(Path.cwd()), sys.argv)
-            made = provenance.document("sweep", scenario, seed=plan.root, runs=plan.runs, folder=file.parent)
-            provenance.write(folder, made)
-
+        note = partial(_note_command, store, plan, scenario, folder, file.parent)
         common: dict[str, Any] = {"fail_fast": fail_fast, "timeout": execution.timeout, "metrics": shown}
         with execution.workers(store, plan.runs) as workers:
             if claim:
@@ -173,13 +166,7 @@ def sweep(
             write_whole(folder / "control.txt", f"{controlled.table()}\n".encode())
         if everything is not None:
             _write_summary(result, everything, shown, reference, folder)
-    if result.failed:
-        echo(
-            f"{counted(len(result.failed), 'run')} failed; the same command retries them;"
-            f" `desim report {shlex.quote(str(folder))}` shows their tracebacks",
-            err=True,
-        )
-        sys.exit(FAILED)
+    _end_if_failed(result, folder)
 
 
 def _check_parts(until: tuple[str, float] | None, shard: tuple[int, int] | None, claim: Path | None) -> None:
@@ -275,6 +262,24 @@ def _controlled(
             return control_plan.carry_out(result, store, workers, names or SHOWN, timeout=execution.timeout)
 
 
+def _print_plan(
+    plan: "SweepPlan",
+    path: Path,
+    metrics: tuple[str, ...],
+    *,
+    until: tuple[str, float] | None,
+    shard: tuple[int, int] | None,
+    mix_versions: bool,
+) -> None:
+    """Print the planned runs, and how many of them a store has; nothing is written."""
+    from desim.study.store.store import Store
+
+    with storing(path.parent), Store(path if path.exists() else None, read_only=path.exists()) as store:
+        plan.check(store, mix_versions=mix_versions)
+        text = _plan_text(plan, plan.shard(*(shard or (1, 1))), plan.done(store, metrics), until)
+    echo(text)
+
+
 def _plan_text(
     plan: "SweepPlan", jobs: "list[Job]", there: set[tuple[str, int]], until: tuple[str, float] | None
 ) -> str:
@@ -304,6 +309,17 @@ def _plan_text(
         rule = f" at most, and at least {FIRST_LOOK} of each, until the half width of {metric} is {width:g}"
     head = f"{plan.base.name}: {counted(len(plan.configurations), 'configuration')}, {counted(len(wanted), 'run')}"
     return f"{head}{rule}; {len(done)} are stored, {len(wanted) - len(done)} remain\n{aligned(rows, right_from=0)}"
+
+
+def _note_command(store: "Store", plan: "SweepPlan", scenario: "Scenario", folder: Path, code: Path) -> None:
+    """Record how the runs of a store are performed: the command in the store, the rest in a file of its folder.
+
+    `code` is the folder of the scenario file.
+    """
+    from desim.results import provenance
+
+    store.note_command(str(Path.cwd()), sys.argv)
+    provenance.write(folder, provenance.document("sweep", scenario, seed=plan.root, runs=plan.runs, folder=code))
 
 
 def _whole_of(result: "SweepResult", store: "Store") -> "SweepResult":
@@ -343,3 +359,16 @@ def _write_summary(
         "" if part == whole else f", of all {whole} configurations of the store; the table above has {part} of them"
     )
     echo(f"wrote {', '.join(names)} beside it{of_all}", err=True)
+
+
+def _end_if_failed(result: "SweepResult", folder: Path) -> None:
+    """End the program if runs have failed, and say how to see why."""
+    from desim.analysis.tables import counted
+
+    if result.failed:
+        echo(
+            f"{counted(len(result.failed), 'run')} failed; the same command retries them;"
+            f" `desim report {shlex.quote(str(folder))}` shows their tracebacks",
+            err=True,
+        )
+        sys.exit(FAILED)
