@@ -45,16 +45,16 @@ if TYPE_CHECKING:
     from desim.kernel.models.access import CsmaCa as CsmaCa
     from desim.kernel.models.access import SlottedAloha as SlottedAloha
     from desim.kernel.models.access import Tdma as Tdma
+    from desim.kernel.models.clock_skew import ClockSkew as ClockSkew
     from desim.kernel.models.coherence import Coherence as Coherence
     from desim.kernel.models.common_losses import CommonCause as CommonCause
-    from desim.kernel.models.faults import ClockSkew as ClockSkew
+    from desim.kernel.models.fault_plans import RandomCrashes as RandomCrashes
+    from desim.kernel.models.fault_plans import RandomFaults as RandomFaults
     from desim.kernel.models.faults import Crash as Crash
     from desim.kernel.models.faults import Fault as Fault
     from desim.kernel.models.faults import Jamming as Jamming
     from desim.kernel.models.faults import MessageFault as MessageFault
     from desim.kernel.models.faults import Partition as Partition
-    from desim.kernel.models.faults import RandomCrashes as RandomCrashes
-    from desim.kernel.models.faults import RandomFaults as RandomFaults
     from desim.kernel.models.graphs import Complete as Complete
     from desim.kernel.models.graphs import Edge as Edge
     from desim.kernel.models.graphs import Edges as Edges

@@ -115,10 +115,18 @@ PAGES: Mapping[str, Page] = MappingProxyType(
             "Faults, lies and clocks",
             "What breaks down, who lies, whom a pursuer trusts, and whose clock is wrong.",
             (
-                Section("Faults", "The entries of `fault` that break something.", ("desim.kernel.models.faults",)),
+                Section(
+                    "Faults",
+                    "The entries of `fault` that break something, and those that draw them.",
+                    ("desim.kernel.models.faults", "desim.kernel.models.fault_plans"),
+                ),
                 Section("Lies", "The entries of `fault` that deceive.", ("desim.pursuit.byzantine",)),
                 Section("Trust", "Which announcements are believed.", ("desim.pursuit.team.trust",)),
-                Section("Clocks", "How nodes agree on the time.", ("desim.kernel.clock_sync",)),
+                Section(
+                    "Clocks",
+                    "Clocks that are wrong, and how nodes agree on the time.",
+                    ("desim.kernel.models.clock_skew", "desim.kernel.clock_sync"),
+                ),
             ),
         ),
         "motion": Page(

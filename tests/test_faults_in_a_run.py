@@ -10,7 +10,8 @@ from desim import Scenario, run, summary
 from desim.analysis.metrics import activity
 from desim.kernel.core.events import Broadcast, MessageCounts
 from desim.kernel.core.seeds import stream
-from desim.kernel.models.faults import ClockSkew, Crash
+from desim.kernel.models.clock_skew import ClockSkew
+from desim.kernel.models.faults import Crash
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.pursuit.core.events import BrokeDown, Decided, Ended, Sampled

@@ -16,18 +16,7 @@ import numpy as np
 import pytest
 
 import protocols
-from desim import (
-    Announcements,
-    Environment,
-    Evader,
-    Links,
-    Motion,
-    Recording,
-    Scenario,
-    Sensing,
-    Team,
-    run,
-)
+from desim import Announcements, Environment, Evader, Links, Motion, Recording, Scenario, Sensing, Team, run
 from desim.analysis.hindsight import _latency
 from desim.analysis.properties import judge
 from desim.config.choice import OneOf, choices_of
@@ -39,7 +28,8 @@ from desim.kernel.core.clock import Phase
 from desim.kernel.core.events import MessageCounts
 from desim.kernel.measured.models import LatencyTrace, LossTrace, SignalTrace
 from desim.kernel.models.access import ACCESSES, Aloha
-from desim.kernel.models.faults import FAULTS, Crash, Partition
+from desim.kernel.models.fault_plans import FAULTS
+from desim.kernel.models.faults import Crash, Partition
 from desim.kernel.models.graphs import GRAPHS, Edges, Link
 from desim.kernel.models.interference import INTERFERENCES
 from desim.kernel.models.latency import BASES, JITTERS, Lognormal, mean_latency

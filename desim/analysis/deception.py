@@ -6,7 +6,7 @@ from math import nan
 from desim.analysis.trace_index import captures
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import seconds
-from desim.kernel.models.faults import FaultStarted, Misbehaviour
+from desim.kernel.models.traced_faults import FaultStarted, Misbehaviour
 from desim.pursuit.core.events import Distrusted
 from desim.pursuit.team.trust import may_distrust
 from desim.simulation.run import Result, run

@@ -21,7 +21,9 @@ from desim.config.arrays import Integers
 from desim.kernel.core.events import LOST, Broadcast, ClockCorrected, Delivered, Lost, Sent
 from desim.kernel.core.records import Record
 from desim.kernel.core.units import SECOND
-from desim.kernel.models.faults import Crash, FaultEnded, clock_errors
+from desim.kernel.models.clock_skew import clock_errors
+from desim.kernel.models.faults import Crash
+from desim.kernel.models.traced_faults import FaultEnded
 from desim.pursuit.team.announcements import action_in_game, records_in, relayed_records
 from desim.simulation.run import Result
 

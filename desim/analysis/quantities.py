@@ -20,7 +20,8 @@ from desim.config.answers import wrong_answer
 from desim.config.python_numbers import real
 from desim.kernel.core.events import Event
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
-from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted
+from desim.kernel.models.faults import Crash
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Started
 from desim.scenario.properties import JUST_BELOW_0, Condition, PropertyPiece, QuantityComparison
 from desim.simulation.run import Result

@@ -19,7 +19,8 @@ from desim.analysis.activity import changes, evader_pursuits
 from desim.analysis.trace_index import NO_POSITIONS, captures, ended, positions_known, samples, started
 from desim.config.arrays import Bools, Floats, Integers, Points
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
-from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted
+from desim.kernel.models.faults import Crash
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.pursuit.core.events import Sampled, Started
 from desim.pursuit.core.geometry import SMALLEST
 from desim.pursuit.core.state import complex_points, lengths

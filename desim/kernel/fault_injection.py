@@ -13,19 +13,8 @@ from desim.config.traits import kind_of
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.events import Trace
 from desim.kernel.core.units import nanoseconds
-from desim.kernel.models.faults import (
-    Crash,
-    Delays,
-    Fault,
-    FaultEnded,
-    FaultStarted,
-    Jamming,
-    Partition,
-    Undo,
-    cause_of,
-    nodes_of,
-    traced,
-)
+from desim.kernel.models.faults import Crash, Delays, Fault, Jamming, Partition, Undo, cause_of, nodes_of
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted, traced
 from desim.kernel.network import Network
 
 Hook = Callable[[Crash], object]

@@ -37,19 +37,13 @@ from desim.kernel.core.units import SECOND, nanoseconds
 from desim.kernel.fault_injection import inject
 from desim.kernel.graph_files.graph_attributes import unread_attributes
 from desim.kernel.graph_files.node_names import numbered
-from desim.kernel.models.faults import (
-    FAULTS,
-    ClockSkew,
-    Crash,
-    Fault,
-    FaultEnded,
-    FaultStarted,
-    draw_faults,
-    is_skewed,
-)
+from desim.kernel.models.clock_skew import ClockSkew, is_skewed
+from desim.kernel.models.fault_plans import FAULTS, draw_faults
+from desim.kernel.models.faults import Crash, Fault
 from desim.kernel.models.graphs import Complete, Edges, is_networkx
 from desim.kernel.models.links import Links
 from desim.kernel.models.medium import Unlimited
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.kernel.models.transport import Transport
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
@@ -119,8 +113,8 @@ class SteppedNetwork:
         nodes: number of nodes, or a networkx graph: its nodes have any labels, and its edges the attributes of
             `desim.kernel.models.graphs.Edge`.
         links: the models of the links, or a table `[network]` as a dict; an ideal network if None.
-        faults: faults of nodes and links, or plans that draw them (`desim.kernel.models.faults`), or tables `[[fault]]`
-            as dicts.
+        faults: faults of nodes and links (`desim.kernel.models.faults`), plans that draw them (`fault_plans`), clock
+            errors (`clock_skew`), or tables `[[fault]]` as dicts.
         seed: the seed of all random draws.
         positions: (n, 2) positions at the start, m, or a dict; needed for what depends on them, such as a range.
         trace: receives the events of messages and faults, and shows them to its watchers.

@@ -17,7 +17,7 @@ from desim.kernel.core.clock import Clock, NodeClock
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.seeds import stream
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
-from desim.kernel.models.faults import MIN_DRIFT, clock_errors, clock_skews
+from desim.kernel.models.clock_skew import MIN_DRIFT, clock_errors, clock_skews
 
 TICK = nanoseconds(0.01)
 """Time between two states of a walk, ns."""

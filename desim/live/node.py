@@ -32,7 +32,7 @@ from desim.kernel.core.seeds import seed_of
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.fault_injection import inject
 from desim.kernel.link_layer.propagation import LinkSampler
-from desim.kernel.models.faults import is_skewed
+from desim.kernel.models.clock_skew import is_skewed
 from desim.kernel.models.links import Links
 from desim.kernel.state.network_state import NetworkState
 from desim.live.frames import Mirror, WorldFrame, frame_of, hex_digits, segment_list

@@ -11,7 +11,8 @@ from desim.kernel.core.events import Event, Trace, TransportCounts
 from desim.kernel.core.seeds import seed_of
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.fault_injection import inject
-from desim.kernel.models.faults import Crash, FaultStarted
+from desim.kernel.models.faults import Crash
+from desim.kernel.models.traced_faults import FaultStarted
 from desim.live.frames import frame_of
 from desim.live.link import Drops
 from desim.live.lobby import LOCAL, LiveError, Lobby

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
-from desim.kernel.models.faults import is_skewed
+from desim.kernel.models.clock_skew import is_skewed
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.medium import Unlimited
 from desim.kernel.models.traits import FaultTraits

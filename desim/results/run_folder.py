@@ -30,7 +30,8 @@ from desim.kernel.core.events import (
     TransportCounts,
 )
 from desim.kernel.core.trace_file import Limits, TraceFile, events_of
-from desim.kernel.models.faults import FaultEnded, FaultStarted, TracedFault, nodes_of
+from desim.kernel.models.faults import nodes_of
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted, TracedFault
 from desim.pursuit.core.events import (
     FORMAT,
     BrokeDown,

@@ -11,7 +11,8 @@ from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.graph_files.graph_attributes import unread_attributes
 from desim.kernel.measured.base import LinkTrace
 from desim.kernel.models.access import SlottedAloha, Tdma
-from desim.kernel.models.faults import Window, is_skewed
+from desim.kernel.models.clock_skew import is_skewed
+from desim.kernel.models.faults import Window
 from desim.kernel.models.graphs import Complete, Edges, links_with_attributes
 from desim.kernel.models.interference import Collision
 from desim.kernel.models.links import Links

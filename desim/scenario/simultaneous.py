@@ -15,7 +15,8 @@ from desim.config.arrays import Floats
 from desim.config.traits import inherits
 from desim.kernel.clock_sync import Unsynchronised
 from desim.kernel.models.access import Aloha, CarrierSensing, Csma, Ideal, SlottedAloha
-from desim.kernel.models.faults import Crash, drawn_skews
+from desim.kernel.models.clock_skew import drawn_skews
+from desim.kernel.models.faults import Crash
 from desim.kernel.models.graphs import Complete
 from desim.kernel.models.medium import Medium, Radio
 from desim.kernel.models.traits import LinkTraits

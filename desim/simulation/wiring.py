@@ -8,7 +8,8 @@ from desim.kernel.core.clock import Clock, NodeClock
 from desim.kernel.core.events import Trace
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.link_layer.link_layer import LinkLayer
-from desim.kernel.models.faults import Fault, draw_faults
+from desim.kernel.models.fault_plans import draw_faults
+from desim.kernel.models.faults import Fault
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.kernel.wandering_clock import node_clocks

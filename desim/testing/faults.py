@@ -6,8 +6,10 @@ import numpy as np
 
 from desim.kernel.core.events import Event, Lost
 from desim.kernel.core.units import nanoseconds, seconds
-from desim.kernel.models.faults import ClockSkew, Fault, FaultEnded, FaultStarted, Window, nodes_of, traced
+from desim.kernel.models.clock_skew import ClockSkew
+from desim.kernel.models.faults import Fault, Window, nodes_of
 from desim.kernel.models.links import Links
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted, traced
 from desim.pursuit.byzantine.lies import PURSUER_FAULTS, ByzantineFault
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team

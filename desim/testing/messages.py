@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any, Literal
 from desim.kernel.core.events import LOST, Broadcast, Cause, Delivered, Event, Lost, MessageCounts, Queued, Sent
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.access import CsmaCa
-from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted, Partition, TracedFault
+from desim.kernel.models.faults import Crash, Partition
 from desim.kernel.models.interference import Collision
 from desim.kernel.models.medium import Radio, airtimes
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted, TracedFault
 from desim.kernel.transport.frames import carried
 
 if TYPE_CHECKING:

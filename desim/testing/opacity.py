@@ -9,7 +9,7 @@ import numpy as np
 from desim.config.arrays import Floats
 from desim.kernel.core.events import LOST, Broadcast, Event, Lost, Sent
 from desim.kernel.core.units import nanoseconds, seconds
-from desim.kernel.models.faults import is_skewed
+from desim.kernel.models.clock_skew import is_skewed
 from desim.kernel.walls.crossings import Segments, crossings
 from desim.kernel.walls.wall import blocking
 from desim.pursuit.core.events import Sampled, Started

@@ -10,7 +10,7 @@ from desim.analysis.deception import false_accusations
 from desim.analysis.metrics import active_time, captured, end_time
 from desim.analysis.statistics import Estimate, estimate, wilson
 from desim.kernel.core.portable_math import portable_sum
-from desim.kernel.models.faults import ClockSkew
+from desim.kernel.models.clock_skew import ClockSkew
 from desim.kernel.models.latency import Lognormal
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli

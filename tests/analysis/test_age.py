@@ -12,14 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import protocols
-from desim.analysis.age import (
-    age_at_decision,
-    age_mean,
-    age_peak,
-    ages,
-    belief_error,
-    believed_leaders,
-)
+from desim.analysis.age import age_at_decision, age_mean, age_peak, ages, belief_error, believed_leaders
 from desim.analysis.knowledge import knowledge
 from desim.analysis.metrics import summary
 from desim.kernel.core.clock import Clock, Instant, Phase
@@ -36,11 +29,14 @@ from desim.kernel.core.events import (
 )
 from desim.kernel.core.records import Record
 from desim.kernel.core.units import SECOND
-from desim.kernel.models.faults import ClockSkew, Crash, FaultEnded, RandomCrashes
+from desim.kernel.models.clock_skew import ClockSkew
+from desim.kernel.models.fault_plans import RandomCrashes
+from desim.kernel.models.faults import Crash
 from desim.kernel.models.graphs import Ring
 from desim.kernel.models.latency import Constant, Uniform
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.traced_faults import FaultEnded
 from desim.kernel.network import Network
 from desim.pursuit.byzantine.lies import LIES, Slander
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Started

@@ -7,7 +7,8 @@ from desim.analysis.deception import captures_lost, damage_per_liar, false_accus
 from desim.analysis.metrics import active_time, capture_time
 from desim.kernel.core.events import MessageCounts
 from desim.kernel.core.units import SECOND
-from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted, Misbehaviour
+from desim.kernel.models.faults import Crash
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted, Misbehaviour
 from desim.pursuit.byzantine.lies import Liar, Silent
 from desim.pursuit.core.events import Distrusted, Ended
 from desim.pursuit.team.announcements import Announcements

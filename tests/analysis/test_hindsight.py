@@ -20,12 +20,14 @@ from desim.analysis.timeline import timeline
 from desim.config.model import Value
 from desim.kernel.core.events import MessageCounts, Trace
 from desim.kernel.core.units import SECOND, nanoseconds
-from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted, RandomCrashes
+from desim.kernel.models.fault_plans import RandomCrashes
+from desim.kernel.models.faults import Crash
 from desim.kernel.models.graphs import Link, Ring
 from desim.kernel.models.latency import Constant, Lognormal, Propagation
 from desim.kernel.models.links import Links, Processing
 from desim.kernel.models.loss import Bernoulli
 from desim.kernel.models.medium import Bitrate
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.pursuit.core.events import BrokeDown, Decided, Ended, Sampled, Started
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Recording, Scenario

@@ -31,7 +31,8 @@ from desim.analysis.metrics import (
 from desim.analysis.trace_index import ended, remembered, trace_index
 from desim.kernel.core.events import MessageCounts, Trace, TransportCounts
 from desim.kernel.core.units import SECOND, nanoseconds
-from desim.kernel.models.faults import FaultStarted, Jamming
+from desim.kernel.models.faults import Jamming
+from desim.kernel.models.traced_faults import FaultStarted
 from desim.pursuit.core.events import BrokeDown, Decided, Ended, Started
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team

@@ -14,10 +14,12 @@ from desim.analysis.timeline import timeline
 from desim.analysis.trace_index import trace_index
 from desim.kernel.core.events import MessageCounts, Trace
 from desim.kernel.core.units import SECOND, nanoseconds
-from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted, RandomCrashes
+from desim.kernel.models.fault_plans import RandomCrashes
+from desim.kernel.models.faults import Crash
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
 from desim.pursuit.game.game import welfare
 from desim.pursuit.motion.capture import capture_time

@@ -21,10 +21,11 @@ from desim.config.choice import choices_of
 from desim.config.errors import KeyedError
 from desim.config.model import Value
 from desim.config.python_numbers import as_python, real, whole
-from desim.kernel.models.faults import CustomFault, Partition
+from desim.kernel.models.faults import Partition
 from desim.kernel.models.latency import Empirical
 from desim.kernel.models.latency_by_link import LatencyMatrix
 from desim.kernel.models.netem import Netem
+from desim.kernel.models.traced_faults import CustomFault
 from desim.pursuit.evaders.recorded import RecordedMotion
 from desim.pursuit.motion.flow import RecordedFlow
 from desim.scenario.players import Evader, Team

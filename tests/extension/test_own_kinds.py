@@ -13,7 +13,7 @@ import desim
 from desim import Bitrate, Evader, Links, Scenario, Team, run, summary
 from desim.cli.output import RAISED
 from desim.kernel.core.events import Broadcast, Lost
-from desim.kernel.models.faults import CustomFault, FaultEnded, FaultStarted
+from desim.kernel.models.traced_faults import CustomFault, FaultEnded, FaultStarted
 from desim.pursuit.byzantine.lies import ByzantineFault
 from desim.pursuit.motion.flow import Environment
 from desim.pursuit.sensing.sensing import Sensing

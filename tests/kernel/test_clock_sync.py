@@ -13,7 +13,7 @@ from desim.kernel.core.clock import Clock, NodeClock
 from desim.kernel.core.events import ClockCorrected, Sent, Trace
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.access import Tdma
-from desim.kernel.models.faults import ClockSkew
+from desim.kernel.models.clock_skew import ClockSkew
 from desim.kernel.models.graphs import Link
 from desim.kernel.models.latency import Constant, Uniform
 from desim.kernel.models.links import Links

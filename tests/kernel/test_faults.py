@@ -16,21 +16,12 @@ from desim.kernel.core.events import Trace
 from desim.kernel.core.seeds import stream
 from desim.kernel.core.units import SECOND
 from desim.kernel.fault_injection import inject
-from desim.kernel.models.faults import (
-    MIN_DRIFT,
-    ClockSkew,
-    Crash,
-    FaultEnded,
-    FaultStarted,
-    Jamming,
-    Partition,
-    RandomCrashes,
-    RandomFaults,
-    clock_errors,
-    draw_faults,
-)
+from desim.kernel.models.clock_skew import MIN_DRIFT, ClockSkew, clock_errors
+from desim.kernel.models.fault_plans import RandomCrashes, RandomFaults, draw_faults
+from desim.kernel.models.faults import Crash, Jamming, Partition
 from desim.kernel.models.links import Links
 from desim.kernel.models.medium import Bitrate
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.scenario.players import Team

@@ -17,11 +17,13 @@ from desim.kernel.fault_injection import inject
 from desim.kernel.link_layer.arrival_losses import ArrivalLosses
 from desim.kernel.link_layer.arrivals import Arrivals
 from desim.kernel.link_layer.link_layer import LinkLayer, MessageLog
-from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted, Jamming, Partition, RandomFaults, draw_faults
+from desim.kernel.models.fault_plans import RandomFaults, draw_faults
+from desim.kernel.models.faults import Crash, Jamming, Partition
 from desim.kernel.models.latency import Constant, Uniform
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.kernel.models.medium import Bitrate, Unlimited
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.testing.messages import Conservation, OneToken

@@ -441,7 +441,7 @@ def test_an_argument_is_refused_in_the_words_of_a_scenario_file(arguments, told)
 
 
 def test_a_plan_without_an_end_is_refused(monkeypatch):
-    monkeypatch.setattr("desim.kernel.models.faults.MAX_FAULTS", 100)
+    monkeypatch.setattr("desim.kernel.models.fault_plans.MAX_FAULTS", 100)
 
     def plan(size, horizon, rng):
         while True:

@@ -18,7 +18,8 @@ from desim.kernel.core.events import LOST, Broadcast, Lost, MessageCounts, Queue
 from desim.kernel.core.records import Record
 from desim.kernel.core.trace_file import BLOCK, LONG, TraceFile, events_of, line_of
 from desim.kernel.core.units import SECOND
-from desim.kernel.models.faults import Crash, FaultStarted
+from desim.kernel.models.faults import Crash
+from desim.kernel.models.traced_faults import FaultStarted
 from desim.pursuit.core.events import Decided, Ended, Started
 
 pytestmark = pytest.mark.own_trace

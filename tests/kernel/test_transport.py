@@ -28,12 +28,13 @@ from desim.kernel.core.events import (
 from desim.kernel.core.records import Record
 from desim.kernel.core.units import SECOND
 from desim.kernel.fault_injection import inject
-from desim.kernel.models.faults import Crash, FaultEnded, Partition
+from desim.kernel.models.faults import Crash, Partition
 from desim.kernel.models.graphs import Link
 from desim.kernel.models.latency import Constant, Uniform
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli, GilbertElliott
 from desim.kernel.models.medium import Bitrate
+from desim.kernel.models.traced_faults import FaultEnded
 from desim.kernel.models.transport import BestEffort, Coded, Reliable
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState

@@ -12,7 +12,7 @@ from desim import Scenario, summary
 from desim.kernel import wandering_clock
 from desim.kernel.core.clock import Clock, Instant, NodeClock, Phase
 from desim.kernel.core.units import SECOND
-from desim.kernel.models.faults import ClockSkew
+from desim.kernel.models.clock_skew import ClockSkew
 from desim.kernel.wandering_clock import TICK, ClockWalk, WanderingClock, node_clocks
 from desim.testing.pursuits import watched
 

@@ -17,7 +17,7 @@ import desim
 from desim import Constant, Evader, Scenario, Team, load
 from desim.config.model import Value
 from desim.kernel.core.events import LOST, Broadcast, ClockCorrected, Delivered, Lost, MessageCounts, Sent
-from desim.kernel.models.faults import FaultStarted
+from desim.kernel.models.traced_faults import FaultStarted
 from desim.live.agreement import ERRORS, GATE, compare
 from desim.live.lobby import LiveError
 from desim.live.namespaces import NamespaceError

@@ -9,7 +9,8 @@ import pytest
 from desim import run
 from desim.kernel.core.events import Broadcast
 from desim.kernel.core.records import Record
-from desim.kernel.models.faults import ClockSkew, Crash
+from desim.kernel.models.clock_skew import ClockSkew
+from desim.kernel.models.faults import Crash
 from desim.kernel.models.graphs import Edges
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli

@@ -3,7 +3,8 @@
 import pytest
 
 from desim import Scenario, run, summary
-from desim.kernel.models.faults import ClockSkew, Crash
+from desim.kernel.models.clock_skew import ClockSkew
+from desim.kernel.models.faults import Crash
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.pursuit.core.events import Decided

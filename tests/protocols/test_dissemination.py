@@ -18,7 +18,8 @@ from desim import Scenario, load, run, summary
 from desim.analysis.age import age_mean
 from desim.kernel.core.events import GivenUp, MessageCounts, Sent
 from desim.kernel.core.units import seconds
-from desim.kernel.models.faults import ClockSkew, Crash
+from desim.kernel.models.clock_skew import ClockSkew
+from desim.kernel.models.faults import Crash
 from desim.kernel.models.graphs import Edges
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from desim import Scenario, run, summary
-from desim.kernel.models.faults import ClockSkew, Crash
+from desim.kernel.models.clock_skew import ClockSkew
+from desim.kernel.models.faults import Crash
 from desim.kernel.models.latency import Constant, Lognormal
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli

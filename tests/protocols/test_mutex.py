@@ -11,7 +11,9 @@ from hypothesis import settings
 from desim import Scenario, run
 from desim.kernel.core.message_size import size_of
 from desim.kernel.models.access import Tdma
-from desim.kernel.models.faults import ClockSkew, Crash, Partition, RandomFaults
+from desim.kernel.models.clock_skew import ClockSkew
+from desim.kernel.models.fault_plans import RandomFaults
+from desim.kernel.models.faults import Crash, Partition
 from desim.kernel.models.graphs import Complete, Grid, Star
 from desim.kernel.models.latency import Constant, Lognormal
 from desim.kernel.models.links import Links

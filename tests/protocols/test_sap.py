@@ -5,7 +5,7 @@ import pytest
 
 from desim import Scenario, run, summary
 from desim.analysis.metrics import active_time
-from desim.kernel.models.faults import ClockSkew
+from desim.kernel.models.clock_skew import ClockSkew
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli

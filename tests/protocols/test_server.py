@@ -12,7 +12,8 @@ from desim import Scenario, run
 from desim.kernel.core.events import ClockCorrected, Sent
 from desim.kernel.core.seeds import stream
 from desim.kernel.models.access import Tdma
-from desim.kernel.models.faults import ClockSkew, Crash, Partition
+from desim.kernel.models.clock_skew import ClockSkew
+from desim.kernel.models.faults import Crash, Partition
 from desim.kernel.models.graphs import Ring, Star
 from desim.kernel.models.latency import Constant, Lognormal, Uniform
 from desim.kernel.models.links import Links

@@ -6,7 +6,7 @@ from pydantic import ValidationError
 from desim import Scenario, run
 from desim.kernel.core.events import Sent
 from desim.kernel.core.units import SECOND
-from desim.kernel.models.faults import ClockSkew
+from desim.kernel.models.clock_skew import ClockSkew
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.pursuit.core.events import Decided

@@ -9,19 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from desim import Scenario, run
-from desim.kernel.models.faults import ClockSkew
+from desim.kernel.models.clock_skew import ClockSkew
 from desim.pursuit.team.announcements import Announcements, TimedAssignment
 from desim.pursuit.team.beliefs import Belief
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
-from protocols.temperature import (
-    AdaptiveTau,
-    ConstantTau,
-    GeometricTau,
-    LogarithmicTau,
-    PaperTau,
-    slots_seen,
-)
+from protocols.temperature import AdaptiveTau, ConstantTau, GeometricTau, LogarithmicTau, PaperTau, slots_seen
 
 # Closed forms.
 

@@ -13,7 +13,8 @@ from desim import Scenario, run
 from desim.kernel.core.clock import Phase
 from desim.kernel.core.events import Broadcast, Sent
 from desim.kernel.core.seeds import stream
-from desim.kernel.models.faults import ClockSkew, Crash
+from desim.kernel.models.clock_skew import ClockSkew
+from desim.kernel.models.faults import Crash
 from desim.kernel.models.graphs import Edges, Ring
 from desim.kernel.models.latency import Constant, Lognormal
 from desim.kernel.models.links import Links

@@ -12,11 +12,13 @@ from desim.kernel.clock_sync import TimeRequest, TwoWay
 from desim.kernel.core.events import Broadcast, MessageCounts, Sent, TransportCounts
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.access import CsmaCa
-from desim.kernel.models.faults import ClockSkew, Crash, FaultEnded, FaultStarted
+from desim.kernel.models.clock_skew import ClockSkew
+from desim.kernel.models.faults import Crash
 from desim.kernel.models.latency import Lognormal
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.kernel.models.medium import Bitrate
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.kernel.models.transport import Coded, Reliable
 from desim.pursuit.byzantine.falsehoods import (
     ConstantPosition,

@@ -9,7 +9,8 @@ import pytest
 from desim import Scenario, run, summary
 from desim.kernel.core.events import Sent
 from desim.kernel.core.units import SECOND
-from desim.kernel.models.faults import ClockSkew, Crash
+from desim.kernel.models.clock_skew import ClockSkew
+from desim.kernel.models.faults import Crash
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.pursuit.core.events import Estimated, Sampled

@@ -8,7 +8,8 @@ import pytest
 from desim import Announcements, Fault, Liar, Links, MessageFault, Scenario, Team, judge, load, run
 from desim.analysis.metrics import active_time
 from desim.kernel.core.events import LOST, Broadcast, Lost
-from desim.kernel.models.faults import Crash, CustomFault, FaultEnded, FaultStarted, Partition
+from desim.kernel.models.faults import Crash, Partition
+from desim.kernel.models.traced_faults import CustomFault, FaultEnded, FaultStarted
 from desim.pursuit.byzantine.lies import ReplayAttack
 from desim.pursuit.core.events import Decided
 from desim.pursuit.team.targeted_faults import ChaserCrash, ChaserCut, NewsFault

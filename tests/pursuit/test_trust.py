@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from desim import Scenario, run, summary
 from desim.kernel.core.records import Record
 from desim.kernel.core.units import SECOND
-from desim.kernel.models.faults import ClockSkew
+from desim.kernel.models.clock_skew import ClockSkew
 from desim.kernel.models.latency import Lognormal
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli

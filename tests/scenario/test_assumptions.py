@@ -9,7 +9,9 @@ from desim import Scenario, run
 from desim.config.errors import KeyedError
 from desim.kernel.core.events import LOST, Broadcast
 from desim.kernel.models.access import CsmaCa, Tdma
-from desim.kernel.models.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomFaults
+from desim.kernel.models.clock_skew import ClockSkew
+from desim.kernel.models.fault_plans import RandomCrashes, RandomFaults
+from desim.kernel.models.faults import Crash, Jamming, Partition
 from desim.kernel.models.graphs import Edge, Edges, Link, Ring
 from desim.kernel.models.interference import Sinr
 from desim.kernel.models.links import Links

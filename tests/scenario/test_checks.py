@@ -10,8 +10,10 @@ from desim import Scenario, run
 from desim.kernel.clock_sync import TwoWay
 from desim.kernel.core.events import Broadcast
 from desim.kernel.models.access import Aloha, Csma, SlottedAloha, Tdma
+from desim.kernel.models.clock_skew import ClockSkew
 from desim.kernel.models.coherence import Coherence
-from desim.kernel.models.faults import ClockSkew, Crash, RandomCrashes
+from desim.kernel.models.fault_plans import RandomCrashes
+from desim.kernel.models.faults import Crash
 from desim.kernel.models.graphs import Ring
 from desim.kernel.models.interference import CaptureEffect
 from desim.kernel.models.latency import Constant

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from desim.config.model import Positive, Value
-from desim.kernel.models.faults import Crash, RandomCrashes
+from desim.kernel.models.fault_plans import RandomCrashes
+from desim.kernel.models.faults import Crash
 from desim.kernel.models.latency import Constant, Lognormal
 from desim.kernel.models.links import Links
 from desim.scenario.overrides import ScenarioError, Source

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from desim import Scenario, run
-from desim.kernel.models.faults import FaultEnded, FaultStarted
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.kernel.models.transport import TRANSPORTS
 from desim.pursuit.byzantine.lies import LIES
 from desim.pursuit.team.announcements import DISSEMINATIONS

@@ -30,7 +30,7 @@ from desim.kernel.core.seeds import stream
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.fault_injection import inject
 from desim.kernel.link_layer.link_layer import FIRST_COPY
-from desim.kernel.models.faults import FaultEnded, FaultStarted
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.scenario.properties import Always, property_of

@@ -11,8 +11,10 @@ from desim import Scenario, load, run
 from desim.config.model import Value
 from desim.kernel.core.events import Broadcast, MessageCounts, Queued, Sent
 from desim.kernel.models.access import Csma, SlottedAloha
+from desim.kernel.models.clock_skew import ClockSkew
 from desim.kernel.models.coherence import Coherence
-from desim.kernel.models.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomFaults
+from desim.kernel.models.fault_plans import RandomCrashes, RandomFaults
+from desim.kernel.models.faults import Crash, Jamming, Partition
 from desim.kernel.models.graphs import Edge, Edges, Grid, Link, Ring, Star
 from desim.kernel.models.interference import CaptureEffect, LoRaInterference
 from desim.kernel.models.latency import Constant, Lognormal

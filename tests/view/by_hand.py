@@ -1,7 +1,8 @@
 """Runs of one second in which everything happens that can be drawn, made by hand; times in ms."""
 
 from desim.kernel.core.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
-from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted, Jamming
+from desim.kernel.models.faults import Crash, Jamming
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
 from desim.pursuit.team.announcements import Announcements, Assignment
 from desim.scenario.players import Evader

@@ -23,7 +23,7 @@ from desim.cli import main
 from desim.kernel.core.events import LOST, Broadcast, Lost, Queued, Sent
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.access import Tdma
-from desim.kernel.models.faults import Crash, FaultEnded, FaultStarted, Jamming, Partition
+from desim.kernel.models.faults import Crash, Jamming, Partition
 from desim.kernel.models.graphs import Edge, Edges, Link, Ring
 from desim.kernel.models.interference import CaptureEffect
 from desim.kernel.models.latency import Constant, Lognormal
@@ -31,6 +31,7 @@ from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.kernel.models.medium import Bitrate
 from desim.kernel.models.reception import LogDistance, QuasiUnitDisk
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.kernel.topology.topology import Topology
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Estimated, Sampled
 from desim.pursuit.evaders.evasion import Still

@@ -9,7 +9,8 @@ from matplotlib.quiver import Quiver
 
 from desim.analysis.drawing.palette import COLLISION_MARK, LOST, LOST_MARK
 from desim.kernel.core.events import Broadcast, Lost, Queued
-from desim.kernel.models.faults import Crash, FaultStarted, Partition
+from desim.kernel.models.faults import Crash, Partition
+from desim.kernel.models.traced_faults import FaultStarted
 from desim.pursuit.core.events import Decided
 from desim.view.data.deliveries import deliveries
 from desim.view.pictures.spacetime import MAX_DENSITY, spacetime

@@ -26,7 +26,8 @@ from desim.kernel.core.events import (
 )
 from desim.kernel.core.trace_file import events_of, line_of
 from desim.kernel.core.units import SECOND, nanoseconds
-from desim.kernel.models.faults import Crash, FaultStarted
+from desim.kernel.models.faults import Crash
+from desim.kernel.models.traced_faults import FaultStarted
 from desim.kernel.models.transport import Reliable
 from desim.pursuit.core.events import FORMAT, Captured, Decided, Distrusted, Ended, Estimated, Sampled, Started
 from desim.results.run_folder import EVENTS

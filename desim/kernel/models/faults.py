@@ -1,54 +1,28 @@
-"""Faults as frozen models: crashes, partitions, jamming, clock errors. `desim.kernel.fault_injection` applies them.
+"""Faults of the network as frozen models: crashes, partitions, jamming, lost or late messages.
 
-A crash, a partition or a jamming disc has a start time and an end time; a clock error lasts for the whole run. A fault
-plan draws faults at random from the seed. All of these are kinds of `[[fault]]` in a scenario file.
+A fault has a start time and an end time; `desim.kernel.fault_injection` applies it. Other kinds of `[[fault]]` in a
+scenario file are plans that draw faults (`fault_plans`), and clock errors, which last for the whole run (`clock_skew`).
 
 A kind of faults is a class that derives from `Fault`. It says how the fault begins and ends (`begin`), which nodes it
 names (`named`), how a page draws it (`sketch`), and what a loss by it is called (`cause`).
 """
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from itertools import count, islice
 from math import inf
 from operator import index
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
-from pydantic import (
-    Field,
-    PlainSerializer,
-    PlainValidator,
-    ValidationInfo,
-    WithJsonSchema,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from desim.config.answers import wrong_answer
-from desim.config.choice import (
-    OneOf,
-    check_call,
-    definition_of,
-    import_name,
-    is_unlisted_import,
-    kind_of,
-    load_named,
-    refusal,
-)
-from desim.config.model import Box, Coordinate, Duration, Extent, FirstError, Flag, Length, NotEmpty, Rate, Time, Value
-from desim.config.suggestion import did_you_mean
+from desim.config.choice import check_call
+from desim.config.model import Coordinate, Extent, FirstError, Flag, Length, NotEmpty, Time, Value
 from desim.config.traits import inherits, positions
-from desim.config.trust import is_trusted
-from desim.kernel.core.events import Cause, Nanoseconds
-from desim.kernel.core.seeds import stream
+from desim.kernel.core.events import Cause
 from desim.kernel.models.graphs import Node
 from desim.kernel.models.traits import FaultTraits
-
-MIN_DRIFT = -0.99
-"""Lower bound of the drift of a clock, so that no clock stands still or runs backwards."""
-
 
 NamedNodes = Mapping[str, Sequence[int]]
 """The nodes that a fault names, by the key of a scenario file."""
@@ -373,117 +347,8 @@ class MessageFault(Fault):
         return f"{fate}: message {', '.join(map(str, sorted(self.messages)))}"
 
 
-class Misbehaviour(Window):
-    """A node does not follow its protocol; the network carries what it sends like any other message.
-
-    It has no effect here: a model of a higher layer draws it, and acts on it.
-    """
-
-    kind: Literal["misbehaviour"] = "misbehaviour"
-    node: Node
-    """The node that misbehaves."""
-    model: str
-    """The kind of the model."""
-    number: Annotated[int, Field(ge=0, strict=True)]
-    """Number of the misbehaviour in the run, from 0 on."""
-
-    def named(self) -> NamedNodes:
-        """Return the node."""
-        return {"node": [self.node]}
-
-    def sketch(self) -> Sketch:
-        """Return the node and the kind of the model."""
-        return {"node": self.node, "model": self.model}
-
-    @property
-    def label(self) -> str:
-        """The kind of the model, and the node."""
-        return f"{self.model} {self.node}"
-
-
-class CustomFault(Window):
-    """The record of a fault of a user's kind in a trace, which can be read without the code of the user."""
-
-    kind: Literal["custom"] = "custom"
-    model: str
-    """The kind of the fault, "module:Name"."""
-    nodes: tuple[Node, ...] = ()
-    """The nodes that it names."""
-    drawn: Sketch
-    """What a page draws; see `Window.sketch`."""
-
-    def named(self) -> NamedNodes:
-        """Return the nodes."""
-        return {"nodes": self.nodes}
-
-    def sketch(self) -> Sketch:
-        """Return what a page draws."""
-        return self.drawn
-
-    @property
-    def label(self) -> str:
-        """The name of the class of the fault."""
-        return self.model.rpartition(":")[2]
-
-
-class ClockSkew(Value):
-    """The clock of a node shows offset + (1 + drift) t + x(t) at the time t, where x is a random walk.
-
-    Without a walk the error is a straight line, which a protocol could fit once and for all. The variance of x is
-    offset_walk^2 t + drift_walk^2 t^3 / 3; see `desim.kernel.wandering_clock`.
-    """
-
-    kind: Literal["clock_skew"] = "clock_skew"
-    node: Node | None = None
-    """The node. If absent, each node draws its errors from normal distributions with mean 0; offset and drift are their
-    standard deviations."""
-    offset: Annotated[float, Field(ge=-1e6, le=1e6, strict=True)] = 0.0
-    """s"""
-    drift: Annotated[float, Field(ge=MIN_DRIFT, le=1e3, strict=True)] = 0.0
-    """Seconds gained per second; if the sum of the drifts of a node is below -0.99, it is raised to -0.99.
-
-    If in doubt, 2e-5, an ordinary quartz; 1e-6 with temperature compensation.
-    """
-    offset_walk: Annotated[float, Field(ge=0, le=1.0, strict=True)] = 0.0
-    """Random walk of the offset, s per sqrt(s), from white noise of the frequency: after a time t its standard
-    deviation is offset_walk sqrt(t). Each node has a walk of its own."""
-    drift_walk: Annotated[float, Field(ge=0, le=1.0, strict=True)] = 0.0
-    """Random walk of the drift, 1 per sqrt(s): after a time t its standard deviation is drift_walk sqrt(t)."""
-
-    breaks: ClassVar[frozenset[str]] = frozenset({"equal_clocks"})
-    is_scheduled: ClassVar[bool] = True
-
-    def named(self) -> NamedNodes:
-        """Return the node, if one is given."""
-        return NO_NODES if self.node is None else {"node": [self.node]}
-
-
 BUILT_IN: tuple[type[Fault], ...] = (Crash, Partition, Jamming)
 """The built-in faults of the network, with a start and an end time."""
-TracedFault = Crash | Partition | Jamming | Misbehaviour | CustomFault
-"""A fault whose start and end are events of the trace."""
-
-
-def traced(fault: Fault) -> TracedFault:
-    """Return the record of a fault in a trace.
-
-    A fault of a user's class that begins as a built-in one does, only with a cause of its own for instance, is
-    recorded as the built-in fault, and any other as a `CustomFault`.
-    """
-    for base in BUILT_IN:
-        if all(inherits(fault, base, name) for name in ("begin", "separates") if hasattr(base, name)):
-            fields = {name: getattr(fault, name) for name in base.model_fields if name != "kind"}
-            return fault if type(fault) is base else base(**fields)  # type: ignore[return-value]
-    nodes = tuple(node for named in nodes_of(fault).values() for node in named)
-    sketch: Any = fault.sketch()
-    if not isinstance(sketch, dict):
-        raise wrong_answer("sketch() of a fault should return a dictionary of what a page draws", sketch, fault)
-    try:
-        drawn = json.loads(json.dumps(sketch, allow_nan=False))
-    except (TypeError, ValueError) as error:
-        raise wrong_answer(f"sketch() of a fault should return JSON values ({error})", sketch, fault) from error
-    model = import_name(definition_of(fault))
-    return CustomFault(start=fault.start, end=fault.end, model=model, nodes=nodes, drawn=drawn)
 
 
 def cause_of(fault: Fault) -> Cause:
@@ -507,205 +372,3 @@ def nodes_of(fault: object) -> NamedNodes:
     except (AttributeError, TypeError) as error:
         expected = 'the numbers of nodes by key, such as {"node": [3]}'
         raise wrong_answer(f"named() of a fault should return {expected}", named, fault) from error
-
-
-class FaultStarted(NamedTuple):
-    """A fault started."""
-
-    t: Nanoseconds
-    fault: Annotated[TracedFault, Field(discriminator="kind")]
-
-
-class FaultEnded(NamedTuple):
-    """A fault ended."""
-
-    t: Nanoseconds
-    fault: Annotated[TracedFault, Field(discriminator="kind")]
-
-
-class FaultPlan(Protocol):
-    """A model that draws faults: `plan(size, horizon, rng)`."""
-
-    def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterable[Fault]:
-        """Draw and return the faults of `size` nodes up to the horizon, s."""
-        ...
-
-
-class RandomCrashes(Value):
-    """Each node crashes at a constant rate, for exponentially distributed downtimes."""
-
-    kind: Literal["random_crashes"] = "random_crashes"
-    rate: Rate = 0.1
-    """Crash rate of each node that is up, 1/s.
-
-    If in doubt, 1 / (horizon of the run), about one crash of each node.
-    """
-    mean_downtime: Duration = 1.0
-    """Mean time until a crashed node recovers, s.
-
-    If in doubt, a few time-outs of the protocol: a node that is back sooner is not missed.
-    """
-    scope: Literal["radio", "robot"] = "robot"
-    """radio: the node neither sends nor receives; robot: it does not move or decide either."""
-    memory: Flag = True
-    """Whether the node keeps its beliefs."""
-
-    breaks: ClassVar[frozenset[str]] = Crash.breaks
-    is_scheduled: ClassVar[bool] = True
-
-    @property
-    def messages_only(self) -> bool:
-        """Whether only radios are down."""
-        return self.scope == "radio"
-
-    def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Crash]:
-        """Yield, node by node, the crashes that start before the horizon, s."""
-        for node, node_rng in enumerate(rng.spawn(size)):
-            t = node_rng.exponential(1.0 / self.rate)
-            while t < horizon:
-                end = t + max(node_rng.exponential(self.mean_downtime), MIN_FAULT_DURATION)
-                yield Crash(start=t, end=end, node=node, scope=self.scope, memory=self.memory)
-                t = end + node_rng.exponential(1.0 / self.rate)
-
-
-def _fault_kind(value: Any, info: ValidationInfo) -> str | type[Fault]:
-    """Return the kind of a built-in fault, or the class of a user's, given as a class or "module:Name"."""
-    if value in _BY_KIND:
-        return str(value)
-    if isinstance(value, str) and ":" in value:
-        if is_unlisted_import(value) and not is_trusted(info):
-            raise ValueError(refusal(value))
-        value = load_named(value, (info.context or {}).get("folder"))
-    if not (isinstance(value, type) and issubclass(value, Fault)):
-        hint = did_you_mean(value, _BY_KIND) if isinstance(value, str) else ""
-        classes = 'a class that derives from Fault as "module:Name"'
-        raise ValueError(f"should be {', '.join(_BY_KIND)}, or {classes}{hint} (got {value!r})")
-    return value
-
-
-def _class_of(kind: str | type[Fault]) -> type[Fault]:
-    return _BY_KIND[kind] if isinstance(kind, str) else kind
-
-
-_BY_KIND: Mapping[str, type[Fault]] = MappingProxyType({kind_of(model): model for model in BUILT_IN})
-FaultKind = Annotated[
-    Any,
-    PlainValidator(_fault_kind),
-    PlainSerializer(lambda kind: kind if isinstance(kind, str) else import_name(kind), return_type=str),
-    WithJsonSchema({"type": "string"}),
-]
-"""A kind of faults of the network: the name of a built-in one, or the class of a user."""
-
-
-class RandomFaults(Value):
-    """Random crashes, partitions and jamming with random parameters, for soak tests."""
-
-    kind: Literal["random"] = "random"
-    rate: Rate = 1.0
-    """Rate of faults, 1/s.
-
-    If in doubt, about ten faults in a run; with rate times `mean_duration` above 1, several overlap most of the time.
-    """
-    mean_duration: Duration = 1.0
-    """Mean duration of a fault, s."""
-    end: Extent = inf
-    """Time by which all faults have ended, s."""
-    kinds: Annotated[tuple[FaultKind, ...], FirstError(), NotEmpty()] = ("crash", "partition", "jamming")
-    """The kinds of faults to draw: crash, partition, jamming, or a fault of a user as "module:Name", in Python its
-    class."""
-    box: Box = (0.0, 20.0)
-    """Lower and upper bound of both coordinates of the centres of jamming discs, m."""
-
-    @property
-    def breaks(self) -> frozenset[str]:
-        """The assumptions that the kinds of faults break."""
-        return frozenset[str]().union(*(_class_of(kind).breaks for kind in self.kinds))
-
-    @property
-    def messages_only(self) -> bool:
-        """Whether no robot breaks down: no kind is a crash, which may be one of a robot."""
-        return not any(issubclass(_class_of(kind), Crash) for kind in self.kinds)
-
-    @property
-    def memory(self) -> bool:
-        """Whether all nodes keep their memory: no kind is a crash, which may erase it."""
-        return self.messages_only
-
-    @property
-    def is_scheduled(self) -> bool:
-        """Whether all kinds are built in, as a fault of a user may look at the run."""
-        return all(isinstance(kind, str) for kind in self.kinds)
-
-    def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Fault]:
-        """Yield the faults that start before `end` and the horizon, s, ordered by start time."""
-        t, end, draw = 0.0, min(self.end, horizon), RandomDraw(size, self.box, rng)
-        while (t := t + rng.exponential(1.0 / self.rate)) < end - MIN_FAULT_DURATION:
-            duration = max(rng.exponential(self.mean_duration), MIN_FAULT_DURATION)
-            window = {"start": t, "end": min(t + duration, self.end)}
-            kind = _class_of(self.kinds[rng.integers(len(self.kinds))])
-            yield kind(**window, **kind.random_parameters(draw))
-
-
-PLANNED_WITH = ("size", "horizon", "rng")
-"""The arguments of a plan of faults."""
-MAX_FAULTS = 1_000_000
-"""Largest number of faults of a plan, which may be a generator without an end."""
-MIN_FAULT_DURATION = 1e-6
-"""Minimum duration of a drawn fault, s."""
-FAULTS = OneOf(*BUILT_IN, MessageFault, RandomCrashes, RandomFaults, ClockSkew, takes=PLANNED_WITH, traits=FaultTraits)
-
-
-def is_skewed(faults: Iterable[object]) -> bool:
-    """Return whether a fault makes a clock wrong."""
-    return any(isinstance(fault, ClockSkew) for fault in faults)
-
-
-def drawn_skews(faults: Iterable[object]) -> list[ClockSkew]:
-    """Return the clock errors in `faults` that are drawn for each node."""
-    return [fault for fault in faults if isinstance(fault, ClockSkew) and fault.node is None]
-
-
-def clock_skews(faults: Iterable[object], node: int) -> list[ClockSkew]:
-    """Return the clock errors in `faults` that concern a node."""
-    return [skew for skew in faults if isinstance(skew, ClockSkew) and skew.node in (None, node)]
-
-
-def clock_errors(faults: Iterable[object], size: int, seed: int) -> list[tuple[float, float]]:
-    """Return (offset in s, drift) of the clock of each node, summed over all `ClockSkew` in `faults`.
-
-    A `ClockSkew` without a node adds an error drawn for each node. A sum of drifts below `MIN_DRIFT` is raised
-    to it.
-    """
-    errors = np.zeros((size, 2))
-    for k, skew in enumerate(fault for fault in faults if isinstance(fault, ClockSkew)):
-        if skew.node is None:
-            errors += stream(seed, "clocks", k).standard_normal((size, 2)) * (abs(skew.offset), abs(skew.drift))
-        else:
-            errors[skew.node] += skew.offset, skew.drift
-    errors[:, 1] = np.maximum(errors[:, 1], MIN_DRIFT)
-    return [(offset, drift) for offset, drift in errors.tolist()]
-
-
-def draw_faults(entries: Sequence[Fault | FaultPlan | ClockSkew], size: int, horizon: float, seed: int) -> list[Fault]:
-    """Draw the faults of each plan, and return them with the faults among the entries; clock errors are left out.
-
-    Every plan has its own random stream.
-
-    Raises:
-        ValueError: if a plan returns or yields anything else than faults, or does not end.
-    """
-    faults: list[Fault] = []
-    number = count()
-    for entry in entries:
-        if inherits(entry, Fault):  # unless a class of a user draws other faults
-            faults.append(entry)
-        elif not isinstance(entry, ClockSkew):
-            answer: Any = entry(size, horizon, stream(seed, "faults", next(number)))
-            planned: list[Any] = [*islice(answer, MAX_FAULTS + 1)] if isinstance(answer, Iterable) else [answer]
-            if len(planned) > MAX_FAULTS:
-                expected = f"a plan should end, with no fault after the horizon, and has over {MAX_FAULTS:,} faults"
-                raise wrong_answer(expected, planned[-1], entry)
-            if strange := [fault for fault in planned if not isinstance(fault, Fault)]:
-                raise wrong_answer("a plan should return or yield faults of the network", strange[0], entry)
-            faults += planned
-    return faults

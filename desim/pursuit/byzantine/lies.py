@@ -22,8 +22,10 @@ from desim.config.python_numbers import real
 from desim.config.traits import check_inherited_flag, kind_of
 from desim.kernel.core.seeds import pair_uniform, stream
 from desim.kernel.core.units import nanoseconds
-from desim.kernel.models.faults import FAULTS, MIN_FAULT_DURATION, PLANNED_WITH, Misbehaviour, NamedNodes, Window
+from desim.kernel.models.fault_plans import FAULTS, MIN_FAULT_DURATION, PLANNED_WITH
+from desim.kernel.models.faults import NamedNodes, Window
 from desim.kernel.models.graphs import Node
+from desim.kernel.models.traced_faults import Misbehaviour
 from desim.kernel.models.traits import FaultTraits
 from desim.pursuit.byzantine.falsehoods import FALSE_POSITIONS, FALSE_TIMES
 from desim.pursuit.core.traits import AssumptionName

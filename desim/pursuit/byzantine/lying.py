@@ -25,7 +25,7 @@ from desim.kernel.core.records import Record
 from desim.kernel.core.seeds import stream
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.fault_injection import Targets
-from desim.kernel.models.faults import FaultEnded, FaultStarted
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.kernel.models.transport import BestEffort, Transport
 from desim.kernel.network import Network
 from desim.pursuit.byzantine.lies import ByzantineFault, Lie, Speaker

@@ -11,7 +11,8 @@ from desim.analysis.activity import handovers, idle_time, relays
 from desim.analysis.trace_index import captures, messages, trace_index
 from desim.config.traits import kind_of
 from desim.kernel.core.events import LOST
-from desim.kernel.models.faults import FaultEnded, FaultStarted, TracedFault, nodes_of
+from desim.kernel.models.faults import nodes_of
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted, TracedFault
 from desim.pursuit.core.events import Decided, Started
 from desim.simulation.run import Result
 from desim.study.breaking.copies import copies, looks, readings

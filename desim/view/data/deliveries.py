@@ -18,7 +18,7 @@ from desim.analysis.activity import action, changes_with_previous, relays
 from desim.analysis.trace_index import ended, remembered, require_messages, started
 from desim.config.arrays import Integers
 from desim.kernel.core.events import Broadcast, Cause, Lost, Queued, Sent
-from desim.kernel.models.faults import FaultEnded, FaultStarted, TracedFault
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted, TracedFault
 from desim.simulation.run import Result
 
 

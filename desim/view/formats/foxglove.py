@@ -28,7 +28,7 @@ from desim.kernel.core.events import LOST as NEVER
 from desim.kernel.core.events import Broadcast, Event, Lost, Sent, Trace
 from desim.kernel.core.trace_file import body_json
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
-from desim.kernel.models.faults import FaultEnded, FaultStarted
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Sampled, Started, TracePoint
 from desim.results.run_folder import StreamedResult
 from desim.simulation.run import Result

@@ -9,7 +9,7 @@ from desim.analysis.activity import Change, Released, action, changes_with_previ
 from desim.analysis.knowledge import Pieces, knowledge
 from desim.analysis.trace_index import captures, ended, lacks_messages, messages, started
 from desim.kernel.core.units import SECOND
-from desim.kernel.models.faults import TracedFault
+from desim.kernel.models.traced_faults import TracedFault
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Distrusted
 from desim.simulation.run import Result
 from desim.view.data.deliveries import delivery_table, handover_events, outages
