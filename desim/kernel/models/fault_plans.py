@@ -23,6 +23,13 @@ from desim.kernel.models.clock_skew import ClockSkew
 from desim.kernel.models.faults import BUILT_IN, Crash, Fault, MessageFault, RandomDraw
 from desim.kernel.models.traits import FaultTraits
 
+PLANNED_WITH = ("size", "horizon", "rng")
+"""The arguments of a plan of faults."""
+MAX_FAULTS = 1_000_000
+"""Largest number of faults of a plan, which may be a generator without an end."""
+MIN_FAULT_DURATION = 1e-6
+"""Minimum duration of a drawn fault, s."""
+
 
 class FaultPlan(Protocol):
     """A model that draws faults: `plan(size, horizon, rng)`."""
@@ -147,13 +154,8 @@ class RandomFaults(Value):
             yield kind(**window, **kind.random_parameters(draw))
 
 
-PLANNED_WITH = ("size", "horizon", "rng")
-"""The arguments of a plan of faults."""
-MAX_FAULTS = 1_000_000
-"""Largest number of faults of a plan, which may be a generator without an end."""
-MIN_FAULT_DURATION = 1e-6
-"""Minimum duration of a drawn fault, s."""
 FAULTS = OneOf(*BUILT_IN, MessageFault, RandomCrashes, RandomFaults, ClockSkew, takes=PLANNED_WITH, traits=FaultTraits)
+"""The kinds of `[[fault]]` of a network; a pursuit adds those that need more than a network."""
 
 
 def draw_faults(entries: Sequence[Fault | FaultPlan | ClockSkew], size: int, horizon: float, seed: int) -> list[Fault]:
