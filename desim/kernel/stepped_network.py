@@ -140,12 +140,9 @@ class SteppedNetwork:
         can_leave: bool = False,
         walls: Iterable[Any] = (),
     ):
-        self._links, self._nodes, self._numbers = _described(nodes, _links_of(links))
-        self._faults, self._can_leave, self._horizon = _faults_of(faults), can_leave, _horizon(horizon)
-        self._walls = _walls_of(walls)
-        is_plan = [not isinstance(fault, Fault | ClockSkew) for fault in self._faults]
-        if horizon is None and any(is_plan):
-            raise ValueError(f"{self._faults[is_plan.index(True)]!r} needs horizon=, the time until which it draws, s")
+        self._links, self._nodes, self._numbers = nodes_argument(nodes, links_argument(links))
+        self._faults, self._can_leave = faults_argument(faults), can_leave
+        self._horizon, self._walls = horizon_argument(horizon, self._faults), walls_argument(walls)
         self._start(seed, positions, trace)
 
     def _start(self, seed: int, positions: Any, trace: Trace | None) -> None:
@@ -501,7 +498,7 @@ class _Faults(Value):
     fault: tuple[Annotated[Any, FAULTS], ...] = ()
 
 
-def _faults_of(faults: Any) -> tuple[Any, ...]:
+def faults_argument(faults: Any) -> tuple[Any, ...]:
     """Return faults, of which some may be given as dicts."""
     if isinstance(faults, str | Mapping) or not isinstance(faults, Iterable):
         raise ValueError(f"faults should be a list of faults, such as [Crash(start=1.0, node=0)] (got {faults!r})")
@@ -515,7 +512,7 @@ class _Walls(Value):
     wall: tuple[Wall, ...] = ()
 
 
-def _walls_of(walls: Any) -> tuple[Wall, ...]:
+def walls_argument(walls: Any) -> tuple[Wall, ...]:
     """Return walls, of which some may be given as dicts."""
     if isinstance(walls, str | Mapping | Wall) or not isinstance(walls, Iterable):
         raise ValueError(f"walls should be a list of walls, such as [Wall(line=[[0, 0], [4, 0]])] (got {walls!r})")
@@ -532,7 +529,7 @@ def _part_of_file(part: Any, **tables: Any) -> Any:
     raise KeyedError(*problems)
 
 
-def _links_of(links: Any) -> Links:
+def links_argument(links: Any) -> Links:
     """Return links, which may be given as a dict."""
     if links is None or isinstance(links, Links):
         return links or Links()
@@ -552,7 +549,7 @@ def _size_of(body: Any) -> int:
         return HEADER
 
 
-def _described(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, tuple[Any, ...], dict[Any, int] | None]:
+def nodes_argument(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, tuple[Any, ...], dict[Any, int] | None]:
     """Return the links with their graph, the labels of the nodes by number, and the number by label.
 
     The numbers are None if they are the labels.
@@ -575,9 +572,12 @@ def _described(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, tuple
     return links, labels, None if labels == tuple(range(len(labels))) else numbers
 
 
-def _horizon(horizon: float | None) -> int:
-    """Return the horizon of plans of faults, ns."""
+def horizon_argument(horizon: float | None, faults: Iterable[Any]) -> int:
+    """Return the horizon of plans of faults, ns; `NEVER` if it is None, and there are no plans."""
     if horizon is None:
+        plan = next((fault for fault in faults if not isinstance(fault, Fault | ClockSkew)), None)
+        if plan is not None:
+            raise ValueError(f"{plan!r} needs horizon=, the time until which it draws, s")
         return NEVER
     duration = real(horizon, "horizon")
     if not 0 < duration <= MAX_TIME:
