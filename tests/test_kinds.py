@@ -30,7 +30,7 @@ ALLOWED = {
     },
     "a contention, an airtime by node, or a tuned radio needs the fields of the base of the built-in media": {
         "desim.kernel.channel.air": "LoRa",
-        "desim.kernel.stepped_network": "ClockSkew Complete Fault",
+        "desim.kernel.stepped_arguments": "ClockSkew Complete Fault",
         "desim.kernel.link_layer.estimates": "Radio",
         "desim.kernel.models.medium": "LoRaInterference",
         "desim.scenario.misfits": "Radio",

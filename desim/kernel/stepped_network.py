@@ -17,30 +17,25 @@ only `step` moves, and runs the same network: the same links, faults and draws.
 """
 
 from collections.abc import Hashable, Iterable, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
-from warnings import warn
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
 from desim.config.arguments import naming_arguments
 from desim.config.arrays import Floats
-from desim.config.errors import KeyedError
 from desim.config.fresh import fresh_copy
-from desim.config.model import MAX_TIME, Value
+from desim.config.model import MAX_TIME
 from desim.config.python_numbers import real, whole
-from desim.kernel.core.clock import NEVER, RARE_COLLECTION, Clock, Instant, Phase
+from desim.kernel.core.clock import RARE_COLLECTION, Clock, Instant, Phase
 from desim.kernel.core.events import Cause, MessageCounts, Trace, TransportCounts
 from desim.kernel.core.message_size import HEADER, size_of
 from desim.kernel.core.ports import ReservedPort
 from desim.kernel.core.seeds import seed_of
 from desim.kernel.core.units import SECOND, nanoseconds
 from desim.kernel.fault_injection import inject
-from desim.kernel.graph_files.graph_attributes import unread_attributes
-from desim.kernel.graph_files.node_names import numbered
-from desim.kernel.models.clock_skew import ClockSkew, is_skewed
-from desim.kernel.models.fault_plans import FAULTS, draw_faults
-from desim.kernel.models.faults import Crash, Fault
-from desim.kernel.models.graphs import Complete, Edges, is_networkx
+from desim.kernel.models.clock_skew import is_skewed
+from desim.kernel.models.fault_plans import draw_faults
+from desim.kernel.models.faults import Crash
 from desim.kernel.models.links import Links
 from desim.kernel.models.medium import Unlimited
 from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
@@ -50,11 +45,17 @@ from desim.kernel.state.fault_state import FaultState
 from desim.kernel.state.message_queue import MessageQueue
 from desim.kernel.state.transmission import Transmission
 from desim.kernel.stepped_positions import SteppedPositions
-from desim.kernel.walls.wall import Wall
 from desim.kernel.wandering_clock import node_clocks
 
 if TYPE_CHECKING:
     import networkx as nx
+from desim.kernel.stepped_arguments import (
+    faults_argument,
+    horizon_argument,
+    links_argument,
+    nodes_argument,
+    walls_argument,
+)
 
 SHOWN = 10
 """Number of nodes listed in an error message."""
@@ -492,97 +493,12 @@ def _again(configuration: tuple[Any, ...], start: tuple[Any, ...]) -> SteppedNet
     return network
 
 
-class _Faults(Value):
-    """Faults as in a scenario file."""
-
-    fault: tuple[Annotated[Any, FAULTS], ...] = ()
-
-
-def faults_argument(faults: Any) -> tuple[Any, ...]:
-    """Return faults, of which some may be given as dicts."""
-    if isinstance(faults, str | Mapping) or not isinstance(faults, Iterable):
-        raise ValueError(f"faults should be a list of faults, such as [Crash(start=1.0, node=0)] (got {faults!r})")
-    part: _Faults = _part_of_file(_Faults, fault=tuple(faults))
-    return part.fault
-
-
-class _Walls(Value):
-    """Walls as in a scenario file."""
-
-    wall: tuple[Wall, ...] = ()
-
-
-def walls_argument(walls: Any) -> tuple[Wall, ...]:
-    """Return walls, of which some may be given as dicts."""
-    if isinstance(walls, str | Mapping | Wall) or not isinstance(walls, Iterable):
-        raise ValueError(f"walls should be a list of walls, such as [Wall(line=[[0, 0], [4, 0]])] (got {walls!r})")
-    part: _Walls = _part_of_file(_Walls, wall=tuple(walls))
-    return part.wall
-
-
-def _part_of_file(part: Any, **tables: Any) -> Any:
-    """Return a part of a scenario file; an error names the key, and not the part, which a caller does not know."""
-    try:
-        return part(**tables)
-    except KeyedError as error:
-        problems = [problem._replace(where="") for problem in error.problems]
-    raise KeyedError(*problems)
-
-
-def links_argument(links: Any) -> Links:
-    """Return links, which may be given as a dict."""
-    if links is None or isinstance(links, Links):
-        return links or Links()
-    if not isinstance(links, Mapping):
-        raise ValueError(
-            f"links should be Links(...), or a table [network] as a dict (got {links!r}); those of a scenario file are"
-            " load(file).network"
-        )
-    return Links(**links)
-
-
 def _size_of(body: Any) -> int:
     """Return the size of a message, bytes; that of its header if the body has none."""
     try:
         return size_of(body)
     except ValueError:
         return HEADER
-
-
-def nodes_argument(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, tuple[Any, ...], dict[Any, int] | None]:
-    """Return the links with their graph, the labels of the nodes by number, and the number by label.
-
-    The numbers are None if they are the labels.
-    """
-    if not is_networkx(nodes):
-        size = whole(nodes, "the number of nodes, if it is not a networkx graph,")
-        if size < 1:
-            raise ValueError(f"a network should have at least 1 node (got {size})")
-        return links, tuple(range(size)), None
-    graph: Any = nodes
-    if not isinstance(links.graph, Complete):
-        raise ValueError("a network has one graph: give it as the nodes or as links.graph, and a number of nodes")
-    if not len(graph):
-        raise ValueError("a network should have at least 1 node (got an empty graph)")
-    edges, numbers = Edges.of(graph), numbered(graph).numbers
-    for note in unread_attributes(graph, of_links_only=True):  # positions of nodes are given beside the graph
-        warn(note, UserWarning, stacklevel=3)
-    labels = tuple(sorted(numbers, key=numbers.__getitem__))
-    links = links.model_copy(update={"graph": edges}).numbered(edges.names)
-    return links, labels, None if labels == tuple(range(len(labels))) else numbers
-
-
-def horizon_argument(horizon: float | None, faults: Iterable[Any]) -> int:
-    """Return the horizon of plans of faults, ns; `NEVER` if it is None, and there are no plans."""
-    if horizon is None:
-        plan = next((fault for fault in faults if not isinstance(fault, Fault | ClockSkew)), None)
-        if plan is not None:
-            raise ValueError(f"{plan!r} needs horizon=, the time until which it draws, s")
-        return NEVER
-    duration = real(horizon, "horizon")
-    if not 0 < duration <= MAX_TIME:
-        raise ValueError(f"horizon should be a time above 0 and at most {MAX_TIME:g} s (got {horizon!r})")
-    return nanoseconds(duration)
 
 
 def _order(loss: tuple[int, int, int, LostMessage]) -> tuple[int, int, int]:
