@@ -189,9 +189,9 @@ class SteppedNetwork:
         src: Hashable,
         dst: Hashable | None,
         body: Any,
+        port: str = "",
         *,
         size: int | None = None,
-        port: str = "",
         transport: Transport | None = None,
     ) -> None:
         """Send a message now to one node, or to all neighbours (None); a later `step` returns it where it arrives.
@@ -200,9 +200,9 @@ class SteppedNetwork:
             src: the sender.
             dst: the receiver; None: all neighbours.
             body: any object that can be copied. Each receiver gets a copy, unless it is immutable.
+            port: a name by which the receiver tells kinds of messages apart.
             size: bytes; computed from the body if None, see `desim.kernel.core.message_size`. Over a medium without
                 airtime, a body of unknown size, such as a function, counts as none.
-            port: a name by which the receiver tells kinds of messages apart.
             transport: how it is carried, see `desim.kernel.models.transport`; None: that of the links.
 
         Raises:

@@ -1,6 +1,7 @@
 """The agent: what a protocol may know and do."""
 
 from dataclasses import dataclass
+from inspect import signature
 from math import inf, nan
 from typing import Any, NamedTuple
 
@@ -19,10 +20,13 @@ from desim.kernel.models.graphs import Edges, Ring
 from desim.kernel.models.latency import Constant, Lognormal
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
+from desim.kernel.network import Network
+from desim.kernel.stepped_network import SteppedNetwork
+from desim.pursuit.byzantine.lying import LyingTeam
 from desim.pursuit.core.events import Captured, Decided
 from desim.pursuit.game.utility import EdgePenalty, LocalMean, Mean
 from desim.pursuit.sensing.views import View
-from desim.pursuit.team.agent import repeat
+from desim.pursuit.team.agent import Agent, Voice, repeat
 from desim.pursuit.team.announcements import STARTS, Announcements, Assignment, records_in
 from desim.pursuit.team.timing import StandstillError
 from desim.scenario.players import Evader, Team
@@ -677,3 +681,21 @@ def test_news_of_any_type_are_announced_when_they_change(name):
 class Noted:
     active: int
     news: Any
+
+
+@pytest.mark.parametrize(
+    ("send", "more"),
+    [
+        (Agent.send, []),
+        (Voice.send, ["src"]),
+        (LyingTeam.send, ["src"]),
+        (SteppedNetwork.send, ["src"]),
+        (Network.send, ["src", "only"]),
+    ],
+)
+def test_all_send_with_the_same_arguments(send, more):
+    def forms(function):
+        arguments = signature(function).parameters.values()
+        return [(argument.name, argument.kind, argument.default) for argument in arguments if argument.name not in more]
+
+    assert forms(send) == forms(Agent.send)

@@ -119,8 +119,8 @@ class LyingTeam:
         src: int,
         dst: int | None,
         body: Any,
-        *,
         port: str = "",
+        *,
         size: int | None = None,
         transport: Transport | None = None,
     ) -> None:

@@ -48,8 +48,8 @@ class Voice(Protocol):
         src: int,
         dst: int | None,
         body: Any,
-        *,
         port: str = "",
+        *,
         size: int | None = None,
         transport: Transport | None = None,
     ) -> None:
@@ -257,8 +257,8 @@ class Agent(Beliefs, Timing, HintedItems):
         body: Any,
         port: str = "",
         *,
-        transport: Transport | None = None,
         size: int | None = None,
+        transport: Transport | None = None,
     ) -> None:
         """Send a message to a teammate, or to all neighbours (None), into the inbox of a port.
 
@@ -271,9 +271,9 @@ class Agent(Beliefs, Timing, HintedItems):
             dst: the receiver; None: all neighbours.
             body: what is sent.
             port: the port of the inbox.
+            size: the size of the message, bytes; None: computed from the body, see `desim.kernel.core.message_size`.
             transport: how the message is carried, for example retransmitted until it is acknowledged; None: as
                 `network.transport` says. All messages at a port should have the same transport.
-            size: the size of the message, bytes; None: computed from the body, see `desim.kernel.core.message_size`.
 
         Raises:
             ValueError: if the receiver is the sender, there is no such teammate, the size is not an integer of at least
