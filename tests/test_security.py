@@ -15,7 +15,7 @@ import desim
 from desim import Scenario
 from desim.analysis.drawing.plots import save, trajectory
 from desim.cli import main
-from desim.config import choice
+from desim.config import named_code
 from desim.config.trust import escaped
 from desim.kernel.models.latency import Empirical
 from desim.kernel.models.links import Links
@@ -254,7 +254,7 @@ def test_models_installed_as_entry_points_may_be_named(mark, written, tmp_path, 
     )
     (tmp_path / "evil.py").rename(tmp_path / "site" / "evil.py")
     monkeypatch.syspath_prepend(tmp_path / "site")
-    choice._named_by_entry_points.cache_clear()
+    named_code._named_by_entry_points.cache_clear()
     try:
         assert "names code" in refused("check", written('network.latency = { kind = "evil:Caught" }'))
         assert not mark.exists()
@@ -264,7 +264,7 @@ def test_models_installed_as_entry_points_may_be_named(mark, written, tmp_path, 
             assert why in refused("check", written(f'network.latency = {{ kind = "evil:Twice", of = {inner} }}'))
         assert not mark.exists()
     finally:
-        choice._named_by_entry_points.cache_clear()
+        named_code._named_by_entry_points.cache_clear()
 
 
 def test_files_for_user_models_may_lie_beside_the_scenario_file(mark, written, tmp_path):
@@ -367,12 +367,14 @@ CALLS = {
     *("literal_eval", "frombuffer", "fromfile", "memmap", "unsafe_load", "full_load", "enable_load_extension"),
 }
 """Names of what may make code of data."""
+ENTRY_POINTS = {"desim/config/choice.py", "desim/config/named_code.py"}
+"""The modules that load what an installed distribution lists."""
 HARMLESS = {"json.loads", "tomllib.loads", "re.compile", "platform.system"}
 ALLOWED = {
     "desim/__init__.py": {"import_module"},  # of its own modules
     "protocols/__init__.py": {"import_module"},  # of its own modules
-    "desim/config/choice.py": {"import_module", "load", "each.load"},  # `_imported`, entry points
     "desim/config/fresh.py": {"reader.load"},  # what it has just pickled
+    "desim/config/named_code.py": {"import_module"},  # what a trusted file names
     "desim/learning/make.py": {"load"},  # of a scenario file
     "desim/live/__init__.py": {"import_module"},  # of its own modules
     "desim/live/frames.py": {"np.frombuffer"},  # numbers alone
@@ -402,7 +404,7 @@ def _calls(tree):
 
 
 def _known(name: str, file: str) -> bool:
-    return name in ALLOWED.get(file, set()) or (file == "desim/config/choice.py" and name.endswith(".load"))
+    return name in ALLOWED.get(file, set()) or (file in ENTRY_POINTS and name.endswith(".load"))
 
 
 @pytest.mark.slow_but_one
@@ -604,7 +606,7 @@ def test_no_command_prints_without_escaping():
     """All output goes through the function that escapes it."""
     for path in (ROOT / "desim" / "cli").glob("*.py"):
         names = [ast.unparse(node.func) for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
-        allowed = 1 if path.name == "options.py" else 0
+        allowed = 1 if path.name == "output.py" else 0
         assert names.count("click.echo") == allowed, path
         assert not {"print", "sys.stdout.write", "sys.stderr.write", "click.secho"} & set(names), path
 

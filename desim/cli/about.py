@@ -141,8 +141,8 @@ def protocols(only: str | None) -> None:
     from pydantic import BaseModel
 
     from desim.cli.description import described, described_traits, summary
-    from desim.config.choice import definition_of
     from desim.config.key_errors import suggestion
+    from desim.config.named_code import definition_of
     from desim.scenario.scenario import PROTOCOLS
 
     choices = PROTOCOLS.choices()

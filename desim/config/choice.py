@@ -1,13 +1,10 @@
 """Fields that hold one of several models, selected by the `kind` of a table."""
 
-import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from functools import cache, cached_property, partial, reduce
-from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
-from inspect import isasyncgenfunction, iscoroutinefunction, isgeneratorfunction, signature
-from pathlib import Path
+from functools import cache, cached_property
+from importlib.metadata import EntryPoint
+from inspect import signature
 from types import FunctionType, MappingProxyType
 from typing import Any, ClassVar
 
@@ -15,7 +12,6 @@ from pydantic import (
     BaseModel,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
-    PydanticUserError,
     SerializationInfo,
     ValidationError,
     ValidationInfo,
@@ -25,35 +21,26 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, SchemaValidator, core_schema
 
 from desim.config.answers import name_and_place
-from desim.config.errors import AnswerError
+from desim.config.calls import check_at_once, check_call, check_method
 from desim.config.model import markers_of
-from desim.config.own_modules import CodeName, find_own_modules, module_beside, plain_name
-from desim.config.packages import KINDS_OF
+from desim.config.named_code import (
+    IMPORTED,
+    definition_of,
+    entry_points_of,
+    import_name,
+    is_unlisted_import,
+    load_named,
+    refusal,
+)
+from desim.config.number_texts import why_no_number
 from desim.config.python_numbers import as_python
-from desim.config.suggestion import did_you_mean
 from desim.config.traits import Traits, attributes, is_ours, name_of, positions
-from desim.config.trust import ALLOW_HINT, is_trusted
-
-find_own_modules()
+from desim.config.trust import is_trusted
 
 
 def kind_of(model: type[BaseModel]) -> str:
     """Return the `kind` that selects a model in a file."""
     return str(model.model_fields["kind"].default)
-
-
-def definition_of(value: Any) -> Any:
-    """Return the function or class that defines a value: a function itself, or the class of an object."""
-    return value if isinstance(value, FunctionType) else type(value)
-
-
-def import_name(definition: Any) -> str:
-    """Return the `kind` "module:name" that selects a function or class without an entry point."""
-    return f"{plain_name(definition.__module__)}:{definition.__qualname__}"
-
-
-IMPORTED = "^[^:]+:[^:]+$"
-"""Matches a kind "module:name"."""
 
 
 class OneOf:
@@ -135,7 +122,7 @@ class OneOf:
 
     @cached_property
     def _installed(self) -> dict[str, EntryPoint]:
-        points = [*entry_points(group=self.group), *_builtin_points(self.group)] if self.group else []
+        points = entry_points_of(self.group) if self.group else []
         return {point.name: point for point in sorted(points, key=lambda point: point.name)}
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -286,93 +273,10 @@ class OneOf:
         return _constructed(model, kind, parameters, info.context)
 
 
-def check_method(value: Any, name: str, takes: Sequence[str]) -> None:
-    """Raise ValueError if a model has no method with a name and these arguments."""
-    method: Any = getattr(value, name, None)
-    if not callable(method):
-        raise ValueError(
-            f"{name} should be a method {name}({', '.join(takes)}) (got {method!r} of {name_and_place(value)})"
-        )
-    try:
-        check_call(method, takes, value)
-    except AnswerError as error:
-        raise AnswerError(f"{name} {error}") from error
-
-
-def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *first: Any) -> None:
-    """Raise AnswerError if a function cannot be called with the arguments `first`, and then those named in `takes`.
-
-    The message names `value`: the function, object or class that the user gave.
-    """
-    if any(map(iscoroutinefunction, _codes(function))) or any(map(isasyncgenfunction, _codes(function))):
-        raise AnswerError(f"should have `def` in place of `async def`, and `yield` to wait: {name_and_place(value)}")
-    try:
-        parameters = signature(function)
-    except (TypeError, ValueError):  # some functions in C have no signature
-        return
-    try:
-        parameters.bind(*first, *takes)
-    except TypeError as error:
-        call = f"a call with ({', '.join(takes)})" if takes else "a call without arguments"
-        raise AnswerError(f"should accept {call}; {name_and_place(value)} does not: {error}") from error
-
-
-def check_at_once(function: Callable[..., Any], whose: str = "") -> None:
-    """Raise AnswerError if a function would do nothing when it is called, because it is a generator."""
-    if any(map(isgeneratorfunction, _codes(function))):
-        raise AnswerError(f"{whose}should do its work when it is called, without yield: {name_and_place(function)}")
-
-
-def _codes(function: Any) -> tuple[Any, Any]:
-    """Return a function without the arguments that it has already, and the method by which an object is called."""
-    while isinstance(function, partial):
-        function = function.func
-    return function, None if isinstance(function, type) else getattr(type(function), "__call__", None)  # noqa: B004
-
-
 def _or(models: Sequence[type]) -> str:
     """Return the names of some classes, at least one, as a list in words."""
     *names, last = (model.__name__ for model in models)
     return f"{', '.join(names)} or {last}" if names else last
-
-
-NUMBER_AS_TEXT = re.compile(r"\s*([+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:e[+-]?\d+)?)\s*([^\W\d_]*|%)\s*", re.IGNORECASE)
-"""Matches a text that is meant as a number, and its unit."""
-UNITS = MappingProxyType(
-    {
-        "s": ("s", 1.0),
-        "sec": ("s", 1.0),
-        "ms": ("s", 1e3),
-        "us": ("s", 1e6),
-        "ns": ("s", 1e9),
-        "min": ("s", 1 / 60),
-        "m": ("m", 1.0),
-        "km": ("m", 1e-3),
-        "cm": ("m", 1e2),
-        "mm": ("m", 1e3),
-        "%": ("1", 100.0),
-    }
-)
-"""The unit in which a number is expected instead of another one, and how many of these it is."""
-
-
-def why_no_number(text: str, units: Collection[str] = ("s", "1")) -> str | None:
-    """Return what to write instead of a text that is meant as a number; None for any other text, such as a kind.
-
-    `units` are the units that the number may have: those of a latency or a loss, if the key is not known.
-    """
-    text = str(text)  # numpy's are shown otherwise
-    match = NUMBER_AS_TEXT.fullmatch(text)
-    if match is None:
-        return None
-    number, unit = match[1].replace(",", "."), match[2].lower()
-    if not unit:
-        return f"should be a number: {number} instead of the text {text!r}"
-    if unit not in UNITS or UNITS[unit][0] not in units:
-        return f"should be a number without a unit (got {text!r})"
-    right, count = UNITS[unit]
-    what = "a number from 0 to 1" if right == "1" else f"a number, in {right}"
-    return f"should be {what}: {float(number) / count:g} instead of the text {text!r}"
 
 
 def _union(models: Mapping[Any, type[BaseModel]]) -> CoreSchema:
@@ -387,74 +291,6 @@ def _union(models: Mapping[Any, type[BaseModel]]) -> CoreSchema:
 def _validator(kind: Any, model: type[BaseModel]) -> SchemaValidator:
     """Return the validator of the tables of one kind."""
     return SchemaValidator(_union({kind: model}))
-
-
-def is_unlisted_import(kind: Any) -> bool:
-    """Return whether a kind is a "module:name" that neither `KINDS_OF` nor a `desim.*` entry point refers to."""
-    return isinstance(kind, str) and ":" in kind and kind not in _named_by_entry_points()
-
-
-def _builtin_points(group: str) -> list[EntryPoint]:
-    """Create an entry point for each kind of a group in `KINDS_OF`; no distribution needs to declare these."""
-    tables = [kinds().get(group, {}) for kinds in KINDS_OF.values()]
-    return [EntryPoint(kind, definition, group) for table in tables for kind, definition in table.items()]
-
-
-def refusal(kind: str) -> str:
-    """Return the error message for an untrusted file that names code."""
-    return f"{kind!r} names code to be run; {ALLOW_HINT}"
-
-
-@cache
-def _named_by_entry_points() -> Mapping[str, EntryPoint]:
-    """Return all entry points of groups `desim.*`, those of `KINDS_OF` included, by "module:name"."""
-    groups = set(entry_points().groups).union(*(kinds() for kinds in KINDS_OF.values()))
-    points = (
-        point
-        for group in groups
-        if group.startswith("desim.")
-        for point in (*entry_points(group=group), *_builtin_points(group))
-    )
-    return MappingProxyType({f"{point.module}:{point.attr}": point for point in points})
-
-
-def load_named(kind: str, folder: Path | None) -> Any:
-    """Import and return the object "module:name"; the name may have dots, for example "module:Outer.Inner".
-
-    An object that `KINDS_OF` or an entry point of a group `desim.*` lists is loaded as an entry point. A module
-    that lies in `folder` precedes any other of its name, except those of Python and of desim; modules of one name in
-    different folders are different modules, and each imports the modules beside it (`desim.config.own_modules`).
-
-    An import runs the code of the module. If the object is not listed (`is_unlisted_import`), the caller must first
-    check that the file that names the object is trusted.
-
-    Raises:
-        ValueError: if the object cannot be imported.
-    """
-    module, _, name = kind.partition(":")
-    where, package = "", module
-    folder = kind.folder if isinstance(kind, CodeName) else folder
-    point = _named_by_entry_points().get(kind)
-    if point is None and folder is not None:
-        where = f"; also searched in the folder of the file, {folder.absolute()}"
-        package = module_beside(module, folder)
-    place = package.removeprefix(module.partition(".")[0]).partition(".")[0]
-    try:
-        return reduce(getattr, name.split("."), import_module(package)) if point is None else point.load()
-    except AttributeError as error:
-        hint = did_you_mean(error.name, dir(error.obj)) if error.name else ""
-        raise ValueError(f"{kind!r} cannot be imported: {_without(place, error)}{hint}{where}") from error
-    except (ImportError, ValueError) as error:
-        raise ValueError(f"{kind!r} cannot be imported: {_without(place, error)}{where}") from error
-    except PydanticUserError as error:  # an invalid definition of a model, such as a field without a type
-        raise ValueError(f"{kind!r} cannot be imported: {error.message}") from error
-    except SystemExit as error:
-        raise ValueError(f"{kind!r} cannot be imported: {module} calls exit({error.code!r})") from error
-
-
-def _without(place: str, error: Exception) -> str:
-    """Return the text of an error with plain names of modules."""
-    return str(error).replace(place, "") if "@" in place else str(error)
 
 
 def _constructed(model: type, kind: str, parameters: dict[str, Any], context: Any) -> Any:

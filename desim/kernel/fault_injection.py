@@ -7,7 +7,7 @@ from typing import Any, cast
 import simpy
 
 from desim.config.answers import wrong_answer
-from desim.config.choice import check_at_once, check_call
+from desim.config.calls import check_at_once, check_call
 from desim.config.model import MAX_TIME
 from desim.config.traits import kind_of
 from desim.kernel.core.clock import Clock, Instant, Phase

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, PlainSerializer, PlainValidator, ValidationInfo, WithJsonSchema
 
-from desim.config.choice import import_name, is_unlisted_import, load_named, refusal
+from desim.config.named_code import import_name, is_unlisted_import, load_named, refusal
 from desim.config.packages import MARGINS
 from desim.config.suggestion import did_you_mean
 from desim.config.trust import is_trusted

@@ -38,9 +38,10 @@ from pydantic import (
     WithJsonSchema,
 )
 
-from desim.config.choice import OneOf, choices_of, import_name, is_unlisted_import, load_named, refusal
+from desim.config.choice import OneOf, choices_of
 from desim.config.error_texts import text_of
 from desim.config.model import Time, Value
+from desim.config.named_code import import_name, is_unlisted_import, load_named, refusal
 from desim.config.suggestion import did_you_mean
 from desim.config.trust import is_trusted
 from desim.kernel.core.units import seconds

@@ -3,19 +3,12 @@
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    BeforeValidator,
-    Field,
-    GetJsonSchemaHandler,
-    ValidationInfo,
-    field_serializer,
-    field_validator,
-)
+from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, ValidationInfo, field_serializer, field_validator
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError
 
-from desim.config.choice import definition_of, import_name, is_unlisted_import, refusal
 from desim.config.model import Value
+from desim.config.named_code import definition_of, import_name, is_unlisted_import, refusal
 from desim.config.trust import is_trusted
 from desim.scenario.value_ranges import KeyRange, interval_of, is_range, range_of
 

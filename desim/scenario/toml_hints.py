@@ -3,7 +3,7 @@
 import re
 from types import MappingProxyType
 
-from desim.config.choice import why_no_number
+from desim.config.number_texts import why_no_number
 
 _LINE = re.compile(r"\s*([\w.-]+)\s*([=:]?)\s*(.*?)\s*[,;]?\s*(?:#.*)?")
 """Matches a line, and finds its key, the sign after it and its value."""

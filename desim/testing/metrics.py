@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from desim.analysis.metrics import summary
-from desim.config.choice import load_named
+from desim.config.named_code import load_named
 from desim.kernel.core.trace_file import line_of
 from desim.kernel.models.faults import Crash
 from desim.kernel.models.links import Links

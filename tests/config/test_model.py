@@ -13,7 +13,7 @@ from pydantic import BaseModel, Field, PydanticUserError, TypeAdapter
 
 import protocols
 from desim import Lognormal, Scenario
-from desim.config import choice
+from desim.config import named_code
 from desim.config.choice import OneOf, kind_of
 from desim.config.errors import KeyedError
 from desim.config.json_numbers import to_json
@@ -220,7 +220,7 @@ def test_the_protocols_of_other_distributions_are_choices_too(monkeypatch):
             return Square
 
     groups = []
-    monkeypatch.setattr(choice, "entry_points", lambda *, group: groups.append(group) or [Point()])
+    monkeypatch.setattr(named_code, "entry_points", lambda *, group: groups.append(group) or [Point()])
     shapes = OneOf(Circle, group="shapes")
     assert list(shapes.choices().items()) == [("circle", Circle), ("square", Square)]
     adapter = TypeAdapter(Annotated[Any, shapes])
@@ -233,27 +233,27 @@ def test_what_the_table_of_the_repository_names_needs_no_installation(monkeypatc
     stale = EntryPoint("round", "protocols.gone:Circle", "desim.shapes")
     mine = {"desim.shapes": {"round": f"{__name__}:Circle", "square": f"{__name__}:Square"}}
     monkeypatch.setattr(protocols, "KINDS", mine)
-    monkeypatch.setattr(choice, "entry_points", lambda group=None: EntryPoints([stale] if group else []))
+    monkeypatch.setattr(named_code, "entry_points", lambda group=None: EntryPoints([stale] if group else []))
     assert OneOf(group="desim.shapes").choices() == {"round": Circle, "square": Square}
-    choice._named_by_entry_points.cache_clear()
+    named_code._named_by_entry_points.cache_clear()
     try:
-        assert not choice.is_unlisted_import(f"{__name__}:Circle")
-        assert choice.is_unlisted_import(f"{__name__}:Drawing")
+        assert not named_code.is_unlisted_import(f"{__name__}:Circle")
+        assert named_code.is_unlisted_import(f"{__name__}:Drawing")
     finally:
-        choice._named_by_entry_points.cache_clear()
+        named_code._named_by_entry_points.cache_clear()
 
 
 @pytest.mark.parametrize("listed", ["protocols.gone:Circle", f"{__name__}:Gone"])
 def test_a_listed_object_that_cannot_be_imported_is_refused_as_any_other(monkeypatch, tmp_path, listed):
     """Its module or its name is gone, as after an upgrade; the folder of the file is not searched for it."""
     monkeypatch.setattr(protocols, "KINDS", {"desim.shapes": {"round": listed}})
-    choice._named_by_entry_points.cache_clear()
+    named_code._named_by_entry_points.cache_clear()
     try:
         with pytest.raises(ValueError, match=f"{re.escape(repr(listed))} cannot be imported: .*one") as caught:
             TypeAdapter(Annotated[Any, OneOf(Circle)]).validate_python({"kind": listed}, context={"folder": tmp_path})
         assert "also searched" not in str(caught.value)
     finally:
-        choice._named_by_entry_points.cache_clear()
+        named_code._named_by_entry_points.cache_clear()
 
 
 def test_only_the_models_named_in_a_table_are_loaded(monkeypatch):
@@ -269,7 +269,7 @@ def test_only_the_models_named_in_a_table_are_loaded(monkeypatch):
 
     loaded: list[str] = []
     points = [Point("square", Square), Point("drawing", Drawing)]
-    monkeypatch.setattr(choice, "entry_points", lambda **_: points)
+    monkeypatch.setattr(named_code, "entry_points", lambda **_: points)
     shapes = OneOf(Circle, group="shapes")
     adapter = TypeAdapter(Annotated[Any, shapes])
     assert adapter.validate_python({"kind": "circle"}) == Circle()
@@ -339,7 +339,7 @@ def test_a_model_without_source_has_no_descriptions():
 
 
 def test_without_a_group_nothing_is_looked_up(monkeypatch):
-    monkeypatch.setattr(choice, "entry_points", lambda **_: pytest.fail("looked up"))
+    monkeypatch.setattr(named_code, "entry_points", lambda **_: pytest.fail("looked up"))
     assert OneOf(Circle, Square).choices() == {"circle": Circle, "square": Square}
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Protocol, TypeVar
 import numpy as np
 from pydantic import Field
 
-from desim.config.choice import check_at_once, check_call
+from desim.config.calls import check_at_once, check_call
 
 LOST = -1
 """The arrival time of a message that never arrives."""

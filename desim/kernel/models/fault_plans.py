@@ -13,8 +13,9 @@ import numpy as np
 from pydantic import PlainSerializer, PlainValidator, ValidationInfo, WithJsonSchema
 
 from desim.config.answers import wrong_answer
-from desim.config.choice import OneOf, import_name, is_unlisted_import, kind_of, load_named, refusal
+from desim.config.choice import OneOf, kind_of
 from desim.config.model import Box, Duration, Extent, FirstError, Flag, NotEmpty, Rate, Value
+from desim.config.named_code import import_name, is_unlisted_import, load_named, refusal
 from desim.config.suggestion import did_you_mean
 from desim.config.traits import inherits
 from desim.config.trust import is_trusted

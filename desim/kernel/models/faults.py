@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from desim.config.answers import wrong_answer
-from desim.config.choice import check_call
+from desim.config.calls import check_call
 from desim.config.model import Coordinate, Extent, FirstError, Flag, Length, NotEmpty, Time, Value
 from desim.config.traits import inherits, positions
 from desim.kernel.core.events import Cause

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import Field
 
 from desim.config.answers import wrong_answer
-from desim.config.choice import definition_of, import_name
+from desim.config.named_code import definition_of, import_name
 from desim.config.traits import inherits
 from desim.kernel.core.events import Nanoseconds
 from desim.kernel.models.faults import BUILT_IN, Crash, Fault, Jamming, NamedNodes, Partition, Sketch, Window, nodes_of

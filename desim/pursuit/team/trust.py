@@ -13,7 +13,8 @@ import numpy as np
 from pydantic import Field
 
 from desim.config.answers import wrong_answer
-from desim.config.choice import OneOf, check_method
+from desim.config.calls import check_method
+from desim.config.choice import OneOf
 from desim.config.model import Duration, Limit, Period, Probability, Value
 from desim.config.traits import Traits, is_ours
 from desim.kernel.core.ports import ReservedPort

@@ -32,9 +32,9 @@ import cloudpickle
 import numpy as np
 from pydantic import BaseModel
 
-from desim.config.choice import definition_of
 from desim.config.data_files import DataFileError, content_hash, declared, opened_by
 from desim.config.errors import Problem
+from desim.config.named_code import definition_of
 from desim.config.own_modules import plain_name
 from desim.config.traits import OURS
 from desim.scenario.overrides import ScenarioError

@@ -1,0 +1,53 @@
+"""Whether a function or object of a user can be called as a model is, before a run calls it."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from inspect import isasyncgenfunction, iscoroutinefunction, isgeneratorfunction, signature
+from typing import Any
+
+from desim.config.answers import name_and_place
+from desim.config.errors import AnswerError
+
+
+def check_method(value: Any, name: str, takes: Sequence[str]) -> None:
+    """Raise ValueError if a model has no method with a name and these arguments."""
+    method: Any = getattr(value, name, None)
+    if not callable(method):
+        raise ValueError(
+            f"{name} should be a method {name}({', '.join(takes)}) (got {method!r} of {name_and_place(value)})"
+        )
+    try:
+        check_call(method, takes, value)
+    except AnswerError as error:
+        raise AnswerError(f"{name} {error}") from error
+
+
+def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *first: Any) -> None:
+    """Raise AnswerError if a function cannot be called with the arguments `first`, and then those named in `takes`.
+
+    The message names `value`: the function, object or class that the user gave.
+    """
+    if any(map(iscoroutinefunction, _codes(function))) or any(map(isasyncgenfunction, _codes(function))):
+        raise AnswerError(f"should have `def` in place of `async def`, and `yield` to wait: {name_and_place(value)}")
+    try:
+        parameters = signature(function)
+    except (TypeError, ValueError):  # some functions in C have no signature
+        return
+    try:
+        parameters.bind(*first, *takes)
+    except TypeError as error:
+        call = f"a call with ({', '.join(takes)})" if takes else "a call without arguments"
+        raise AnswerError(f"should accept {call}; {name_and_place(value)} does not: {error}") from error
+
+
+def check_at_once(function: Callable[..., Any], whose: str = "") -> None:
+    """Raise AnswerError if a function would do nothing when it is called, because it is a generator."""
+    if any(map(isgeneratorfunction, _codes(function))):
+        raise AnswerError(f"{whose}should do its work when it is called, without yield: {name_and_place(function)}")
+
+
+def _codes(function: Any) -> tuple[Any, Any]:
+    """Return a function without the arguments that it has already, and the method by which an object is called."""
+    while isinstance(function, partial):
+        function = function.func
+    return function, None if isinstance(function, type) else getattr(type(function), "__call__", None)  # noqa: B004

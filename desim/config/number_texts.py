@@ -1,0 +1,43 @@
+"""Texts that are meant as numbers, such as "50 ms": what to write instead."""
+
+import re
+from collections.abc import Collection
+from types import MappingProxyType
+
+NUMBER_AS_TEXT = re.compile(r"\s*([+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:e[+-]?\d+)?)\s*([^\W\d_]*|%)\s*", re.IGNORECASE)
+"""Matches a text that is meant as a number, and its unit."""
+UNITS = MappingProxyType(
+    {
+        "s": ("s", 1.0),
+        "sec": ("s", 1.0),
+        "ms": ("s", 1e3),
+        "us": ("s", 1e6),
+        "ns": ("s", 1e9),
+        "min": ("s", 1 / 60),
+        "m": ("m", 1.0),
+        "km": ("m", 1e-3),
+        "cm": ("m", 1e2),
+        "mm": ("m", 1e3),
+        "%": ("1", 100.0),
+    }
+)
+"""The unit in which a number is expected instead of another one, and how many of these it is."""
+
+
+def why_no_number(text: str, units: Collection[str] = ("s", "1")) -> str | None:
+    """Return what to write instead of a text that is meant as a number; None for any other text, such as a kind.
+
+    `units` are the units that the number may have: those of a latency or a loss, if the key is not known.
+    """
+    text = str(text)  # numpy's are shown otherwise
+    match = NUMBER_AS_TEXT.fullmatch(text)
+    if match is None:
+        return None
+    number, unit = match[1].replace(",", "."), match[2].lower()
+    if not unit:
+        return f"should be a number: {number} instead of the text {text!r}"
+    if unit not in UNITS or UNITS[unit][0] not in units:
+        return f"should be a number without a unit (got {text!r})"
+    right, count = UNITS[unit]
+    what = "a number from 0 to 1" if right == "1" else f"a number, in {right}"
+    return f"should be {what}: {float(number) / count:g} instead of the text {text!r}"
