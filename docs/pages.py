@@ -23,7 +23,8 @@ from desim.analysis.drawing.plots import save
 from desim.analysis.metrics import METRICS, Summary
 from desim.cli.description import default_of, summary
 from desim.config.choice import choices_of
-from desim.config.model import docs_of, fields_of, models_in
+from desim.config.field_docs import docs_of, fields_of
+from desim.config.model import models_in
 from desim.results.run_folder import EVENTS
 from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.view.formats.trace_table import COLUMNS, KINDS, columns_of

@@ -113,7 +113,7 @@ def keys(key: str | None) -> None:
 def metrics(only: str | None) -> None:
     """List the metrics, or the one called NAME, with units and whether more is better or worse."""
     from desim.analysis.metrics import METRICS, Summary, with_unit
-    from desim.config.model import docs_of
+    from desim.config.field_docs import docs_of
     from desim.config.suggestion import did_you_mean
     from desim.scenario.named_metrics import installed_metrics
 

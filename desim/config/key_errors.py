@@ -21,8 +21,9 @@ from desim.config.arguments import with_article
 from desim.config.choice import OneOf, choices_of
 from desim.config.error_texts import OF_EXCEPTIONS, text_of
 from desim.config.errors import KeyedError, KeyPath, Problem
+from desim.config.field_docs import fields_of
 from desim.config.key_index import homes_of, unit_in
-from desim.config.model import Value, fields_of, markers_of, models_in
+from desim.config.model import Value, markers_of, models_in
 from desim.config.number_texts import why_no_number
 from desim.config.python_numbers import as_python
 from desim.config.suggestion import close_to

@@ -12,7 +12,8 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from desim.config.choice import choices_of
-from desim.config.model import fields_of, models_in
+from desim.config.field_docs import fields_of
+from desim.config.model import models_in
 from desim.config.suggestion import close_to
 
 

@@ -1,12 +1,8 @@
 """`Value`, the base class of all models, which are immutable and validated; the types of fields: lengths, times, ..."""
 
-import ast
 import json
-import sys
 from collections.abc import Iterator, Mapping, Sequence, Set, Sized
 from functools import cache, cached_property
-from inspect import cleandoc, getsource
-from itertools import pairwise
 from pathlib import PurePath
 from types import FunctionType, MappingProxyType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, Union, get_args, get_origin
@@ -31,15 +27,11 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 
 from desim.config.arguments import missing_attribute, with_article
 from desim.config.errors import WORDINGS, KeyedError, Problem
+from desim.config.field_docs import annotated, fields_of
 from desim.config.interrupts import deferred
 from desim.config.json_numbers import from_json
 from desim.config.python_numbers import as_python, why_no_text
 from desim.config.suggestion import did_you_mean
-
-if sys.version_info >= (3, 14):
-    from annotationlib import Format, get_annotations
-else:
-    from inspect import get_annotations
 
 # Numbers and booleans are strict: the string "60" is not 60, and true is not 1.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
@@ -422,16 +414,6 @@ PLAIN_TYPES = frozenset({int, float, bool, str, tuple, list, dict, set, frozense
 SET_TYPES = (set, frozenset)
 
 
-def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
-    """Return the fields of a model by name, after setting the descriptions that are missing."""
-    fields = model.model_fields
-    if not all(field.description for field in fields.values()):
-        docs = docs_of(model)
-        for name, field in fields.items():
-            field.description = field.description or docs.get(name)
-    return fields
-
-
 def markers_of(field: FieldInfo) -> list[Any]:
     """Return the metadata of a field and of all types inside its annotation, including the bounds in a `Field(...)`."""
     return [*field.metadata, *_metadata(field.annotation)]
@@ -452,55 +434,3 @@ def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
         yield annotation
     for inner in get_args(annotation):
         yield from models_in(inner)
-
-
-# The string below a field is its description. These strings are parsed from the source of a module on demand.
-# With pydantic's `use_attribute_docstrings`, parsing when each class is created would take longer than a short run.
-
-Docs = Mapping[str, str]
-"""The descriptions of the fields of a class, by name; fields without a string below them are absent."""
-
-
-@cache  # an error names the fields of the models around it
-def docs_of(model: type) -> Docs:
-    """Return the string below each field of a class and of its base classes, by name."""
-    docs: dict[str, str] = {}
-    for base in reversed(model.__mro__):
-        own_docs = _docs(base.__module__).get(base.__qualname__, {})
-        docs = {**{name: text for name, text in docs.items() if name not in annotated(base)}, **own_docs}
-    return MappingProxyType(docs)
-
-
-def annotated(model: type) -> list[str]:
-    """Return the names annotated in a class, without those of its base classes; the annotations are not evaluated."""
-    if sys.version_info >= (3, 14):
-        return [*get_annotations(model, format=Format.FORWARDREF)]
-    return [*get_annotations(model)]
-
-
-@cache
-def _docs(module: str) -> Mapping[str, Docs]:
-    """Return the strings below the fields of each class of a module; empty if its source is not available."""
-    try:
-        tree = ast.parse(getsource(sys.modules[module]))
-    except (KeyError, OSError, TypeError):
-        return MappingProxyType({})
-    return MappingProxyType(dict(_classes(tree, "")))
-
-
-def _classes(node: ast.AST, above: str) -> Iterator[tuple[str, Docs]]:
-    """Yield the qualified name of each class within a syntax tree node, and the strings below its fields."""
-    for inner in ast.iter_child_nodes(node):
-        if isinstance(inner, ast.ClassDef):
-            yield above + inner.name, dict(_strings(inner))
-            yield from _classes(inner, f"{above}{inner.name}.")
-        else:
-            within = f"{above}{inner.name}.<locals>." if isinstance(inner, ast.FunctionDef) else above
-            yield from _classes(inner, within)
-
-
-def _strings(node: ast.ClassDef) -> Iterator[tuple[str, str]]:
-    for field, below in pairwise(node.body):
-        match field, below:
-            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                yield name, cleandoc(text)

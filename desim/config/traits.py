@@ -27,7 +27,8 @@ from typing import Annotated, Any, ClassVar, Self, TypeGuard, TypeVar
 from pydantic import BaseModel, BeforeValidator, ValidationError
 
 from desim.config.error_texts import text_of
-from desim.config.model import Value, annotated, fields_of
+from desim.config.field_docs import annotated, fields_of
+from desim.config.model import Value
 
 Model = TypeVar("Model")
 SHORTEST = 5

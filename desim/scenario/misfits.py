@@ -11,7 +11,8 @@ from typing import Any, get_args
 
 from desim.config.choice import choices_of
 from desim.config.errors import KeyedError
-from desim.config.model import Value, annotated
+from desim.config.field_docs import annotated
+from desim.config.model import Value
 from desim.config.traits import is_ours
 from desim.kernel.clock_sync import TwoWay
 from desim.kernel.core.units import nanoseconds, seconds

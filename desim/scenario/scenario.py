@@ -3,30 +3,14 @@
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import (
-    AfterValidator,
-    Discriminator,
-    Field,
-    Tag,
-    model_validator,
-)
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
 from desim.config.arguments import naming_arguments
 from desim.config.choice import OneOf
 from desim.config.html import html_properties
 from desim.config.key_index import all_keys
-from desim.config.model import (
-    MIN_PERIOD,
-    RESOLUTION,
-    Flag,
-    Horizon,
-    Length,
-    Period,
-    Recurring,
-    Time,
-    Value,
-)
+from desim.config.model import MIN_PERIOD, RESOLUTION, Flag, Horizon, Length, Period, Recurring, Time, Value
 from desim.config.packages import ENVIRONMENTS
 from desim.config.traits import kind_of
 from desim.kernel.clock_sync import CLOCK_SYNCS, ClockSync, Unsynchronised

@@ -16,6 +16,7 @@ from desim import Lognormal, Scenario
 from desim.config import named_code
 from desim.config.choice import OneOf, kind_of
 from desim.config.errors import KeyedError
+from desim.config.field_docs import fields_of
 from desim.config.json_numbers import to_json
 from desim.config.model import (
     Box,
@@ -31,7 +32,6 @@ from desim.config.model import (
     Speed,
     Time,
     Value,
-    fields_of,
 )
 from tests.models import MODELS, made
 

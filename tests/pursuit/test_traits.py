@@ -10,7 +10,7 @@ import pytest
 import desim
 from desim import Scenario
 from desim.config.errors import KeyedError
-from desim.config.model import fields_of
+from desim.config.field_docs import fields_of
 from desim.kernel.models.access import Aloha
 from desim.kernel.models.interference import INTERFERENCES
 from desim.kernel.models.latency_by_link import LATENCIES

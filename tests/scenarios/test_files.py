@@ -6,7 +6,8 @@ import pytest
 
 from desim import Scenario, load, summary
 from desim.config.choice import choices_of
-from desim.config.model import Value, fields_of, models_in
+from desim.config.field_docs import fields_of
+from desim.config.model import Value, models_in
 from desim.scenario.checks import warnings
 from desim.scenario.toml import dump
 from desim.study.sweeps.sweep import SweepPlan
