@@ -76,24 +76,24 @@ def fresh_copy(model: Model, *, alone: bool = False, is_run: bool = False) -> It
     Raises:
         StateError: if an object cannot be copied, such as a generator or an open file; the text names its key.
     """
-    if _is_built_in(model):  # as a rule
+    if is_all_built_in(model):  # as a rule
         yield model
         return
-    users = dict(_of_users(model))
+    users = dict(users_objects(model))
     copied, kept, functions = model, [], []
-    if not all(_is_plain(value, alone=alone) for value in users.values()):
+    if not all(is_stateless(value, alone=alone) for value in users.values()):
         copier, content = _written(model, users, alone=alone)
-        reader = _Reader(content, copier.kept)
+        reader = CopyReader(content, copier.kept)
         copied, kept, functions = reader.load(), copier.kept, copier.functions
     watched = shared_changes if is_run else followed_changes
     with watched([*kept, *functions, *users.values()], _snapshot):
         yield copied
 
 
-def _written(model: Any, users: Mapping[str, Any], *, alone: bool) -> "tuple[_Copier, BytesIO]":
+def _written(model: Any, users: Mapping[str, Any], *, alone: bool) -> "tuple[Copier, BytesIO]":
     """Return a copier that has written a model, and what it has written; see `fresh_copy`."""
     content = BytesIO()
-    copier = _Copier(content, alone=alone)
+    copier = Copier(content, alone=alone)
     try:
         copier.dump(model)
     except Exception as error:  # code of an object may raise anything
@@ -107,7 +107,7 @@ def _refusal(users: Mapping[str, Any], error: Exception) -> StateError:
     """Return the error for a model that cannot be copied, with the key of the first object that cannot."""
     for key, value in users.items():
         try:
-            _Copier(BytesIO()).dump(value)
+            Copier(BytesIO()).dump(value)
         except Exception as reason:
             return StateError(
                 f"{key}: {name_of(value)} may remember something, so each run calls a copy of it, but it cannot be"
@@ -117,7 +117,7 @@ def _refusal(users: Mapping[str, Any], error: Exception) -> StateError:
     return StateError(f"cannot be copied: {error}")
 
 
-def _never_changes(name: str) -> bool:
+def never_changes(name: str) -> bool:
     """Return whether the objects of a module, given its name, are shared; a similar name is that of another module.
 
     A graph of networkx is not.
@@ -132,7 +132,7 @@ def _form(kind: type) -> Literal["constant", "model", "items", "values", "object
         return "items"
     if kind is dict:
         return "values"
-    if not _never_changes(module_of(kind)):
+    if not never_changes(module_of(kind)):
         return "constant" if kind in {*CONSTANTS, np.ndarray} else "object"
     if issubclass(kind, tuple):  # a named tuple, such as a metric with its unit
         return "items"
@@ -141,10 +141,10 @@ def _form(kind: type) -> Literal["constant", "model", "items", "values", "object
 
 def _is_ours(value: Any) -> bool:
     """Return whether a value is a function of desim at the top level, which has no state."""
-    return type(value) is FunctionType and value.__closure__ is None and _never_changes(module_of(value))
+    return type(value) is FunctionType and value.__closure__ is None and never_changes(module_of(value))
 
 
-def _is_built_in(model: Any) -> bool:
+def is_all_built_in(model: Any) -> bool:
     """Return whether a model and all that it holds are built-in models and constants, which have no state."""
     values = [model]
     for value in values:
@@ -158,7 +158,7 @@ def _is_built_in(model: Any) -> bool:
     return True
 
 
-def _of_users(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+def users_objects(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     """Yield the dotted key and the value of each object in a model that is neither a built-in model nor a constant."""
     kind: type = type(value)
     form = _form(kind)
@@ -168,15 +168,15 @@ def _of_users(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     elif form != "constant":
         inner = enumerate(value) if form == "items" else (vars(value) if form == "model" else value).items()
         for name, item in inner:
-            yield from _of_users(item, f"{key}.{name}" if key else str(name))
+            yield from users_objects(item, f"{key}.{name}" if key else str(name))
 
 
-def _is_plain(value: Any, *, alone: bool = False) -> bool:
+def is_stateless(value: Any, *, alone: bool = False) -> bool:
     """Return whether a value is a constant, or a function, class or module without state; see `fresh_copy`."""
     kind = type(value)
     if kind is FunctionType:
         held = *defaults_of(value), *(value.__closure__ or ())
-        return _is_ours(value) or all((not alone and _is_collection(item)) or _is_constant(item) for item in held)
+        return _is_ours(value) or all((not alone and is_collection(item)) or _is_constant(item) for item in held)
     if kind is BuiltinFunctionType:
         return isinstance(value.__self__, ModuleType | NoneType)
     return kind in CONSTANTS or isinstance(value, type | ModuleType | CodeType)
@@ -186,10 +186,10 @@ def _is_constant(value: Any) -> bool:
     """Return whether a default of a function cannot change."""
     if type(value) in {tuple, frozenset}:
         return all(map(_is_constant, value))
-    return _is_built_in(value) and not isinstance(value, COLLECTIONS) and type(value) is not FunctionType
+    return is_all_built_in(value) and not isinstance(value, COLLECTIONS) and type(value) is not FunctionType
 
 
-def _is_collection(held: Any) -> bool:
+def is_collection(held: Any) -> bool:
     """Return whether a default, or a variable of an enclosing function, is a collection that its caller may read.
 
     Or a method of one, such as `seen.append`.
@@ -214,10 +214,10 @@ def _snapshot(value: Any) -> Any:
         return None
     if type(value) is BuiltinFunctionType and value.__name__ in ADDING:  # its collection cannot be read by it
         return None
-    if _is_plain(value) and not isinstance(value, np.ndarray):
+    if is_stateless(value) and not isinstance(value, np.ndarray):
         return [value]
     content = BytesIO()
-    copier = _Describer(content)
+    copier = Describer(content)
     try:
         copier.dump(value)
     except Exception:  # code of an object may raise anything
@@ -249,7 +249,7 @@ class _Kept:
         self.value = value
 
 
-class _Copier(pickle.Pickler):
+class Copier(pickle.Pickler):
     """Pickles a model for this process, where the copy can refer to what is not copied.
 
     Attributes:
@@ -275,10 +275,10 @@ class _Copier(pickle.Pickler):
         elif kind is np.ndarray:
             if value.flags.writeable:
                 return None
-        elif _never_changes(module_of(kind)):
-            if not all(_is_plain(item, alone=self._alone) for _, item in _of_users(value)):
+        elif never_changes(module_of(kind)):
+            if not all(is_stateless(item, alone=self._alone) for _, item in users_objects(value)):
                 return None
-        elif not _is_plain(value, alone=self._alone):
+        elif not is_stateless(value, alone=self._alone):
             return None
         self.kept.append(value)
         return len(self.kept) - 1
@@ -313,10 +313,10 @@ class _Copier(pickle.Pickler):
 
     def _shared(self, held: Any) -> Any:
         """Return what stands for a default or variable of a function; it is copied unless its caller may read it."""
-        return _Kept(held) if _is_collection(held) and not self._alone else held
+        return _Kept(held) if is_collection(held) and not self._alone else held
 
 
-class _Describer(_Copier):
+class Describer(Copier):
     """Pickles what a value consists of, also if it cannot be copied, to tell whether it has changed.
 
     An iterator whose state cannot be read counts as changed when it is described again: code uses it to advance it.
@@ -361,8 +361,8 @@ _described: set[int] = set()
 """The numbers of the iterators that were described."""
 
 
-class _Reader(pickle.Unpickler):
-    """Reads what a `_Copier` has written."""
+class CopyReader(pickle.Unpickler):
+    """Reads what a `Copier` has written."""
 
     def __init__(self, content: BytesIO, kept: list[Any]):
         content.seek(0)
@@ -381,7 +381,7 @@ def passes_on_attributes(kind: Any) -> bool:
     """
     if not hasattr(kind, "__getattr__") or hasattr(kind, "__setstate__") or issubclass(kind, type):
         return False
-    return not _never_changes(module_of(kind))
+    return not never_changes(module_of(kind))
 
 
 def with_state_setter(reduced: Any) -> Any:
