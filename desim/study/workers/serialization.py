@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 import cloudpickle
 
-from desim.config.fresh import passes_on_attributes, with_state_setter
+from desim.config.copier import passes_on_attributes, with_state_setter
 from desim.config.traits import OURS
 from desim.study.plan.user_code import is_installed
 

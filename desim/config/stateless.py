@@ -1,0 +1,103 @@
+"""Which objects have no state, so that a run uses them as they are; see `desim.config.fresh`."""
+
+from collections.abc import Iterator
+from functools import lru_cache
+from types import BuiltinFunctionType, CellType, CodeType, FunctionType, ModuleType, NoneType
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel
+
+from desim.config.python_numbers import ATOMS
+from desim.config.shared_state import COLLECTIONS, defaults_of
+from desim.config.traits import OURS, module_of
+
+CONSTANTS = ATOMS | {complex, bytes}
+"""The types of values that hold nothing else and never change."""
+NEVER_CHANGED = OURS | {"networkx", "pathlib", "threading", "_thread", "queue", "_queue"}
+"""The packages and modules whose objects a copy shares: they do not change while a model holds them, or connect
+threads, such as locks."""
+
+
+def never_changes(name: str) -> bool:
+    """Return whether the objects of a module, given its name, are shared; a similar name is that of another module.
+
+    A graph of networkx is not.
+    """
+    return name.partition(".")[0] in NEVER_CHANGED and not name.startswith("networkx.classes.")
+
+
+@lru_cache(maxsize=256)
+def _form(kind: type) -> Literal["constant", "model", "items", "values", "object"]:
+    """Return how the values of a type are looked through."""
+    if kind in {tuple, list}:
+        return "items"
+    if kind is dict:
+        return "values"
+    if not never_changes(module_of(kind)):
+        return "constant" if kind in {*CONSTANTS, np.ndarray} else "object"
+    if issubclass(kind, tuple):  # a named tuple, such as a metric with its unit
+        return "items"
+    return "model" if issubclass(kind, BaseModel) else "constant"
+
+
+def _is_ours(value: Any) -> bool:
+    """Return whether a value is a function of desim at the top level, which has no state."""
+    return type(value) is FunctionType and value.__closure__ is None and never_changes(module_of(value))
+
+
+def is_all_built_in(model: Any) -> bool:
+    """Return whether a model and all that it holds are built-in models and constants, which have no state."""
+    values = [model]
+    for value in values:
+        kind: type = type(value)
+        form = _form(kind)
+        if form == "object":
+            if not _is_ours(value):
+                return False
+        elif form != "constant":
+            values += value if form == "items" else (vars(value) if form == "model" else value).values()
+    return True
+
+
+def users_objects(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the dotted key and the value of each object in a model that is neither a built-in model nor a constant."""
+    kind: type = type(value)
+    form = _form(kind)
+    if form == "object":
+        if not _is_ours(value):
+            yield key, value
+    elif form != "constant":
+        inner = enumerate(value) if form == "items" else (vars(value) if form == "model" else value).items()
+        for name, item in inner:
+            yield from users_objects(item, f"{key}.{name}" if key else str(name))
+
+
+def is_stateless(value: Any, *, alone: bool = False) -> bool:
+    """Return whether a value is a constant, or a function, class or module without state; see `fresh_copy`."""
+    kind = type(value)
+    if kind is FunctionType:
+        held = *defaults_of(value), *(value.__closure__ or ())
+        return _is_ours(value) or all((not alone and is_collection(item)) or _is_constant(item) for item in held)
+    if kind is BuiltinFunctionType:
+        return isinstance(value.__self__, ModuleType | NoneType)
+    return kind in CONSTANTS or isinstance(value, type | ModuleType | CodeType)
+
+
+def _is_constant(value: Any) -> bool:
+    """Return whether a default of a function cannot change."""
+    if type(value) in {tuple, frozenset}:
+        return all(map(_is_constant, value))
+    return is_all_built_in(value) and not isinstance(value, COLLECTIONS) and type(value) is not FunctionType
+
+
+def is_collection(held: Any) -> bool:
+    """Return whether a default, or a variable of an enclosing function, is a collection that its caller may read.
+
+    Or a method of one, such as `seen.append`.
+    """
+    try:
+        value = held.cell_contents if type(held) is CellType else held
+    except ValueError:  # the variable has no value yet
+        return False
+    return isinstance(value.__self__ if type(value) is BuiltinFunctionType else value, COLLECTIONS)
