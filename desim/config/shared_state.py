@@ -96,11 +96,11 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
         objects: the classes and functions, perhaps among other objects.
         snapshot: returns what differs if a value has changed; None if that cannot be found out.
     """
-    objects = _reached(objects)
+    objects = reached_code(objects)
     outside = Outside.of_all(map(_outside, objects))
     for text in _warnings_of(outside):
         _warn(text)
-    reads = list(_shared(objects))
+    reads = list(shared_variables(objects))
     before = [snapshot(read()) for _, _, read in reads]
     carried = set()
     for (owner, name, _), now in zip(reads, before, strict=True):
@@ -138,7 +138,7 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
     for (owner, name, read), first in zip(reads, before, strict=True):
         _runs.setdefault(owner, {})[name] = first, snapshot(read())
     new_modules = {plain_name(module) for module in sys.modules.keys() - imported}
-    for owner, name, read in _shared(objects):
+    for owner, name, read in shared_variables(objects):
         if name.rpartition(".")[0] not in new_modules and name not in _runs.get(owner, {}):  # the run has created it
             _runs.setdefault(owner, {})[name] = (), snapshot(read())
 
@@ -152,7 +152,7 @@ def followed_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> 
     if not _runs:
         yield
         return
-    reads = [item for item in _shared(_reached(objects)) if item[1] in _runs.get(item[0], {})]
+    reads = [item for item in shared_variables(reached_code(objects)) if item[1] in _runs.get(item[0], {})]
     before = [snapshot(read()) for _, _, read in reads]
     yield
     for (owner, name, read), state in zip(reads, before, strict=True):
@@ -186,7 +186,7 @@ def _global_generators() -> dict[str, Any]:
     return {"random": random.getstate(), "numpy.random": (bytes(state["state"]["key"]), state["state"]["pos"])}
 
 
-def _shared(objects: Iterable[Any]) -> Iterator[tuple[Any, str, Read]]:
+def shared_variables(objects: Iterable[Any]) -> Iterator[tuple[Any, str, Read]]:
     """Yield function or class, name and a function that reads it of each variable that code of a user may change."""
     for item in objects:
         if isinstance(item, FunctionType | CACHED):
@@ -257,7 +257,7 @@ def _modules_of(function: FunctionType) -> Iterator[tuple[str, dict[str, Any], C
         yield module.__name__, vars(module), (names | by_text) & vars(module).keys()
 
 
-def _reached(objects: Iterable[Any]) -> list[Any]:
+def reached_code(objects: Iterable[Any]) -> list[Any]:
     """Return the functions and classes of users among some objects, and those that their code calls or reads by name.
 
     Each is there once.
