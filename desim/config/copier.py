@@ -17,7 +17,7 @@ from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import numpy as np
 
-from desim.config.shared_state import CACHED, is_foreign
+from desim.config.code_variables import CACHED, is_foreign
 from desim.config.stateless import CONSTANTS, is_collection, is_stateless, never_changes, users_objects
 from desim.config.traits import module_of
 

@@ -14,8 +14,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from desim.config.code_variables import ADDING, COLLECTIONS
 from desim.config.copier import Copier, CopyReader, Describer
-from desim.config.shared_state import ADDING, COLLECTIONS, followed_changes, shared_changes
+from desim.config.shared_state import followed_changes, shared_changes
 from desim.config.stateless import is_all_built_in, is_stateless, users_objects
 from desim.config.traits import name_of
 

@@ -1,50 +1,23 @@
 """State that a model shares with other runs: what its code changes in classes, functions, collections and globals."""
 
 import random
-import re
 import sys
 import threading
-from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dis import get_instructions
-from functools import cached_property, lru_cache, partial, partialmethod, singledispatchmethod
 from gc import get_referents
-from itertools import pairwise
-from types import CellType, CodeType, FunctionType, MethodType, ModuleType
+from types import FunctionType
 from typing import Any
 from warnings import warn
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from desim.config.outside import Outside, inner_code, outside_sources
+from desim.config.code_variables import CACHED, TABLE, is_foreign, reached_code, shared_variables
+from desim.config.outside import Outside, outside_sources
 from desim.config.own_modules import plain_name
 from desim.config.traits import module_of
-
-COLLECTIONS = (list, set, dict, deque, np.ndarray)
-ADDING = {"append", "extend", "add", "update", "put", "put_nowait"}
-"""The methods that add to a collection and return nothing."""
-Read = Callable[[], Any]
-"""Reads a variable; None if it has no value."""
-BY_TEXT = {"globals", "vars", "getattr", "setattr", "delattr", "__dict__", "__globals__", "modules", "import_module"}
-"""What finds a variable of a module by a text."""
-CACHED = type(lru_cache(int))
-"""The type of functions with a cache."""
-CODE = (
-    *(FunctionType, MethodType, staticmethod, classmethod, property),
-    *(cached_property, partialmethod, singledispatchmethod, CACHED),
-)
-"""The objects of Python that are functions or have some inside."""
-INNER = ("__func__", "__self__", "__wrapped__", "fget", "fset", "fdel", "func", "dispatcher")
-"""The attributes in which they have functions and objects."""
-TABLE = 100
-"""Number of items up to which a table is searched for functions."""
-DEPTH = 8
-"""Number of wrappers inside each other through which functions are looked for; a table counts as half of them."""
-_FOREIGN = {*sys.stdlib_module_names, "desim", "protocols", "numpy", "pydantic", "networkx"}
-"""The packages whose classes and functions are not looked at."""
 
 
 class StateWarning(UserWarning):
@@ -186,132 +159,6 @@ def _global_generators() -> dict[str, Any]:
     return {"random": random.getstate(), "numpy.random": (bytes(state["state"]["key"]), state["state"]["pos"])}
 
 
-def shared_variables(objects: Iterable[Any]) -> Iterator[tuple[Any, str, Read]]:
-    """Yield function or class, name and a function that reads it of each variable that code of a user may change."""
-    for item in objects:
-        if isinstance(item, FunctionType | CACHED):
-            yield from ((item, *variable) for variable in _items(item.__qualname__, vars(item)))
-        if isinstance(item, FunctionType):
-            yield from ((item, *variable) for variable in _variables(item))
-        elif isinstance(item, type):
-            for function in _functions_in(vars(item).values()):
-                yield from ((item, *variable) for variable in _variables(function))
-            yield from ((item, *variable) for variable in _items(item.__qualname__, vars(item)))
-
-
-def is_foreign(definition: Any) -> bool:
-    """Return whether a function or class is one of desim, of Python or of a package that desim needs.
-
-    A function that `functools` makes of a user's has the module of the latter, and the variables of `functools`.
-    """
-    places = definition.__globals__ if isinstance(definition, FunctionType) else {}
-    return (places.get("__name__") or module_of(definition)).partition(".")[0] in _FOREIGN
-
-
-def _items(owner: str, place: Any) -> Iterator[tuple[str, Read]]:
-    """Yield the attributes in the namespace of a class or function, without methods and descriptors of Python."""
-    for name, value in tuple(place.items()):  # pydantic may still complete the class
-        is_method = hasattr(type(value), "__get__") and is_foreign(type(value))
-        if not (name.startswith("__") or name == "_abc_impl" or is_method):
-            yield f"{owner}.{name}", partial(place.get, name)
-
-
-def _variables(function: FunctionType) -> Iterator[tuple[str, Read]]:
-    """Yield the variables outside of a function that it may change, without collections to which it only adds."""
-    if is_foreign(function):
-        return
-    code = function.__code__
-    arguments = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
-    defaults = function.__defaults__ or ()
-    held: dict[str, Read] = {}
-    for name, value in zip(arguments[code.co_argcount - len(defaults) :], defaults, strict=False):
-        held[name] = partial(_itself, value)
-    for name, value in (function.__kwdefaults__ or {}).items():
-        held[name] = partial(_itself, value)
-    for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
-        held[name] = partial(_contents, cell)
-    for name, read in held.items():
-        if not only_adds(code, name):
-            yield f"{name} of {function.__qualname__}", read
-    for module, place, names in _modules_of(function):
-        for name in names:
-            if name in place and not (name in _names_of(code) and only_adds(code, name)):
-                yield f"{plain_name(module)}.{name}", partial(place.get, name)
-
-
-def _modules_of(function: FunctionType) -> Iterator[tuple[str, dict[str, Any], Collection[str]]]:
-    """Yield the name and the namespace of each module of users that a function refers to, and the names that it uses.
-
-    A function that finds variables by texts, as in `globals()["calls"]`, uses the names that are among its constants.
-    """
-    code, place = function.__code__, function.__globals__
-    globals_, names, texts = _globals_of(code), _names_of(code), _texts_of(code)
-    by_text = texts | names if names & BY_TEXT else frozenset()
-    if names & {"exec", "eval"}:
-        by_text |= {word for text in texts for word in re.findall(r"\w+", text)}
-    yield module_of(function), place, globals_ | (by_text & place.keys())
-    held = [place.get(name) for name in globals_] + [_contents(cell) for cell in function.__closure__ or ()]
-    held += [sys.modules.get(name) for name in _imports_of(code) | by_text]
-    modules = {id(value): value for value in held if isinstance(value, ModuleType) and not _is_installed(value)}
-    for module in modules.values():
-        yield module.__name__, vars(module), (names | by_text) & vars(module).keys()
-
-
-def reached_code(objects: Iterable[Any]) -> list[Any]:
-    """Return the functions and classes of users among some objects, and those that their code calls or reads by name.
-
-    Each is there once.
-    """
-    reached: dict[int, Any] = {}
-    held = list(objects)
-    for value in held:
-        for definition in _definitions_of(value):
-            if id(definition) in reached or _is_of_package(definition):
-                continue
-            reached[id(definition)] = definition
-            if isinstance(definition, CACHED):
-                continue
-            if isinstance(definition, FunctionType):
-                held += [_contents(cell) for cell in definition.__closure__ or ()]
-                held += [*defaults_of(definition), *vars(definition).values()]
-                for _, place, names in _modules_of(definition):
-                    held += [place[name] for name in names if name in place]
-            else:
-                held += vars(definition).values()  # pydantic may still complete the class
-    return [*reached.values()]
-
-
-def _definitions_of(value: Any, depth: int = 0) -> Iterator[Any]:
-    """Yield the functions, classes and caches that an object is, wraps, is an instance of, or has as items."""
-    if depth > DEPTH:
-        return
-    if isinstance(value, type):
-        metaclass: type = type(value)
-        yield from (base for base in (*value.__mro__, *metaclass.__mro__) if not is_foreign(base))
-    elif isinstance(value, CODE):
-        if isinstance(value, FunctionType | CACHED):
-            yield value
-        for name in INNER:
-            yield from _definitions_of(getattr(value, name, None), depth + 1)
-    elif isinstance(value, dict) and "__builtins__" in value:
-        return  # the variables of a module, of which code reads some by name
-    elif isinstance(value, list | tuple | dict):
-        for item in (value.values() if isinstance(value, dict) else value) if len(value) <= TABLE else ():
-            yield from _definitions_of(item, depth + DEPTH // 2)
-    elif isinstance(value, partial):
-        yield from _definitions_of(value.func, depth + 1)
-        yield from _definitions_of((*value.args, *value.keywords.values()), depth + 1)
-    elif not is_foreign(type(value)):
-        yield from _definitions_of(type(value))
-
-
-def _functions_in(values: Iterable[Any]) -> Iterator[FunctionType]:
-    """Yield the functions among the attributes of a class."""
-    for value in tuple(values):  # pydantic may still complete the class
-        if isinstance(value, CODE):
-            yield from (item for item in _definitions_of(value) if isinstance(item, FunctionType))
-
-
 def _outside(item: Any) -> Outside:
     """Return what a function, or the methods of a class, take from outside of a run."""
     functions = [getattr(item, "__func__", item)]
@@ -342,72 +189,3 @@ def _warnings_of(outside: Outside) -> Iterator[str]:
             " another one, so another run may give other results; give parameters as fields of a model, and hash texts"
             " with zlib.crc32"
         )
-
-
-def _is_installed(module: ModuleType) -> bool:
-    """Return whether a module is not of a user: of desim, of Python, or of an installed package."""
-    file = getattr(module, "__file__", None) or ""
-    is_library = not {"site-packages", "dist-packages"}.isdisjoint(re.split(r"[/\\]", file))
-    return module.__name__.partition(".")[0] in _FOREIGN or is_library
-
-
-def _is_of_package(definition: Any) -> bool:
-    """Return whether a function or class is defined in such a module; what it remembers is a matter of its authors."""
-    module = sys.modules.get(module_of(definition))
-    return is_foreign(definition) or (module is not None and _is_installed(module))
-
-
-@lru_cache(maxsize=256)
-def _names_of(code: CodeType) -> frozenset[str]:
-    """Return the names of the global variables and attributes that a function and the functions inside it use."""
-    return frozenset(code.co_names).union(*map(_names_of, inner_code(code)))
-
-
-@lru_cache(maxsize=256)
-def _texts_of(code: CodeType) -> frozenset[str]:
-    """Return the texts that are constants of a function and of the functions inside it."""
-    return frozenset(item for item in code.co_consts if isinstance(item, str)).union(*map(_texts_of, inner_code(code)))
-
-
-@lru_cache(maxsize=256)
-def _imports_of(code: CodeType) -> frozenset[str]:
-    """Return the names of the modules that a function and the functions inside it import."""
-    names = {item.argval for item in get_instructions(code) if item.opname == "IMPORT_NAME"}
-    return frozenset(names).union(*map(_imports_of, inner_code(code)))
-
-
-def defaults_of(function: FunctionType) -> list[Any]:
-    """Return the defaults of the arguments of a function."""
-    return [*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values()]
-
-
-def _itself(value: Any) -> Any:
-    return value
-
-
-def _contents(cell: CellType) -> Any:
-    try:
-        return cell.cell_contents
-    except ValueError:  # the variable has no value yet
-        return None
-
-
-@lru_cache(maxsize=256)
-def only_adds(code: CodeType, name: str) -> bool:
-    """Return whether a function and the functions inside it use a variable only to call methods that add to it.
-
-    In all versions of Python, the method is loaded by the instruction after the one that loads the variable.
-    """
-    for instruction, after in pairwise(get_instructions(code)):
-        names = instruction.argval if isinstance(instruction.argval, tuple) else (instruction.argval,)
-        is_used = name in names and instruction.opname.startswith(("LOAD_", "STORE_", "DELETE_"))
-        if is_used and "CLOSURE" not in instruction.opname and after.argval not in ADDING:
-            return False
-    return all(only_adds(inner, name) for inner in inner_code(code) if name in (*inner.co_freevars, *inner.co_names))
-
-
-@lru_cache(maxsize=256)
-def _globals_of(code: CodeType) -> frozenset[str]:
-    """Return the names of the global variables that a function and the functions inside it use."""
-    names = {item.argval for item in get_instructions(code) if item.opname.endswith("_GLOBAL")}
-    return frozenset(names).union(*map(_globals_of, inner_code(code)))

@@ -8,8 +8,8 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel
 
+from desim.config.code_variables import COLLECTIONS, defaults_of
 from desim.config.python_numbers import ATOMS
-from desim.config.shared_state import COLLECTIONS, defaults_of
 from desim.config.traits import OURS, module_of
 
 CONSTANTS = ATOMS | {complex, bytes}
