@@ -3,7 +3,7 @@
 import random
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from gc import get_referents
@@ -14,7 +14,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from desim.config.code_variables import CACHED, TABLE, is_foreign, reached_code, shared_variables
+from desim.config.code_variables import CACHED, TABLE, Read, is_foreign, reached_code, shared_variables
 from desim.config.outside import Outside, outside_sources
 from desim.config.own_modules import plain_name
 from desim.config.traits import module_of
@@ -75,12 +75,7 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
         _warn(text)
     reads = list(shared_variables(objects))
     before = [snapshot(read()) for _, _, read in reads]
-    carried = set()
-    for (owner, name, _), now in zip(reads, before, strict=True):
-        first, last = _runs.get(owner, {}).get(name, (None, None))
-        if None not in (first, last) and first != last == now:
-            carried.add(name)
-    if carried:
+    if carried := _carried(reads, before):
         text = (
             f"{', '.join(sorted(carried))}: an earlier run has changed it, so this run starts from another state;"
             " what a model remembers should be in its instance (self), of which each run gets a copy; what it reports"
@@ -91,22 +86,7 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
     cached = [_cached(item, snapshot) for item in caches]
     generators, imported = _global_generators(), set(sys.modules)
     yield
-    for item, values in zip(caches, cached, strict=True):
-        now_cached = _cached(item, snapshot) if values else {}
-        if any(now_cached.get(number, state) != state for number, state in values.items()):
-            text = (
-                f"{plain_name(module_of(item))}.{item.__qualname__}: the run has changed what its cache has from an"
-                " earlier one, so another run starts from another state; what a model remembers should be in its"
-                " instance (self)"
-            )
-            _warn(text)
-    is_alone = threading.active_count() == 1  # else another thread may have drawn, one of a cluster for instance
-    drawn = [name for name, state in _global_generators().items() if state != generators[name]]
-    if drawn_from := [name for name in drawn if is_alone or name in outside.generators]:
-        text = (
-            f"{' and '.join(drawn_from)}: the run has drawn from the global generator, so another run gives other"
-            " results; a protocol should draw from `me.rng`, any other model from the `rng` that it is called with"
-        )
+    for text in (*_cache_warnings(caches, cached, snapshot), *_generator_warnings(generators, outside)):
         _warn(text)
     for (owner, name, read), first in zip(reads, before, strict=True):
         _runs.setdefault(owner, {})[name] = first, snapshot(read())
@@ -114,6 +94,16 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
     for owner, name, read in shared_variables(objects):
         if name.rpartition(".")[0] not in new_modules and name not in _runs.get(owner, {}):  # the run has created it
             _runs.setdefault(owner, {})[name] = (), snapshot(read())
+
+
+def _carried(reads: Sequence[tuple[Any, str, Read]], before: Sequence[Any]) -> set[str]:
+    """Return the names of the variables that the last run has changed and that nobody has reset since."""
+    carried = set()
+    for (owner, name, _), now in zip(reads, before, strict=True):
+        first, last = _runs.get(owner, {}).get(name, (None, None))
+        if None not in (first, last) and first != last == now:
+            carried.add(name)
+    return carried
 
 
 @contextmanager
@@ -132,6 +122,20 @@ def followed_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> 
         first, last = _runs[owner][name]
         if last == state is not None:
             _runs[owner][name] = first, snapshot(read())
+
+
+def _cache_warnings(
+    caches: Sequence[Any], cached: Sequence[Mapping[int, Any]], snapshot: Callable[[Any], Any]
+) -> Iterator[str]:
+    """Yield a warning of each cache of which a run has changed a value; `cached` is what they had before."""
+    for item, values in zip(caches, cached, strict=True):
+        now_cached = _cached(item, snapshot) if values else {}
+        if any(now_cached.get(number, state) != state for number, state in values.items()):
+            yield (
+                f"{plain_name(module_of(item))}.{item.__qualname__}: the run has changed what its cache has from an"
+                " earlier one, so another run starts from another state; what a model remembers should be in its"
+                " instance (self)"
+            )
 
 
 def _cached(function: Any, snapshot: Callable[[Any], Any]) -> dict[int, Any]:
@@ -157,6 +161,17 @@ def _global_generators() -> dict[str, Any]:
     """Return the states of the random generators that all code of a process shares, by the names of their modules."""
     state = np.random.get_state(legacy=False)  # noqa: NPY002
     return {"random": random.getstate(), "numpy.random": (bytes(state["state"]["key"]), state["state"]["pos"])}
+
+
+def _generator_warnings(before: Mapping[str, Any], outside: Outside) -> Iterator[str]:
+    """Yield a warning if a run has drawn from global generators; `before` are their states at its beginning."""
+    is_alone = threading.active_count() == 1  # else another thread may have drawn, one of a cluster for instance
+    drawn = [name for name, state in _global_generators().items() if state != before[name]]
+    if drawn_from := [name for name in drawn if is_alone or name in outside.generators]:
+        yield (
+            f"{' and '.join(drawn_from)}: the run has drawn from the global generator, so another run gives other"
+            " results; a protocol should draw from `me.rng`, any other model from the `rng` that it is called with"
+        )
 
 
 def _outside(item: Any) -> Outside:
