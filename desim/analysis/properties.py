@@ -9,7 +9,8 @@ from desim.analysis.trace_index import trace_index
 from desim.config.arguments import naming_arguments, run_argument
 from desim.kernel.core.events import Event
 from desim.kernel.core.units import seconds
-from desim.scenario.properties import Property, PropertyPiece, Worst, misfits_of, property_of, recording
+from desim.scenario.properties import Property, PropertyPiece, Worst, property_of, recording
+from desim.scenario.property_misfits import misfits_of
 from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.simulation.run import Result, run
 

@@ -1,4 +1,4 @@
-"""The quantities of properties (`desim.scenario.properties.QUANTITIES`), as step functions of a trace.
+"""The quantities of properties (`desim.scenario.conditions.QUANTITIES`), as step functions of a trace.
 
 A step function is given by its changes: (time in ns, new value), in order of time, the first at time 0. Of several
 changes at one instant the last counts. The values of `waiting` and `age` rise by 1 s per second between their changes.
@@ -23,7 +23,8 @@ from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.kernel.models.faults import Crash
 from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Started
-from desim.scenario.properties import JUST_BELOW_0, Condition, PropertyPiece, QuantityComparison
+from desim.scenario.conditions import JUST_BELOW_0, Condition, QuantityComparison
+from desim.scenario.properties import PropertyPiece
 from desim.simulation.run import Result
 
 StepChanges = Iterator[tuple[int, float]]

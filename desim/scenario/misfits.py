@@ -24,7 +24,8 @@ from desim.kernel.models.medium import Radio, airtime_of
 from desim.kernel.models.own_links import link_misfits
 from desim.kernel.topology.topology import Topology
 from desim.pursuit.core.traits import ScheduleTraits, UtilityTraits, size_by
-from desim.scenario.properties import AnyScenario, property_misfits
+from desim.scenario.conditions import AnyScenario
+from desim.scenario.property_misfits import property_misfits
 from desim.scenario.wall_misfits import Misfit, wall_misfits
 
 

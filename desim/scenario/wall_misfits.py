@@ -14,8 +14,8 @@ from desim.pursuit.core.traits import StrategyTraits
 from desim.pursuit.evaders.recorded import RecordedMotion
 from desim.pursuit.motion.guidance import PurePursuit
 from desim.pursuit.paths.space import Plane
+from desim.scenario.conditions import AnyScenario
 from desim.scenario.players import Evader
-from desim.scenario.properties import AnyScenario
 
 Misfit = tuple[tuple[str | int, ...], str]
 """The key of a value, in parts, and why it does not fit."""

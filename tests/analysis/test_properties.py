@@ -14,8 +14,9 @@ from desim.kernel.core.trace_file import line_of
 from desim.kernel.core.units import SECOND
 from desim.pursuit.core.events import Ended
 from desim.scenario.checks import warnings
+from desim.scenario.conditions import JUST_BELOW_0, QUANTITIES
 from desim.scenario.overrides import ScenarioError
-from desim.scenario.properties import JUST_BELOW_0, QUANTITIES, PropertyPiece, property_of
+from desim.scenario.properties import PropertyPiece, property_of
 from desim.scenario.toml import dump
 from desim.testing import assert_holds
 
