@@ -7,6 +7,7 @@ import numpy as np
 from desim.analysis.drawing.palette import BLUE, GREY, VERMILION
 from desim.analysis.drawing.plots import Axes, Figure, Style, size_of, styled
 from desim.analysis.statistics import Estimate
+from desim.study.results.figure_labels import literal
 
 ROW, HEAD = 0.22, 1.3
 """The height of a protocol, and of the rest of the figure, inches."""
@@ -55,7 +56,7 @@ def _draw_totals(axes: Axes, totals: Mapping[str, tuple[Estimate, Estimate]]) ->
         axes.plot([], [], "o", ms=4, color=BLUE, label="score: on the network as it is")[0],
     ]
     axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2)
-    axes.set_yticks(range(len(totals)), list(totals))
+    axes.set_yticks(range(len(totals)), list(map(literal, totals)))
     axes.invert_yaxis()
     axes.set_xlabel("mean over the scenarios")
 

@@ -15,6 +15,7 @@ from desim.study.plan.configurations import in_words
 from desim.study.results.figure_labels import (
     MAX_ABREAST,
     add_legend,
+    add_legend_above,
     height_of_legend,
     key_with_unit,
     line_name,
@@ -75,6 +76,8 @@ def scatter(
         with in_style(style):
             draw(ax, keys[0])
             ax.set_ylabel(title)
+            if named:
+                add_legend_above(ax, title_of_legend(named))
         return figure
     columns = min(MAX_ABREAST, len(keys))
     rows = -(-len(keys) // columns)

@@ -1,7 +1,6 @@
 """The figure of a race: running means, with a cross where a configuration was dropped, and the number of those left."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
@@ -10,7 +9,14 @@ from desim.analysis.drawing.palette import GREY
 from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, as_it_is, figure_of, in_style, size_of, styled
 from desim.analysis.metrics import words
 from desim.config.trust import escaped
-from desim.study.results.figure_labels import axis_label, height_of_legend, look_of
+from desim.study.results.figure_labels import (
+    add_legend,
+    add_legend_above,
+    axis_label,
+    height_of_legend,
+    literal,
+    look_of,
+)
 from desim.study.selection.kim_nelson import Selection
 
 MARKS = 5
@@ -57,6 +63,7 @@ def draw_race(
             _draw_means(ax, selection, order, names, first)
             ax.set_ylabel(label)
             ax.set_xlabel("runs of each configuration")
+            add_legend_above(ax, None)
         return figure
     usual = (6.4, 4.4 + height_of_legend(names[:NAMED], 6.4))
     width, height = usual if size is None else size_of(size)
@@ -66,9 +73,7 @@ def draw_race(
         _draw_means(upper, selection, order, names, first)
         upper.set_ylabel(label)
         _draw_survivors(lower, selection)
-        handles, labels = upper.get_legend_handles_labels()
-        look: dict[str, Any] = {"fontsize": 7, "loc": "outside lower center", "ncols": 1 if len(max(names)) > 40 else 2}
-        figure.legend(handles, labels, **look)
+        add_legend(figure, None)
         if size is None:
             upper.set_title(escaped(f"{title}: a race"), fontsize=9, **as_it_is(title))
     return figure
@@ -77,13 +82,14 @@ def draw_race(
 def _draw_means(axes: Axes, selection: Selection, order: Sequence[int], names: Sequence[str], first: int) -> None:
     """Draw the running means from the second run on, and a line at the last of the first runs."""
     axes.axvline(first, color=GREY, lw=0.8, ls=":", zorder=0)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     lost = {dropped.system for dropped in selection.dropped}
     for rank, (system, name) in enumerate(zip(order, names, strict=True)):
         numbers = selection.samples[system]
         counts = np.arange(1, len(numbers) + 1)
         means = np.cumsum(numbers) / counts
         look = look_of(rank) if rank < NAMED else look_of(rank) | {"marker": ""}
-        label = escaped(name).replace("$", r"\$") if rank < NAMED else None
+        label = literal(name) if rank < NAMED else None
         gap = max(len(means) // MARKS, 1)  # the marks of equal lines stand beside each other
         axes.plot(counts[1:], means[1:], label=label, markevery=(rank % gap, gap), **look)
         if system in lost:
@@ -98,4 +104,3 @@ def _draw_survivors(axes: Axes, selection: Selection) -> None:
     axes.step(times, [*left, left[-1]], where="post", color="#555555", lw=1.2)
     axes.set(xlabel="runs of each configuration", ylabel="left", ylim=(0.0, count + 0.5))
     axes.set_yticks(sorted({1, count}))
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))

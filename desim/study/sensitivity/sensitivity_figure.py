@@ -7,7 +7,7 @@ from desim.analysis.drawing.palette import BLUE, GREY, SKY
 from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, as_it_is, size_of, styled
 from desim.analysis.metrics import words
 from desim.config.trust import escaped
-from desim.study.results.figure_labels import axis_label
+from desim.study.results.figure_labels import axis_label, literal
 from desim.study.sensitivity.morris import ElementaryEffects
 from desim.study.sensitivity.sobol_indices import IndexEstimate, SobolIndices
 
@@ -63,7 +63,7 @@ def draw_sensitivity(
                     figure.legend(loc="outside lower center", ncols=2, fontsize=7)
             axes.axvline(0.0, color=GREY, lw=0.8)
         axes = figure.axes[0]
-        axes.set_yticks(range(len(keys)), [escaped(key).replace("$", r"\$") for key in keys])
+        axes.set_yticks(range(len(keys)), list(map(literal, keys)))
         axes.set_ylim(len(keys) - 0.5, -0.5)
         if size is None:
             heading = f"{title}: what decides {words(metric)}"
