@@ -16,7 +16,7 @@ def golden(name: str, text: str | Mapping[str, str]) -> None:
     if isinstance(text, Mapping):
         text = "\n\n".join(f"# {title}\n{part}" for title, part in text.items()) + "\n"
     if os.environ.get("RENEW"):
-        FOLDER.mkdir(exist_ok=True)
+        file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(text.encode())
     assert file.is_file(), f"{file} is missing: RENEW=1 pytest ... writes it"
     wanted = file.read_bytes().decode()

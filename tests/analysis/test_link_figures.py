@@ -6,14 +6,10 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from desim import LatencyTrace, Links, LossTrace, Scenario, SignalTrace
-from desim.kernel.models.graphs import Link
+from desim import LatencyTrace, LossTrace, SignalTrace
 from desim.view.pictures import link_traces as link_figures
-from desim.view.pictures.link_traces import link_traces
 from scenarios.studies.study import SCENARIOS
 from tests.command import accepted, refused
-from tests.drawn import described
-from tests.golden import golden
 
 ONE = "t,value\n0,0.1\n1,0.5\n3,\n4,0.2\n"
 WAYS = [(src, dst) for src in range(3) for dst in range(4) if src != dst]
@@ -64,20 +60,6 @@ def test_of_many_links_the_median_and_the_share_without_a_value_are_drawn(monkey
     assert area.get_label() == "middle 90 % of 9 links"
     low, high = area.get_paths()[0].get_extents().intervaly
     assert (low, high) == pytest.approx((-82.0, -80.0))
-
-
-@pytest.mark.slow
-def test_measured_links_are_golden(monkeypatch):
-    """A line is interrupted from a cross on; repetition leads a line that is interpolated back to its first row."""
-    monkeypatch.setattr(link_figures, "GRID", 6)
-    own = Link(src=0, dst=1, latency=LatencyTrace(table=ONE, between="linear", after="hold", read_from="$a$.csv"))
-    told = {
-        "all": Links(loss=LossTrace(table=ONE, between="linear", start=2.0), link=(own,)),
-        "both ways": Links(latency=LatencyTrace(table="t,src,dst,value\n0,0,1,1\n1,0,1,2\n", both_ways=True)),
-        "many": Links(loss=SignalTrace(table=MANY, threshold=-81.5)),
-    }
-    figures = {name: link_traces(Scenario.model_construct(network=network)) for name, network in told.items()}
-    golden("link_traces.txt", {name: described(figure) for name, figure in figures.items()})
 
 
 @pytest.mark.whole

@@ -19,8 +19,6 @@ from desim.kernel.core.units import SECOND
 from desim.pursuit.core.events import Captured, Ended, Sampled, Started
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
-from tests.drawn import described
-from tests.golden import golden
 from tests.view.by_hand import history, pair
 
 START = ((0.0, 0.0), (5.0, 5.0), (9.0, 0.0), (7.0, 7.0))
@@ -68,22 +66,6 @@ def test_on_given_axes_the_paths_are_named_and_captures_marked(result, labels, e
     assert [line.get_xydata()[-1].tolist() for line in ax.lines[-len(ends) :]] == ends
     assert [text.get_text() for text in ax.texts] == ["1", "2"] * (len(ends) > 1)
     assert (ax.get_aspect(), ax.get_xlabel(), ax.get_ylabel()) == (1.0, "x (m)", "y (m)")
-
-
-@pytest.mark.slow
-def test_trajectories_are_golden():
-    """Capturers have a style of their own, stationary pursuers a point; with two evaders, each capture is drawn.
-
-    A captured evader is where its star is; a pursuer that captures twice is drawn once.
-    """
-    told = {
-        "captured by 1": chase(),
-        "captured by one that stood still": chase(capturer=0),
-        "not captured": chase("horizon", None),
-        "nobody moved": chase(samples=1),
-        "two evaders": pair(),
-    }
-    golden("trajectory.txt", {what: described(trajectory(each)) for what, each in told.items()})
 
 
 @pytest.mark.slow

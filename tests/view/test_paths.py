@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from desim.analysis.drawing.palette import EVADER_MARKS, HUES
 from desim.analysis.drawing.plots import COLUMN, styled
 from desim.view.pictures.paths import EvaderStyle, Paths, draw_pursuit, label_handovers, label_points
-from tests.drawn import described
+from tests.drawn import described, without_layout
 from tests.golden import golden
 from tests.view.by_hand import MS, history, pair
 
@@ -22,14 +22,14 @@ def drawn(result):
     return axes
 
 
-@pytest.mark.slow
 def test_pursuits_by_hand_are_golden():
     """A single chaser is bold; a numbered square is where a pursuer becomes the only chaser.
 
     Sampled at 0, 0.5 and 1 s, so that pursuer 0 is at 4 m at 0.5 s and half way on the line at 0.25 s. Of two evaders
     each has a number, a mark and a hue, shared by its chasers; it rests where it was captured.
     """
-    golden("paths.txt", {each.scenario.name: described(drawn(each).figure) for each in (history(), pair())})
+    with without_layout():
+        golden("paths.txt", {each.scenario.name: described(drawn(each).figure) for each in (history(), pair())})
 
 
 def test_the_looks_differ_without_colour():

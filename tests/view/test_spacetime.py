@@ -9,14 +9,12 @@ from matplotlib.quiver import Quiver
 
 from desim.analysis.drawing.palette import COLLISION_MARK, LOST, LOST_MARK
 from desim.kernel.core.events import Broadcast, Lost, Queued
-from desim.kernel.models.faults import Crash, Partition
+from desim.kernel.models.faults import Partition
 from desim.kernel.models.traced_faults import FaultStarted
 from desim.pursuit.core.events import Decided
 from desim.view.data.deliveries import deliveries
 from desim.view.pictures.spacetime import MAX_DENSITY, spacetime
-from tests.drawn import described
-from tests.golden import golden
-from tests.view.by_hand import ACTIVE, MS, history, pair
+from tests.view.by_hand import ACTIVE, MS, history
 
 
 @pytest.fixture(scope="module")
@@ -31,25 +29,6 @@ def count(figure):
     return sum(len(each.U) for each in axes.collections if isinstance(each, Quiver)) + sum(
         len(line.get_xdata()) // 3 for line in dotted
     )
-
-
-def test_diagrams_of_runs_by_hand_are_golden():
-    """All that can happen, of one evader and of two; in two rows, in windows, and within a fault in a narrow picture.
-
-    One window begins as a fault is over and ends as a chase begins. An arrow leads from send to arrival, also if that
-    is after the run. A message that is lost as it leaves takes the mean of (0.1 + 0.3 + 0.3) / 3 s, and ends a quarter
-    of a line before its receiver.
-    """
-    radio = FaultStarted(550 * MS, Crash(node=1, start=0.55, scope="radio"))
-    told = {
-        "history": spacetime(history(radio)),
-        "pair": spacetime(pair()),
-        "2 above 1": spacetime(history(), pursuers=(2, 1)),
-        "0.15 s to 0.25 s": spacetime(history(), 0.15, 0.25),
-        "0.6 s to 0.8 s": spacetime(history(), 0.6, 0.8),
-        "0.45 s to 0.55 s": spacetime(history(), 0.45, 0.55, size="8.5cm"),
-    }
-    golden("spacetime.txt", {name: described(figure) for name, figure in told.items()})
 
 
 def test_a_diagram_is_drawn_on_given_axes_with_the_legend_above():
