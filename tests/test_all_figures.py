@@ -13,8 +13,9 @@ from matplotlib.figure import Figure
 
 import desim
 from desim import LatencyTrace, Links, LossTrace, Scenario, SignalTrace, Wall
-from desim.kernel.models.faults import Crash, FaultStarted
+from desim.kernel.models.faults import Crash
 from desim.kernel.models.graphs import Link
+from desim.kernel.models.traced_faults import FaultStarted
 from desim.live.figure import agreement_figure
 from desim.study.results.figures import legend, multiples
 from desim.view.pictures.link_traces import link_traces
