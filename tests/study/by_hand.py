@@ -83,11 +83,11 @@ def flat():
     return SweepResult("flat", (LATENCY, "protocol"), tuple(groups), start="announced")
 
 
-def raced(count=3, *, is_decided=True, maximise=False, **options):
+def raced(count=3, *, is_decided=True, maximise=False, common=True, apart=1.0, **options):
     """Return a race that configuration 1 won: the last was dropped first, the first one two runs later."""
     base = np.array([3.0, 3.5, 2.5, 3.2, 2.9, 3.1, 3.4])
     samples = [
-        base[: 7 if k in (0, 1) else 5] + abs(k - 1) + 0.1 * (np.arange(7 if k in (0, 1) else 5) % 2)
+        base[: 7 if k in (0, 1) else 5] + apart * abs(k - 1) + 0.1 * (np.arange(7 if k in (0, 1) else 5) % 2)
         for k in range(count)
     ]
     variances = np.array([[abs(i - j) * 0.04 for j in range(count)] for i in range(count)])
@@ -97,7 +97,7 @@ def raced(count=3, *, is_decided=True, maximise=False, **options):
     selection = Selection(1, left, dropped, is_decided, tuple(samples), 1234, variances)
     settings = tuple({"protocol": f"rule {k}", "slot": 0.1 * k} for k in range(count))
     usual = {"name": NAME, "metric": "active_time", "unit": "s", "zone": 0.25, "confidence": 0.9, "first": 4}
-    return RaceResult(**usual | options, maximise=maximise, settings=settings, selection=selection, common=True)
+    return RaceResult(**usual | options, maximise=maximise, settings=settings, selection=selection, common=common)
 
 
 def sensitivity(*, screened=True, indices=True, varied=True, runs_at_point=2):
@@ -150,8 +150,8 @@ def benchmark():
     )
 
 
-def explanation():
-    """Return what two imperfections cost in three metrics, with bounds in the first; one seed failed."""
+def explanation(metrics=("active_time", "messages_sent", "heat"), failed=1):
+    """Return what two imperfections cost in some metrics, with bounds in the first; some seeds failed."""
 
     def cost(label, unit, more_is, ideal, first, second, rest, bounds=None):
         one, other, left = ([value + noise for noise in NOISE] for value in (first, second, rest))
@@ -170,7 +170,7 @@ def explanation():
         "messages_sent": cost("messages", "", "better", 100.0, -20.0, 5.0, 0.1),
         "heat": cost("heat $Q$", "J", None, 2.0, 0.1, 1.0, 0.0),
     }
-    return Explanation(NAME, 3, 1, ("faults", "lies"), costs)
+    return Explanation(NAME, 3, failed, ("faults", "lies"), {metric: costs[metric] for metric in metrics})
 
 
 def comparison(metrics=("active_time", "heat"), *, seeds=10):
@@ -204,12 +204,12 @@ def controlled():
     return Controlled(result, (base, base, None), "centralised", 20, 20, ("active_time",))
 
 
-def agreement():
-    """Return two live runs, late by some milliseconds, beside simulated ones of which one ended otherwise."""
+def agreement(late=2_000_000):
+    """Return two live runs, whose timers were late, ns, beside simulated ones of which one went otherwise."""
     live = []
     for result in (history(), pair()):
         conduct = Conduct()
-        conduct.note(0, [1_000_000, 2_000_000], [500_000])
+        conduct.note(0, [1_000_000, late], [500_000])
         conduct.orders.append(10_000_000)
         live.append(LiveResult(result.scenario, result.seed, result.trace, conduct))
     return Agreement(history().scenario, live, [pair(), pair()])

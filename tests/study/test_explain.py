@@ -603,7 +603,7 @@ def test_seeds_with_which_any_variant_fails_are_left_out(protocol, tmp_path):
         assert cost.as_it_is == estimate(list(late[metric]))
         assert cost.ideal == estimate(list(best[metric]))
         assert cost.together.mean.count == len(good)
-    assert found.table().endswith(f"\n{found.failed} seeds are left out because a run failed")
+    assert found.table().splitlines()[-1].startswith(f"left out because a run failed: {found.failed} seed")
     assert found.document()["failed"] == found.failed
     TROUBLE["on"] = False
     again = explain(scenario, 9, store=tmp_path / "s.sqlite")
@@ -923,7 +923,7 @@ def test_if_some_seeds_fail_the_command_reports_the_others_and_ends_with_3(file,
     if as_json:
         assert json.loads(result.stdout) == document
     else:
-        assert f"{document['failed']} seeds are left out" in result.stdout
+        assert f"left out because a run failed: {document['failed']} seed" in result.stdout
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 from desim.analysis.metrics import with_unit, words
 from desim.analysis.statistics import Estimate, wilson
 from desim.analysis.table_formats import TableFormat, formatted
-from desim.analysis.tables import aligned, as_json, number, with_half_width
+from desim.analysis.tables import aligned, as_json, counted, number, with_half_width
 from desim.config.extras import naming_extras
 from desim.config.html import html_table
 from desim.kernel.core.portable_math import portable_sum
@@ -154,7 +154,7 @@ class Explanation:
         unchanging = [note for metric, cost in self.costs.items() for note in _unchanging(words(metric), cost)]
         interactions = [note for metric, cost in self.costs.items() for note in self._interaction(words(metric), cost)]
         remarks += unseen + unchanging + interactions
-        return remarks + ([f"{self.failed} seeds are left out because a run failed"] if self.failed else [])
+        return remarks + ([f"left out because a run failed: {counted(self.failed, 'seed')}"] if self.failed else [])
 
     def _signs(self) -> str:
         """Return a note that says for each metric whether a positive cost is good or bad."""
