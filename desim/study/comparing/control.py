@@ -206,6 +206,10 @@ class Controlled:
     def __str__(self) -> str:
         return self.table()
 
+    def __repr__(self) -> str:
+        configurations = counted(len(self.controls), "configuration")
+        return f"<Controlled of {self.result.name}: {configurations}, control {self.name}>"
+
     def _repr_html_(self) -> str:
         """Return the tables as HTML, for notebooks."""
         return "".join(html_table(title, rows) for title, rows in self.tables())

@@ -26,7 +26,7 @@ import numpy as np
 
 from desim.analysis.statistics import Estimate, estimate
 from desim.analysis.table_formats import TableFormat, formatted
-from desim.analysis.tables import aligned, as_json
+from desim.analysis.tables import aligned, as_json, counted
 from desim.config.arrays import Floats
 from desim.config.extras import naming_extras
 from desim.config.html import html_table
@@ -106,7 +106,7 @@ class Score(NamedTuple):
         return self.quality.minus(self.score)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Benchmark:
     """The costs of all runs of a benchmark, and the scores that follow from them."""
 
@@ -257,6 +257,10 @@ class Benchmark:
 
     def __str__(self) -> str:
         return self.table()
+
+    def __repr__(self) -> str:
+        protocols = counted(len(self.scores), "protocol")
+        return f"<Benchmark, version {self.version}: {protocols}, {counted(self.runs, 'run')} in each scenario>"
 
     def _repr_html_(self) -> str:
         """Return the tables as HTML, for notebooks."""

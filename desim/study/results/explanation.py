@@ -28,7 +28,7 @@ EXPLAINED: Mapping[str, str] = MappingProxyType(
 """The metrics in which costs are measured by default, and their titles in tables."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Explanation:
     """The cost of each imperfection of a scenario; see `desim.study.ablation.explain`.
 
@@ -100,6 +100,12 @@ class Explanation:
             raise ValueError(f"there are no costs in {metric}: the metrics are {', '.join(self.costs)}")
         chosen = self if metric is None else replace(self, costs={metric: self.costs[metric]})
         return waterfall(chosen, size=size, style=style, ax=ax)
+
+    def __str__(self) -> str:
+        return self.table()
+
+    def __repr__(self) -> str:
+        return f"<Explanation of {self.name}: {counted(self.runs, 'run')}, {', '.join(map(words, self.costs))}>"
 
     def _repr_html_(self) -> str:
         """Return the table as HTML, for notebooks."""
