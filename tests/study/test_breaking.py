@@ -1,5 +1,7 @@
 """The search for what breaks a protocol."""
 
+from collections import Counter
+from dataclasses import replace
 from itertools import count, islice
 from math import inf, nan
 from types import SimpleNamespace
@@ -35,14 +37,17 @@ from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.scenario.properties import Always, property_of
 from desim.simulation.watchdog import TimedOut, within
-from desim.study.breaking.case_log import CaseLog, CaseRun
+from desim.study.breaking.case_log import FAILED, CaseLog, CaseRun
 from desim.study.breaking.copies import ReadingTime, copies, looks, readings
 from desim.study.breaking.features import FEATURES, applied, drawn
-from desim.study.breaking.found import case_text
-from desim.study.breaking.search import Violation
-from desim.study.breaking.shrinking import Tried, shrunk
+from desim.study.breaking.found import case_text, command_for, protocols_text, scenario_text, search_text
+from desim.study.breaking.judging import JudgementError, failure_of
+from desim.study.breaking.search import Search, Violation
+from desim.study.breaking.shrinking import Tried, _simplifications, shrunk
 from desim.study.breaking.sightings import SIGHTINGS, seen_in
+from desim.study.workers.dispatch import Outcome
 from scenarios.studies.study import SCENARIOS
+from tests.golden import golden
 
 IDLE = "idle at most 2 in total against centralised"
 SHORT = IDLE.replace("2 in", "1.9 in")
@@ -599,3 +604,74 @@ def test_a_search_is_about_a_scenario():
         find_violation("relay.toml", IDLE)
     with pytest.raises(TypeError, match="fatal_losses"):
         fatal_losses(run(SMALL, 1), IDLE)
+
+
+# What people read.
+
+FOUND = {
+    "team": {"team.count": 5},
+    "crash": {"fault": {"kind": "crash", "node": 1, "memory": True, "start": 0.123, "end": 1.5}},
+    "bursts": {"network.loss": {"kind": "gilbert_elliott", "share": 0.123, "burst": 0.5, "advance": "time"}},
+    "range": {"network.range": inf},
+    "horizon": {"horizon": 1.7},
+}
+
+
+def features():
+    """Yield two cases of each feature, and cases with and without a parent."""
+    for name, draw in FEATURES.items():
+        cases = [{name: draw(np.random.default_rng(seed), SMALL)} for seed in (3, 4)]
+        yield "\n".join(f"{name}: {case_text(case)}" for case in cases)
+    parent = drawn(FEATURES, np.random.default_rng(1), SMALL)
+    yield f"parent: {case_text(parent)}"
+    yield f"child: {case_text(drawn(FEATURES, np.random.default_rng(2), SMALL, parent))}"
+
+
+def smaller():
+    """Yield the cases that are tried to make one smaller, the first that save most."""
+    tried = Tried(FOUND, 1, Judgement(-0.5, 2.5, 0.4))
+    for simplify in _simplifications(SMALL, tried):
+        case = simplify(tried)
+        yield "nothing to leave out" if case is None else case_text(case)
+
+
+def searches():
+    """Yield the texts of searches: nothing found and little seen, a violation, and an exception."""
+    prop, against = property_of("idle at most 2 in total"), property_of(SHORT)
+    judgement = Judgement(-0.4567, 3.4567, 1.25, 1.1)
+    seen = Counter({sentence: k for k, sentence in enumerate(SIGHTINGS)})
+    found = Violation(SMALL, 7, against, judgement, FOUND, FOUND, searched=12, shrunk=34)
+    failed = replace(found, verdict=FAILED, failure="KeyError: 'x'", case={}, scenario=SMALL)
+    tried = [Tried({}, 1, Judgement(2.0, 0.0, 0.0)), Tried({}, 2, Judgement(3.5, 0.0, 0.0))]
+    yield search_text(
+        Search(runs=2, refused=1234, tried=tried, stopped=True, featured=Counter({"loss": 1, "crash": 2})), prop
+    )
+    yield search_text(Search(found, runs=1200, seen=seen, tried=tried), against)
+    yield search_text(Search(failed, runs=1, seen=seen), against)
+    yield protocols_text({"sap": judgement, "cbba": Judgement(0.0, 2.0, 0.0), "cbaa": "ValueError: no"}, against)
+    yield scenario_text(found, "a b.toml", "desim break a b.toml")
+    yield command_for("run", "x.toml", SMALL, None)
+
+
+@pytest.mark.parametrize("part", [features, smaller, searches], ids=lambda part: part.__name__)
+def test_cases_and_texts_are_golden(part):
+    golden(f"breaking/{part.__name__}.txt", "\n\n".join(part()) + "\n")
+
+
+@pytest.mark.parametrize(
+    ("outcome", "timeout", "told"),
+    [
+        (Outcome("ok", value=1), None, ""),
+        (Outcome("error", error=ValueError("no\nmore")), None, "ValueError: no"),
+        (Outcome("error", error=TimedOut("took longer than 1 s")), 1.0, "TimedOut: took longer than 1 s"),
+        (Outcome("crashed", traceback="a\nended by signal 9\n"), None, "RuntimeError: ended by signal 9"),
+    ],
+)
+def test_a_run_fails_by_its_exception_or_its_limit(outcome, timeout, told):
+    assert failure_of(outcome, timeout) == told
+
+
+@pytest.mark.parametrize("error", [TimedOut("late"), KeyboardInterrupt(), JudgementError("property")])
+def test_what_is_no_failure_of_a_run_ends_the_search(error):
+    with pytest.raises(type(error)):
+        failure_of(Outcome("error", error=error), None)

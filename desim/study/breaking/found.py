@@ -8,6 +8,7 @@ from typing import Any
 import tomli_w
 
 from desim.analysis.properties import Judgement
+from desim.analysis.tables import counted
 from desim.config.traits import kind_of
 from desim.scenario.properties import Property
 from desim.scenario.scenario import PROTOCOLS, Scenario
@@ -120,12 +121,12 @@ def search_text(search: Search, prop: Property) -> str:
             f"smallest after {violation.shrunk} more runs: {case_text(violation.case)}",
         ]
     else:
-        lines.append(f"no violation in {search.runs:,} cases; the least margin is {_number(search.closest)}")
+        lines.append(f"no violation in {counted(search.runs, 'case')}; the least margin is {_number(search.closest)}")
     if search.stopped:
         lines.append("the time was up before all cases were run")
     if search.refused:
-        lines.append(f"{search.refused:,} cases made no valid scenario, and were not run")
-    lines += ["", f"of {search.runs:,} cases:"]
+        lines.append(f"no valid scenario, and so not run: {counted(search.refused, 'case')}")
+    lines += ["", f"of {counted(search.runs, 'case')}:"]
     lines += [f"  {search.seen[sentence]:>5}  {sentence}" for sentence in SIGHTINGS]
     lines += [f"  {count:>5}  with {name}" for name, count in sorted(search.featured.items())]
     return "\n".join([*lines, *(f"warning: {text}" for text in search.warnings(prop))])
