@@ -5,6 +5,8 @@ from matplotlib.lines import Line2D
 
 from desim.analysis.drawing.legends import covers_data
 from desim.analysis.drawing.plots import styled
+from tests.drawn import described
+from tests.golden import golden
 
 
 def lines(axes):
@@ -63,6 +65,28 @@ def test_a_legend_beside_data_stays():
         axes.legend(loc="upper left", title="kind")
     assert axes.get_legend() is not None
     assert not figure.legends
+
+
+@pytest.mark.parametrize("look", [{"ls": "none", "marker": "o"}, {"ls": "", "marker": "s"}, {"marker": ""}])
+def test_a_legend_between_marks_and_beside_a_line_stays(look):
+    """Marks that are not joined lie on both sides of it; a line without marks passes below."""
+    with styled(figsize=(3.0, 2.0)) as figure:
+        axes = figure.add_subplot()
+        low = 0.9 if look.get("ls") is not None else 0.02
+        axes.plot([0.02, 0.98], [low, low], label="x", **look)
+        axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
+        axes.legend(loc="upper center")
+    assert axes.get_legend() is not None
+
+
+def test_a_moved_legend_is_golden():
+    """It keeps its title, the size of its texts and the looks of its lines, in at most three columns."""
+    with styled(figsize=(4.0, 2.0)) as figure:
+        axes = figure.add_subplot()
+        for k in range(4):
+            axes.errorbar([0.0, 1.0], [0.5 + k / 10, 0.9], yerr=0.4, marker="os"[k % 2], label=f"line {k}")
+        axes.legend(loc="upper right", title="kind", fontsize=6)
+    golden("legend.txt", described(figure) + "\n")
 
 
 def test_data_of_axes_with_another_ordinate_count_and_the_title_is_kept():

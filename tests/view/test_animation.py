@@ -2,6 +2,7 @@
 
 import sys
 from contextlib import contextmanager
+from pathlib import Path
 from types import SimpleNamespace
 
 import matplotlib as mpl
@@ -11,9 +12,9 @@ from matplotlib.text import Text
 from PIL import Image
 
 from desim.analysis.drawing.plots import styled
-from desim.view.pictures.animation import COLOURS, HOLD, MAX_FRAMES, SHADES, _Scene, animate, frames
+from desim.view.pictures.animation import COLOURS, HOLD, MAX_FRAMES, SHADES, _drawn, _Scene, animate, frames
 from tests.command import refused
-from tests.drawn import described, line_of, text_of
+from tests.drawn import described, line_of, text_of, without_layout
 from tests.golden import golden
 from tests.view.by_hand import MS, history, pair
 
@@ -63,17 +64,18 @@ def test_frames_of_runs_by_hand_are_golden():
     golden("animation.txt", {"by hand": alone, "pair": two, "mute": mute})
 
 
-@pytest.mark.slow
-def test_the_progress_counts_each_frame(monkeypatch):
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("pixels", [(100, 112), None])
+def test_the_progress_counts_each_frame(pixels, monkeypatch):
     counted = []
 
     @contextmanager
-    def counting(total, *_):
-        yield SimpleNamespace(update=lambda: counted.append(total))
+    def counting(*told):
+        yield SimpleNamespace(update=lambda: counted.append(told))
 
     monkeypatch.setattr("desim.view.pictures.animation.progress", counting)
-    frames(history(), [0, 150 * MS, 300 * MS])
-    assert counted == [3, 3, 3]
+    frames(history(), [0, 150 * MS, 300 * MS], pixels)
+    assert counted == [(3, "frames", "frame")] * 3
 
 
 def test_the_frames_of_two_evaders_are_in_the_colours_of_their_palette():
@@ -83,7 +85,20 @@ def test_the_frames_of_two_evaders_are_in_the_colours_of_their_palette():
     assert (np.abs(np.asarray(image.convert("RGB")).astype(int) - green).sum(axis=2) < 12).sum() > 50
 
 
-@pytest.mark.slow
+@pytest.fixture
+def blank(monkeypatch):
+    """Let frames be blank, which takes no time, and return the times (ns) and the pixels of those that are drawn."""
+    asked = []
+
+    def drawn(_result, times, pixels):
+        asked.append((list(times), pixels))
+        for k in range(len(times)):
+            yield Image.new("RGB", pixels, (k, k, k))
+
+    monkeypatch.setattr("desim.view.pictures.animation._drawn", drawn)
+    return asked
+
+
 @pytest.mark.parametrize(
     ("asked", "count", "pause"),
     [
@@ -93,9 +108,13 @@ def test_the_frames_of_two_evaders_are_in_the_colours_of_their_palette():
     ],
     ids=["half speed", "a part", "hundredths of a second"],
 )
-def test_a_film_lasts_as_long_as_the_run_at_its_speed(asked, count, pause, tmp_path):
+def test_a_film_lasts_as_long_as_the_run_at_its_speed(asked, count, pause, blank, tmp_path):
     """The last frame is held. 30 frames a second would pause for 33.3 ms; the format has 30 ms: 7 pauses for 0.2 s."""
     assert animate(history(), tmp_path / "film.gif", **asked) == count + 1
+    ((times, _),) = blank
+    begin, end = asked.get("begin", 0.0), asked.get("end", 1.0)
+    step = pause * asked.get("speed", 1.0)
+    assert times == [round((begin * 1000 + k * step) * MS) for k in range(count)] + [round(end * 1000 * MS)]
     _, pauses, loop = played(tmp_path / "film.gif")
     assert sum(pauses) == count * pause + HOLD
     assert pauses[-1] >= HOLD
@@ -179,15 +198,65 @@ def test_without_recorded_positions_the_error_explains_how_to_record_them(tmp_pa
 # Sizes, and videos.
 
 
-@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("size", "pixels"),
-    [("240px", (240, 270)), ("320x180px", (320, 180)), ("5.08cm", (200, 224)), ("2inx3in", (200, 300))],
+    [
+        (None, (480, 540)),
+        ("240px", (240, 270)),
+        ("320x180px", (320, 180)),
+        ("5.08cm", (200, 224)),
+        ("2inx3in", (200, 300)),
+        ("101 px x 4096px", (100, 4096)),
+    ],
 )
-def test_a_film_has_the_size_that_is_asked_for(size, pixels, tmp_path):
+def test_a_film_has_the_size_that_is_asked_for(size, pixels, blank, tmp_path):
     animate(history(), tmp_path / "film.gif", begin=0.1, end=0.2, size=size)
-    shots, _, _ = played(tmp_path / "film.gif")
-    assert {shot.shape[1::-1] for shot in shots} == {pixels}
+    assert [pixels_of_film for _, pixels_of_film in blank] == [pixels]
+    with Image.open(tmp_path / "film.gif") as film:
+        assert film.size == pixels
+
+
+def test_symbols_and_texts_grow_with_a_picture(monkeypatch):
+    """A picture of twice as many pixels each way is the same figure at twice the resolution."""
+    seen = []
+
+    @contextmanager
+    def noted(size):
+        with styled(size) as figure:
+            yield figure
+        seen.append((size, figure.dpi))
+        raise StopAsyncIteration
+
+    monkeypatch.setattr("desim.view.pictures.animation.styled", noted)
+    with without_layout():
+        for pixels in ((480, 540), (960, 1080), (960, 540)):
+            with pytest.raises(StopAsyncIteration):
+                next(_drawn(history(), [0], pixels))
+    assert seen == [((4.8, 5.4), 100.0), ((4.8, 5.4), 200.0), ((9.6, 5.4), 100.0)]
+
+
+def test_a_video_is_written_frame_by_frame_and_the_last_one_held(blank, tmp_path, monkeypatch):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    asked, frames_sent = [], []
+
+    def write_frames(path, size, **options):
+        asked.append((Path(path).suffix, size, options))
+        try:
+            while True:
+                frames_sent.append((yield))
+        finally:
+            asked.append("closed")
+            Path(path).write_bytes(b"film")
+
+    monkeypatch.setattr(ffmpeg, "write_frames", write_frames)
+    assert animate(history(), tmp_path / "film.mp4", begin=0.5, end=0.7, fps=10, size="100px") == 3
+    exact = ["-fflags", "+bitexact", "-flags:v", "+bitexact", "-movflags", "+faststart", "-f", "mp4"]
+    look = {"fps": 10.0, "codec": "libx264", "macro_block_size": 2, "quality": 8, "output_params": exact}
+    (_, *told), closed = asked
+    assert (told, closed) == ([(100, 112), look], "closed")
+    assert [frame[:3] for frame in frames_sent] == [bytes([k] * 3) for k in (0, 1, *[2] * 16)]
+    assert {len(frame) for frame in frames_sent} == {3 * 100 * 112}
+    assert (tmp_path / "film.mp4").read_bytes() == b"film"
 
 
 @pytest.mark.parametrize(

@@ -92,6 +92,25 @@ def test_too_many_messages_are_refused_and_the_advice_helps(crowded):
     spacetime(crowded, 1.0, 4.0, pursuers=(0, 9))
 
 
+@pytest.mark.parametrize(
+    ("most", "begin", "end", "says"),
+    [
+        (
+            0.1,
+            0.0,
+            1.0,
+            r"7 messages .* from 0 s to 1 s are more than the 2 .*: end the window at 0.100000000 s, or ch",
+        ),
+        (0.06, 0.9, 1.0, r"more than the 1 that can be told apart: choose fewer pursuers or a wider figure"),
+    ],
+)
+def test_the_advice_is_the_last_time_up_to_which_all_messages_fit(most, begin, end, says, monkeypatch):
+    """Two are sent at 100 ms, one at 300 ms, two each at 750 and 900 ms."""
+    monkeypatch.setattr("desim.view.pictures.spacetime.MAX_DENSITY", most)
+    with pytest.raises(ValueError, match=says):
+        spacetime(history(), begin, end)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [8.5, 17.0])
 def test_the_default_selection_is_neither_empty_nor_too_large(crowded, width):
