@@ -31,7 +31,7 @@ from desim.config.packages import (
 
 if TYPE_CHECKING:
     from desim.adapters.wrap import wrap as wrap
-    from desim.analysis.metrics import summary as summary
+    from desim.analysis.measuring import summary as summary
     from desim.analysis.properties import judge as judge
     from desim.config.data_files import open_data as open_data
     from desim.kernel.clock_sync import TwoWay as TwoWay

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import click
 import pytest
 
-from desim.analysis.metrics import summary
+from desim.analysis.measuring import summary
 from desim.analysis.statistics import FIRST_LOOK
 from desim.analysis.tables import counted
 from desim.cli import main

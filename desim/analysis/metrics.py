@@ -8,11 +8,9 @@ A user's metric is a function of a result that returns a number, True, False or 
 It is given to `summary` or `sweep`, or named by a scenario (`record.metrics`).
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
-from keyword import iskeyword
-from math import isnan, nan
+from math import isnan
 from operator import itemgetter
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -31,16 +29,10 @@ from desim.analysis.activity import (
     switches,
 )
 from desim.analysis.age import age_at_decision, age_mean, age_peak, belief_error, believed_leaders
+from desim.analysis.captures import capture_time, capture_times, captured, capturers, end_time, mean_capture_time
 from desim.analysis.deception import checks_announcements, false_accusations, time_to_detect
 from desim.analysis.hindsight import misassigned_time, network_regret, potential_gap, regret, time_to_relay
-from desim.analysis.trace_index import (
-    captures,
-    ended,
-    messages,
-    messages_recorded,
-    positions_known,
-    trace_index,
-)
+from desim.analysis.trace_index import captures, ended, messages, messages_recorded, positions_known
 from desim.analysis.transport_metrics import (
     acknowledgements,
     deadlines_missed,
@@ -52,24 +44,15 @@ from desim.analysis.transport_metrics import (
     retransmissions,
     share_delivered,
 )
-from desim.config.arguments import naming_arguments, run_argument
-from desim.config.errors import MetricError, NoMetricError
-from desim.config.fresh import fresh_copy
 from desim.config.html import html_properties
 from desim.config.json_numbers import to_json
-from desim.config.python_numbers import as_python
 from desim.config.suggestion import did_you_mean
 from desim.kernel.core.events import Cause
-from desim.kernel.core.portable_math import portable_sum
-from desim.kernel.core.units import seconds
-from desim.scenario.named_metrics import NamedMetric
-from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
 
 __all__ = [
     "METRICS",
     "Metric",
-    "MetricError",
     "Summary",
     "acknowledgements",
     "active_time",
@@ -85,6 +68,7 @@ __all__ = [
     "crowded_time",
     "deadlines_missed",
     "delivery_delay",
+    "end_time",
     "energy",
     "excess_time",
     "false_accusations",
@@ -94,7 +78,6 @@ __all__ = [
     "liveliness_lost",
     "mean_attempts",
     "mean_capture_time",
-    "measured",
     "messages",
     "misassigned_time",
     "network_regret",
@@ -104,44 +87,11 @@ __all__ = [
     "regret",
     "retransmissions",
     "share_delivered",
-    "summary",
     "switches",
     "time_to_detect",
     "time_to_relay",
     "title",
-    "users_metrics",
 ]
-
-
-def captured(result: Result) -> bool:
-    """Return whether enough evaders were captured to end the run (`capture.captures_to_end`, by default all)."""
-    return ended(result).reason == "captured"
-
-
-def capture_time(result: Result) -> float | None:
-    """Return the time, s, of the capture that ended the run; None if the run ended otherwise."""
-    return end_time(result) if captured(result) else None
-
-
-def end_time(result: Result) -> float:
-    """Return the time, s, at which the run ended: by a capture, at the horizon, or by a watcher."""
-    return seconds(ended(result).t)
-
-
-def mean_capture_time(result: Result) -> float:
-    """Return the time of capture, s, averaged over the captured evaders; nan if none was captured."""
-    times = [seconds(capture.t) for capture in captures(result)]
-    return portable_sum(times) / len(times) if times else nan
-
-
-def capture_times(result: Result) -> dict[str, float]:
-    """Return the capture time, s, of each captured evader by its number (a string), in order of time."""
-    return {str(capture.evader): seconds(capture.t) for capture in captures(result)}
-
-
-def capturers(result: Result) -> dict[str, int]:
-    """Return the pursuer that made each capture, by the number of the evader (a string), in order of time."""
-    return {str(capture.evader): capture.capturer for capture in captures(result)}
 
 
 class Metric(NamedTuple):
@@ -409,12 +359,6 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
     {name: metric for name, metric in vars(Summary).items() if isinstance(metric, Metric)}
 )
 """The built-in metrics by name."""
-Metrics = Mapping[str, Metric | Callable[[Result], Any]]
-"""Metrics of a user by name: functions of a result that return a number, True, False or None, or `Metric` objects."""
-COLUMNS = frozenset({"settings", "replication", "root_seed", "status", "traceback", "error"})
-"""The columns that are not metrics, in tables of runs."""
-UsersMetrics = tuple[tuple[str, Metric], ...]
-"""A user's metrics, each with its name."""
 
 
 def _attribute(name: str) -> property:
@@ -431,107 +375,6 @@ def _attribute(name: str) -> property:
 
 for _name in METRICS:
     setattr(Summary, _name, _attribute(_name))
-
-
-@naming_arguments
-def summary(result: Result, metrics: Metrics = MappingProxyType({})) -> Summary:
-    """Return all metrics of one run: the built-in ones, those that its scenario names, and those given.
-
-    If you need only one or two metrics, call their functions in this module.
-
-    Args:
-        result: the result of the run.
-        metrics: further metrics by name: functions of a result that return a number, True, False or None.
-
-    Raises:
-        TypeError: if it is not the result of a run; the message says what to write instead.
-        ValueError: if a metric is not a function, or if its name is already taken or is not an identifier.
-        MetricError: if a user's metric fails, or returns a value of another type.
-    """
-    run_argument(Result).check(result, "summary")
-    return measured(users_metrics(result.scenario.record.metrics, metrics), result)
-
-
-def measured(added: UsersMetrics, result: Result) -> Summary:
-    """Return the built-in metrics of a run and those of a user; see `summary`."""
-    with (
-        fresh_copy(result.scenario, alone=True) as scenario,  # metrics call models, which may remember the calls
-        fresh_copy(added, is_run=True) as fresh_metrics,  # and may remember something themselves
-    ):
-        index = trace_index(replace(result, scenario=scenario))
-        values = {name: metric(index) for name, metric in METRICS.items()}
-        values |= {name: _checked(name, metric, index) for name, metric in fresh_metrics}
-    return Summary(values, {name: metric.unit for name, metric in added})
-
-
-def _checked(name: str, metric: Metric, result: Result) -> bool | int | float | None:
-    """Return the value of a user's metric for a run; None instead of nan.
-
-    Raises:
-        MetricError: if the metric raises an exception, or does not return a number, True, False or None.
-    """
-    where = f"metric {name!r} of {result.scenario.name!r} with seed {result.seed}"
-    try:
-        returned = metric(result)
-        value = as_python(returned)
-    except (Exception, SystemExit) as error:
-        raise MetricError(f"{where}: {type(error).__name__}: {error}") from error
-    if value is not None and not isinstance(value, bool | int | float):
-        raise MetricError(f"{where}: should return a number, True, False or None, not a {type(returned).__name__}")
-    return None if isinstance(value, float) and isnan(value) else value
-
-
-def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType({})) -> UsersMetrics:
-    """Return the metrics that a scenario names (`record.metrics`), then those of `more`, each with its name.
-
-    Raises:
-        ValueError: if a metric is not a function, or if its name is already taken or is not an identifier.
-    """
-    functions: Any = more
-    if not isinstance(functions, Mapping):
-        form = "{'late': late} for instance; the built-in metrics are always measured"
-        raise TypeError(f"metrics should be functions by name, {form} (got {more!r})")
-    metrics: dict[str, Metric] = {}
-    pairs: list[tuple[Any, Any]] = [*((metric.name, metric.of) for metric in named), *functions.items()]
-    for name, of in pairs:
-        if not (isinstance(name, str) and name.isascii() and name.isidentifier()) or iskeyword(name):
-            raise ValueError(f"the name of a metric should be a Python identifier in ASCII, got {name!r}")
-        low = name.lower()  # SQL does not tell cases apart
-        if low in METRICS or low in COLUMNS or low in Scenario.model_fields:
-            taken = "built-in metric" if low in METRICS else "column of tables" if low in COLUMNS else "scenario key"
-            raise ValueError(f"metric {name!r} should have another name: there is a {taken} of this name")
-        if not callable(of) or isinstance(of, type):
-            raise ValueError(f"metric {name!r} should be a function of a result, got {of!r}")
-        if (other := next((earlier for earlier in metrics if earlier.lower() == low), name)) != name:
-            raise ValueError(f"metric {name!r} should have another name: it differs from {other!r} only in case")
-        metric = of if isinstance(of, Metric) else Metric(of)
-        if metrics.setdefault(name, metric) != metric:
-            raise ValueError(f"metric {name!r} should have another name: another metric has it")
-    return tuple(metrics.items())
-
-
-ONE_NAME = "metric should be the name of one metric, 'active_time' for instance"
-
-
-def check_numeric(metric: str, added: Iterable[str] = ()) -> None:
-    """Check that a name is that of a built-in metric with `is_number`, or one of the names in `added`.
-
-    Raises:
-        NoMetricError: if it is not.
-        ValueError: if it is no name.
-    """
-    asked: Any = metric
-    if not isinstance(asked, str):
-        if isinstance(asked, Sequence):
-            raise ValueError(f"{ONE_NAME} (got {metric!r})")
-        name = getattr(asked, "__name__", "mine")
-        raise ValueError(f'metric should be a name: "{name}", with metrics={{"{name}": ...}} (got {metric!r})')
-    if "," in metric:
-        raise ValueError(f"{ONE_NAME} (got {metric!r})")
-    numeric = [*(name for name, metric in METRICS.items() if metric.is_number), *added]
-    if metric not in numeric:
-        hint = did_you_mean(metric, numeric)
-        raise NoMetricError(metric, f"there is no numeric metric {metric!r}{hint}; there are {', '.join(numeric)}")
 
 
 def plain(numbers: Summary) -> dict[str, Any]:

@@ -4,7 +4,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from math import isnan, nan
 from typing import Any
 
-from desim.analysis.metrics import METRICS, Summary, title, users_metrics, words
+from desim.analysis.measuring import users_metrics
+from desim.analysis.metrics import METRICS, Summary, title, words
 from desim.analysis.statistics import Estimate, estimate, wilson
 from desim.config.json_numbers import json_number
 from desim.kernel.core.portable_math import portable_sum

@@ -127,7 +127,8 @@ def _run(
 
 def _document(scenario: "Scenario", results: "Sequence[LiveResult]") -> str:
     """Return the metrics of runs, and how the runs went, as JSON."""
-    from desim.analysis.metrics import plain, summary
+    from desim.analysis.measuring import summary
+    from desim.analysis.metrics import plain
 
     entries = [plain(summary(result)) | {"live": result.conduct.document()} for result in results]
     return json.dumps({"scenario": scenario.plain(), "runs": entries}, indent=2)
@@ -135,7 +136,7 @@ def _document(scenario: "Scenario", results: "Sequence[LiveResult]") -> str:
 
 def _tables(scenario: "Scenario", results: "Sequence[LiveResult]", wall_time: float, metrics: tuple[str, ...]) -> str:
     """Return the metrics of runs, and how the runs went, as text."""
-    from desim.analysis.metrics import summary
+    from desim.analysis.measuring import summary
     from desim.analysis.tables import batch_table, run_table
 
     summaries = [summary(result) for result in results]

@@ -121,7 +121,7 @@ def _run_once(scenario: "Scenario", into: "tuple[Path, Document] | None") -> "tu
     """Run a scenario, and return the metrics and the wall time, s; write the run if there is an output folder."""
     start = time.perf_counter()
     if into is None:
-        from desim.analysis.metrics import summary
+        from desim.analysis.measuring import summary
         from desim.simulation.run import run as simulate
 
         result = simulate(scenario)
@@ -148,7 +148,8 @@ def _run_several(
     """
     from functools import partial
 
-    from desim.analysis.metrics import Summary, summary
+    from desim.analysis.measuring import summary
+    from desim.analysis.metrics import Summary
     from desim.results import provenance, run_folder
     from desim.study.workers.batch import run_many, seeds_from
     from desim.study.workers.dispatch import simulation

@@ -94,7 +94,8 @@ def add_metrics(source: "Source", metrics: tuple[str, ...]) -> None:
     """
     if not metrics:
         return
-    from desim.analysis.metrics import METRICS, check_numeric
+    from desim.analysis.measuring import check_numeric
+    from desim.analysis.metrics import METRICS
     from desim.scenario.named_metrics import installed_metrics
 
     for metric in metrics:
@@ -133,7 +134,7 @@ def valid(source: "Source") -> "Scenario":
     except ScenarioError as error:
         fail(str(error))
     if scenario.record.metrics:
-        from desim.analysis.metrics import users_metrics
+        from desim.analysis.measuring import users_metrics
 
         for k in range(len(scenario.record.metrics)):
             try:

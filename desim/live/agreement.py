@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from math import copysign
 from typing import Any, NamedTuple, get_args
 
-from desim.analysis.metrics import METRICS, Summary, summary
+from desim.analysis.measuring import summary
+from desim.analysis.metrics import METRICS, Summary
 from desim.analysis.statistics import Estimate, mean, paired
 from desim.analysis.tables import aligned, counted, number
 from desim.kernel.core.portable_math import portable_sum

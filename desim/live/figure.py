@@ -7,7 +7,7 @@ import numpy as np
 from desim.analysis.activity import Steps, activity
 from desim.analysis.drawing.palette import GREY, SERIES
 from desim.analysis.drawing.plots import Axes, Figure, styled
-from desim.analysis.metrics import summary
+from desim.analysis.measuring import summary
 from desim.config.arrays import Floats
 from desim.live.agreement import Agreement
 from desim.simulation.run import Result

@@ -12,7 +12,8 @@ from typing import Any, Self
 import numpy as np
 from pydantic import Field
 
-from desim.analysis.metrics import Summary, plain, summary
+from desim.analysis.measuring import summary
+from desim.analysis.metrics import Summary, plain
 from desim.config.file_names import RUN_FILES, TRACE
 from desim.config.trust import regular_or_missing
 from desim.kernel.core.events import (

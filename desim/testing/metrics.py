@@ -4,7 +4,7 @@ from math import isinf
 from pathlib import Path
 from typing import Any
 
-from desim.analysis.metrics import summary
+from desim.analysis.measuring import summary
 from desim.config.named_code import load_named
 from desim.kernel.core.trace_file import line_of
 from desim.kernel.models.faults import Crash

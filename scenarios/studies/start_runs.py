@@ -8,7 +8,8 @@ import numpy as np
 
 from desim import Result, Scenario
 from desim.analysis.activity import evader_pursuits
-from desim.analysis.metrics import active_time, excess_time, summary
+from desim.analysis.measuring import summary
+from desim.analysis.metrics import active_time, excess_time
 from desim.analysis.statistics import Estimate, mean, paired
 from desim.analysis.trace_index import started
 from desim.config.arrays import Floats

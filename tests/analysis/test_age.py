@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import protocols
 from desim.analysis.age import age_at_decision, age_mean, age_peak, ages, belief_error, believed_leaders
 from desim.analysis.knowledge import knowledge
-from desim.analysis.metrics import summary
+from desim.analysis.measuring import summary
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.events import (
     LOST,

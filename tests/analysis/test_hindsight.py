@@ -15,7 +15,8 @@ from desim.analysis.hindsight import (
     settling_window,
     time_to_relay,
 )
-from desim.analysis.metrics import active_time, capture_time, summary
+from desim.analysis.measuring import summary
+from desim.analysis.metrics import active_time, capture_time
 from desim.analysis.timeline import timeline
 from desim.config.model import Value
 from desim.kernel.core.events import MessageCounts, Trace

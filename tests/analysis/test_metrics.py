@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.analysis import transport_metrics as transport
+from desim.analysis.measuring import summary
 from desim.analysis.metrics import (
     METRICS,
     Summary,
@@ -24,7 +25,6 @@ from desim.analysis.metrics import (
     messages,
     ping_pongs,
     plain,
-    summary,
     switches,
     words,
 )

@@ -9,7 +9,8 @@ import pytest
 
 from desim.analysis.activity import Released, action, changes, relays
 from desim.analysis.hindsight import hindsight, network_regret, settling_window, time_to_relay
-from desim.analysis.metrics import active_time, activity, energy, handovers, ping_pongs, plain, potential_gap, summary
+from desim.analysis.measuring import summary
+from desim.analysis.metrics import active_time, activity, energy, handovers, ping_pongs, plain, potential_gap
 from desim.analysis.timeline import timeline
 from desim.analysis.trace_index import trace_index
 from desim.kernel.core.events import MessageCounts, Trace

@@ -4,15 +4,9 @@ from math import inf, nan
 
 import pytest
 
-from desim.analysis.metrics import summary
+from desim.analysis.measuring import summary
 from desim.analysis.statistics import Estimate, estimate
-from desim.analysis.tables import (
-    aligned,
-    batch_table,
-    number,
-    run_table,
-    with_half_width,
-)
+from desim.analysis.tables import aligned, batch_table, number, run_table, with_half_width
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Scenario
 from tests.golden import golden

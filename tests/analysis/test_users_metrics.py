@@ -8,8 +8,10 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from desim.analysis.metrics import METRICS, Metric, MetricError, active_time, plain, summary
+from desim.analysis.measuring import summary
+from desim.analysis.metrics import METRICS, Metric, active_time, plain
 from desim.analysis.tables import batch_table, run_table
+from desim.config.errors import MetricError
 from desim.scenario.players import Team
 from desim.scenario.scenario import Recording, Scenario
 from desim.scenario.toml import dump

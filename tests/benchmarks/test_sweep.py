@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from desim.analysis.metrics import summary
+from desim.analysis.measuring import summary
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording, Scenario
 from desim.study.workers.dispatch import drive

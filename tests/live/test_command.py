@@ -7,7 +7,8 @@ import re
 import pytest
 from click.testing import CliRunner
 
-from desim.analysis.metrics import METRICS, plain, summary
+from desim.analysis.measuring import summary
+from desim.analysis.metrics import METRICS, plain
 from desim.cli import main
 from desim.cli.live import overload
 from desim.config.file_names import LIVE

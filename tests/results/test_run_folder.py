@@ -12,7 +12,8 @@ import pytest
 from click.testing import CliRunner
 
 from desim.analysis.knowledge import knowledge
-from desim.analysis.metrics import plain, summary
+from desim.analysis.measuring import summary
+from desim.analysis.metrics import plain
 from desim.cli import main
 from desim.kernel.core.events import LOST, MESSAGES, Broadcast, Lost, Queued, Sent, Trace
 from desim.kernel.core.records import Record

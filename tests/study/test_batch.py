@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.analysis.metrics import active_time, summary
+from desim.analysis.measuring import summary
+from desim.analysis.metrics import active_time
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.scenario.players import Team

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import t, ttest_ind, ttest_rel
 
 import desim
-from desim.analysis.metrics import summary
+from desim.analysis.measuring import summary
 from desim.analysis.statistics import independent
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario

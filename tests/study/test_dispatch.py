@@ -12,7 +12,7 @@ from warnings import catch_warnings, simplefilter
 import pytest
 
 import desim
-from desim.analysis.metrics import summary
+from desim.analysis.measuring import summary
 from desim.config.shared_state import StateWarning, shared_changes
 from desim.scenario.toml import load
 from desim.simulation.run import run

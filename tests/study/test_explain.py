@@ -15,7 +15,8 @@ from matplotlib.colors import to_hex
 from desim import Scenario, explain, run
 from desim.analysis.drawing.palette import GREEN, ORANGE, VERMILION
 from desim.analysis.drawing.plots import Figure
-from desim.analysis.metrics import Metric, active_time, end_time, summary
+from desim.analysis.measuring import summary
+from desim.analysis.metrics import Metric, active_time, end_time
 from desim.analysis.statistics import Estimate, estimate
 from desim.cli import main
 from desim.kernel.models.access import Aloha

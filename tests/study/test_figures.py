@@ -12,7 +12,7 @@ from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
 
 from desim.analysis.drawing.plots import save
-from desim.analysis.metrics import summary
+from desim.analysis.measuring import summary
 from desim.analysis.statistics import estimate
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario

@@ -10,7 +10,8 @@ from math import inf, nan
 
 import pytest
 
-from desim.analysis.metrics import METRICS, summary
+from desim.analysis.measuring import summary
+from desim.analysis.metrics import METRICS
 from desim.analysis.statistics import Estimate, estimate, paired, wilson
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario

@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 from pydantic_core import core_schema
 
 import desim.study.store.file as module
-from desim.analysis.metrics import summary
+from desim.analysis.measuring import summary
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.results import environment

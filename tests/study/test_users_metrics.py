@@ -17,8 +17,9 @@ from types import SimpleNamespace
 import pytest
 
 from desim import explain, sweep
-from desim.analysis import metrics
-from desim.analysis.metrics import METRICS, Metric, Summary, active_time, end_time, summary
+from desim.analysis import captures
+from desim.analysis.measuring import summary
+from desim.analysis.metrics import METRICS, Metric, Summary, active_time, end_time
 from desim.analysis.statistics import runs_needed
 from desim.cli.sources import shown_metrics
 from desim.scenario import named_metrics
@@ -196,9 +197,9 @@ def test_the_code_of_a_built_in_metric_includes_the_functions_beside_it_that_it_
         return 0.0
 
     monkeypatch.setattr(metric_code, "_source_hash", metric_code._source_hash.__wrapped__)
-    monkeypatch.setattr(other, "__module__", metrics.__name__)
+    monkeypatch.setattr(other, "__module__", captures.__name__)
     before = units_and_codes(())
-    monkeypatch.setattr(metrics, "end_time", other)
+    monkeypatch.setattr(captures, "end_time", other)
     after = units_and_codes(())
     assert [name for name in METRICS if before[name] != after[name]] == ["capture_time"]
 

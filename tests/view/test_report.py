@@ -18,7 +18,8 @@ import pytest
 from click.testing import CliRunner
 
 from desim import Scenario
-from desim.analysis.metrics import METRICS, summary, words
+from desim.analysis.measuring import summary
+from desim.analysis.metrics import METRICS, words
 from desim.cli.merge import merge
 from desim.cli.pages import report as command
 from desim.results import provenance

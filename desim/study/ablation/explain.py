@@ -19,7 +19,8 @@ from functools import reduce
 from pathlib import Path
 from typing import Self
 
-from desim.analysis.metrics import Metrics, UsersMetrics, check_numeric, more_is, unit_of, users_metrics, words
+from desim.analysis.measuring import Metrics, UsersMetrics, check_numeric, users_metrics
+from desim.analysis.metrics import more_is, unit_of, words
 from desim.analysis.statistics import mean
 from desim.config.arguments import naming_arguments, scenario_argument
 from desim.config.python_numbers import whole
@@ -28,16 +29,7 @@ from desim.kernel.core.seeds import seed_of
 from desim.scenario.scenario import Scenario
 from desim.study.ablation.imperfections import IMPERFECTIONS, with_perfect_network, without_messages
 from desim.study.plan.configurations import Configuration, without_metrics
-from desim.study.results.costs import (
-    AS_IT_IS,
-    IDEAL,
-    INTERACTION_RISK,
-    PERFECT,
-    SILENT,
-    Bounds,
-    Cost,
-    Saving,
-)
+from desim.study.results.costs import AS_IT_IS, IDEAL, INTERACTION_RISK, PERFECT, SILENT, Bounds, Cost, Saving
 from desim.study.results.explanation import EXPLAINED, Explanation
 from desim.study.store.file import path_of_store
 from desim.study.store.run_table import Row

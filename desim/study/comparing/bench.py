@@ -212,7 +212,7 @@ def _performed(plan: SweepPlan, store: Store, workers: Workers, timeout: float |
 
 def frozen_matches(suite: Suite, scenarios: Sequence[str] | None = None) -> bool:
     """Return whether the first run of the reference in each scenario has its frozen cost: whether desim is the same."""
-    from desim.analysis.metrics import summary
+    from desim.analysis.measuring import summary
     from desim.simulation.run import run
     from desim.study.workers.batch import seeds_from
 

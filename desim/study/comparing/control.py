@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from desim.analysis.control_variates import MIN_CONTROLS, MIN_PAIRS, ControlledEstimate, control_variate
-from desim.analysis.metrics import Metrics, check_numeric, title, words
+from desim.analysis.measuring import Metrics, check_numeric
+from desim.analysis.metrics import title, words
 from desim.analysis.tables import aligned, as_json, counted, digits_of, with_half_width
 from desim.config.arguments import naming_arguments
 from desim.config.html import html_table

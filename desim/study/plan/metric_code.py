@@ -6,7 +6,9 @@ from functools import cache
 from types import FunctionType
 from typing import Any
 
-from desim.analysis.metrics import METRICS, Metric, UsersMetrics, summary
+from desim.analysis.captures import captured
+from desim.analysis.measuring import UsersMetrics
+from desim.analysis.metrics import METRICS, Metric
 from desim.study.plan.config_hash import globals_read, object_hash
 
 
@@ -39,13 +41,13 @@ def _source_hash(metric: Metric) -> str:
 
 
 def _functions(of: Any) -> list[Any]:
-    """Return the function of a metric and the functions of `desim.analysis.metrics` that it calls, even indirectly."""
+    """Return the function of a metric and the functions of `desim.analysis.captures` that it calls, even indirectly."""
     functions = [of]
     for function in functions:
         called = [function.__globals__.get(name) for name in sorted(globals_read(function.__code__))]
         functions += [
             member
             for member in called
-            if isinstance(member, FunctionType) and member.__module__ == summary.__module__ and member not in functions
+            if isinstance(member, FunctionType) and member.__module__ == captured.__module__ and member not in functions
         ]
     return functions

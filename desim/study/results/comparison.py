@@ -7,7 +7,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from desim.analysis.metrics import METRICS, check_numeric, title, words
+from desim.analysis.measuring import check_numeric
+from desim.analysis.metrics import METRICS, title, words
 from desim.analysis.statistics import Estimate, independent, mean, paired
 from desim.analysis.table_formats import Table, TableFormat, formatted
 from desim.analysis.tables import as_json, counted, digits_of, with_half_width

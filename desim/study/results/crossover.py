@@ -17,7 +17,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from desim.analysis.metrics import METRICS, check_numeric, words
+from desim.analysis.measuring import check_numeric
+from desim.analysis.metrics import METRICS, words
 from desim.config.arrays import Floats
 from desim.config.json_numbers import json_number
 from desim.config.key_index import unit_of_key

@@ -9,7 +9,8 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.analysis.metrics import check_numeric, words
+from desim.analysis.measuring import check_numeric
+from desim.analysis.metrics import words
 from desim.analysis.statistics import Estimate, mean, paired
 from desim.analysis.tables import counted
 from desim.config.arrays import Floats

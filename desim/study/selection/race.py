@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from desim.analysis.metrics import Metrics, check_numeric, more_is, unit_of, words
+from desim.analysis.measuring import Metrics, check_numeric
+from desim.analysis.metrics import more_is, unit_of, words
 from desim.config.arguments import naming_arguments, scenario_argument
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario

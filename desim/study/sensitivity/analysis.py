@@ -13,7 +13,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from desim.analysis.metrics import Metrics, check_numeric, unit_of, users_metrics
+from desim.analysis.measuring import Metrics, check_numeric, users_metrics
+from desim.analysis.metrics import unit_of
 from desim.config.arguments import naming_arguments, scenario_argument
 from desim.config.arrays import Floats
 from desim.config.python_numbers import whole

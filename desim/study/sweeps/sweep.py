@@ -11,7 +11,7 @@ from itertools import count, takewhile
 from pathlib import Path
 from typing import Any, Self
 
-from desim.analysis.metrics import Metrics, UsersMetrics, check_numeric, measured, users_metrics
+from desim.analysis.measuring import Metrics, UsersMetrics, check_numeric, measured, users_metrics
 from desim.analysis.statistics import runs_needed
 from desim.config.arguments import naming_arguments, scenario_argument
 from desim.config.python_numbers import real, whole

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from typing import Any, TypeVar
 
-from desim.analysis.metrics import summary
+from desim.analysis.measuring import summary
 from desim.kernel.core.seeds import run_seed
 from desim.simulation.run import Result, run
 from desim.study.workers.dispatch import Simulate, Task, drive

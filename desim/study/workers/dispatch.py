@@ -14,7 +14,7 @@ from warnings import warn
 
 import cloudpickle
 
-from desim.analysis.metrics import summary
+from desim.analysis.measuring import summary
 from desim.config.data_files import identified_run
 from desim.config.fresh import fresh_copy
 from desim.config.own_modules import plain_name

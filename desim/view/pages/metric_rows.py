@@ -3,7 +3,8 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from desim.analysis.metrics import METRICS, Metric, Summary, more_is, unit_of, users_metrics, words
+from desim.analysis.measuring import users_metrics
+from desim.analysis.metrics import METRICS, Metric, Summary, more_is, unit_of, words
 from desim.analysis.statistics import mean, paired
 from desim.analysis.tables import with_half_width
 from desim.scenario.scenario import Scenario

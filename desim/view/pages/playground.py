@@ -16,7 +16,8 @@ from pathlib import Path
 import cloudpickle
 import tomli_w
 
-from desim.analysis.metrics import Summary, summary
+from desim.analysis.measuring import summary
+from desim.analysis.metrics import Summary
 from desim.config.file_names import folder_name
 from desim.results import provenance, run_folder
 from desim.scenario.checks import warnings
