@@ -5,7 +5,8 @@ its note in the table of a run. Tables, JSON, the stores of sweeps and the optio
 `network_regret` has no entry, because it executes another run for comparison.
 
 A user's metric is a function of a result that returns a number, True, False or None, or a `Metric` of such a function.
-It is given to `summary` or `sweep`, or named by a scenario (`record.metrics`).
+It is given to `summary` or `sweep`, or named by a scenario (`record.metrics`). `desim.analysis.measuring` computes all
+metrics of a run.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -390,7 +391,7 @@ def _formatted(value: Any) -> str:
 
 
 def more_is(name: str, added: Mapping[str, Metric]) -> Literal["better", "worse"] | None:
-    """Return whether a greater value of a metric is better or worse; `own` are the user's metrics by name."""
+    """Return whether a greater value of a metric is better or worse; `added` are the metrics that are not built in."""
     return (METRICS[name] if name in METRICS else added[name]).more_is
 
 
