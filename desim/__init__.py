@@ -118,8 +118,8 @@ if TYPE_CHECKING:
     from desim.pursuit.evaders.recorded import RelayNode as RelayNode
     from desim.pursuit.motion.dynamics import Acceleration as Acceleration
     from desim.pursuit.motion.dynamics import TurnRate as TurnRate
+    from desim.pursuit.motion.environment import Environment as Environment
     from desim.pursuit.motion.flow import AffineFlow as AffineFlow
-    from desim.pursuit.motion.flow import Environment as Environment
     from desim.pursuit.motion.flow import GyreFlow as GyreFlow
     from desim.pursuit.motion.flow import HarmonicFlow as HarmonicFlow
     from desim.pursuit.motion.flow import RecordedFlow as RecordedFlow

@@ -139,7 +139,11 @@ PAGES: Mapping[str, Page] = MappingProxyType(
                     "Limits of acceleration and turning, and how a pursuer steers.",
                     ("desim.pursuit.motion.dynamics", "desim.pursuit.motion.guidance"),
                 ),
-                Section("Wind and currents", "The medium in which bodies move.", ("desim.pursuit.motion.flow",)),
+                Section(
+                    "Wind and currents",
+                    "The medium in which bodies move.",
+                    ("desim.pursuit.motion.environment", "desim.pursuit.motion.flow"),
+                ),
             ),
         ),
         "sensing": Page(

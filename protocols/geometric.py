@@ -35,7 +35,7 @@ from desim.config.model import Period, Time, Value
 from desim.kernel.core.units import nanoseconds
 from desim.pursuit.core.state import lengths
 from desim.pursuit.motion.capture import intercept_times
-from desim.pursuit.motion.flow import Environment
+from desim.pursuit.motion.environment import Environment
 from desim.pursuit.team.agent import Agent, Process
 from desim.pursuit.team.beliefs import TeamEstimate
 from protocols.schedules.periodic import ticks

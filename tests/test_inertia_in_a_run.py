@@ -15,7 +15,7 @@ from desim.pursuit.evaders.evasion import STRATEGIES, ConstantHeading, Still
 from desim.pursuit.motion.capture import capture_time
 from desim.pursuit.motion.dead_reckoning import MotionState
 from desim.pursuit.motion.dynamics import Course, Courses, Simple
-from desim.pursuit.motion.flow import Environment
+from desim.pursuit.motion.environment import Environment
 from desim.scenario.scenario import PROTOCOLS
 from desim.simulation.world import World
 from desim.study.ablation.imperfections import without_inertia

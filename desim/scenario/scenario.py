@@ -21,7 +21,7 @@ from desim.kernel.walls.wall import Wall
 from desim.pursuit.byzantine.lies import PURSUER_FAULTS, is_lie
 from desim.pursuit.core.traits import ProtocolTraits, ScheduleTraits, size_by
 from desim.pursuit.motion.dynamics import Dynamics, Simple
-from desim.pursuit.motion.flow import Environment
+from desim.pursuit.motion.environment import Environment
 from desim.pursuit.paths.space import Plane, space_among
 from desim.pursuit.sensing.sensing import Sensing
 from desim.pursuit.team.agent import Behaviour

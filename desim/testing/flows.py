@@ -7,7 +7,8 @@ import numpy as np
 
 from desim.config.arrays import Points
 from desim.pursuit.core.state import lengths
-from desim.pursuit.motion.flow import FLOWS, Environment, FlowTraits, UniformFlow
+from desim.pursuit.motion.environment import Environment
+from desim.pursuit.motion.flow import FLOWS, FlowTraits, UniformFlow
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
 from desim.testing.judging import SEED, Subject, subject, twice

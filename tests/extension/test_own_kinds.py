@@ -15,7 +15,7 @@ from desim.cli.output import RAISED
 from desim.kernel.core.events import Broadcast, Lost
 from desim.kernel.models.traced_faults import CustomFault, FaultEnded, FaultStarted
 from desim.pursuit.byzantine.lies import ByzantineFault
-from desim.pursuit.motion.flow import Environment
+from desim.pursuit.motion.environment import Environment
 from desim.pursuit.sensing.sensing import Sensing
 from desim.pursuit.team.announcements import Announcements, Assignment
 from desim.results import run_folder

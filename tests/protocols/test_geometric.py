@@ -17,7 +17,7 @@ from desim.kernel.models.loss import Bernoulli
 from desim.pursuit.core.events import Decided, Sampled, Started
 from desim.pursuit.game.game import greedy_assignment, relay_profile
 from desim.pursuit.motion.capture import capture_time
-from desim.pursuit.motion.flow import Environment
+from desim.pursuit.motion.environment import Environment
 from desim.pursuit.team.announcements import STARTS, Announcements
 from desim.scenario.assumptions import violations
 from desim.scenario.players import Evader, Team

@@ -9,7 +9,7 @@ from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.pursuit.core.geometry import moved_towards, toward
 from desim.pursuit.motion.dead_reckoning import MAX_RETRACINGS, EvaderTrack, MotionState, TrackSegment
 from desim.pursuit.motion.dynamics import Simple
-from desim.pursuit.motion.flow import Environment
+from desim.pursuit.motion.environment import Environment
 from desim.pursuit.motion.guidance import ConstantBearing, PurePursuit
 
 LAWS = [PurePursuit(), ConstantBearing()]

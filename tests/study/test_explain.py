@@ -28,7 +28,8 @@ from desim.kernel.models.medium import Bitrate
 from desim.kernel.models.transport import Reliable
 from desim.pursuit.byzantine.lies import Liar, Silent
 from desim.pursuit.motion.dynamics import Acceleration
-from desim.pursuit.motion.flow import Environment, SteadyFlow
+from desim.pursuit.motion.environment import Environment
+from desim.pursuit.motion.flow import SteadyFlow
 from desim.pursuit.sensing.noise import PositionNoise
 from desim.pursuit.sensing.sensing import Sensing
 from desim.pursuit.sensing.tracking import Kalman

@@ -28,7 +28,8 @@ from desim.pursuit.byzantine.lies import Silent
 from desim.pursuit.core.events import Started
 from desim.pursuit.game.utility import Component
 from desim.pursuit.motion.dynamics import Acceleration, TurnRate
-from desim.pursuit.motion.flow import Environment, SteadyFlow
+from desim.pursuit.motion.environment import Environment
+from desim.pursuit.motion.flow import SteadyFlow
 from desim.pursuit.sensing.noise import PositionNoise
 from desim.pursuit.sensing.sensing import Sensing
 from desim.pursuit.sensing.tracking import Kalman

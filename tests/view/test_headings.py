@@ -10,7 +10,8 @@ from desim.kernel.core.units import SECOND
 from desim.pursuit.core.events import Sampled
 from desim.pursuit.evaders.recorded import RecordedMotion, RelayNode
 from desim.pursuit.motion.dynamics import Acceleration, Course, TurnRate
-from desim.pursuit.motion.flow import AffineFlow, Environment, GyreFlow, HarmonicFlow, SteadyFlow
+from desim.pursuit.motion.environment import Environment
+from desim.pursuit.motion.flow import AffineFlow, GyreFlow, HarmonicFlow, SteadyFlow
 from desim.scenario.players import Evader, Team
 from desim.view.data.headings import Headings
 

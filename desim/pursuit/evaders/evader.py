@@ -18,7 +18,7 @@ from desim.pursuit.evaders.observation import EvaderObservation
 from desim.pursuit.motion.capture import RadialTime
 from desim.pursuit.motion.dead_reckoning import EvaderTrack, MotionState
 from desim.pursuit.motion.dynamics import Courses, Dynamics, TurnRate, capture_times_with
-from desim.pursuit.motion.flow import Environment
+from desim.pursuit.motion.environment import Environment
 from desim.pursuit.motion.flow_capture import capture_times_in_flow
 from desim.pursuit.motion.kinematics import CaptureTest, Kinematics
 from desim.pursuit.motion.turning import turning_capture_time

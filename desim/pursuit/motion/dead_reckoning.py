@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from desim.kernel.core.units import seconds
 from desim.pursuit.motion.dynamics import Course, Dynamics, steered_with
-from desim.pursuit.motion.flow import Environment
+from desim.pursuit.motion.environment import Environment
 from desim.pursuit.motion.guidance import Guidance, guided_velocity
 from desim.pursuit.paths.space import PLANE, Plane
 

@@ -19,7 +19,8 @@ from desim.kernel.core.units import SECOND
 from desim.pursuit.core.geometry import SMALLEST
 from desim.pursuit.core.state import lengths
 from desim.pursuit.motion.capture import NO_SPEED, intercept_times
-from desim.pursuit.motion.flow import AffineFlow, Environment, UniformFlow, is_uniform
+from desim.pursuit.motion.environment import Environment
+from desim.pursuit.motion.flow import AffineFlow, UniformFlow, is_uniform
 
 MAX_STEPS = 1_000
 """Maximum number of steps towards a root; most roots take 5. A pursuer without a root by then is never in time."""

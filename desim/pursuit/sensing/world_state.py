@@ -17,7 +17,7 @@ from desim.pursuit.evaders.evader import EvaderBody
 from desim.pursuit.evaders.recorded import RecordedMotion
 from desim.pursuit.motion.dead_reckoning import MotionState
 from desim.pursuit.motion.dynamics import Course, Dynamics
-from desim.pursuit.motion.flow import Environment
+from desim.pursuit.motion.environment import Environment
 from desim.pursuit.motion.kinematics import Kinematics
 from desim.pursuit.paths.space import Plane
 

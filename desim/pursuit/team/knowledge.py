@@ -7,7 +7,7 @@ from typing import Any
 from desim.kernel.core.clock import NodeClock
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.network import Network
-from desim.pursuit.motion.flow import Environment
+from desim.pursuit.motion.environment import Environment
 from desim.pursuit.sensing.views import View
 
 

@@ -27,7 +27,7 @@ from desim.kernel.walls.wall import What
 from desim.pursuit.byzantine.lies import is_lie
 from desim.pursuit.core.traits import DisseminationTraits
 from desim.pursuit.motion.dynamics import Simple
-from desim.pursuit.motion.flow import Environment
+from desim.pursuit.motion.environment import Environment
 from desim.pursuit.sensing.noise import Noiseless
 from desim.pursuit.sensing.sensing import Sensing
 from desim.pursuit.sensing.tracking import Unfiltered
