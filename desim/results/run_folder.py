@@ -195,7 +195,7 @@ def read(folder: str | Path, *, allow_import: bool = False) -> Result:
     """
     folder, trace = Path(folder), Trace()
     trace.events += events(folder)
-    for number, why in _inconsistencies(trace.events):
+    for number, why in inconsistencies(trace.events):
         raise ValueError(f"{folder / TRACE}: line {number} {why}")
     path = folder / provenance.FILE
     made = provenance.read(path)
@@ -231,9 +231,9 @@ def events(folder: str | Path) -> Iterator[Event]:
     with regular_or_missing(file).open(encoding="utf-8") as lines:
         try:
             first = list(islice(lines, 1))
-            _check_format(first)
+            check_format(first)
             starts = list(events_of(first, (Started,)))
-            yield from _complete(events_of(chain(first, lines), EVENTS, _limits(starts[0])) if starts else ())
+            yield from whole_trace(events_of(chain(first, lines), EVENTS, field_limits(starts[0])) if starts else ())
         except ValueError as error:
             raise ValueError(f"{file}: {error}") from error
 
@@ -274,7 +274,7 @@ def streamed(folder: str | Path, *, allow_import: bool = False) -> StreamedResul
     return StreamedResult(Path(folder), allow_import)
 
 
-def _complete(trace: Iterable[Event]) -> Iterator[Event]:
+def whole_trace(trace: Iterable[Event]) -> Iterator[Event]:
     """Yield the events of a trace.
 
     Raises:
@@ -290,7 +290,7 @@ def _complete(trace: Iterable[Event]) -> Iterator[Event]:
         raise ValueError("is not complete: its last events should be MessageCounts and Ended")
 
 
-def _check_format(first: Sequence[str]) -> None:
+def check_format(first: Sequence[str]) -> None:
     """Check the format of a trace, given its first line; `events_of` reports a line that is not a `Started` event.
 
     Raises:
@@ -304,7 +304,7 @@ def _check_format(first: Sequence[str]) -> None:
         raise ValueError(provenance.other_format(start.get("format"), FORMAT))
 
 
-def _limits(start: Any) -> Limits:
+def field_limits(start: Any) -> Limits:
     """Return the constraints on the fields of events in a trace, given its first event.
 
     Bodies have none: a protocol of a user may give any meaning to their fields.
@@ -319,7 +319,7 @@ def _limits(start: Any) -> Limits:
     }
 
 
-def _inconsistencies(trace: Sequence[Event]) -> Iterator[tuple[int, str]]:
+def inconsistencies(trace: Sequence[Event]) -> Iterator[tuple[int, str]]:
     """Yield (line, error) for each line of a trace that is inconsistent with the lines before."""
     size, t, once = len(trace[0].pursuers) if isinstance(trace[0], Started) else 0, 0, set[type[Event]]()
     receivers, broken = dict[int, tuple[int, ...]](), list[TracedFault]()

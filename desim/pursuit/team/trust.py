@@ -204,7 +204,7 @@ class Trimmed(Value):
 
     def judge(self, witness: Observer) -> Judge | None:
         """Create a judge."""
-        return _Trimming(self.liars)
+        return TrimmingJudge(self.liars)
 
 
 class _Observing(Value):
@@ -268,7 +268,7 @@ class Accusations(_Observing):
 
     def judge(self, witness: Observer) -> Judge | None:
         """Create a judge."""
-        return _Accusing(witness, self.radius, self.quorum)
+        return AccusingJudge(witness, self.radius, self.quorum)
 
 
 class Reputation(_Observing):
@@ -293,7 +293,7 @@ class Reputation(_Observing):
 
     def judge(self, witness: Observer) -> Judge | None:
         """Create a judge."""
-        return _Rating(witness, self.radius, self.threshold, self.decay_time)
+        return RatingJudge(witness, self.radius, self.threshold, self.decay_time)
 
 
 TRUSTS = OneOf(
@@ -313,7 +313,7 @@ def tolerated_liars(size: int) -> int:
     return (-(-size // 2) - 1) // 2
 
 
-class _Trimming(Judge):
+class TrimmingJudge(Judge):
     def __init__(self, liars: int):
         self._liars = liars
 
@@ -362,7 +362,7 @@ class Checking(Judge):
             self._witness.note(suspect, distrusted=distrusted)
 
 
-class _Accusing(Checking):
+class AccusingJudge(Checking):
     def __init__(self, witness: Observer, radius: float, quorum: int):
         super().__init__(witness, radius)
         self._quorum = quorum
@@ -398,7 +398,7 @@ class _Accusing(Checking):
             self._set(suspect, distrusted=True)
 
 
-class _Rating(Checking):
+class RatingJudge(Checking):
     def __init__(self, witness: Observer, radius: float, threshold: float, decay_time: float):
         super().__init__(witness, radius)
         self._threshold, self._decay_time = threshold, decay_time

@@ -70,7 +70,7 @@ class FatalLosses(NamedTuple):
     def faults(self) -> tuple[MessageFault, ...]:
         """The faults that do this, to be added to the scenario."""
         numbers = [copy.number for copy in self.messages]
-        return _faults(zip(numbers, self.fates, strict=True), self.delay)
+        return message_faults(zip(numbers, self.fates, strict=True), self.delay)
 
 
 @dataclass
@@ -383,11 +383,11 @@ class _Choices:
 
     def _disturbed(self, choice: _Choice) -> Scenario:
         """Return the scenario with the faults of a choice."""
-        faults = _faults(((step.copy.number, step.fate) for step in choice.steps), self._table.delay)
+        faults = message_faults(((step.copy.number, step.fate) for step in choice.steps), self._table.delay)
         return self._scenario.with_({"fault": [*self._scenario.fault, *faults]}) if faults else self._scenario
 
 
-def _faults(fates: Iterable[tuple[int, MessageFate]], delay: float) -> tuple[MessageFault, ...]:
+def message_faults(fates: Iterable[tuple[int, MessageFate]], delay: float) -> tuple[MessageFault, ...]:
     """Return the faults that give messages, by number, their fates."""
     by_fate: dict[MessageFate, list[int]] = {}
     for number, fate in fates:
