@@ -121,7 +121,11 @@ PAGES: Mapping[str, Page] = MappingProxyType(
                     ("desim.kernel.models.faults", "desim.kernel.models.fault_plans"),
                 ),
                 Section("Lies", "The entries of `fault` that deceive.", ("desim.pursuit.byzantine",)),
-                Section("Trust", "Which announcements are believed.", ("desim.pursuit.team.trust",)),
+                Section(
+                    "Trust",
+                    "Which announcements are believed.",
+                    ("desim.pursuit.team.trust", "desim.pursuit.team.judges"),
+                ),
                 Section(
                     "Clocks",
                     "Clocks that are wrong, and how nodes agree on the time.",

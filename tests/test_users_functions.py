@@ -25,7 +25,8 @@ from desim.pursuit.byzantine.lies import ByzantineFault, Liar
 from desim.pursuit.core.events import Ended
 from desim.pursuit.motion.dynamics import Acceleration
 from desim.pursuit.sensing.noise import PositionNoise
-from desim.pursuit.team.trust import Credulous, Judge, ignored_by
+from desim.pursuit.team.judges import Judge, ignored_by
+from desim.pursuit.team.trust import Credulous
 from desim.results.run_folder import read, write
 from desim.scenario.checks import warnings
 from desim.view.pages.replay import replay_page

@@ -18,7 +18,7 @@ from desim.config.trust import write_whole
 if TYPE_CHECKING:
     from desim.scenario.properties import Property
     from desim.scenario.scenario import Scenario
-    from desim.study.breaking.losses import LossTable, MessageFate
+    from desim.study.breaking.loss_table import LossTable, MessageFate
     from desim.study.breaking.search import Search
 
 VIOLATED = 4

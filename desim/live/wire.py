@@ -34,15 +34,9 @@ from desim.kernel.transport.frames import Acknowledgement, CodedPiece, Segment, 
 from desim.kernel.transport.layer import PORT as FRAMES
 from desim.live.layouts import MAX_COUNT, Layout, NumberRange, WireError
 from desim.live.own_bodies import OwnBodies
-from desim.pursuit.team.announcements import (
-    Assignment,
-    Forwarded,
-    LocatedAssignment,
-    MovingAssignment,
-    TimedAssignment,
-)
-from desim.pursuit.team.trust import PORT as ACCUSATIONS
-from desim.pursuit.team.trust import Accusation
+from desim.pursuit.team.announcements import Assignment, Forwarded, LocatedAssignment, MovingAssignment, TimedAssignment
+from desim.pursuit.team.judges import PORT as ACCUSATIONS
+from desim.pursuit.team.judges import Accusation
 from desim.scenario.scenario import Scenario
 from protocols.cbaa import Claim
 from protocols.cbba import StampedClaim

@@ -10,7 +10,7 @@ from desim.kernel.models.medium import contends
 from desim.pursuit.byzantine.lying import LyingTeam
 from desim.pursuit.sensing.noisy_sensing import Sensor
 from desim.pursuit.team.agent import Agent, repeat
-from desim.pursuit.team.trust import Judge
+from desim.pursuit.team.judges import Judge
 from desim.scenario.scenario import Scenario
 from desim.simulation.restartable import RestartableProcess
 

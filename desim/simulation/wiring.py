@@ -18,7 +18,8 @@ from desim.pursuit.sensing.views import GlobalState, View
 from desim.pursuit.sensing.world_state import WorldState
 from desim.pursuit.team.agent import Agent, Voice
 from desim.pursuit.team.announcements import announced_action
-from desim.pursuit.team.trust import Judge, judge_of
+from desim.pursuit.team.judges import Judge
+from desim.pursuit.team.trust import judge_of
 from desim.scenario.scenario import Scenario
 from desim.simulation.pursuer_positions import PursuerPositions
 

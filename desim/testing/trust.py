@@ -11,7 +11,8 @@ from desim.kernel.models.links import Links
 from desim.kernel.state.inbox import Message
 from desim.pursuit.byzantine.lies import Liar, Slander
 from desim.pursuit.team.announcements import Announcements, Assignment, TimedAssignment
-from desim.pursuit.team.trust import TRUSTS, Accusation, ignored_by, is_believed, judge_of
+from desim.pursuit.team.judges import Accusation, ignored_by, is_believed
+from desim.pursuit.team.trust import TRUSTS, judge_of
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Recording, Scenario
 from desim.testing.judging import Subject, subject, twice

@@ -10,7 +10,7 @@ from desim.config.model import Duration, Probability, Value
 from desim.pursuit.byzantine.lies import ByzantineFault
 from desim.pursuit.motion.dynamics import Course, Piece
 from desim.pursuit.team.announcements import Assignment
-from desim.pursuit.team.trust import Judge
+from desim.pursuit.team.judges import Judge
 
 
 class Eager(Value):

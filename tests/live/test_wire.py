@@ -16,14 +16,7 @@ from desim.kernel.clock_sync import SIZE, TimeAnswer, TimeRequest
 from desim.kernel.core.message_size import size_of
 from desim.kernel.core.records import Record
 from desim.kernel.state.inbox import Message
-from desim.kernel.transport.frames import (
-    SKIP_SIZE,
-    Acknowledgement,
-    CodedPiece,
-    Segment,
-    Skip,
-    acknowledgement_size,
-)
+from desim.kernel.transport.frames import SKIP_SIZE, Acknowledgement, CodedPiece, Segment, Skip, acknowledgement_size
 from desim.kernel.transport.layer import PORT as FRAMES
 from desim.live import wire as wire_module
 from desim.live.layouts import WireError
@@ -31,7 +24,7 @@ from desim.live.own_bodies import OwnBodies
 from desim.live.wire import ADMITTED, ANNOUNCED, BODIES, PORTS, Wire
 from desim.pursuit.team import announcements
 from desim.pursuit.team.announcements import Assignment, Forwarded, LocatedAssignment, MovingAssignment, TimedAssignment
-from desim.pursuit.team.trust import Accusation
+from desim.pursuit.team.judges import Accusation
 from protocols.cbaa import Claim
 from protocols.cbba import StampedClaim
 from protocols.dissemination import PORT as ANNOUNCEMENTS

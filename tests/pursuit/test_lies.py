@@ -50,7 +50,8 @@ from desim.pursuit.team.announcements import (
     records_in,
     relayed_records,
 )
-from desim.pursuit.team.trust import Accusation, Accusations, Plausible
+from desim.pursuit.team.judges import Accusation
+from desim.pursuit.team.trust import Accusations, Plausible
 from desim.scenario.players import Team
 from desim.scenario.scenario import PROTOCOLS, Clocks, Recording
 from desim.testing.pursuits import watched

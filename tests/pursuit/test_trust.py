@@ -19,16 +19,8 @@ from desim.kernel.models.loss import Bernoulli
 from desim.pursuit.byzantine.lies import Liar, Slander
 from desim.pursuit.core.events import Distrusted
 from desim.pursuit.team.announcements import Announcements, Assignment
-from desim.pursuit.team.trust import (
-    TRUSTS,
-    Accusation,
-    Accusations,
-    Credulous,
-    Plausible,
-    Reputation,
-    Trimmed,
-    tolerated_liars,
-)
+from desim.pursuit.team.judges import Accusation
+from desim.pursuit.team.trust import TRUSTS, Accusations, Credulous, Plausible, Reputation, Trimmed, tolerated_liars
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import PROTOCOLS, Motion, Recording
 from desim.testing.pursuits import watched

@@ -21,16 +21,8 @@ from desim.kernel.core.trace_file import line_of
 from desim.pursuit.core.events import Captured
 from desim.pursuit.team.announcements import Announcements
 from desim.results import provenance
-from desim.results.run_folder import (
-    _inconsistencies,
-    can_plot,
-    events,
-    read,
-    simulate,
-    simulate_below,
-    write,
-    write_below,
-)
+from desim.results.run_folder import can_plot, events, read, simulate, simulate_below, write, write_below
+from desim.results.trace_checks import inconsistencies
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Recording, Scenario
 from desim.scenario.toml import dump, load
@@ -397,11 +389,11 @@ def test_an_event_that_does_not_fit_the_others_is_named(name, recorded, tmp_path
 )
 def test_a_message_without_an_arrival_has_an_event_that_says_that_it_was_lost(events):
     said = [*events, Lost(1, 4, 0, 1, "link")]
-    assert [*_inconsistencies(said)] == []
-    assert [*_inconsistencies(events)] == [
+    assert [*inconsistencies(said)] == []
+    assert [*inconsistencies(events)] == [
         (len(events), "has no arrival at 1, but no event says that this message was lost")
     ]
-    assert [*_inconsistencies(said[-1:])] == [(1, "loses a message that was not sent: 4 to 1")]
+    assert [*inconsistencies(said[-1:])] == [(1, "loses a message that was not sent: 4 to 1")]
 
 
 @dataclass(frozen=True)

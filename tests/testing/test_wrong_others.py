@@ -10,7 +10,7 @@ from desim import Crash, Fault
 from desim.config.model import Value
 from desim.kernel.core.units import SECOND
 from desim.pursuit.motion.flow import SteadyFlow, UniformFlow
-from desim.pursuit.team.trust import Judge
+from desim.pursuit.team.judges import Judge
 from desim.testing import ContractError, check_exporter, check_fault, check_flow, check_trust
 
 

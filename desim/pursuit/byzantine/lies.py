@@ -32,8 +32,8 @@ from desim.pursuit.core.traits import AssumptionName
 from desim.pursuit.motion.capture import least_capture_time
 from desim.pursuit.sensing.views import View
 from desim.pursuit.team.announcements import Announcement, Assignment, Located, TimedAssignment
+from desim.pursuit.team.judges import Accusation
 from desim.pursuit.team.targeted_faults import TARGETED
-from desim.pursuit.team.trust import Accusation
 
 Said = Literal["truth", "chase", "stay", "opposite"]
 """The action that a liar announces: its action, a chase, no chase, or the contrary of its action."""

@@ -32,8 +32,8 @@ from desim.pursuit.byzantine.lies import ByzantineFault, Lie, Speaker
 from desim.pursuit.sensing.views import View
 from desim.pursuit.team.agent import Agent, Process
 from desim.pursuit.team.announcements import Forwarded, relayed_records, with_records
-from desim.pursuit.team.trust import PORT as ACCUSATIONS
-from desim.pursuit.team.trust import Accusation
+from desim.pursuit.team.judges import PORT as ACCUSATIONS
+from desim.pursuit.team.judges import Accusation
 
 PORT = ReservedPort("forged announcements", __name__)
 """The port at which announcements arrive that are not broadcast in the name of their sender."""

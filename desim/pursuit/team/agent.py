@@ -25,8 +25,8 @@ from desim.kernel.state.inbox import Message
 from desim.pursuit.sensing.views import GlobalState, View
 from desim.pursuit.team.announcements import PAYLOADS, Announcements, Located, LocatedAssignment, MovingAssignment
 from desim.pursuit.team.beliefs import Beliefs
+from desim.pursuit.team.judges import Judge
 from desim.pursuit.team.timing import Timing
-from desim.pursuit.team.trust import Judge
 
 Process = Generator[simpy.Event, Any, None]
 """A running protocol: a generator that yields the SimPy events it waits for."""

@@ -23,8 +23,8 @@ from desim.pursuit.game.utility import Mean, Scope, Utility
 from desim.pursuit.motion.dead_reckoning import MotionState
 from desim.pursuit.sensing.views import ReckonedTeam, View
 from desim.pursuit.team.announcements import Announcements, Located, TimedAssignment
+from desim.pursuit.team.judges import Judge, ignored_by, is_believed
 from desim.pursuit.team.knowledge import Knowledge
-from desim.pursuit.team.trust import Judge, ignored_by, is_believed
 
 Orders = Mapping[int, Sequence[tuple[int, int]]]
 """The orders that a pursuer, as a server, has sent to each teammate: [(t, action)], ascending. An action holds from the

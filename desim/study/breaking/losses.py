@@ -18,10 +18,9 @@ not count either. There is no symmetry between pursuers: they differ in their pl
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from math import inf
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 from desim.analysis.properties import Judgement, Stated
 from desim.config.arguments import naming_arguments, scenario_argument
@@ -29,7 +28,6 @@ from desim.config.python_numbers import real, whole
 from desim.config.traits import kind_of
 from desim.kernel.core.events import LOST
 from desim.kernel.core.units import nanoseconds
-from desim.kernel.models.faults import MessageFault
 from desim.pursuit.core.traits import StrategyTraits
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.properties import Property, recording
@@ -38,6 +36,7 @@ from desim.simulation.run import Result
 from desim.study.breaking.case_log import FAILED
 from desim.study.breaking.copies import MessageCopy, ReadingTime, copies, looks, readings
 from desim.study.breaking.judging import failure_of, judged, outcomes_of
+from desim.study.breaking.loss_table import FATES, FatalLosses, LossTable, MessageFate, message_faults
 from desim.study.breaking.search import GENERATION, checked_property
 from desim.study.workers.dispatch import Outcome, simulation
 from desim.study.workers.executors import workers_for
@@ -46,81 +45,6 @@ from desim.study.workers.workers import Workers
 
 LIMIT = 5000
 """The greatest number of runs of a table."""
-
-
-MessageFate = Literal["lost", "late", "twice"]
-"""What becomes of a message. twice: it arrives as it should, and once more."""
-FATES: tuple[MessageFate, ...] = get_args(MessageFate)
-
-
-class FatalLosses(NamedTuple):
-    """Messages whose fates make a protocol violate a property that it keeps with any smaller part of them."""
-
-    seed: int
-    messages: tuple[MessageCopy, ...]
-    fates: tuple[MessageFate, ...]
-    """What becomes of each message."""
-    delay: float
-    """The time by which messages are late, and after which they arrive once more, s."""
-    verdict: Judgement
-    failure: str = ""
-    """The exception that the run raises, as text; empty: it ends, and violates the property."""
-
-    @property
-    def faults(self) -> tuple[MessageFault, ...]:
-        """The faults that do this, to be added to the scenario."""
-        numbers = [copy.number for copy in self.messages]
-        return message_faults(zip(numbers, self.fates, strict=True), self.delay)
-
-
-@dataclass
-class LossTable:
-    """The result of a search among all choices of at most k lost, late or repeated messages.
-
-    Attributes:
-        most: k.
-        seeds: the seeds.
-        fates: what may become of a message.
-        delay: the time by which messages are late, and after which they arrive once more, s.
-        fatal: the choices that violate the property, the smallest first.
-        runs: the number of runs.
-        skipped: the number of choices that were not run, as one of their messages does not matter.
-        symmetric: the number of choices that were not run, as a choice that was has the same run.
-        messages: by seed, the number of messages in the undisturbed run.
-        broken: the seeds with which the property is violated without any choice.
-    """
-
-    most: int
-    seeds: tuple[int, ...]
-    fates: tuple[MessageFate, ...] = ("lost",)
-    delay: float = inf
-    fatal: list[FatalLosses] = field(default_factory=list)
-    runs: int = 0
-    skipped: int = 0
-    symmetric: int = 0
-    messages: dict[int, int] = field(default_factory=dict)
-    broken: list[int] = field(default_factory=list)
-
-    def text(self) -> str:
-        """Return the table as text."""
-        seeds = f"seed{'s' if len(self.seeds) > 1 else ''} {', '.join(map(str, self.seeds))}"
-        words = {"lost": "lost", "late": f"late by {self.delay:g} s", "twice": f"repeated after {self.delay:g} s"}
-        fates = " or ".join(words[fate] for fate in self.fates)
-        noun = f"message{'s' if self.most > 1 else ''}"
-        runs = f"{self.runs:,} run{'s' if self.runs > 1 else ''}"
-        choices = f"at most {self.most} " + (f"lost {noun}" if fates == "lost" else f"{noun} {fates}")
-        lines = [f"seed {seed}: violated without any loss" for seed in self.broken]
-        for fatal in self.fatal:
-            these = f"if these are {fates}" if len(self.fates) == 1 else "with these"
-            told = f"fails ({fatal.failure})" if fatal.failure else f"margin {fatal.verdict.margin:.3g}"
-            lines.append(f"seed {fatal.seed}: {told} {these}:")
-            for copy, fate in zip(fatal.messages, fatal.fates, strict=True):
-                lines.append(f"  {'' if len(self.fates) == 1 else f'{words[fate]}: '}{copy}")
-        if not lines:
-            lines.append(f"no violation with {choices} ({runs}, {seeds})")
-        else:
-            lines.append(f"{choices}: {runs}, {seeds}")
-        return "\n".join(lines)
 
 
 @naming_arguments
@@ -385,17 +309,6 @@ class _Choices:
         """Return the scenario with the faults of a choice."""
         faults = message_faults(((step.copy.number, step.fate) for step in choice.steps), self._table.delay)
         return self._scenario.with_({"fault": [*self._scenario.fault, *faults]}) if faults else self._scenario
-
-
-def message_faults(fates: Iterable[tuple[int, MessageFate]], delay: float) -> tuple[MessageFault, ...]:
-    """Return the faults that give messages, by number, their fates."""
-    by_fate: dict[MessageFate, list[int]] = {}
-    for number, fate in fates:
-        by_fate.setdefault(fate, []).append(number)
-    return tuple(
-        MessageFault(messages=tuple(numbers), delay=inf if fate == "lost" else delay, duplicate=fate == "twice")
-        for fate, numbers in by_fate.items()
-    )
 
 
 def _tell(prop: Property, fates: Sequence[MessageFate], delay: int, prune: bool, result: Result) -> _Told:

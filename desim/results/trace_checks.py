@@ -1,0 +1,103 @@
+"""Whether the lines of a trace file are the trace of one whole run: its format, its fields, its order, its pairs."""
+
+import json
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+from pydantic import Field
+
+from desim.kernel.core.events import LOST, Broadcast, Event, Lost, MessageCounts, Queued, Sent, TransportCounts
+from desim.kernel.core.trace_file import Limits
+from desim.kernel.models.faults import nodes_of
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted, TracedFault
+from desim.pursuit.core.events import FORMAT, Ended, Started
+from desim.results import provenance
+
+
+def whole_trace(trace: Iterable[Event]) -> Iterator[Event]:
+    """Yield the events of a trace.
+
+    Raises:
+        ValueError: if an event has too many or too few arrivals, or the trace does not end as that of a whole run.
+    """
+    before, last = None, None
+    for number, event in enumerate(trace, start=1):
+        if isinstance(event, Broadcast) and len(event.arrival) not in {1, len(event.dst)}:
+            raise ValueError(f"line {number} has {len(event.dst)} receivers and {len(event.arrival)} arrivals")
+        before, last = last, type(event)
+        yield event
+    if (before, last) != (MessageCounts, Ended):
+        raise ValueError("is not complete: its last events should be MessageCounts and Ended")
+
+
+def check_trace_format(first: Sequence[str]) -> None:
+    """Check the format of a trace, given its first line; `events_of` reports a line that is not a `Started` event.
+
+    Raises:
+        ValueError: if the line is the start of a run in another format.
+    """
+    try:
+        start = json.loads("".join(first))
+    except (ValueError, RecursionError):
+        return
+    if isinstance(start, dict) and start.get("event") == Started.__name__ and start.get("format") != FORMAT:
+        raise ValueError(provenance.other_format(start.get("format"), FORMAT))
+
+
+def field_limits(start: Any) -> Limits:
+    """Return the constraints on the fields of events in a trace, given its first event.
+
+    Bodies have none: a protocol of a user may give any meaning to their fields.
+    """
+    size, evaders = len(start.pursuers), len(start.evaders)
+    return {
+        "node": Field(lt=size),
+        "pursuers": Field(min_length=size, max_length=size),
+        "evader": Field(ge=1, le=evaders),
+        "action": Field(ge=0, le=evaders),
+        "evaders": Field(min_length=evaders, max_length=evaders),
+    }
+
+
+def inconsistencies(trace: Sequence[Event]) -> Iterator[tuple[int, str]]:
+    """Yield (line, error) for each line of a trace that is inconsistent with the lines before."""
+    size, t, once = len(trace[0].pursuers) if isinstance(trace[0], Started) else 0, 0, set[type[Event]]()
+    receivers, broken = dict[int, tuple[int, ...]](), list[TracedFault]()
+    lost = defaultdict[tuple[int, int], list[int]](
+        list
+    )  # by transmission and receiver, the lines of those without Lost
+    for number, event in enumerate(trace, start=1):
+        if event.t < t:
+            yield number, "is earlier than the line before"
+        t = event.t
+        if isinstance(event, Started | MessageCounts | TransportCounts | Ended):
+            if type(event) in once:
+                yield number, f"is a second {type(event).__name__}"
+            once.add(type(event))
+        elif isinstance(event, Broadcast | Queued):
+            receivers[event.transmission] = receivers.get(event.transmission, ()) + event.dst
+            if isinstance(event, Broadcast) and LOST in event.arrival:
+                for dst in (node for node, arrival in event.fates() if arrival == LOST):
+                    lost[event.transmission, dst].append(number)
+        elif isinstance(event, Sent):
+            receivers[event.transmission] = (*receivers.get(event.transmission, ()), event.dst)
+            if event.arrival == LOST:
+                lost[event.transmission, event.dst].append(number)
+        elif isinstance(event, Lost):
+            if event.dst not in receivers.get(event.transmission, ()):
+                yield number, f"loses a message that was not sent: {event.transmission} to {event.dst}"
+            elif lost[event.transmission, event.dst]:
+                lost[event.transmission, event.dst].pop()
+        elif isinstance(event, FaultStarted):
+            if any(node >= size for nodes in nodes_of(event.fault).values() for node in nodes):
+                yield number, f"names a node that is not one of 0 to {size - 1}"
+            broken.append(event.fault)
+        elif isinstance(event, FaultEnded):
+            if event.fault not in broken:
+                yield number, "ends a fault that did not begin"
+            else:
+                broken.remove(event.fault)
+    for (_, dst), numbers in lost.items():
+        for number in numbers:
+            yield number, f"has no arrival at {dst}, but no event says that this message was lost"
