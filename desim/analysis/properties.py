@@ -42,7 +42,7 @@ def worst_of(prop: Property, result: Result) -> Worst:
     Raises:
         ValueError: if the trace lacks positions or messages that a quantity needs.
     """
-    worst = Worst(-inf if prop.bound == 0.0 else 0.0, 0)
+    worst = Worst(prop.least, 0)
     for latest in prop.worst(pieces_of(prop.conditions, result)):
         worst = latest
     return worst
@@ -139,6 +139,7 @@ class PropertyWatcher:
         self.violated_at: float | None = None
         self._tally, self._now, self._levels = Tally(), 0, list[Level]()
         self._pieces = deque[PropertyPiece]()
+        # A generator over pieces, of which there is none yet: it takes the one just appended at each `next`.
         self._worst = self.property.worst(iter(self._pieces.popleft, None))
 
     def __call__(self, event: Event) -> bool:
@@ -151,7 +152,8 @@ class PropertyWatcher:
             if self.margin < 0.0 and self.violated_at is None:
                 self.violated_at = seconds(event.t)
         if self._tally(event):
-            self._levels = [Level(event.t, self._tally.value(*key_of(each), event.t)) for each in self._comparisons]
+            values = (self._tally.value(*key_of(comparison), event.t) for comparison in self._comparisons)
+            self._levels = [Level(event.t, value) for value in values]
         return self.violated_at is not None
 
 

@@ -74,6 +74,8 @@ class Property(Value):
 
     unit: ClassVar[str] = "s"
     """The unit of the margin."""
+    least: ClassVar[float] = 0.0
+    """The least measure there is: that of a run which ends as it begins."""
 
     condition: ConditionText
     """What the property is about, such as "idle" or "active <= 2"."""
@@ -122,6 +124,7 @@ class Always(Property):
     kind: Literal["always"] = "always"
 
     unit: ClassVar[str] = ""
+    least: ClassVar[float] = -inf
 
     @property
     def bound(self) -> float:
@@ -130,7 +133,7 @@ class Always(Property):
 
     def worst(self, pieces: Iterable[PropertyPiece]) -> Iterator[Worst]:
         """Yield the largest violation of the condition so far."""
-        worst = Worst(-inf, 0)
+        worst = Worst(self.least, 0)
         for begin, _, (margin,) in pieces:
             if -margin > worst.measure:
                 worst = Worst(-margin, begin)

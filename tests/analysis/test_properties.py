@@ -317,3 +317,11 @@ def test_every_quantity_has_a_step_function():
         assert pieces[0].begin == 0
         assert pieces[-1].end == result.trace.of(Ended)[0].t
         assert all(first.end == second.begin for first, second in pairwise(pieces))
+
+
+@pytest.mark.parametrize("text", ["idle never longer than 0", "idle at most 0 in total", "eventually idle within 0"])
+def test_in_a_run_that_ends_as_it_begins_no_time_has_passed(text):
+    result = run(SMALL.with_({"capture.radius": 1e3}), 1)
+    assert result.trace.of(Ended)[0].t == 0
+    assert judge(text, result).margin == 0.0
+    assert judge("always active <= 2", result).margin == inf
