@@ -185,8 +185,8 @@ class Referee:
 
     @property
     def _ended(self) -> Ended:
-        assert self._end.event is not None
-        return self._end.event
+        assert self._end.outcome is not None
+        return self._end.outcome
 
     def _result(self, clock: WallClock, missing: list[int]) -> LiveResult:
         """Merge all events."""

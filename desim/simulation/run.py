@@ -201,8 +201,8 @@ def _simulate(
     world.sample()
     for event in counts():
         trace.append(event)
-    assert end.event is not None
-    trace.append(end.event)
+    assert end.outcome is not None
+    trace.append(end.outcome)
 
 
 def _chasers(truth: View) -> list[int]:

@@ -14,18 +14,18 @@ class RunEnd:
 
     Attributes:
         over: SimPy event that happens when the run ends.
-        event: outcome of the run; None while it is running.
+        outcome: how the run has ended; None while it is running.
     """
 
     def __init__(self, env: Clock):
         self._env = env
         self.over = env.event()
-        self.event: Ended | None = None
+        self.outcome: Ended | None = None
 
     def finish(self, reason: Literal["captured", "horizon", "stopped"], capturer: int | None = None) -> None:
         """End the run at this instant; later calls have no effect."""
-        if self.event is None:
-            self.event = Ended(self._env.now, reason, capturer)
+        if self.outcome is None:
+            self.outcome = Ended(self._env.now, reason, capturer)
             self.over.succeed()
 
     def stop(self) -> None:

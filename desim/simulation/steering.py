@@ -17,7 +17,9 @@ from desim.pursuit.sensing.world_state import Actions, WorldState
 
 
 class Steering:
-    """Sets the velocities: of pursuers by a guidance law, of relays by records, of evaders by their strategies.
+    """Sets the velocities of all players: a guidance law those of pursuers, recorded paths those of relays.
+
+    Evaders have those that their strategies choose. A relay is a pursuer that never chases.
 
     Args:
         state: the true state of the world.
