@@ -141,10 +141,10 @@ def checked_ranges(source: Source, grid: SweepGrid) -> SweepGrid:
     first = {key: ends(values)[0] for key, values in grid.items()}
     checked, problems = dict(grid), list[Problem]()
     for key, (interval, *_) in ((key, values) for key, values in grid.items() if is_range(values)):
-        if {interval.low % 1.0, interval.high % 1.0} == {0.0}:
-            whole = replace(interval, is_whole=True)
-            takes_parts = not _problems_of_key(source, first | {key: interval.low + 0.5}, key)
-            interval = interval if takes_parts else whole
+        if interval.low % 1.0 == interval.high % 1.0 == 0.0:
+            # A key of whole numbers refuses the number halfway between two of them.
+            takes_halves = not _problems_of_key(source, first | {key: interval.low + 0.5}, key)
+            interval = replace(interval, is_whole=not takes_halves)
             checked[key] = (interval,)
         first[key] = interval.at(0.0)
         for end in ends(checked[key]):
@@ -156,15 +156,13 @@ def checked_ranges(source: Source, grid: SweepGrid) -> SweepGrid:
 
 def _problems_of_key(source: Source, settings: Settings, key: str) -> list[Problem]:
     """Return what is wrong with the value of one key in some settings."""
+    changed, unset = _source_with(source, settings)
+    problems = unset.get(key, [])
     try:
-        _scenario_with(source, settings)
+        validate(changed)
     except ScenarioError as error:
-        return [
-            problem
-            for problem in error.problems
-            if _swept_above(problem.key, [key]) or problem.reason.startswith(f"{key}: ")
-        ]
-    return []
+        problems += [problem for problem in error.problems if _swept_above(problem.key, [key])]
+    return problems
 
 
 def _check_design(source: Source, grid: SweepGrid, design: Design | None) -> None:
@@ -225,17 +223,20 @@ def _check_distinct(chosen: Sequence[Configuration], source: Source, grid: Sweep
         except ScenarioError as error:
             raise with_place(error, source, configuration.settings) from error
         namesake = names.setdefault(json.dumps(configuration.columns), configuration)
-        other = namesake if same is configuration else same
-        if other is configuration:
+        if same is not configuration:
+            other, why = same, f"'{configuration}' is the same configuration as '{same}'"
+        elif namesake is not configuration:
+            other, why = (
+                namesake,
+                (
+                    f"several configurations have the name '{configuration}': give functions distinct names"
+                    " (__name__), and objects a class with fields: a dataclass, or a desim.config.model.Value"
+                ),
+            )
+        else:
             continue
         differing = [key for key, value in configuration.settings.items() if value != other.settings[key]]
         repeated = [key for key, values in grid.items() if any(values.count(value) > 1 for value in values)]
-        why = (
-            f"'{configuration}' is the same configuration as '{other}'"
-            if same is not configuration
-            else f"several configurations have the name '{configuration}': give functions distinct names"
-            " (__name__), and objects a class with fields: a dataclass, or a desim.config.model.Value"
-        )
         raise ScenarioError(_about_grid(source, why, (differing or repeated)[0]))
 
 
@@ -287,18 +288,8 @@ def _scenario_with(source: Source, settings: Settings) -> Scenario:
     Raises:
         ScenarioError: with all errors, if a key cannot be swept or the scenario is not valid.
     """
-    changed = source.copy()
-    changed.tables.pop("sweep", None)
-    errors: list[Problem] = []
-    for key, value in settings.items():
-        if why := UNSWEPT.get(key.partition(".")[0]) or (METRICS_UNSWEPT if key.startswith("record.metrics") else None):
-            errors.append(_about_grid(source, f"cannot be swept; {why}", key))
-            continue
-        try:
-            changed.set(key, value, f"{source.where(('sweep', 'grid', key))}: sweep.grid")
-        except ScenarioError as error:
-            reasons = ((problem.reason if problem.key == key else str(problem)) for problem in error.problems)
-            errors += [_about_grid(source, reason, key) for reason in reasons]
+    changed, unset = _source_with(source, settings)
+    errors = [problem for problems in unset.values() for problem in problems]
     try:
         scenario = validate(changed)
     except ScenarioError as error:
@@ -306,6 +297,23 @@ def _scenario_with(source: Source, settings: Settings) -> Scenario:
     if errors:
         raise ScenarioError(*errors)
     return without_metrics(scenario)
+
+
+def _source_with(source: Source, settings: Settings) -> tuple[Source, dict[str, list[Problem]]]:
+    """Return a copy of a source with some keys set, without its sweep, and by key why others could not be set."""
+    changed = source.copy()
+    changed.tables.pop("sweep", None)
+    unset: dict[str, list[Problem]] = {}
+    for key, value in settings.items():
+        if why := UNSWEPT.get(key.partition(".")[0]) or (METRICS_UNSWEPT if key.startswith("record.metrics") else None):
+            unset[key] = [_about_grid(source, f"cannot be swept; {why}", key)]
+            continue
+        try:
+            changed.set(key, value, f"{source.where(('sweep', 'grid', key))}: sweep.grid")
+        except ScenarioError as error:
+            reasons = ((problem.reason if problem.key == key else str(problem)) for problem in error.problems)
+            unset[key] = [_about_grid(source, reason, key) for reason in reasons]
+    return changed, unset
 
 
 def without_metrics(scenario: Scenario) -> Scenario:
