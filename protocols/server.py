@@ -149,18 +149,16 @@ class Server(Value):
                     record for message in mail if isinstance(message.body, Forwarded) for record in message.body.records
                 ]
                 me.merge_records(reports)
-                for src, _, sent, _ in reports:
-                    orders[src] = since(sent, orders.get(src, []))
+                for report in reports:
+                    orders[report.src] = since(report.stamp, orders.get(report.src, []))
                 if reports:
                     last_report = me.now
                 changed = False
                 if reports or me.now >= last_report + report_timeout:
                     chasers = self._chasers(me, orders, delay)
-                    changed = current.number < 0 or chasers != current.chasers
-                    # Orders are numbered by the clock, so that numbers increase even after a loss of memory.
-                    current = (
-                        TeamOrder(max(nanoseconds(me.now), current.number + 1, 0), chasers) if changed else current
-                    )
+                    if changed := current.number < 0 or chasers != current.chasers:
+                        # Orders are numbered by the clock, so that numbers increase even after a loss of memory.
+                        current = TeamOrder(max(nanoseconds(me.now), current.number + 1, 0), chasers)
                     apply_order(me, current)
                 if changed or (due and current.number >= 0):
                     me.send(None, current, PORT)

@@ -15,7 +15,9 @@ from desim.kernel.tc.writer import script
 from desim.scenario.scenario import Scenario
 
 FOLDER = Path("/var/run/netns")
+"""Where `ip netns` puts the names of namespaces."""
 CLONE_NEWNET = 0x40000000
+"""Says to `setns` that the file is of a network namespace; see `<linux/sched.h>`."""
 DEVICE = "eth0"
 """The interface of a pursuer in its namespace."""
 
@@ -35,7 +37,7 @@ class Places(NamedTuple):
 
 @contextmanager
 def within_namespace(namespace: str) -> Iterator[None]:
-    """Create sockets in a network namespace; the empty one is that of the process.
+    """Create sockets in the network namespace of a name; no name ("") means the namespace of the process.
 
     A socket stays in its namespace, so that one process can have sockets in two.
     """
@@ -69,6 +71,7 @@ def namespaces(scenario: Scenario, *, netem: bool) -> Iterator[Places]:
     """
     size, prefix = scenario.team.count, f"desim-{os.getpid()}"
     names = [f"{prefix}-{pursuer}" for pursuer in range(size)]
+    # One network /16 in a private range that few others use: 65,534 addresses, from 10.213.0.1 on.
     hosts = [f"10.213.{(pursuer + 1) >> 8}.{(pursuer + 1) & 0xFF}" for pursuer in range(size)]
     commands, tables = _netem_commands(scenario) if netem else ([], {})
     made: list[str] = []
@@ -110,12 +113,16 @@ def _netem_commands(scenario: Scenario) -> tuple[list[str], Mapping[str, tuple[i
 
 
 def _shape(name: str, commands: list[str], tables: Mapping[str, tuple[int, ...]]) -> None:
-    """Run the commands of tc in a namespace."""
+    """Run the commands of tc in a namespace.
+
+    Raises:
+        NamespaceError: if one fails.
+    """
     with TemporaryDirectory() as folder:
         for table, numbers in tables.items():
             (Path(folder) / f"{table}.dist").write_text(table_text(numbers, table), encoding="utf-8")
+        environment = {**os.environ, "TC_LIB_DIR": folder} if tables else None  # where tc looks for tables
         for command in commands:
-            environment = {**os.environ, "TC_LIB_DIR": folder} if tables else None
             done = subprocess.run(
                 ["ip", "netns", "exec", name, *shlex.split(command)],
                 check=False,
@@ -132,7 +139,7 @@ def _shape(name: str, commands: list[str], tables: Mapping[str, tuple[int, ...]]
 
 
 def _ip(*words: str) -> None:
-    """Run a command of ip.
+    """Run `ip` with some words as its arguments.
 
     Raises:
         NamespaceError: if it fails.
