@@ -91,9 +91,9 @@ def _holds_table(annotation: Any) -> bool:
 
 def _overridden(kind: type[Value]) -> Iterator[str]:
     """Yield why a class that a user derives from a table is refused, if it has a key or a method of the table anew."""
-    base = next(each for each in kind.__mro__ if is_ours(each))
+    base = next(ancestor for ancestor in kind.__mro__ if is_ours(ancestor))
     derived = kind.__mro__[: kind.__mro__.index(base)]
-    theirs = dict.fromkeys(name for each in derived for name in (*annotated(each), *vars(each)) if name[0] != "_")
+    theirs = dict.fromkeys(name for child in derived for name in (*annotated(child), *vars(child)) if name[0] != "_")
     if changed := [name for name in theirs if _is_of_table(base, name)]:
         yield (
             f"{kind.__name__} has its own {', '.join(changed)}, which a sweep, `with_` and a file would lose: they keep"
