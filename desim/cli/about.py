@@ -77,7 +77,7 @@ def schema() -> None:
 @click.argument("key", required=False)
 def keys(key: str | None) -> None:
     """List keys of scenario files with defaults, units and kinds: all, or those of a KEY like network.latency.gamma."""
-    from desim.cli.description import described, described_at
+    from desim.cli.description import KindMissingError, described, described_at
     from desim.scenario.scenario import Scenario
     from desim.scenario.toml import BASE_DESCRIPTION
     from desim.scenario.toml_errors import BASE
@@ -99,7 +99,7 @@ def keys(key: str | None) -> None:
             fail(
                 f"{key}: is a file: `desim check {key}` prints it with all keys; a KEY is network.latency for instance"
             )
-        if "depends on the kind" in str(error):
+        if isinstance(error, KindMissingError):
             fail(str(error))
         above, _, last = str(key).rpartition(".")
         homes = list(dict.fromkeys(home.dotted for home in homes_of(last, Scenario)))

@@ -16,6 +16,10 @@ from desim.config.model import models_in
 from desim.config.traits import Traits
 
 
+class KindMissingError(ValueError):
+    """Raised for a key that only some kinds of a model have, if it is not said of which kind."""
+
+
 def described(
     model: type[BaseModel], title: str, indent: str = "", described_models: set[type[BaseModel]] | None = None
 ) -> Iterator[str]:
@@ -56,7 +60,8 @@ def described_at(place: Sequence[str], model: type[BaseModel]) -> Iterator[str]:
         model: the outermost model.
 
     Raises:
-        ValueError: if there is no such key or kind, or the key depends on a kind that `place` lacks.
+        KindMissingError: if the key depends on a kind that `place` lacks.
+        ValueError: if there is no such key or kind.
     """
     (name, *rest), fields = place, fields_of(model)
     if name == "kind" or name not in fields:
@@ -73,7 +78,7 @@ def described_at(place: Sequence[str], model: type[BaseModel]) -> Iterator[str]:
         having := [kind for kind, chosen_model in inner.items() if rest[0] in chosen_model.model_fields]
     ):
         ways = ", ".join(f"{name}.{kind}.{rest[0]}" for kind in having)
-        raise ValueError(f"{rest[0]!r} in {name!r} depends on the kind: {ways}")
+        raise KindMissingError(f"{rest[0]!r} in {name!r} depends on the kind: {ways}")
     elif inner or plain is None:
         raise ValueError(f"there is no {rest[0]!r} in {name!r}; allowed: {', '.join(inner) or 'nothing'}")
     else:

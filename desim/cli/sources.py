@@ -162,9 +162,8 @@ def protocol_of(text: str, option: str) -> Any:
     if colon and file.endswith(".py"):
         folder, name = Path(file).parent, f"{Path(file).stem}:{inner}"
     source = Source(option, {}, Scenario, folder=folder, allow_import=is_import_allowed())
-    setting = f"protocol={name}"
     try:
-        source.override(setting)
+        source.override(f"protocol={name}", f"{option} {text}")
         return validate(source).protocol
     except ScenarioError as error:
-        fail(str(error).replace(f"--set {setting}", f"{option} {text}"))
+        fail(str(error))

@@ -79,7 +79,7 @@ class Source:
             return set_by[-1], 0
         if self.lines is None:
             return self.name, 0
-        known_place = next((each for each in within if each in lines), ())
+        known_place = next((outer for outer in within if outer in lines), ())
         return self.files.get(known_place, self.name), lines.get(known_place, 1)
 
     def copy(self) -> Self:
@@ -95,8 +95,8 @@ class Source:
         lines, files = dict(base.lines or {}), dict.fromkeys(base.lines or {}, base.name) | base.files
         merged = replace(self, tables=_copied(base.tables), lines=lines, files=files)
         for place in merged._lay(self.tables, ()):
-            for known in [each for each in lines if each[: len(place)] == place]:
-                del lines[known]
+            for inner in [key for key in lines if key[: len(place)] == place]:
+                del lines[inner]
         for place, line in (self.lines or {}).items():
             lines[place] = line
             files.pop(place, None)
@@ -123,13 +123,15 @@ class Source:
             node = node[key] if holds(node, key) else None
         return node
 
-    def override(self, text: str) -> None:
+    def override(self, text: str, origin: str | None = None) -> None:
         """Set a key to a value: "key.key=value", the value in TOML.
+
+        `origin` says in errors where the value is set; None: by --set with this text.
 
         Raises:
             ScenarioError: if the text does not have this form, or the key cannot be set to this value; see `set`.
         """
-        self._set_as_text("--set", text, key_and_value)
+        self._set_as_text(origin or f"--set {text}", text, key_and_value)
 
     def vary(self, text: str) -> None:
         """Add a key to the grid of the sweep, or replace its values: "key.key=value,value,...", each value in TOML.
@@ -137,7 +139,7 @@ class Source:
         Raises:
             ScenarioError: if the text does not have this form, or the key cannot be set; see `set`.
         """
-        self._set_as_text("--grid", text, key_and_values, above="sweep.grid.")
+        self._set_as_text(f"--grid {text}", text, key_and_values, above="sweep.grid.")
 
     def replace(self, name: Any, value: Any) -> None:
         """Set a key to a value of Python.
@@ -153,9 +155,8 @@ class Source:
         except ValueError as error:
             raise ScenarioError(*(problem._replace(where=origin) for problem in problems_of(error))) from None
 
-    def _set_as_text(self, option: str, text: str, parse: Callable[[str], tuple[str, Any]], above: str = "") -> None:
+    def _set_as_text(self, origin: str, text: str, parse: Callable[[str], tuple[str, Any]], above: str = "") -> None:
         """Set a key, which is put after `above`, to a value, given the text of an option."""
-        origin = f"{option} {text}"
         try:
             name, value = parse(text)
             self.set(above + name, value, origin)
@@ -267,7 +268,7 @@ def _tables(model: Value) -> dict[str, Any]:
 def _table(value: Any, info: FieldInfo) -> Any:
     """Return the value of a field, with its models as tables and its tuples as lists."""
     if isinstance(value, tuple):
-        return [_table(each, info) for each in value]
+        return [_table(item, info) for item in value]
     choices = choices_of(info)
     known = not choices or any(choice.holds(value) for choice in choices)
     return _tables(value) if isinstance(value, Value) and known else value
@@ -296,8 +297,8 @@ def _replaced(model: Any, parts: list[str], value: Any) -> Any:
 def _copied(tables: Any) -> Any:
     """Return a copy of nested tables and lists; all other values are shared with the original."""
     if isinstance(tables, dict):
-        return {key: _copied(each) for key, each in tables.items()}
-    return [_copied(each) for each in tables] if isinstance(tables, list) else tables
+        return {key: _copied(value) for key, value in tables.items()}
+    return [_copied(item) for item in tables] if isinstance(tables, list) else tables
 
 
 def _defaults(model: type[Value], tables: dict[str, Any]) -> dict[str, Any]:
