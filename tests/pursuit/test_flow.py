@@ -1,6 +1,6 @@
 """Flow: carried players against integration, capture times against a scan, and runs that a flow does not change."""
 
-from math import cos, inf, pi, sin
+from math import cos, inf, nan, pi, sin
 
 import numpy as np
 import pytest
@@ -167,6 +167,18 @@ def test_players_move_relative_to_each_other_at_most_as_fast_as_is_said(flow):
     assert carried <= Environment(flow=flow).relative_speed + 1e-12
     assert alone <= Environment(flow=flow, on="pursuers").relative_speed + 1e-12
     assert (Environment(flow=flow).relative_speed == 0.0) == Environment(flow=flow).keeps_distances
+
+
+@pytest.mark.parametrize("flow", [*UNIFORM, *UNEVEN], ids=name)
+@pytest.mark.parametrize("on", ["all", "pursuers"])
+def test_an_unknown_place_has_no_time_and_gives_no_warning(flow, on):
+    """An announcement of a capture time has no position; the pursuer beside it has its usual time."""
+    places, distances, speeds = np.array([complex(nan, nan), 3j]), np.array([nan, 3.0]), np.array([2.0, 2.0])
+    environment = Environment(flow=flow, on=on)
+    unknown, known = capture_times_in_flow(environment, 0j, places, distances, speeds, 0.5, 0.1, 0)
+    (alone,) = capture_times_in_flow(environment, 0j, places[1:], distances[1:], speeds[1:], 0.5, 0.1, 0)
+    assert unknown == inf
+    assert known == alone < inf
 
 
 def test_a_flow_that_carries_all_alike_changes_no_capture_time():

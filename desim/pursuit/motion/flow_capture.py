@@ -43,7 +43,7 @@ def capture_times_in_flow(
     Args:
         environment: the flow, and the players that it carries.
         target: position of the evader, m.
-        places: (k,) positions of the pursuers, m.
+        places: (k,) positions of the pursuers, m; nan if unknown, and the time is then inf.
         distances: (k,) distances to allow for, m: at least those of `target`, if it is uncertain.
         speeds: (k,) speeds of the pursuers, m/s.
         evader_speed: speed of the evader, m/s.
@@ -54,7 +54,8 @@ def capture_times_in_flow(
     if inherits(flow, AffineFlow) and environment.on == "all":
         return expanding_capture_times(distances, speeds - evader_speed, radius, flow.expansion)
     offsets = target - places
-    bearings = offsets / np.maximum(lengths(offsets), SMALLEST)
+    with np.errstate(invalid="ignore"):
+        bearings = offsets / np.maximum(lengths(offsets), SMALLEST)
     offsets, flight = bearings * distances, bearings * evader_speed
     if is_uniform(flow) and flow.top_acceleration > 0.0 and environment.on == "pursuers":
         return _drifting_capture_times(offsets, flight, speeds, radius, flow, now / SECOND)
