@@ -162,8 +162,9 @@ class VelocityFilter:
     """A velocity estimated from positions at irregular times by a low-pass filter: dw/dt = (dx/dt - w) / T.
 
     w is the estimate, x the position and T the time constant. The estimate is 0 until two successive positions are
-    known, then starts at the mean velocity between them. It is constant while the position is unknown (nan). The
-    velocity of an evader that the flow carries is relative to the flow.
+    known, then starts at the mean velocity between them. It is constant while the position is unknown (nan), and until
+    the time is later than that of the last position. The velocity of an evader that the flow carries is relative to the
+    flow.
     """
 
     def __init__(self, time_constant: float, environment: Environment):
@@ -175,6 +176,8 @@ class VelocityFilter:
         """Return the velocity estimate, m/s, updated with the position of the evader (m) at time now (s)."""
         if isnan(place.real):
             self._seen = None
+            return self._velocity or 0j
+        if self._seen is not None and now <= self._seen[0]:  # a crash ended in this slot, or the clock was set back
             return self._velocity or 0j
         if self._seen is not None:
             (before, start), environment = self._seen, self._environment

@@ -300,6 +300,15 @@ def test_the_filter_keeps_its_velocity_while_nothing_is_seen():
     assert velocity(3.0, 9.5 + 0j) == 1 + 0j
 
 
+def test_the_filter_keeps_its_velocity_until_a_later_time():
+    """As a crash ends in a slot, the rule decides late and in that slot again; a clock can be set back, too."""
+    velocity = VelocityFilter(1.0, STILL)
+    assert velocity(1.0, 1 + 0j) == velocity(1.0, 2 + 0j) == velocity(0.5, 3 + 0j) == 0j
+    assert velocity(1.5, 2 + 0j) == 2 + 0j
+    assert velocity(1.5, 5 + 0j) == velocity(1.0, 5 + 0j) == 2 + 0j
+    assert velocity(2.0, 3 + 0j) == 2 + 0j
+
+
 def test_the_filter_begins_with_the_first_velocity_and_without_a_time_constant_follows_at_once():
     assert [VelocityFilter(9.0, STILL)(0.0, 1j), 0j] == [0j, 0j]
     slow, quick = VelocityFilter(9.0, STILL), VelocityFilter(0.0, STILL)
