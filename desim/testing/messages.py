@@ -55,6 +55,8 @@ class Conservation:
         self._lost: Counter[Cause] = Counter()
         self._waiting: dict[int, set[int]] = {}
         """The remaining receivers of each waiting transmission, by its number."""
+        self._queued: set[int] = set()
+        """The numbers of the transmissions that have waited, as all do for which nodes contend."""
         self._flying: dict[int, tuple[Broadcast | Sent, dict[int, int]]] = {}
         """By transmission number: its latest event, and the unchecked arrivals by receiver, ns or `LOST`."""
         self._latest: dict[tuple[int, int], int] = {}
@@ -116,6 +118,7 @@ class Conservation:
     def _queue(self, event: Queued) -> None:
         _require(not self._down(event.src), "a node whose radio is down sends nothing", event)
         self._sent += len(event.dst)
+        self._queued.add(event.transmission)
         self._waiting.setdefault(event.transmission, set()).update(event.dst)
 
     def _wait_no_more(self, transmission: int, nodes: "Iterable[int]") -> None:
@@ -128,12 +131,16 @@ class Conservation:
         self._lost[event.cause] += 1
         if event.dst in self._waiting.get(event.transmission, ()):
             self._wait_no_more(event.transmission, [event.dst])
+            if event.transmission not in self._waiting and event.transmission not in self._flying:
+                self._queued.discard(event.transmission)
         else:
             departure, flying = self._flying.get(event.transmission, (event, {}))
             arrival = flying.pop(event.dst, None)
             due = departure.t if arrival == LOST else arrival
             _require(due is not None and due >= event.t, "only a message in flight is lost, and only once", event)
-            is_on_air = event.cause in ON_AIR and event.t >= departure.t
+            # A frame that contends is lost in the noise as it ends, which precedes its arrival.
+            is_noise = event.cause == "loss" and event.transmission in self._queued
+            is_on_air = (event.cause in ON_AIR or is_noise) and event.t >= departure.t
             _require(is_on_air or due == event.t, "a message is lost at transmission, on the air or on arrival", event)
 
     def _begin(self, event: FaultStarted) -> None:
@@ -172,6 +179,8 @@ class Conservation:
                     _require(not self._cut(event.src, node), f"no message reaches {node} across a partition", event)
                 if len(reached) == len(flying):
                     del self._flying[transmission]
+                    if transmission not in self._waiting:
+                        self._queued.discard(transmission)
                 else:
                     self._flying[transmission] = (
                         event,

@@ -105,6 +105,7 @@ RIGHT = {
         lost(1, dst=2),
         message_counts(4, loss=1),
     ],
+    "lost in the noise as its frame ends": [queued(1), sent(2, 5, created=1), lost(3), message_counts(3, loss=1)],
     "within a group": [FaultStarted(0, PARTITION), sent(1, 5, src=1, dst=2), message_counts(9, 1)],
     "jamming": [FaultStarted(0, Jamming(centre=(0.0, 0.0), radius=1.0, start=0.0)), sent(1, 5), message_counts(9, 1)],
     "overtaking": [sent(1, 9), sent(2, 5, transmission=1), message_counts(9, 2)],
@@ -138,6 +139,10 @@ WRONG = {
     "lost to another": ("only a message in flight", [sent(1, 5), lost(5, dst=2)]),
     "lost after it arrived": ("only a message in flight", [sent(1, 5), lost(6)]),
     "lost while it flies": ("on arrival", [sent(1, 5), lost(3)]),
+    "lost while it flies after another waited": (
+        "on arrival",
+        [queued(1), sent(2, 5, transmission=1), lost(3, transmission=1)],
+    ),
     "down as it arrives": (
         "reaches 1, whose radio is down",
         [sent(1, 5), FaultStarted(3, CRASH), message_counts(9, 1)],
