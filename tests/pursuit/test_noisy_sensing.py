@@ -291,9 +291,9 @@ def test_predictions_that_are_shared_are_those_of_each_pursuer(offset, monkeypat
     shared = list(run(case, 1).trace)
     predicted = NoisySensor.predicted
 
-    def forgetting(sensor, report, now):
+    def forgetting(sensor, reports, now):
         sensor._predicted_at = None
-        return predicted(sensor, report, now)
+        return predicted(sensor, reports, now)
 
     monkeypatch.setattr(NoisySensor, "predicted", forgetting)
     assert list(run(case, 1).trace) == shared

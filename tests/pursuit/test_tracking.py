@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from desim.kernel.core.units import SECOND
 from desim.pursuit.sensing.correction import corrected, corrected_by_position, corrected_by_state
+from desim.pursuit.sensing.fusion import fused, fused_by_corrections, informed, inverse
 from desim.pursuit.sensing.noise import Covariance, PositionNoise, RangeBearingNoise
 from desim.pursuit.sensing.tracking import (
     AlphaBeta,
@@ -16,7 +17,6 @@ from desim.pursuit.sensing.tracking import (
     Kalman,
     Measurement,
     Track,
-    fused,
     merged,
     stationary_gains,
 )
@@ -188,7 +188,7 @@ def updates(seed, count):
         assert is_positive(whole(track.covariance))
         other = track if other is None or rng.random() < 0.1 else model.predict(other, stamp)
         for how in ("naive", "covariance_intersection"):
-            assert is_positive(whole(fused(track, other, how).covariance))
+            assert is_positive(whole(fused([informed(track), informed(other)], how).covariance))
         stamp += int(10.0 ** rng.uniform(6, 11))
 
 
@@ -391,7 +391,8 @@ def exchanged(seed, how, rounds=20):
     tracks = [model.start(one[0]), model.start(other[0])]
     for pair in zip(one[1:], other[1:], strict=True):
         tracks = [model.update(track, each) for track, each in zip(tracks, pair, strict=True)]
-        tracks = [fused(*tracks, how), fused(*reversed(tracks), how)]
+        known = [informed(track) for track in tracks]
+        tracks = [fused(known, how), fused(known[::-1], how)]
     return tracks[0], states[-1]
 
 
@@ -408,8 +409,42 @@ def test_the_fusion_of_independent_tracks_is_their_weighted_mean():
     """Variances 1 and 4 give 0.8; the intersection, with weights 0.8 and 0.2, is no surer than the better track."""
     eye = np.eye(4)
     one, other = Track(0, (0.0,) * 4, upper(eye)), Track(0, (10.0,) * 4, upper(4 * eye))
-    naive, safe = fused(one, other, "naive"), fused(one, other, "covariance_intersection")
+    known = [informed(one), informed(other)]
+    naive, safe = fused(known, "naive"), fused(known, "covariance_intersection")
     assert naive.state == pytest.approx([2.0] * 4)
     assert np.allclose(whole(naive.covariance), 0.8 * eye)
     assert safe.state == pytest.approx([10.0 * 0.05 / 0.85] * 4)
     assert np.allclose(whole(safe.covariance), eye / 0.85)
+
+
+@given(st.integers(0, 2**32), st.integers(1, 7), st.sampled_from(["naive", "covariance_intersection"]))
+def test_tracks_that_are_fused_by_information_are_those_that_are_corrected(seed, count, how):
+    """To 1e-9 of the largest entry of the state and of the variances; to the last bit where one is nearly singular."""
+    rng = np.random.default_rng(seed)
+    truth = rng.uniform(-100.0, 100.0, size=4) * [1.0, 1.0, 0.01, 0.01]
+    covariances = [spread(rng, 4) for _ in range(count)]
+    states = [rng.multivariate_normal(truth, covariance).tolist() for covariance in covariances]
+    tracks = [Track(7, tuple(state), upper(p)) for state, p in zip(states, covariances, strict=True)]
+    quick, plain = fused([informed(track) for track in tracks], how), fused_by_corrections(tracks, how)
+    assert quick.stamp == plain.stamp == 7
+    assert np.allclose(quick.state, plain.state, rtol=0.0, atol=1e-9 * np.abs(plain.state).max())
+    deviations = np.sqrt(whole(plain.covariance).diagonal())
+    assert (
+        np.abs(whole(quick.covariance - np.array(plain.covariance))) <= 1e-9 * np.outer(deviations, deviations)
+    ).all()
+    exact = [*tracks, Track(7, tracks[0].state, upper(singular(rng, 4)))]
+    assert informed(exact[-1]).information is None
+    assert fused([informed(track) for track in exact], how) == fused_by_corrections(exact, how)
+
+
+@given(st.integers(0, 2**32))
+def test_a_covariance_is_inverted_in_closed_form_unless_it_is_nearly_singular(seed):
+    matrix = spread(np.random.default_rng(seed), 4)
+    found = inverse(upper(matrix))
+    share = np.linalg.det(matrix) / matrix.diagonal().prod()
+    if found is None:
+        assert share < 1.01e-4
+    else:
+        assert share > 0.99e-4
+        assert np.allclose(whole(found) @ matrix, np.eye(4), atol=1e-6)
+    assert inverse(upper(np.zeros((4, 4)))) is None

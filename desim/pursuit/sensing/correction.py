@@ -19,8 +19,6 @@ Upper = tuple[float, float, float, float, float, float, float, float, float, flo
 """The upper triangle of the covariance of a state, row by row."""
 Entry = tuple[Sequence[float], float, float]
 """A measured number: the vector h whose product with the state it is, its value, and the variance of its error."""
-OTHERS = (1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)
-"""By entry of a state, the other entries."""
 
 
 def corrected(state: list[float], covariance: Matrix, seen: list[float], errors: Matrix) -> tuple[list[float], Matrix]:
@@ -116,61 +114,9 @@ def corrected_by_state(
         seen: the measured state.
         errors: the covariance of its errors.
     """
-    return _with_entries(state, covariance, _decorrelated_state(seen, errors))
-
-
-def _decorrelated_state(seen: StateVector, errors: Upper) -> Sequence[Entry]:
-    """Return numbers with independent errors that tell as much as a measured state; see `decorrelated`.
-
-    The loops of `decorrelated` are written out, with a name for each number: k is the entry of the greatest variance,
-    and p, q and r are the others, in the order of the variances that are left. Both triangles are reduced, because
-    their last digits differ. This takes half of the time.
-
-    Kept equal to numbers of any measurement by
-    `tests/pursuit/test_tracking.py::test_a_state_corrected_by_a_state_is_that_corrected_entry_by_entry`.
-    """
     xx, xy, xu, xv, yy, yu, yv, uu, uv, vv = errors
     lines = (xx, xy, xu, xv), (xy, yy, yu, yv), (xu, yu, uu, uv), (xv, yv, uv, vv)
-    diagonal = xx, yy, uu, vv
-    kk = max(diagonal)
-    k, least = diagonal.index(kk), ROUNDING * kk
-    if kk <= 0.0:
-        return decorrelated(seen, lines, 4)
-    p, q, r = OTHERS[k]
-    line, line_p, line_q, line_r = lines[k], lines[p], lines[q], lines[r]
-    a, b, c = line_p[k] / kk, line_q[k] / kk, line_r[k] / kk
-    kp, kq, kr = line[p], line[q], line[r]
-    pp, pq, pr = line_p[p] - a * kp, line_p[q] - a * kq, line_p[r] - a * kr
-    qp, qq, qr = line_q[p] - b * kp, line_q[q] - b * kq, line_q[r] - b * kr
-    rp, rq, rr = line_r[p] - c * kp, line_r[q] - c * kq, line_r[r] - c * kr
-    at_k = seen[k]
-    at_p, at_q, at_r = seen[p] - a * at_k, seen[q] - b * at_k, seen[r] - c * at_k
-    if rr > pp and rr > qq:
-        p, q, r, a, b, c, at_p, at_q, at_r = r, p, q, c, a, b, at_r, at_p, at_q
-        pp, pq, pr, qp, qq, qr, rp, rq, rr = rr, rp, rq, pr, pp, pq, qr, qp, qq
-    elif qq > pp:
-        p, q, a, b, at_p, at_q = q, p, b, a, at_q, at_p
-        pp, pq, pr, qp, qq, qr, rp, rq = qq, qp, qr, pq, pp, pr, rq, rp
-    if pp <= least:
-        return decorrelated(seen, lines, 4)
-    d, e = qp / pp, rp / pp
-    qq, qr, at_q = qq - d * pq, qr - d * pr, at_q - d * at_p
-    rq, rr, at_r = rq - e * pq, rr - e * pr, at_r - e * at_p
-    if rr > qq:
-        q, r, b, c, d, e, at_q, at_r = r, q, c, b, e, d, at_r, at_q
-        qq, qr, rq, rr = rr, rq, qr, qq
-    if qq <= least:
-        return decorrelated(seen, lines, 4)
-    f = rq / qq
-    rr, at_r = rr - f * qr, at_r - f * at_q
-    if rr <= least:
-        return decorrelated(seen, lines, 4)
-    row_k, row_p, row_q, row_r = [0.0] * 4, [0.0] * 4, [0.0] * 4, [0.0] * 4
-    row_k[k] = row_p[p] = row_q[q] = row_r[r] = 1.0
-    row_p[k] = 0.0 - a
-    row_q[p], row_q[k] = 0.0 - d, 0.0 - b - d * row_p[k]
-    row_r[q], row_r[p], row_r[k] = 0.0 - f, 0.0 - e - f * row_q[p], 0.0 - c - e * row_p[k] - f * row_q[k]
-    return (row_k, at_k, kk), (row_p, at_p, pp), (row_q, at_q, qq), (row_r, at_r, rr)
+    return _with_entries(state, covariance, decorrelated(seen, lines, 4))
 
 
 def _with_entries(state: StateVector, covariance: Upper, entries: Sequence[Entry]) -> tuple[StateVector, Upper]:

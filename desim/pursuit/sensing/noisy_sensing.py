@@ -20,9 +20,10 @@ from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.kernel.network import Network
 from desim.pursuit.core.events import Estimated
 from desim.pursuit.sensing.correction import StateVector, Upper
+from desim.pursuit.sensing.fusion import InformedTrack, fused, informed
 from desim.pursuit.sensing.noise import Covariance, Noiseless
 from desim.pursuit.sensing.sensing import PORT, LimitedView, Sensing, Sighting, TeamSensor
-from desim.pursuit.sensing.tracking import Filter, Measurement, Track, Unfiltered, fused
+from desim.pursuit.sensing.tracking import Filter, Measurement, Track, Unfiltered
 from desim.pursuit.sensing.views import EvaderEstimate, Prune
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ class NoisySensor:
         assert not isinstance(sensing.noise, Noiseless)
         self.sensing, self._state, self._env, self._noise = sensing, state, env, sensing.noise
         self._streams = [stream(seed, "sight", j) for j in range(state.evader_count)]
-        self._predicted: dict[int, tuple[Tracked, Track]] = {}
+        self._predicted: dict[int, tuple[Tracked, InformedTrack]] = {}
         """By `id` of a report, the report and its track at `_predicted_at`, ns."""
         self._predicted_at: int | None = None
         self.views = [TrackingView(state, prune, pursuer, self, network, clock) for pursuer, clock in enumerate(clocks)]
@@ -108,8 +109,8 @@ class NoisySensor:
                     (x, y, _, _), (xx, xy, _, _, yy, *_) = track.state, track.covariance
                     yield Estimated(self._env.now, pursuer, evader, x, y, xx, xy, yy)
 
-    def predicted(self, report: Tracked, now: int) -> Track:
-        """Return a reported track at a time, ns; pursuers that have the same report share it.
+    def predicted(self, reports: Iterable[Tracked], now: int) -> list[InformedTrack]:
+        """Return reported tracks at a time, ns; pursuers that have the same report share its prediction.
 
         Kept equal to a prediction by each pursuer by
         `tests/pursuit/test_noisy_sensing.py::test_predictions_that_are_shared_are_those_of_each_pursuer`.
@@ -117,10 +118,13 @@ class NoisySensor:
         assert not isinstance(self.sensing.estimator, Unfiltered)
         if self._predicted_at != now:
             self._predicted, self._predicted_at = {}, now
-        key = id(report)  # sooner than a hash of all its numbers
-        if key not in self._predicted:
-            self._predicted[key] = report, self.sensing.estimator.predict(Track(*report[1:]), now)
-        return self._predicted[key][1]
+        shared, predict, tracks = self._predicted, self.sensing.estimator.predict, list[InformedTrack]()
+        for report in reports:
+            entry = shared.get(id(report))  # sooner than a hash of all its numbers
+            if entry is None:
+                entry = shared[id(report)] = report, informed(predict(Track(*report[1:]), now))
+            tracks.append(entry[1])
+        return tracks
 
     def _measurements(self) -> "Generator[simpy.Event, None, None]":
         period = nanoseconds(self.sensing.interval)
@@ -262,12 +266,13 @@ class TrackingView(LimitedView):
 
     def _fuse(self, evader: int, now: int) -> Track | None:
         """Return the track of an evader at `now` (ns, local clock)."""
-        combined = self._filters[evader].at(now) if evader in self._filters else None
+        track = self._filters[evader].at(now) if evader in self._filters else None
+        reports = self._tracks[evader]
+        if not reports:
+            return track
         # By source, because the fusion of three tracks depends on their order, and arrivals may be in any.
-        for _, report in sorted(self._tracks[evader].items()):
-            other = self._sensor.predicted(report, now)
-            combined = other if combined is None else fused(combined, other, self._sensing.fusion)
-        return combined
+        others = self._sensor.predicted((report for _, report in sorted(reports.items())), now)
+        return fused(others if track is None else [informed(track), *others], self._sensing.fusion)
 
     def report(self) -> None:
         """Broadcast what it knows that is at most `track_timeout` old; what others reported only with `relay`."""

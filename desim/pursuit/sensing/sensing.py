@@ -19,8 +19,9 @@ from desim.config.model import MAX_COORDINATE, Flag, Limit, Period, Timeout, Val
 from desim.kernel.core.clock import NodeClock
 from desim.kernel.core.ports import ReservedPort
 from desim.kernel.network import Network
+from desim.pursuit.sensing.fusion import Fusion
 from desim.pursuit.sensing.noise import NOISES, Noise, Noiseless
-from desim.pursuit.sensing.tracking import ESTIMATORS, Estimator, Fusion, Kalman, Unfiltered
+from desim.pursuit.sensing.tracking import ESTIMATORS, Estimator, Kalman, Unfiltered
 from desim.pursuit.sensing.views import NOWHERE, EvaderEstimate, Prune, View
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Tracking of an evader from noisy sightings: filters for a nearly constant velocity, and the fusion of their tracks.
+"""Tracking of an evader from noisy sightings: filters for a nearly constant velocity.
 
 The state is (x, y, vx, vy), in m and m/s. Each component of the velocity diffuses, because the acceleration is white
 noise in continuous time (Bar-Shalom, Li & Kirubarajan 2001, section 6.2.2). With the diffusion c, in m/s per sqrt(s),
@@ -18,13 +18,12 @@ from pydantic import Field
 from desim.config.choice import OneOf
 from desim.config.model import Value
 from desim.kernel.core.units import SECOND
-from desim.pursuit.sensing.correction import StateVector, Upper, corrected, corrected_by_position, corrected_by_state
+from desim.pursuit.sensing.correction import StateVector, Upper, corrected, corrected_by_position
 from desim.pursuit.sensing.noise import LEAST, Covariance
 
 VelocityDiffusion = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False, strict=True)]
 START_SPEED = 10.0
 """Standard deviation, m/s, of each component of the velocity after the first sighting."""
-Fusion = Literal["by_stamp", "naive", "covariance_intersection"]
 
 
 class Measurement(NamedTuple):
@@ -306,31 +305,3 @@ class Filter:
         old = bisect_left(self._seen, self._seen[-1].stamp - self._window, key=attrgetter("stamp"))
         if old > 1:
             del self._seen[: old - 1], self._merged[: old - 1], self._tracks[: old - 1]
-
-
-def fused(track: Track, other: Track, how: Fusion) -> Track:
-    """Return the fusion of two tracks of the same time, weighted by their inverse covariances.
-
-    naive: the inverse covariances are added, as if the errors were independent; information that both tracks contain
-    counts twice. covariance_intersection: they are averaged with the weight w = tr(P2) / (tr(P1) + tr(P2)) (Niehsen
-    2002), which is consistent whatever the correlation of the errors (Julier & Uhlmann 1997).
-    """
-    assert track.covariance is not None
-    assert other.covariance is not None
-    first, second = track.covariance, other.covariance
-    if how == "covariance_intersection":
-        one_trace, other_trace = _trace(first), _trace(second)
-        both = one_trace + other_trace
-        first, second = _scaled(first, both / other_trace), _scaled(second, both / one_trace)
-    return Track(track.stamp, *corrected_by_state(track.state, first, other.state, second))
-
-
-def _trace(covariance: Upper) -> float:
-    xx, _, _, _, yy, _, _, uu, _, vv = covariance
-    return xx + yy + uu + vv
-
-
-def _scaled(covariance: Upper, factor: float) -> Upper:
-    xx, xy, xu, xv, yy, yu, yv, uu, uv, vv = covariance
-    xx, xy, xu, xv, yy = factor * xx, factor * xy, factor * xu, factor * xv, factor * yy
-    return xx, xy, xu, xv, yy, factor * yu, factor * yv, factor * uu, factor * uv, factor * vv

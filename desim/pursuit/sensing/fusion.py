@@ -1,0 +1,142 @@
+"""The fusion of tracks, weighted by their inverse covariances.
+
+The inverse of a covariance is the information of a track. Fusion adds informations, so it needs no gain (Bar-Shalom, Li
+& Kirubarajan 2001, section 7.2). A covariance has blocks of 2 x 2: position, velocity, and both. So its inverse has a
+closed form, by the Schur complement of the velocity.
+"""
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+from desim.pursuit.sensing.correction import StateVector, Upper, corrected_by_state
+from desim.pursuit.sensing.tracking import Track
+
+Fusion = Literal["by_stamp", "naive", "covariance_intersection"]
+LEAST_DETERMINANT = 1e-4
+"""Least determinant of a matrix that is inverted in closed form, relative to the product of its diagonal.
+
+Below it the rounding errors of an inverse grow beyond 1e-10 of its entries.
+"""
+
+
+class Information(NamedTuple):
+    """What a track tells, as numbers that fusion adds."""
+
+    matrix: Upper
+    """The inverse of the covariance."""
+    vector: StateVector
+    """The product of the matrix and the state."""
+    trace: float
+    """That of the covariance."""
+
+
+class InformedTrack(NamedTuple):
+    """A track and its information; None if its covariance is nearly singular."""
+
+    track: Track
+    information: Information | None
+
+
+def informed(track: Track) -> InformedTrack:
+    """Return a track with a covariance, and its information."""
+    assert track.covariance is not None
+    matrix = inverse(track.covariance)
+    if matrix is None:
+        return InformedTrack(track, None)
+    return InformedTrack(track, Information(matrix, product(matrix, track.state), trace(track.covariance)))
+
+
+def fused(tracks: Sequence[InformedTrack], how: Fusion) -> Track:
+    """Return the fusion of tracks of the same time, one by one.
+
+    naive: the inverse covariances are added, as if the errors were independent; information that several tracks contain
+    counts as often. covariance_intersection: of two, they are averaged with the weight w = tr(P2) / (tr(P1) + tr(P2))
+    (Niehsen 2002), which is consistent whatever the correlation of the errors (Julier & Uhlmann 1997).
+
+    Kept equal to corrections of the first track by
+    `tests/pursuit/test_tracking.py::test_tracks_that_are_fused_by_information_are_those_that_are_corrected`.
+    """
+    first, *others = tracks
+    if not others:
+        return first.track
+    combined, covariance = first.information, first.track.covariance
+    for other in others:
+        if combined is None or other.information is None:
+            return fused_by_corrections([track for track, _ in tracks], how)
+        matrix, vector = _mixed(combined, other.information, how)
+        covariance = inverse(matrix)
+        combined = None if covariance is None else Information(matrix, vector, trace(covariance))
+    if combined is None or covariance is None:
+        return fused_by_corrections([track for track, _ in tracks], how)
+    return Track(first.track.stamp, product(covariance, combined.vector), covariance)
+
+
+def _mixed(one: Information, other: Information, how: Fusion) -> tuple[Upper, StateVector]:
+    """Return the weighted sums of two informations: the matrix and the vector."""
+    (xx, xy, xu, xv, yy, yu, yv, uu, uv, vv), (x, y, u, v), one_trace = one
+    (xx2, xy2, xu2, xv2, yy2, yu2, yv2, uu2, uv2, vv2), (x2, y2, u2, v2), other_trace = other
+    a = b = 1.0
+    if how == "covariance_intersection":
+        a = other_trace / (one_trace + other_trace)
+        b = 1.0 - a
+    xx, xy, xu, xv, yy = a * xx + b * xx2, a * xy + b * xy2, a * xu + b * xu2, a * xv + b * xv2, a * yy + b * yy2
+    yu, yv, uu, uv, vv = a * yu + b * yu2, a * yv + b * yv2, a * uu + b * uu2, a * uv + b * uv2, a * vv + b * vv2
+    vector = a * x + b * x2, a * y + b * y2, a * u + b * u2, a * v + b * v2
+    return (xx, xy, xu, xv, yy, yu, yv, uu, uv, vv), vector
+
+
+def inverse(matrix: Upper) -> Upper | None:
+    """Return the inverse of a positive matrix in closed form; None if it is nearly singular (`LEAST_DETERMINANT`)."""
+    xx, xy, xu, xv, yy, yu, yv, uu, uv, vv = matrix
+    of_velocity = uu * vv - uv * uv
+    if not of_velocity > 0.0:
+        return None
+    iuu, iuv, ivv = vv / of_velocity, -uv / of_velocity, uu / of_velocity
+    # The regression of the position on the velocity: the block of both times the inverse of that of the velocity.
+    gxu, gxv, gyu, gyv = xu * iuu + xv * iuv, xu * iuv + xv * ivv, yu * iuu + yv * iuv, yu * iuv + yv * ivv
+    sxx, sxy, syy = xx - gxu * xu - gxv * xv, xy - gxu * yu - gxv * yv, yy - gyu * yu - gyv * yv
+    of_position = sxx * syy - sxy * sxy
+    if not of_position * of_velocity > LEAST_DETERMINANT * (xx * yy * uu * vv):
+        return None
+    ixx, ixy, iyy = syy / of_position, -sxy / of_position, sxx / of_position
+    ixu, ixv = -ixx * gxu - ixy * gyu, -ixx * gxv - ixy * gyv
+    iyu, iyv = -ixy * gxu - iyy * gyu, -ixy * gxv - iyy * gyv
+    iuu, iuv, ivv = iuu - gxu * ixu - gyu * iyu, iuv - gxu * ixv - gyu * iyv, ivv - gxv * ixv - gyv * iyv
+    return ixx, ixy, ixu, ixv, iyy, iyu, iyv, iuu, iuv, ivv
+
+
+def product(matrix: Upper, state: StateVector) -> StateVector:
+    """Return the product of a symmetric matrix and a state."""
+    xx, xy, xu, xv, yy, yu, yv, uu, uv, vv = matrix
+    x, y, u, v = state
+    position = xx * x + xy * y + xu * u + xv * v, xy * x + yy * y + yu * u + yv * v
+    velocity = xu * x + yu * y + uu * u + uv * v, xv * x + yv * y + uv * u + vv * v
+    return position + velocity
+
+
+def trace(matrix: Upper) -> float:
+    """Return the sum of the diagonal of a matrix."""
+    xx, _, _, _, yy, _, _, uu, _, vv = matrix
+    return xx + yy + uu + vv
+
+
+def fused_by_corrections(tracks: Sequence[Track], how: Fusion) -> Track:
+    """Return the fusion of tracks as `fused` does, also of exact ones: the first is corrected by each of the others."""
+    first, *others = tracks
+    state, covariance = first.state, first.covariance
+    for other in others:
+        assert covariance is not None
+        assert other.covariance is not None
+        errors = other.covariance
+        if how == "covariance_intersection":
+            one_trace, other_trace = trace(covariance), trace(errors)
+            both = one_trace + other_trace
+            covariance, errors = _scaled(covariance, both / other_trace), _scaled(errors, both / one_trace)
+        state, covariance = corrected_by_state(state, covariance, other.state, errors)
+    return Track(first.stamp, state, covariance)
+
+
+def _scaled(matrix: Upper, factor: float) -> Upper:
+    xx, xy, xu, xv, yy, yu, yv, uu, uv, vv = matrix
+    xx, xy, xu, xv, yy = factor * xx, factor * xy, factor * xu, factor * xv, factor * yy
+    return xx, xy, xu, xv, yy, factor * yu, factor * yv, factor * uu, factor * uv, factor * vv
