@@ -6,7 +6,7 @@ queue: ideal medium access without overhead or collisions.
 
 from bisect import bisect_left
 from collections import OrderedDict, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from itertools import islice
 from typing import Generic, Protocol, TypeVar
 
@@ -131,10 +131,11 @@ class Transmitter(Generic[Item]):
         """Return the total time, ns, that the channels have been busy so far."""
         return self._busy - portable_sum(max(0, free_at - self._env.now) for free_at in self._free_at)
 
-    def during(self, first: int, last: int) -> dict[int, list[tuple[int, int]]]:
-        """Return start and end of each recent transmission that may concern receptions, by node.
+    def during(self, nodes: Collection[int], first: int, last: int) -> dict[int, list[tuple[int, int]]]:
+        """Return start and end of each recent transmission of some nodes that may concern receptions, by node.
 
         Args:
+            nodes: the nodes that receive.
             first: the earliest end of a reception, ns; not before the last time given to `forget`.
             last: the latest end of a reception, ns.
         """
@@ -144,7 +145,8 @@ class Transmitter(Generic[Item]):
         for begin, end, node in islice(self.recent, since, None):
             if begin >= last:
                 break
-            by_node.setdefault(node, []).append((begin, end))
+            if node in nodes:
+                by_node.setdefault(node, []).append((begin, end))
         return by_node
 
     def forget(self, before: float) -> None:

@@ -94,7 +94,7 @@ class ArrivalLosses:
         assert self._transmitter is not None
         lag = self._processing
         earliest, latest = (times, times) if isinstance(times, int) else (min(times), max(times))
-        transmissions = self._transmitter.during(earliest - lag, latest - lag)
+        transmissions = self._transmitter.during(set(nodes), earliest - lag, latest - lag)
         if not transmissions:
             return
         for k in [k for k, node in enumerate(nodes) if node in transmissions]:

@@ -318,8 +318,10 @@ class TrackingView(LimitedView):
 
     def _newest_stamp(self, evader: int) -> int:
         """Return the time of the newest sighting or reported track of an evader, ns; -1 without any."""
-        stamps = [self._newest[evader].stamp] if evader in self._newest else []
-        return max([*stamps, *(report.stamp for report in self._tracks[evader].values())], default=-1)
+        newest = self._newest[evader].stamp if evader in self._newest else -1
+        for report in self._tracks[evader].values():
+            newest = max(newest, report.stamp)
+        return newest
 
     def _read_reports(self) -> None:
         """Process the reports that have arrived."""

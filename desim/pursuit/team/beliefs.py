@@ -87,6 +87,8 @@ class Beliefs(Knowledge):
     ):
         super().__init__(pursuer, view, network, clock)
         self._announcements, self._announcement, self._judge = announcements, announcement, judge
+        self._constant_timeouts: dict[float, float] = {}
+        """By period, s, the time for which an announcement is believed if it does not change, ns of true time."""
         self.senses_others = announcements.payload == "action"
         """Whether it senses the positions of its teammates, so that announcements need not contain them."""
 
@@ -103,7 +105,7 @@ class Beliefs(Knowledge):
             period: time between two announcements of a teammate, s; if None, the heartbeat, or inf without heartbeats.
                 It is used only if `belief_timeout` is "auto".
         """
-        oldest = self._clock.true - (self._timeout if period is None else self._timeout_for(period))
+        oldest = self._clock.true - self._timeout(period)
         received = self._network.latest_records(self.id)
         fresh = {j: record for j, (arrival, record) in received.items() if arrival >= oldest}
         if self._judge is None:
@@ -126,7 +128,7 @@ class Beliefs(Knowledge):
 
     def _chasing_records(self, evader: int) -> list[tuple[int, Record]]:
         """Return the teammates that chase an evader by fresh announcements, and these, in the order of their ids."""
-        oldest = self._clock.true - self._timeout
+        oldest = self._clock.true - self._timeout()
         # By id, and not by arrival as they are kept: the gain sums the times, and sums depend on the order in the last
         # bit.
         chasing = [
@@ -273,16 +275,16 @@ class Beliefs(Knowledge):
         """The ids of the team."""
         return list(range(self._view.state.size))
 
-    @property
-    def _timeout(self) -> float:
-        """The time for which an announcement is believed now, ns of true time."""
+    def _timeout(self, period: float | None = None) -> float:
+        """Return the time for which an announcement is believed now, ns of true time; see `trusted`."""
+        if period is None:
+            period = self._period
         if self._announcements.belief_timeout == "affordable":
-            return self._timeout_for(self._period)
-        return self._constant_timeout
-
-    @cached_property
-    def _constant_timeout(self) -> float:
-        return self._timeout_for(self._period)
+            return self._timeout_for(period)
+        timeout = self._constant_timeouts.get(period)
+        if timeout is None:
+            timeout = self._constant_timeouts[period] = self._timeout_for(period)
+        return timeout
 
     @property
     def _period(self) -> float:
