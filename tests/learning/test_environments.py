@@ -402,7 +402,6 @@ def test_a_picture_of_the_present_and_a_replay_page():
 def test_a_picture_without_the_extra_names_it(monkeypatch):
     env = desim.env(small(horizon=0.1), 3, render_mode="rgb_array")
     env.reset()
-    monkeypatch.delitem(sys.modules, "desim.view.pictures.animation", raising=False)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(ModuleNotFoundError, match=r"pip install 'pursuit-desim\[plot\]'"):
         env.render()

@@ -158,8 +158,8 @@ def test_a_clock_that_runs_past_the_horizon_comes_to_its_end():
     parts = world_of(Scenario(horizon=1.0, team=Team(count=3)))
     parts.world.begin()
     parts.env.run(until=2 * SECOND)
-    assert parts.end.event is not None
-    assert parts.end.event.t == SECOND
+    assert parts.end.outcome is not None
+    assert parts.end.outcome.t == SECOND
 
 
 @pytest.mark.slow
