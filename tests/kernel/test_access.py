@@ -461,6 +461,21 @@ def test_a_node_keeps_the_slots_that_are_left_while_it_senses_a_frame():
     assert net.message_counts().lost == 0
 
 
+def test_a_frame_that_begins_within_difs_takes_no_slot():
+    """Nodes 0 and 2 do not hear each other: the frame of 2 begins 10 us after that of 0, for which node 1 has waited.
+
+    Node 1 draws as its frame comes to a busy channel, and counts none of its slots between the two frames.
+    """
+    clock, net, trace = network(CsmaCa(), graph=nx.path_graph(3))
+    at(clock, 0, net.publish, 0, None, size=SIZE)
+    at(clock, 500, net.publish, 1, None, size=SIZE)
+    at(clock, 1038, net.publish, 2, None, size=SIZE)
+    clock.run()
+    (slots,) = draws([16])
+    assert slots > 0, "else there is none to take"
+    assert starts(trace) == [(0, 28.0), (2, 1038.0), (1, 2038.0 + 28 + 9 * slots)]
+
+
 def test_nodes_with_equal_numbers_collide():
     """With a window of one slot all waiting nodes start DIFS after the frame; the third frame is alone."""
     clock, net, trace = network(CsmaCa(window=1), 3)

@@ -728,3 +728,38 @@ def test_a_sweep_is_planned_and_continued_on_the_command_line_only_with_its_vers
     page = report(Study.read(tmp_path / "out"))
     assert "runs computed by" in page
     assert "python 3.99, numpy 0.1" in page
+
+
+LOG, ROLLBACK, NO_JOURNAL = "-wal", "-journal", ""
+
+
+@pytest.mark.parametrize(
+    ("journal", "writable", "network", "mode"),
+    [
+        (NO_JOURNAL, True, "", "rw"),
+        (NO_JOURNAL, False, "", "ro&immutable=1"),
+        (NO_JOURNAL, True, "NFS", "ro"),
+        (LOG, True, "", "rw"),
+        (LOG, False, "", "ro"),
+        (ROLLBACK, False, "", "ro"),
+        (LOG, True, "NFS", "ro"),
+    ],
+)
+def test_a_file_is_read_as_its_journal_and_its_place_allow(tmp_path, monkeypatch, journal, writable, network, mode):
+    """An immutable file is read without its journal, whose content would be missing."""
+    path = tmp_path / "a.sqlite"
+    path.write_bytes(bytes(18) + b"\1\1")
+    if journal:
+        path.with_name(path.name + journal).write_bytes(b"content")
+    monkeypatch.setattr(store_connection, "is_writable", lambda _: writable)
+    monkeypatch.setattr(store_connection, "has_locks", lambda _: True)
+    assert store_connection.address_of(path, True, network) == f"{path.as_uri()}?mode={mode}"
+    assert store_connection.address_of(path, False, network) == f"{path.as_uri()}?mode=rwc"
+
+
+@pytest.mark.parametrize(("header", "mode"), [(b"\1\1", "ro"), (b"\2\2", "ro&immutable=1")])
+def test_a_settled_file_with_a_log_is_immutable_on_a_network_file_system(tmp_path, monkeypatch, header, mode):
+    path = tmp_path / "a.sqlite"
+    path.write_bytes(bytes(18) + header)
+    monkeypatch.setattr(store_connection, "has_locks", lambda _: False)
+    assert store_connection.address_of(path, True, "NFS") == f"{path.as_uri()}?mode={mode}&vfs=unix-none"
