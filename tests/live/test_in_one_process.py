@@ -57,7 +57,8 @@ async def join(experiment, start):
 
 
 def close(joined):
-    """Close the sockets of a pursuer that did not play to the end."""
+    """Close the connection and the sockets of a pursuer that did not play to the end."""
+    joined._lines.close()
     for bound in (joined._node._datagrams, joined._node._mailbox):
         if bound is not None and joined._node.clock is None:
             bound.close()
@@ -91,6 +92,12 @@ class Tasks:
         self._tasks += [asyncio.create_task(process(start)) for start in starts]
 
 
+async def left(room):
+    """Wait until both ends of all connections of a lobby are closed."""
+    await asyncio.gather(*(lines.ended for lines in room._connections))
+    await asyncio.sleep(0.01)
+
+
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch):
     monkeypatch.setattr(referee, "LEAD", 0.005)
@@ -102,8 +109,12 @@ def played(experiment, tasks=None, **options):
     tasks, lines = tasks or Tasks(), []
 
     async def play():
-        async with tasks:
-            return await Referee(experiment, 4, tell=lines.append, **options).play(tasks)
+        judge = Referee(experiment, 4, tell=lines.append, **options)
+        try:
+            async with tasks:
+                return await judge.play(tasks)
+        finally:
+            await left(judge._lobby)
 
     return asyncio.run(play()), lines, tasks.codes
 
@@ -200,9 +211,11 @@ def test_a_pursuer_of_another_host_joins_by_its_invitation_and_measures_its_cloc
         joined.append((line, asyncio.create_task(join(experiment, start))))
 
     async def play():
+        judge = Referee(experiment, 4, hosts=["127.0.0.1", "localhost"], tell=tell)
         async with Tasks() as tasks:
-            result = await Referee(experiment, 4, hosts=["127.0.0.1", "localhost"], tell=tell).play(tasks)
-            return result, await joined[0][1], tasks.codes
+            result, code = await judge.play(tasks), await joined[0][1]
+        await left(judge._lobby)
+        return result, code, tasks.codes
 
     result, code, codes = asyncio.run(play())
     assert joined[0][0].startswith("on localhost: desim live FILE --join 127.0.0.1:")
@@ -239,8 +252,7 @@ def test_strangers_are_refused_with_a_reason(capsys):
         heard["nobody"] = await join(experiment, other)
         heard["same"] = room._refusal(0, token, digest(experiment))
         await asyncio.gather(gathering, return_exceptions=True)
-        await asyncio.wait({lines.ended for lines in room._connections})
-        await asyncio.sleep(0.01)  # for the other ends
+        await left(room)
 
     asyncio.run(play())
     assert heard == {
