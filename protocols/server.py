@@ -41,6 +41,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 from pydantic import Field
 
 from desim.config.model import Flag, Period, Value
+from desim.kernel.core.clock import FirstOf
 from desim.kernel.core.ports import ReservedPort
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.state.inbox import Message
@@ -109,7 +110,7 @@ class Server(Value):
         for tick in self._ticks(me):
             alarm = me.at(tick)
             while not alarm.processed:
-                yield me.arrival(PORT) | alarm
+                yield FirstOf(me.arrival(PORT), alarm)
                 for src, order in orders_among(me.mail(PORT)):
                     if self._turn(me, src) < self._turn(me, server) or me.now > last_order + timeout:
                         server, newest = src, -1
@@ -137,7 +138,7 @@ class Server(Value):
             alarm = me.at(tick)
             due = False
             while not due:
-                yield me.arrival(PORT) | alarm
+                yield FirstOf(me.arrival(PORT), alarm)
                 yield me.after_decisions()  # all reports of this instant have arrived
                 due = alarm.processed
                 mail = me.mail(PORT)

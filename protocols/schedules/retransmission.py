@@ -10,6 +10,7 @@ channel may be busy.
 from collections.abc import Generator
 from typing import Any
 
+from desim.kernel.core.clock import FirstOf
 from desim.kernel.transport.sender import MAX_GROWTH, first_timeout
 from desim.pursuit.team.agent import Agent
 
@@ -41,5 +42,5 @@ class RetransmissionTimer:
 def arrival_or_timeout(me: Agent, port: str, until: float) -> Waiting:
     """Wait for a message at a port, at most until a time on the local clock, s; return whether that time is reached."""
     alarm = me.at(max(until, me.now))
-    yield me.arrival(port) | alarm
+    yield FirstOf(me.arrival(port), alarm)
     return bool(alarm.processed)

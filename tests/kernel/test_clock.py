@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import simpy
 
-from desim.kernel.core.clock import GC_THRESHOLDS, Clock, Instant, NodeClock, Phase, Timer
+from desim.kernel.core.clock import GC_THRESHOLDS, Clock, FirstOf, Instant, NodeClock, Phase, Timer, parts_of
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
 
 SOURCE = Path(__file__).parents[2] / "desim"
@@ -214,6 +214,39 @@ def test_a_timer_acts_at_the_earliest_of_its_times_and_only_once():
     timer.set(7)  # has passed
     env.run(21)
     assert acted == [3, 4, 20]
+
+
+@pytest.mark.parametrize("alarm", [0, 2, 3, 5])
+@pytest.mark.parametrize("interrupt", [None, 1, 4])
+def test_the_first_of_two_events_happens_as_their_condition_does(alarm, interrupt):
+    """At the same times, in the same order among other events, also if an event has happened or a wait is given up."""
+
+    def waits(combine):
+        clock, seen = Clock(), []
+
+        def process():
+            once = Instant(clock, 3, Phase.DECISION)
+            ring = Instant(clock, alarm, Phase.DECISION)
+            for _ in range(4):
+                try:
+                    yield combine(once, ring)
+                    seen.append((clock.now, once.processed, ring.processed))
+                    yield Instant(clock, clock.now + 1, Phase.MOTION)
+                except simpy.Interrupt:
+                    seen.append("interrupted")
+
+        waiting = clock.process(process())
+        for now in range(8):
+            for phase in (Phase.DELIVERY, Phase.DECISION, Phase.MOTION):
+                Instant(clock, now, phase).callbacks.append(lambda _, phase=phase: seen.append((clock.now, phase)))
+        if interrupt is not None:
+            Instant(clock, interrupt, Phase.FAULT).callbacks.append(lambda _: waiting.interrupt())
+        clock.run()
+        return seen
+
+    assert waits(FirstOf) == waits(lambda one, other: one | other)
+    one, other = Instant(Clock(), 1, Phase.DECISION), Instant(Clock(), 2, Phase.DECISION)
+    assert list(parts_of(FirstOf(one, other))) == [one, other]
 
 
 def test_a_correction_is_a_step_of_the_clock_and_replaces_the_last():

@@ -158,6 +158,8 @@ def generator_of(process: simpy.Process) -> Any:
 
 def parts_of(event: simpy.Event) -> "Sequence[simpy.Event]":
     """Return the events that a condition combines; for any other event, a list with only this event."""
+    if isinstance(event, FirstOf):
+        return event.events
     return event._events if isinstance(event, Condition) else [event]
 
 
@@ -179,6 +181,36 @@ class Instant(simpy.Event):
         self.env = env
         self.callbacks: list[Callable[[simpy.Event], None]] = []
         heappush(env._queue, (when, priority, next(env._eid), self))  # type: ignore[misc]  # `schedule`, inlined
+
+
+class FirstOf(simpy.Event):
+    """An event that happens as soon as one of several events has happened; its value is None.
+
+    It is `first | second` of SimPy without a table of the events and their values, in half of the time. None of the
+    events may fail.
+
+    Kept equal to the condition of SimPy by
+    `tests/kernel/test_clock.py::test_the_first_of_two_events_happens_as_their_condition_does`.
+
+    Args:
+        events: the events.
+    """
+
+    def __init__(self, *events: simpy.Event):
+        super().__init__(events[0].env)
+        self.events = events
+        for event in events:
+            if event.callbacks is None:
+                self._happen(event)
+                return
+        for event in events:
+            event.callbacks.append(self._happen)
+
+    def _happen(self, _: simpy.Event) -> None:
+        for event in self.events:
+            if event.callbacks:  # else it has happened
+                event.callbacks.remove(self._happen)
+        self.succeed()
 
 
 class Timer:

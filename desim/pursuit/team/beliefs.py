@@ -87,8 +87,8 @@ class Beliefs(Knowledge):
     ):
         super().__init__(pursuer, view, network, clock)
         self._announcements, self._announcement, self._judge = announcements, announcement, judge
-        self._constant_timeouts: dict[float, float] = {}
-        """By period, s, the time for which an announcement is believed if it does not change, ns of true time."""
+        self._constant_timeouts: dict[float | None, float] = {}
+        """By period (`trusted`), the time for which an announcement is believed, ns of true time; unless it varies."""
         self.senses_others = announcements.payload == "action"
         """Whether it senses the positions of its teammates, so that announcements need not contain them."""
 
@@ -277,13 +277,11 @@ class Beliefs(Knowledge):
 
     def _timeout(self, period: float | None = None) -> float:
         """Return the time for which an announcement is believed now, ns of true time; see `trusted`."""
-        if period is None:
-            period = self._period
-        if self._announcements.belief_timeout == "affordable":
-            return self._timeout_for(period)
         timeout = self._constant_timeouts.get(period)
         if timeout is None:
-            timeout = self._constant_timeouts[period] = self._timeout_for(period)
+            timeout = self._timeout_for(self._period if period is None else period)
+            if self._announcements.belief_timeout != "affordable":
+                self._constant_timeouts[period] = timeout
         return timeout
 
     @property
