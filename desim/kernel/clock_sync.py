@@ -122,7 +122,7 @@ class Synchroniser:
         nodes: Iterable[int] | None = None,
     ):
         self._send_message = send or network.send
-        self._env, self._network, self._clocks, self._model, self._trace = env, network, clocks, model, trace
+        self._env, self._clocks, self._model, self._trace = env, clocks, model, trace
         self._offsets: list[list[int]] = [[] for _ in clocks]
         """The offsets of the reference, ns, that each node has measured since its last correction."""
         self._numbers = count()
@@ -133,7 +133,7 @@ class Synchroniser:
         self._timers = [Timer(env, Phase.HEARTBEAT + node, partial(self._ask, node)) for node in range(len(clocks))]
         for node in range(len(clocks)) if nodes is None else nodes:
             clock = clocks[node]
-            self._listen(node)
+            network.inbox(node, PORT).listen(Phase.DELIVERY + 1 + node, partial(self._receive, node))
             if node != model.reference:
                 phase = stream(seed, "clock synchronisation", node).uniform(0.0, model.interval)
                 self._timers[node].set(clock.span(phase))
@@ -159,19 +159,13 @@ class Synchroniser:
             if len(self.answered) > REMEMBERED * len(self._clocks):
                 del self.answered[next(iter(self.answered))]
 
-    def _listen(self, node: int) -> None:
-        """Take the next messages of a node as they arrive."""
-        event = self._network.inbox(node, PORT).arrival(Phase.DELIVERY + 1 + node)
-        event.callbacks.append(lambda _: self._receive(node))
-
-    def _receive(self, node: int) -> None:
+    def _receive(self, node: int, messages: list[Message]) -> None:
         """Answer requests, and use answers."""
-        for src, _, body in self._network.inbox(node, PORT).drain():
+        for src, _, body in messages:
             if isinstance(body, TimeRequest):
                 self._send(node, src, TimeAnswer(body.number, self._clocks[node].stamp))
             elif body.number in self._asked[node] and body.number in self.answered:
                 self._use(node, self._asked[node].pop(body.number), body.received, self.answered.pop(body.number))
-        self._listen(node)
 
     def _use(self, node: int, sent: int, received: int, answered: int) -> None:
         """Measure the offset of the reference from t1, t2 and t3; correct the clock by the mean of enough of them."""

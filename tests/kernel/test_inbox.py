@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.kernel.core.clock import Clock
+from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.state.inbox import Inboxes, Message
 
 
@@ -76,6 +76,49 @@ def test_a_message_that_is_not_wanted_wakes_nobody_and_is_dropped():
     clock.run(until=10)
     assert woken == [(3, [3]), (5, [6])]
     assert [message.src for message in box.drain()] == [7]
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 9), st.integers(0, 5), st.integers(0, 1), st.integers(0, 2)), max_size=20),
+    st.integers(0, 9),
+)
+def test_a_function_that_listens_gets_what_a_process_reads(messages, start):
+    """At the same times, together and in the same order; each message is answered, and the answer takes no time."""
+
+    def happenings(listen):
+        clock, seen = Clock(), []
+        boxes = Inboxes(clock, 2)
+
+        def act(node, arrived):
+            seen.append((clock.now, node, [message[:2] for message in arrived]))
+            for _, stamp, answers in arrived:
+                if answers:
+                    boxes.deliver(Message(node, stamp, answers - 1), "", [1 - node], clock.now, 1000 + len(seen))
+
+        def send(number, delay, node, answers):
+            boxes.deliver(Message(node, number, answers), "", [node], clock.now + delay, number)
+
+        for number, (when, delay, node, answers) in enumerate(messages):
+            event = Instant(clock, when, Phase.DECISION)
+            event.callbacks.append(lambda _, row=(number, delay, node, answers): send(*row))
+        for node, box in enumerate(boxes.at("")):
+            event = Instant(clock, start, Phase.FAULT)
+            event.callbacks.append(lambda _, node=node, box=box: listen(clock, box, node, act))
+        clock.run()
+        return seen
+
+    def by_process(clock, box, node, act):
+        def process():
+            while True:
+                yield box.arrival(Phase.DELIVERY + 1 + node)
+                act(node, box.drain())
+
+        clock.process(process())
+
+    def by_function(_, box, node, act):
+        box.listen(Phase.DELIVERY + 1 + node, lambda arrived: act(node, arrived))
+
+    assert happenings(by_function) == happenings(by_process)
 
 
 def test_after_a_loss_of_memory_all_messages_are_wanted():

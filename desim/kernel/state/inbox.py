@@ -9,7 +9,7 @@ import numpy as np
 import simpy
 
 from desim.config.answers import wrong_answer
-from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.core.clock import Clock, Instant, Phase, Timer
 from desim.kernel.core.message_body import is_immutable, own_copy
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.records import Arrival, per_receiver
@@ -53,7 +53,7 @@ class Inbox:
     process stops waiting at a time-out.
     """
 
-    __slots__ = ("_env", "_letters", "_priority", "_sorted", "_waited_for", "_wake_time", "_wanted")
+    __slots__ = ("_env", "_letters", "_priority", "_sorted", "_timer", "_waited_for", "_wake_time", "_wanted")
 
     def __init__(self, env: Clock, node: int):
         self._env = env
@@ -67,6 +67,33 @@ class Inbox:
         self._wake_time: float = inf
         """Time of the next scheduled wake-up for a message in flight, ns."""
         self._wanted: Wanted | None = None
+        self._timer: Timer | None = None
+        """Rings at the next arrival if a function takes the messages (`listen`)."""
+
+    def listen(self, priority: int, act: Callable[[list[Message]], object]) -> None:
+        """Call a function with the messages as they arrive, those of one instant together; no process may wait then.
+
+        It takes one event for each instant of arrival, and a process that waits takes two.
+
+        Kept equal to a process that waits for each arrival by
+        `tests/kernel/test_inbox.py::test_a_function_that_listens_gets_what_a_process_reads`.
+
+        Args:
+            priority: the SimPy priority of the calls.
+            act: the function.
+        """
+
+        def take() -> None:
+            if messages := self.drain():
+                act(messages)
+            expect()
+
+        def expect() -> None:
+            if letters := self._in_order():
+                timer.set(letters[0][0])
+
+        self._timer = timer = Timer(self._env, priority, take)
+        expect()
 
     def arrival(self, priority: int | None = None, wanted: Wanted | None = None) -> simpy.Event:
         """Return an event that happens when a message arrives, or at once if one is waiting.
@@ -205,9 +232,13 @@ class Inboxes:
                 box._letters.append(letter)
                 if box._waited_for is not None:
                     box._expect(arrival) if arrival > now else box._look()
+                elif box._timer is not None:
+                    box._timer.set(arrival)
             return
         for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
             box = boxes[node]
             box._letters.append((when, number, message._replace(body=own_copy(message.body)) if copies else message))
             if box._waited_for is not None:
                 box._expect(when) if when > now else box._look()
+            elif box._timer is not None:
+                box._timer.set(when)

@@ -22,7 +22,7 @@ from desim.kernel.core.message_size import checked_size, size_of
 from desim.kernel.core.ports import ReservedPort
 from desim.kernel.link_layer.estimates import Estimates
 from desim.kernel.models.transport import Reliable, Transport
-from desim.kernel.state.inbox import Inbox, Message
+from desim.kernel.state.inbox import Message
 from desim.kernel.state.network_state import NetworkState
 from desim.kernel.transport.frames import (
     Acknowledgement,
@@ -48,8 +48,6 @@ class _Node:
     """The state of a node in the transport layer."""
 
     endpoint: Endpoint
-    inbox: Inbox
-    """Its inbox of frames."""
     senders: dict[MessageFlow, Sender] = field(default_factory=dict)
     receivers: dict[MessageFlow, ReliableReceiver | CodedReceiver] = field(default_factory=dict)
     expectations: dict[tuple[str, int, str], Expectation] = field(default_factory=dict)
@@ -152,9 +150,9 @@ class TransportLayer:
 
     def _start(self) -> None:
         """Create the state of the nodes, and let them listen for frames."""
-        self._nodes = [_Node(self._endpoint(node), inbox) for node, inbox in enumerate(self._inboxes.at(PORT))]
-        for node in range(self._topology.size):
-            self._listen(node)
+        self._nodes = [_Node(self._endpoint(node)) for node in range(self._topology.size)]
+        for node, inbox in enumerate(self._inboxes.at(PORT)):
+            inbox.listen(Phase.DELIVERY + 1 + node, partial(self._receive, node))
 
     # Senders.
 
@@ -177,31 +175,29 @@ class TransportLayer:
 
     # Receivers.
 
-    def _listen(self, node: int) -> None:
-        """Take the next frames of a node as they arrive."""
-        event = self._nodes[node].inbox.arrival(Phase.DELIVERY + 1 + node)
-        event.callbacks.append(lambda _: self._receive(node))
-
-    def _receive(self, node: int) -> None:
+    def _receive(self, node: int, messages: list[Message]) -> None:
         """Process the frames that have arrived at a node."""
-        for src, stamp, frame in self._nodes[node].inbox.drain():
+        for src, stamp, frame in messages:
             transport = self._transports.get(frame.port, self._usual)
             if transport.lease < inf:
                 self._expect(node, "lease", src, frame.port, transport.lease)
             if isinstance(frame, Acknowledgement):
-                sender = self._nodes[node].senders.get(MessageFlow(node, None if frame.to_all else src, frame.port))
+                flow = _new(MessageFlow, (node, None if frame.to_all else src, frame.port))
+                sender = self._nodes[node].senders.get(flow)
                 if isinstance(sender, ReliableSender):
                     sender.acknowledge(src, stamp, frame)
             elif isinstance(frame, CodedPiece) != isinstance(transport, Reliable):  # else it is of a stranger
                 self._take(node, src, stamp, frame, transport)
-        self._listen(node)
 
     def _take(self, node: int, src: int, stamp: int, frame: Segment | Skip | CodedPiece, transport: Transport) -> None:
         """Deliver what a frame makes deliverable, and acknowledge the frame under a reliable transport.
 
         A frame of a sender that has lost its memory since is ignored.
         """
-        flow, receivers = MessageFlow(src, None if frame.to_all else node, frame.port), self._nodes[node].receivers
+        flow, receivers = (
+            _new(MessageFlow, (src, None if frame.to_all else node, frame.port)),
+            self._nodes[node].receivers,
+        )
         receiver = receivers.get(flow)
         if receiver is not None and receiver.session > frame.session:
             return
