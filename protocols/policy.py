@@ -20,7 +20,8 @@ from desim.config.errors import KeyedError, Problem
 from desim.config.model import FirstError, Value
 from desim.config.number_files import text_of_file
 from desim.config.suggestion import did_you_mean
-from desim.config.trust import resolve_path, write_whole
+from desim.config.trust import resolve_path
+from desim.config.whole_files import write_whole
 from desim.pursuit.team.agent import Agent
 from desim.pursuit.team.observation import (
     OfEvader,

@@ -27,7 +27,7 @@ from desim import Announcements, Links, Scenario, Team
 from desim.analysis.properties import Judgement
 from desim.analysis.tables import aligned
 from desim.config.traits import kind_of
-from desim.config.trust import write_whole
+from desim.config.whole_files import write_whole
 from desim.pursuit.team.trust import TRUSTS
 from desim.scenario.properties import property_of
 from desim.scenario.scenario import PROTOCOLS

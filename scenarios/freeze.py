@@ -14,7 +14,7 @@ import click
 import numpy as np
 
 from desim import bench
-from desim.config.trust import write_whole
+from desim.config.whole_files import write_whole
 from desim.study.comparing.scores import Benchmark
 from desim.study.comparing.suite import COSTS, NEWEST, Suite, frozen_text
 

@@ -32,7 +32,7 @@ from pydantic.fields import FieldInfo
 from desim.analysis.metrics import METRICS, Summary
 from desim.cli import main
 from desim.config.choice import OneOf, kind_of
-from desim.config.trust import escaped
+from desim.config.escaping import escaped
 from desim.kernel.core.events import Trace
 from desim.results import run_folder
 from desim.scenario.overrides import ScenarioError, Source

@@ -56,7 +56,7 @@ MODULES = {
     "desim/config/data_files.py": "opens bytes for models of users, and hashes files",
     "desim/config/exports.py": "reads the source of packages of desim",
     "desim/config/number_files.py": "reads text for all readers",
-    "desim/config/trust.py": "writes",
+    "desim/config/whole_files.py": "writes",
     "desim/kernel/measured/csv_tables.py": "reads Parquet files, which have numbers, and CSV text",
     "desim/kernel/graph_files/edge_lists.py": "splits text that config/number_files has read",
     "desim/kernel/core/trace_file.py": "writes",

@@ -16,7 +16,7 @@ from desim import Scenario
 from desim.analysis.drawing.plots import save, trajectory
 from desim.cli import main
 from desim.config import named_code
-from desim.config.trust import escaped
+from desim.config.escaping import escaped
 from desim.kernel.models.latency import Empirical
 from desim.kernel.models.links import Links
 from desim.results import run_folder

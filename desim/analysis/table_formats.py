@@ -5,8 +5,8 @@ from collections.abc import Iterable, Sequence
 from typing import Literal, get_args
 
 from desim.analysis.tables import aligned
+from desim.config.escaping import escaped
 from desim.config.suggestion import close_to
-from desim.config.trust import escaped
 
 TableFormat = Literal["text", "latex", "markdown"]
 """The format of a table: aligned text, a tabular with the rules of booktabs, or a table of GitHub's Markdown."""

@@ -13,7 +13,7 @@ from desim.cli.options import ALLOW_IMPORT, FILE, GRID, JOBS, JSON, SEED, SET, T
 from desim.cli.output import echo, fail, folder_for, make_folder, storing, write
 from desim.cli.sources import protocol_of, source_of
 from desim.cli.usage import options_given, problem
-from desim.config.trust import write_whole
+from desim.config.whole_files import write_whole
 
 if TYPE_CHECKING:
     from desim.scenario.properties import Property

@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 
 from desim.config.packages import check_visible, package_folder
-from desim.config.trust import write_whole
+from desim.config.whole_files import write_whole
 
 
 def keys(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:

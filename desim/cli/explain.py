@@ -11,7 +11,7 @@ from desim.cli.options import ALLOW_IMPORT, COUNT, FILE, JSON, METRIC, SEED, SET
 from desim.cli.output import FAILED, echo, fail, folder_for, storing
 from desim.cli.sources import shown_metrics, source_of
 from desim.config.file_names import STORE
-from desim.config.trust import write_whole
+from desim.config.whole_files import write_whole
 
 
 @click.command()

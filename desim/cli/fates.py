@@ -10,7 +10,7 @@ import click
 from desim.cli.options import ALLOW_IMPORT, FILE, SEED, SET, limited
 from desim.cli.output import echo, fail, write
 from desim.cli.sources import source_of
-from desim.config.trust import escaped
+from desim.config.escaping import escaped
 
 
 @click.command()

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 from desim.cli.usage import problem, spelled
+from desim.config.escaping import escaped
 from desim.config.extras import EXTRAS, missing
 from desim.config.file_names import files, folder_name
-from desim.config.trust import escaped, write_whole
+from desim.config.whole_files import write_whole
 
 if TYPE_CHECKING:
     from desim.scenario.scenario import Scenario

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from desim.cli.output import echo, storing
 from desim.config.file_names import STORE
-from desim.config.trust import write_whole
+from desim.config.whole_files import write_whole
 
 if TYPE_CHECKING:
     from desim.study.store.store import Store

@@ -9,7 +9,7 @@ import click
 
 from desim.cli import completion
 from desim.cli.output import echo, fail
-from desim.config.trust import write_new
+from desim.config.whole_files import write_new
 from desim.scenario.templates import TEMPLATES, starting_files
 
 

@@ -25,7 +25,7 @@ from desim.cli.options import (
 )
 from desim.cli.output import echo, fail, folder_for, storing
 from desim.cli.sources import shown_metrics, source_of
-from desim.config.trust import write_whole
+from desim.config.whole_files import write_whole
 
 if TYPE_CHECKING:
     from desim.study.sweeps.array_job import ArrayJob, Resources

@@ -17,7 +17,7 @@ from desim.cli.options import AGAINST, ALLOW_IMPORT, COUNT, DESIGN, FILE, GRID, 
 from desim.cli.output import FAILED, echo, fail, folder_for, storing
 from desim.cli.sources import protocol_of, shown_metrics, source_of
 from desim.config.file_names import STORE
-from desim.config.trust import write_whole
+from desim.config.whole_files import write_whole
 
 if TYPE_CHECKING:
     from desim.scenario.overrides import Source

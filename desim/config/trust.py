@@ -1,9 +1,9 @@
-"""Handling of untrusted input: escaping for terminals, pipes, existing files, import safety."""
+"""Trust in files of strangers: which files a scenario may name, and what may be imported."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from errno import EEXIST, EINVAL, EISDIR
+from errno import EINVAL, EISDIR
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,37 +21,6 @@ ALLOW_HINT = "if you trust that file, use --allow-import (in Python, allow_impor
 """Hint in error messages: how to trust a file."""
 
 
-def escaped(text: str) -> str:
-    """Return a text with unprintable characters, except newline and tab, escaped as in TOML; safe on a terminal."""
-    return "".join(
-        character if character.isprintable() or character in "\n\t" else _escape_sequence(ord(character))
-        for character in text
-    )
-
-
-def csv_cell(value: Any) -> Any:
-    """Return a value as a cell of a CSV file: a text is escaped, so that it can be encoded."""
-    return escaped(value) if isinstance(value, str) else value
-
-
-def write_new(files: Mapping[Path, bytes]) -> None:
-    """Write files, and create missing folders.
-
-    Raises:
-        FileExistsError: if one of the files exists already; then nothing is written.
-        OSError: if a file cannot be written.
-    """
-    for path in files:
-        if path.exists() or path.is_symlink():  # a link to nothing is there, too
-            raise FileExistsError(
-                EEXIST, "exists already and is not overwritten: move it, or write elsewhere", str(path)
-            )
-    for path, content in files.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("xb") as file:
-            file.write(content)
-
-
 def regular_or_missing(path: Path) -> Path:
     """Return a path if it is a regular file or does not exist; reading a pipe, for example, may block for ever.
 
@@ -63,40 +32,6 @@ def regular_or_missing(path: Path) -> Path:
     if path.exists() and not path.is_file():
         raise OSError(EINVAL, "not a regular file", str(path))
     return path
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Yield the path PATH.part of a file to be written, which replaces `path` at the end; after an error, remove it.
-
-    A device or a pipe, such as /dev/stdout, cannot be replaced: its own path is yielded.
-
-    Raises:
-        OSError: if the file cannot be replaced.
-    """
-    if path.exists() and not (path.is_file() or path.is_dir()):
-        yield path
-        return
-    part = path.with_name(f"{path.name}.part")
-    try:
-        yield part
-        part.replace(path)
-    except BaseException as error:
-        if part.is_file():
-            part.unlink()
-        if isinstance(error, OSError) and error.filename in {None, str(part)}:
-            error.filename = str(path)  # the file that the caller knows
-        raise
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file; one that is there already is replaced only when the new one is complete.
-
-    Raises:
-        OSError: if the file cannot be written; then an older one is still there.
-    """
-    with replacing(path) as part:
-        part.write_bytes(content)
 
 
 @contextmanager
@@ -117,10 +52,6 @@ def no_cwd_import() -> Iterator[None]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
-
-
-def _escape_sequence(number: int) -> str:
-    return f"\\u{number:04x}" if number < 2**16 else f"\\U{number:08x}"
 
 
 def is_trusted(info: "ValidationInfo") -> bool:

@@ -13,7 +13,8 @@ from types import FunctionType, NoneType
 from typing import TYPE_CHECKING, Any
 
 from desim.config.json_numbers import from_json, to_json
-from desim.config.trust import regular_or_missing, write_whole
+from desim.config.trust import regular_or_missing
+from desim.config.whole_files import write_whole
 from desim.results.environment import environment
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import Any
 from desim.config.arguments import naming_arguments
 from desim.config.packages import package_folder
 from desim.config.suggestion import did_you_mean
-from desim.config.trust import write_new
+from desim.config.whole_files import write_new
 
 
 @naming_arguments

@@ -6,9 +6,9 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from desim.config.arguments import HintedAttributes, naming_arguments, scenario_argument
+from desim.config.escaping import escaped
 from desim.config.fresh import fresh_copy
 from desim.config.html import html_properties, picture_of
-from desim.config.trust import escaped
 from desim.kernel.clock_sync import synchronise
 from desim.kernel.core.clock import Clock, NodeClock
 from desim.kernel.core.events import Event, Trace, Watcher

@@ -16,7 +16,7 @@ from desim.analysis.statistics import estimate
 from desim.analysis.tables import aligned
 from desim.config.data_files import content_hash
 from desim.config.json_numbers import from_json, to_json
-from desim.config.trust import write_whole
+from desim.config.whole_files import write_whole
 from desim.kernel.core.seeds import run_seed, stream
 from desim.pursuit.team.announcements import Announcements
 from desim.study.plan.config_hash import identify

@@ -11,7 +11,7 @@ import click
 
 from desim.cli.program import Program
 from desim.config.json_numbers import to_json
-from desim.config.trust import write_whole
+from desim.config.whole_files import write_whole
 from desim.results import provenance
 from desim.results.run_folder import can_plot
 from desim.study.workers.batch import run_many, seeds_from

@@ -18,7 +18,7 @@ from click.testing import CliRunner
 from desim.cli import main
 from desim.cli.program import Program, released
 from desim.config.errors import MetricError
-from desim.config.trust import write_whole
+from desim.config.whole_files import write_whole
 from desim.kernel.core.trace_file import TraceFile
 from desim.scenario.toml import load
 from tests.command import accepted, desim, refused

@@ -33,8 +33,9 @@ from desim.analysis.drawing.palette import (
 )
 from desim.analysis.drawing.walls import draw_walls
 from desim.analysis.trace_index import captures, sampled
+from desim.config.escaping import escaped
 from desim.config.file_names import PICTURE_SUFFIXES, files
-from desim.config.trust import escaped, write_whole
+from desim.config.whole_files import write_whole
 from desim.kernel.core.units import seconds
 from desim.simulation.run import Result
 

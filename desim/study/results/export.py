@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from desim.analysis.metrics import METRICS
+from desim.config.escaping import csv_cell
 from desim.config.extras import naming_extras
-from desim.config.trust import csv_cell, replacing
+from desim.config.whole_files import replacing
 from desim.study.results.runs import SweepRuns, text
 from desim.study.store.run_table import Row
 

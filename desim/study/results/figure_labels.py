@@ -7,14 +7,11 @@ from types import MappingProxyType
 from typing import Any
 
 from desim.analysis.drawing.palette import MARKERS, SERIES
-from desim.analysis.drawing.plots import (
-    Axes,
-    Figure,
-)
+from desim.analysis.drawing.plots import Axes, Figure
 from desim.analysis.metrics import unit_of as unit_of_metric
 from desim.analysis.metrics import words
+from desim.config.escaping import escaped
 from desim.config.key_index import unit_of_key
-from desim.config.trust import escaped
 from desim.scenario.scenario import Scenario
 from desim.study.plan.configurations import in_words
 from desim.study.results.runs import Group, SweepRuns, is_number, text

@@ -8,19 +8,9 @@ from typing import Any
 from numpy.typing import NDArray
 
 from desim.analysis.drawing.palette import GREY, SERIES
-from desim.analysis.drawing.plots import (
-    NARROW,
-    Axes,
-    Figure,
-    Style,
-    as_it_is,
-    figure_of,
-    in_style,
-    size_of,
-    styled,
-)
+from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, as_it_is, figure_of, in_style, size_of, styled
 from desim.analysis.statistics import Estimate
-from desim.config.trust import escaped
+from desim.config.escaping import escaped
 from desim.study.plan.configurations import in_words
 from desim.study.results.figure_labels import (
     LETTER,

@@ -10,16 +10,8 @@ from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from desim.analysis.drawing.plots import (
-    Axes,
-    Figure,
-    Style,
-    figure_of,
-    in_style,
-    size_of,
-    styled,
-)
-from desim.config.trust import escaped
+from desim.analysis.drawing.plots import Axes, Figure, Style, figure_of, in_style, size_of, styled
+from desim.config.escaping import escaped
 from desim.study.results.figure_labels import (
     LETTER,
     MAX_ABREAST,

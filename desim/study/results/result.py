@@ -12,7 +12,7 @@ from desim.analysis.table_formats import SUFFIXES, TableFormat, formatted
 from desim.config.arguments import HintedAttributes, naming_arguments
 from desim.config.extras import naming_extras
 from desim.config.html import html_table
-from desim.config.trust import write_whole
+from desim.config.whole_files import write_whole
 from desim.study.results import export
 from desim.study.results import tables as sweep_tables
 from desim.study.results.crossover import Crossover

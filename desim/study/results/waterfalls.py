@@ -1,18 +1,9 @@
 """Waterfall charts of explanations: what each imperfection costs."""
 
 from desim.analysis.drawing.palette import BLUE, GREEN, GREY, ORANGE, SKY, VERMILION
-from desim.analysis.drawing.plots import (
-    NARROW,
-    Axes,
-    Figure,
-    Style,
-    figure_of,
-    in_style,
-    size_of,
-    styled,
-)
+from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, figure_of, in_style, size_of, styled
 from desim.analysis.statistics import Estimate
-from desim.config.trust import escaped
+from desim.config.escaping import escaped
 from desim.kernel.core.portable_math import portable_sum
 from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT, Cost, CostByMetric
 from desim.study.results.figure_labels import literal

@@ -8,7 +8,7 @@ from matplotlib.ticker import MaxNLocator
 from desim.analysis.drawing.palette import GREY
 from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, as_it_is, figure_of, in_style, size_of, styled
 from desim.analysis.metrics import words
-from desim.config.trust import escaped
+from desim.config.escaping import escaped
 from desim.study.results.figure_labels import (
     add_legend,
     add_legend_above,

@@ -6,7 +6,7 @@ from math import isnan
 from desim.analysis.drawing.palette import BLUE, GREY, SKY
 from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, as_it_is, size_of, styled
 from desim.analysis.metrics import words
-from desim.config.trust import escaped
+from desim.config.escaping import escaped
 from desim.study.results.figure_labels import axis_label, literal
 from desim.study.sensitivity.morris import ElementaryEffects
 from desim.study.sensitivity.sobol_indices import IndexEstimate, SobolIndices

@@ -5,7 +5,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from desim.config.trust import escaped
+from desim.config.escaping import escaped
 from desim.results.provenance import Document
 
 PATH = re.compile(r"""(^|^-[A-Za-z]|[="'\[, ])((?:[A-Za-z]:)?[/\\][^"',\]]+)""")

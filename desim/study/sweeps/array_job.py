@@ -14,7 +14,7 @@ from typing import Self
 
 from pydantic import TypeAdapter, ValidationError
 
-from desim.config.trust import write_whole
+from desim.config.whole_files import write_whole
 
 RECORD = "submit.json"
 """The file in the folder of a sweep that says how it was cut into parts, and as which jobs it was submitted."""

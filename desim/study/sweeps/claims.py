@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence, Set
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from desim.config.trust import write_whole
+from desim.config.whole_files import write_whole
 from desim.study.plan.metric_code import units_and_codes
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import SHOWN

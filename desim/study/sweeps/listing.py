@@ -10,9 +10,9 @@ from typing import Any
 
 from desim.analysis.tables import aligned
 from desim.config.arguments import naming_arguments
+from desim.config.escaping import escaped
 from desim.config.file_names import STORE, STORE_PARTS, TRACE
 from desim.config.html import html_table
-from desim.config.trust import escaped
 from desim.results import provenance
 from desim.study.store.store import Store
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm.auto import tqdm as bar_of_this_place
 
-from desim.config.trust import escaped
+from desim.config.escaping import escaped
 
 if TYPE_CHECKING:
     from tqdm import tqdm

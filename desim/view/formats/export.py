@@ -20,7 +20,7 @@ from desim.config.fresh import fresh_copy
 from desim.config.model import Flag, Value
 from desim.config.suggestion import did_you_mean
 from desim.config.traits import Traits, kind_of
-from desim.config.trust import replacing
+from desim.config.whole_files import replacing
 from desim.results.run_folder import StreamedResult
 from desim.simulation.run import Result
 from desim.view.formats.foxglove import Mcap

@@ -21,7 +21,7 @@ from desim.analysis.activity import action, changes, changes_with_previous, chas
 from desim.analysis.trace_index import ended, messages_recorded, started
 from desim.config.json_numbers import to_json
 from desim.config.model import Value
-from desim.config.trust import write_whole
+from desim.config.whole_files import write_whole
 from desim.kernel.core.events import DeadlineMissed, Expired, GivenUp, LivelinessLost, Retransmitted
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.trace_file import body_json

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import AfterValidator
 
+from desim.config.escaping import csv_cell
 from desim.config.model import Value
-from desim.config.trust import csv_cell
 from desim.kernel.core.events import (
     LOST,
     Broadcast,

@@ -9,8 +9,9 @@ from pathlib import Path
 from desim.analysis.drawing import palette
 from desim.analysis.trace_index import lacks_messages, messages, positions_known, trace_index
 from desim.config.arguments import naming_arguments, run_argument
+from desim.config.escaping import escaped
 from desim.config.extras import naming_extras
-from desim.config.trust import escaped, write_whole
+from desim.config.whole_files import write_whole
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
 from desim.view.pages.headline import about, conditions, run_name

@@ -37,7 +37,7 @@ from desim.analysis.drawing.plots import Axes, Figure, size_of, styled
 from desim.analysis.drawing.walls import draw_walls
 from desim.analysis.trace_index import captures, ended, messages_recorded, started
 from desim.config.arrays import Bools, Floats, Integers
-from desim.config.trust import replacing
+from desim.config.whole_files import replacing
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.simulation.run import Result

@@ -8,7 +8,7 @@ import numpy as np
 from desim.analysis.drawing.palette import BLUE, GREY, LOST, LOST_MARK, SERIES
 from desim.analysis.drawing.plots import Axes, Figure, as_it_is, styled
 from desim.config.arrays import Bools, Floats
-from desim.config.trust import escaped
+from desim.config.escaping import escaped
 from desim.kernel.core.units import SECOND
 from desim.kernel.measured.base import LinkTrace
 from desim.kernel.measured.models import LatencyTrace, LossTrace, SignalTrace

@@ -17,8 +17,8 @@ from desim.analysis.activity import changes, changes_with_previous, chases, deci
 from desim.analysis.drawing.palette import CAPTURE_MARK, COLLISION_MARK, GREY, LOST, LOST_MARK
 from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, figure_of, in_style, size_of, styled
 from desim.analysis.trace_index import ended, started
+from desim.config.escaping import escaped
 from desim.config.python_numbers import real, whole
-from desim.config.trust import escaped
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.pursuit.core.events import Captured
 from desim.pursuit.team.announcements import action_in_game

@@ -1,0 +1,58 @@
+"""Files written whole or not at all, and none that would be overwritten."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from errno import EEXIST
+from pathlib import Path
+
+
+def write_new(files: Mapping[Path, bytes]) -> None:
+    """Write files, and create missing folders.
+
+    Raises:
+        FileExistsError: if one of the files exists already; then nothing is written.
+        OSError: if a file cannot be written.
+    """
+    for path in files:
+        if path.exists() or path.is_symlink():  # a link to nothing is there, too
+            raise FileExistsError(
+                EEXIST, "exists already and is not overwritten: move it, or write elsewhere", str(path)
+            )
+    for path, content in files.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("xb") as file:
+            file.write(content)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield the path PATH.part of a file to be written, which replaces `path` at the end; after an error, remove it.
+
+    A device or a pipe, such as /dev/stdout, cannot be replaced: its own path is yielded.
+
+    Raises:
+        OSError: if the file cannot be replaced.
+    """
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        yield path
+        return
+    part = path.with_name(f"{path.name}.part")
+    try:
+        yield part
+        part.replace(path)
+    except BaseException as error:
+        if part.is_file():
+            part.unlink()
+        if isinstance(error, OSError) and error.filename in {None, str(part)}:
+            error.filename = str(path)  # the file that the caller knows
+        raise
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file; one that is there already is replaced only when the new one is complete.
+
+    Raises:
+        OSError: if the file cannot be written; then an older one is still there.
+    """
+    with replacing(path) as part:
+        part.write_bytes(content)
