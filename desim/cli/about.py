@@ -141,7 +141,7 @@ def protocols(only: str | None) -> None:
     from pydantic import BaseModel
 
     from desim.cli.description import described, described_traits, summary
-    from desim.config.key_errors import suggestion
+    from desim.config.key_suggestions import suggestion
     from desim.config.named_code import definition_of
     from desim.scenario.scenario import PROTOCOLS
 

@@ -209,8 +209,8 @@ def _having(option: str, context: click.Context) -> list[str]:
 
 def _keys(option: str) -> list[str]:
     """Return the outermost keys of scenarios, at most three, whose last part is the name of an option."""
-    from desim.config.key_errors import RENAMED
     from desim.config.key_index import homes_of
+    from desim.config.key_suggestions import RENAMED
     from desim.scenario.scenario import Scenario
 
     word = option.replace("-", "_")
