@@ -109,56 +109,60 @@ class Wording:
         self, error: ErrorDetails, place: KeyPath, owner: type[BaseModel] | None, info: FieldInfo | None
     ) -> str:
         """Return the text of an error, with the allowed values; `owner` is the model of the table with the key."""
-        kind, context = error["type"], error.get("ctx", {})
+        error_type, context = error["type"], error.get("ctx", {})
         one_of = next(iter(choices_of(info)), None) if info else None
         kinds = list(one_of.choices()) if one_of else []
-        if kind == "extra_forbidden":
-            if self.is_call and "." in str(place[-1]):
-                outer, _, inner = str(place[-1]).partition(".")
-                return f"a call has nested tables, {outer}={{{inner!r}: ...}}, and Scenario.with_ takes dotted keys"
-            more = self.more(place) if self.more and owner is self.whole else ()
-            allowed = context.get("allowed") or (sorted([*owner.model_fields, *more]) if owner else [])
-            replaced = owner._replaced.get(str(place[-1])) if owner and issubclass(owner, Value) else None
-            return f"unknown key{replaced or other_key(place, allowed, self.whole)}; allowed: {', '.join(allowed)}"
-        if kind == "union_tag_invalid":
+        if error_type == "extra_forbidden":
+            return self._unknown_key(place, owner, context.get("allowed"))
+        if error_type == "union_tag_invalid":
             tag = str(context["tag"])
             code = f", write '{tag[:-3]}:NAME' for what {tag} defines" if tag.endswith(".py") else ""
             hint = code or suggestion(tag, kinds)
             return f"there is no {tag!r}{hint}; allowed: {', '.join(kinds)}"
-        if kind == "union_tag_not_found" or (kind in NOT_A_TABLE and kinds):
+        if error_type == "union_tag_not_found" or (error_type in NOT_A_TABLE and kinds):
             if self.is_call:
                 what = f"a kind, {kinds[0]!r} for instance, a built-in model or an object that can be called"
                 return f"should be {what}; allowed: {', '.join(kinds)}"
             return f'should be a table with a kind, {{ kind = "{kinds[0]}" }} for instance; allowed: {", ".join(kinds)}'
-        if kind == "import_refused":
+        if error_type == "import_refused":
             return str(error["msg"])
-        if kind == "literal_error":
+        if error_type == "literal_error":
             return f"should be {context['expected']}"
-        if kind == "missing":
+        if error_type == "missing":
             return "is missing"
-        if kind in NOT_A_TABLE and self.is_call:
-            name, value = context["class_name"], error["input"]
+        if error_type in NOT_A_TABLE:
+            return self._no_table(error, place, info)
+        if error_type == "tuple_type" and isinstance(error["input"], dict) and info and _holds_models(info):
+            written = "in [...]" if self.is_call else f"headed by [[{place[-1]}]] instead of [{place[-1]}]"
+            return f"should be a list of tables, {written}"
+        if error_type in {"too_long", "too_short"}:
+            most = error_type == "too_long"
+            limit = context["max_length" if most else "min_length"]
+            return f"should have at {'most' if most else 'least'} {limit} items, has {context['actual_length']}"
+        return (_no_number(error["input"], info) if error_type in NUMBERS else None) or text_of(error)
+
+    def _unknown_key(self, place: KeyPath, owner: type[BaseModel] | None, allowed: Sequence[str] | None) -> str:
+        """Return the text about a key that its table does not have; `allowed` are the keys of a user's class."""
+        key = str(place[-1])
+        if self.is_call and "." in key:
+            outer, _, inner = key.partition(".")
+            return f"a call has nested tables, {outer}={{{inner!r}: ...}}, and Scenario.with_ takes dotted keys"
+        more = self.more(place) if self.more and owner is self.whole else ()
+        allowed = allowed or (sorted([*owner.model_fields, *more]) if owner else [])
+        replaced = owner._replaced.get(key) if owner and issubclass(owner, Value) else None
+        return f"unknown key{replaced or other_key(place, allowed, self.whole)}; allowed: {', '.join(allowed)}"
+
+    def _no_table(self, error: ErrorDetails, place: KeyPath, info: FieldInfo | None) -> str:
+        """Return the text about a value in place of a table."""
+        value = error["input"]
+        if self.is_call:
+            name = error["ctx"]["class_name"]
             if isinstance(value, type):
                 return f"should be {with_article(name)}, not a class: {name}()"
             return f"should be {with_article(name)} or a table of its keys{_wrapped(value, info)}"
-        if kind in NOT_A_TABLE and isinstance(error["input"], list) and isinstance(place[-1], str):
+        if isinstance(value, list) and isinstance(place[-1], str):
             return f"should be one table, headed by [{place[-1]}] instead of [[{place[-1]}]]"
-        if kind in NOT_A_TABLE:
-            return "should be a table"
-        if kind == "tuple_type" and isinstance(error["input"], dict) and info and _holds_models(info):
-            written = "in [...]" if self.is_call else f"headed by [[{place[-1]}]] instead of [{place[-1]}]"
-            return f"should be a list of tables, {written}"
-        if kind in {"too_long", "too_short"}:
-            most = kind == "too_long"
-            limit = context["max_length" if most else "min_length"]
-            return f"should have at {'most' if most else 'least'} {limit} items, has {context['actual_length']}"
-        if kind in NUMBERS and RANGE.fullmatch(str(error["input"])):
-            return "should be a number; a range in a grid is written FIRST:LAST:STEP, 0:1:0.1 for instance"
-        if kind in NUMBERS and INFINITE.fullmatch(str(error["input"])):
-            return f"should be inf without quotes instead of the text {error['input']!r}"
-        if kind in NUMBERS and isinstance(error["input"], str):
-            return why_no_number(error["input"], {(info and unit_in(info)) or "1"}) or text_of(error)
-        return text_of(error)
+        return "should be a table"
 
     def _input_text(self, error: ErrorDetails) -> str:
         if error["type"] in {"extra_forbidden", "union_tag_invalid", "import_refused", "missing", "value_error"}:
@@ -178,6 +182,15 @@ RANGE = re.compile(r"[\d.]*\d(\.\.+|-)\d[\d.]*")
 NOT_A_TABLE = {"model_type", "model_attributes_type"}
 SAYS_ENOUGH = OF_EXCEPTIONS | {"union_tag_invalid", "import_refused"}
 """Types of errors whose texts say what the key is for, or list what is allowed."""
+
+
+def _no_number(value: Any, info: FieldInfo | None) -> str | None:
+    """Return the text about a value in place of a number, if it shows what is meant; None otherwise."""
+    if RANGE.fullmatch(str(value)):
+        return "should be a number; a range in a grid is written FIRST:LAST:STEP, 0:1:0.1 for instance"
+    if INFINITE.fullmatch(str(value)):
+        return f"should be inf without quotes instead of the text {value!r}"
+    return why_no_number(value, {(info and unit_in(info)) or "1"}) if isinstance(value, str) else None
 
 
 def _holds_models(info: FieldInfo) -> bool:
