@@ -129,32 +129,17 @@ class Threshold:
         check_paired(result, metric, confidence)
         if not over or not -1.0 < over < inf:
             raise ValueError(f"over should be a share, 0.1 for 10 %, above -1 and not 0, got {over:g}")
-        line = curve(result, key, where or {})
-        x = sorted(line)
-        if len(x) < 2:
-            raise ValueError(f"{key}: a threshold needs two or more finite numbers, got {len(x)}")
-        reference = x[0] if baseline is None else result.setting(key, baseline)
-        others = {**(where or {}), key: reference}
-        chosen = {name: text(result.setting(name, value)) for name, value in others.items()}
-        (base,) = (
-            group for group in result.groups if all(text(group.settings[name]) == chosen[name] for name in chosen)
-        )
-        table = paired_values([*(line[value] for value in x), base], metric)
-        if len(table) < 2:
-            raise ValueError(f"{metric}: a threshold needs two seeds with a value at all {len(x)} values of {key}")
-        values, bases = table[:, :-1], table[:, -1]
-        if not bases.mean() > 0.0:
-            place = f"{key} = {text(reference)}"
-            raise ValueError(
-                f"{metric}: a share of the baseline needs a positive mean, got {bases.mean():g} at {place}"
-            )
+        reference, x, values, bases = _beside_baseline(result, metric, key, baseline, where or {})
         sign = 1.0 if over > 0.0 else -1.0
         excess = sign * (values - (1.0 + over) * bases[:, None])
         means = excess.mean(axis=0).tolist()
         crossings, undecided = sign_changes(x, means), undecided_parts(x, excess, confidence)
         is_beyond: bool | None = means[-1] > 0.0
-        is_below = means[0] > 0.0 and not is_beyond
-        at = None if not crossings else crossings[-1] if is_beyond else crossings[0] if is_below else None
+        at = None
+        if crossings and is_beyond:
+            at = crossings[-1]
+        elif crossings and means[0] > 0.0:
+            at = crossings[0]
         low, high = (nan, nan) if at is None else interval_around(at, x, undecided)
         if undecided and undecided[-1][1] >= x[-1]:
             is_beyond = None
@@ -169,12 +154,40 @@ class Threshold:
             low,
             high,
             crossings,
-            len(table),
+            len(bases),
             (x[0], x[-1]),
             (_relative(ends[0], bases, confidence), _relative(ends[1], bases, confidence)),
             (float(ends[0].mean() / bases.mean()) - 1.0, float(ends[1].mean() / bases.mean()) - 1.0),
             confidence,
         )
+
+
+def _beside_baseline(
+    result: SweepRuns, metric: str, key: str, baseline: Any, where: Mapping[str, Any]
+) -> tuple[Any, list[float], Floats, Floats]:
+    """Return the setting of the baseline, the values of a key, and the metric at these and at the baseline.
+
+    The (k,) values ascend; the metric of n seeds is (n, k) and (n,). Without a baseline it is the least value.
+
+    Raises:
+        ValueError: if there are fewer than two values or seeds, or the mean at the baseline is not positive.
+    """
+    line = curve(result, key, where)
+    x = sorted(line)
+    if len(x) < 2:
+        raise ValueError(f"{key}: a threshold needs two or more finite numbers, got {len(x)}")
+    reference = x[0] if baseline is None else result.setting(key, baseline)
+    others = {**where, key: reference}
+    chosen = {name: text(result.setting(name, value)) for name, value in others.items()}
+    (base,) = (group for group in result.groups if all(text(group.settings[name]) == chosen[name] for name in chosen))
+    table = paired_values([*(line[value] for value in x), base], metric)
+    if len(table) < 2:
+        raise ValueError(f"{metric}: a threshold needs two seeds with a value at all {len(x)} values of {key}")
+    values, bases = table[:, :-1], table[:, -1]
+    if not bases.mean() > 0.0:
+        place = f"{key} = {text(reference)}"
+        raise ValueError(f"{metric}: a share of the baseline needs a positive mean, got {bases.mean():g} at {place}")
+    return reference, x, values, bases
 
 
 def _relative(values: Floats, bases: Floats, confidence: float) -> CrossoverInterval:
