@@ -25,7 +25,7 @@ from desim.scenario.scenario import Scenario
 from desim.study.ablation.imperfections import with_perfect_network
 from desim.study.plan.configurations import Configuration, SweepGrid
 from desim.study.results.result import SweepResult
-from desim.study.results.runs import Group, each_name, text
+from desim.study.results.runs import Group, names_of_metrics, text
 from desim.study.store.file import path_of_store
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep import SweepPlan, carry_out
@@ -281,7 +281,7 @@ def controlled(
     """
     plan = SweepPlan.of(scenario, grid, reps, seed, metrics)
     control_plan = ControlPlan.of(plan, control, control_runs)
-    shown = each_name(shown)
+    shown = names_of_metrics(shown)
     for metric in shown:
         check_numeric(metric, dict(plan.metrics))
     with (

@@ -15,7 +15,7 @@ from desim.analysis.tables import as_json, counted, digits_of, with_half_width
 from desim.config.html import html_table
 from desim.config.json_numbers import json_number
 from desim.study.plan.configurations import in_words
-from desim.study.results.runs import SHOWN, Group, SweepRuns, each_name, text
+from desim.study.results.runs import SHOWN, Group, SweepRuns, names_of_metrics, text
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Comparison:
         Raises:
             ValueError: if a sweep has no numeric metric of a name, or the two have no configuration in common.
         """
-        metrics = each_name(metrics)
+        metrics = names_of_metrics(metrics)
         for sweep in (first, second):
             for metric in metrics:
                 check_numeric(metric, sweep.units)

@@ -16,7 +16,7 @@ from desim.config.whole_files import write_whole
 from desim.study.results import export
 from desim.study.results import tables as sweep_tables
 from desim.study.results.crossover import Crossover
-from desim.study.results.runs import SHOWN, Group, SweepRuns, each_name, in_numeric_order
+from desim.study.results.runs import SHOWN, Group, SweepRuns, in_numeric_order, names_of_metrics
 from desim.study.results.threshold import Threshold
 from desim.study.store.file import StoreError
 from desim.study.store.run_table import Row
@@ -189,10 +189,10 @@ class SweepResult(SweepRuns, HintedAttributes):
             ValueError: if the sweep has no such metric, there is no such format, or a label or a column to be left out
                 belongs to nothing in the tables.
         """
-        notes = sweep_tables.notes(self, each_name(metrics))
+        notes = sweep_tables.notes(self, names_of_metrics(metrics))
         tables = self.tables(metrics, against=against)
         if labels or without:
-            tables = sweep_tables.relabelled(self, tables, each_name(metrics), labels, without)
+            tables = sweep_tables.relabelled(self, tables, names_of_metrics(metrics), labels, without)
         kept = len(self.keys) - sum(key in without for key in self.keys)
         return formatted(tables, notes, format, right_from=kept)
 
@@ -200,11 +200,11 @@ class SweepResult(SweepRuns, HintedAttributes):
         self, metrics: Sequence[str] = SHOWN, *, against: Mapping[str, Any] | None = None
     ) -> list[tuple[str, list[tuple[str, ...]]]]:
         """Return each table as its title and rows of text; the first row is the header."""
-        return list(sweep_tables.tables(self, each_name(metrics), against))
+        return list(sweep_tables.tables(self, names_of_metrics(metrics), against))
 
     def document(self, metrics: Sequence[str] = SHOWN) -> dict[str, Any]:
         """Return means, half widths and paired differences as JSON-compatible values; None where undefined."""
-        return sweep_tables.document(self, each_name(metrics))
+        return sweep_tables.document(self, names_of_metrics(metrics))
 
     @naming_arguments
     def crossover(

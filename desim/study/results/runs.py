@@ -247,7 +247,7 @@ class SweepRuns:
         There is no such warning if seeds are independent, or if a run failed. `SweepPlan.warnings` returns the warnings
         that need no runs.
         """
-        metrics = each_name(metrics)
+        metrics = names_of_metrics(metrics)
         captureless = [] if (sentence := self._without_capture(metrics)) is None else [sentence]
         if self.failed or not self.common:
             return captureless
@@ -326,7 +326,7 @@ def is_number(value: Any) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def each_name(metrics: Sequence[str]) -> Sequence[str]:
+def names_of_metrics(metrics: Sequence[str]) -> Sequence[str]:
     """Return the names of metrics; one name may be given as it is."""
     return [metrics] if isinstance(metrics, str) else metrics
 
