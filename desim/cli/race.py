@@ -65,7 +65,7 @@ def race(
     """
     from desim.results import provenance
     from desim.study.selection.race import RaceRules, carry_out_race
-    from desim.study.sweeps.sweep import SweepPlan
+    from desim.study.sweeps.sweep_plan import SweepPlan
 
     source, scenario = source_of(file, overrides, added_metrics(metric), grid, design)
     try:

@@ -29,7 +29,7 @@ from desim.config.whole_files import write_whole
 
 if TYPE_CHECKING:
     from desim.study.sweeps.array_job import ArrayJob, Resources
-    from desim.study.sweeps.sweep import SweepPlan
+    from desim.study.sweeps.sweep_plan import SweepPlan
 
 DESIM = (sys.executable, "-P", "-m", "desim")
 """The words that call desim on another machine, which has the same environment under the same path."""
@@ -110,7 +110,7 @@ def submit(
     from desim.scenario.overrides import ScenarioError
     from desim.study.results.runs import SHOWN
     from desim.study.sweeps import array_job
-    from desim.study.sweeps.sweep import SweepPlan
+    from desim.study.sweeps.sweep_plan import SweepPlan
 
     source, scenario = source_of(file, overrides, metrics, grid)
     try:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from desim.study.comparing.control import Controlled, ControlPlan
     from desim.study.results.result import SweepResult
     from desim.study.store.store import Store
-    from desim.study.sweeps.sweep import Job, SweepPlan
+    from desim.study.sweeps.sweep_plan import Job, SweepPlan
 
 
 PRECISION = "should be METRIC:HALFWIDTH, active_time:0.1 for instance"
@@ -186,7 +186,8 @@ def _planned(
 ) -> "SweepPlan":
     """Return the plan of a sweep, and print its warnings; end the program if an option does not fit."""
     from desim.scenario.overrides import ScenarioError
-    from desim.study.sweeps.sweep import MAX_RUNS, SweepPlan, check_target
+    from desim.study.sweeps.sweep import check_target
+    from desim.study.sweeps.sweep_plan import MAX_RUNS, SweepPlan
 
     try:
         plan = SweepPlan.of(source, reps=(runs or MAX_RUNS) if until else runs, seed=seed)

@@ -21,7 +21,7 @@ from desim.scenario.scenario import Recording
 from desim.study.plan.configurations import SweepGrid
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
-from desim.study.sweeps.sweep import SweepPlan
+from desim.study.sweeps.sweep_plan import SweepPlan
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson
 from scenarios.benchmarks.measuring import Cost, apart, memory

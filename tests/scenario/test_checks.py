@@ -32,7 +32,7 @@ from desim.scenario.checks import latency_warnings, warnings
 from desim.scenario.players import Evader, Team
 from desim.scenario.properties import SAMPLES, property_of, recording
 from desim.scenario.scenario import Capture, Clocks, Motion, Recording
-from desim.study.sweeps.sweep import SweepPlan
+from desim.study.sweeps.sweep_plan import SweepPlan
 from protocols.cbaa import CBAA
 from protocols.cbba import CBBA
 from protocols.centralised import Centralised

@@ -10,7 +10,7 @@ from desim.config.field_docs import fields_of
 from desim.config.model import Value, models_in
 from desim.scenario.checks import warnings
 from desim.scenario.toml import dump
-from desim.study.sweeps.sweep import SweepPlan
+from desim.study.sweeps.sweep_plan import SweepPlan
 from scenarios.studies.study import SCENARIOS
 
 FILES = sorted(path.name for path in SCENARIOS.glob("*.toml"))

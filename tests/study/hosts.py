@@ -16,7 +16,7 @@ from desim.study.store import connection, file_systems, lock_file
 from desim.study.store.file import StoreError
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
-from desim.study.sweeps.sweep import SweepPlan
+from desim.study.sweeps.sweep_plan import SweepPlan
 
 PLAN = SweepPlan.of(Scenario(), {"network.range": [5.0]}, 3)
 KEY = PLAN.configurations[0].key

@@ -10,7 +10,7 @@ from desim import Scenario, Team, sweep
 from desim.study.store import lock_file
 from desim.study.store.store import Store
 from desim.study.sweeps.claims import LARGEST, Claims, carry_out_claimed, lots_of
-from desim.study.sweeps.sweep import SweepPlan
+from desim.study.sweeps.sweep_plan import SweepPlan
 from desim.study.workers.workers import InProcess
 from tests.command import accepted, refused
 from tests.study.sweeps import rows

@@ -10,7 +10,7 @@ from desim import Links, Motion, Recording, Scenario, Team, controlled, sweep
 from desim.analysis.control_variates import ControlledEstimate, control_variate
 from desim.cli import main
 from desim.study.comparing.control import ControlPlan
-from desim.study.sweeps.sweep import SweepPlan
+from desim.study.sweeps.sweep_plan import SweepPlan
 
 SCENARIO = Scenario(
     name="small",

@@ -18,7 +18,7 @@ from desim.study.plan.designs import unit_points
 from desim.study.results.runs import Group, SweepRuns
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
-from desim.study.sweeps.sweep import SweepPlan
+from desim.study.sweeps.sweep_plan import SweepPlan
 
 SHORT = Scenario(horizon=0.01)
 RANGES = {"network.latency.value": "log:0.01:1", "network.loss.p": "0:0.5"}

@@ -10,7 +10,8 @@ from scipy import stats
 from desim import Scenario, race, sweep
 from desim.study.selection.kim_nelson import constants, independent_variances, kim_nelson, two_stage_runs
 from desim.study.store.store import Store
-from desim.study.sweeps.sweep import RunError, SweepPlan
+from desim.study.sweeps.sweep import RunError
+from desim.study.sweeps.sweep_plan import SweepPlan
 
 SYSTEMS = 5
 LEAST_FAVOURABLE = np.array([0.0, 0.0, 0.0, 0.0, 1.0])

@@ -35,7 +35,8 @@ from desim.study.store import connection as store_connection
 from desim.study.store.file import StoreError
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
-from desim.study.sweeps.sweep import SweepPlan, sweep
+from desim.study.sweeps.sweep import sweep
+from desim.study.sweeps.sweep_plan import SweepPlan
 from desim.view.pages.report import Study, report
 from tests.study import sweeps
 from tests.study.test_workers import command

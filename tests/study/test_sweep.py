@@ -32,7 +32,8 @@ from desim.study.results.result import SweepResult
 from desim.study.store.file import StoreError
 from desim.study.store.store import Store
 from desim.study.sweeps import sweep as module
-from desim.study.sweeps.sweep import MAX_RUNS, RunError, SweepPlan, sweep
+from desim.study.sweeps.sweep import RunError, sweep
+from desim.study.sweeps.sweep_plan import MAX_RUNS, SweepPlan
 from desim.study.workers.batch import run_many, seeds_from
 from desim.study.workers.executors import workers_for
 from protocols.rule import Rule

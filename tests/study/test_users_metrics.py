@@ -36,7 +36,9 @@ from desim.study.store.file import StoreError
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps import sweep as module
-from desim.study.sweeps.sweep import RunError, SweepPlan
+from desim.study.sweeps import sweep_plan
+from desim.study.sweeps.sweep import RunError
+from desim.study.sweeps.sweep_plan import SweepPlan
 from desim.view.pages.report import Study, report
 from tests.analysis import of_users
 from tests.command import accepted, refused
@@ -208,7 +210,7 @@ def test_a_built_in_metric_that_is_new_is_added_to_a_store_only_if_it_is_asked_f
     store, older = tmp_path / "s.sqlite", units_and_codes(())
     older.pop("energy")
     with monkeypatch.context() as patch:
-        patch.setattr(module, "units_and_codes", lambda own: older)
+        patch.setattr(sweep_plan, "units_and_codes", lambda own: older)
         patch.setattr(module, "measured", lambda own, result: older_summary(result))
         sweep(BASE, GRID, 1, store=store)
     assert not any("energy" in numbers for numbers in stored(store))

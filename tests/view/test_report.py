@@ -28,7 +28,7 @@ from desim.study.ablation.explain import Variants
 from desim.study.store.history import shell_lines, wanted
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
-from desim.study.sweeps.sweep import SweepPlan
+from desim.study.sweeps.sweep_plan import SweepPlan
 from desim.study.workers.executors import workers_for
 from desim.view.pages.report import MAX_FAILURES, Study, findings, report
 from tests.golden import golden

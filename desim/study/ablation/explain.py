@@ -34,7 +34,8 @@ from desim.study.results.explanation import EXPLAINED, Explanation
 from desim.study.store.file import path_of_store
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
-from desim.study.sweeps.sweep import RunError, SweepPlan, carry_out
+from desim.study.sweeps.sweep import RunError, carry_out
+from desim.study.sweeps.sweep_plan import SweepPlan
 from desim.study.workers.batch_system import JobExecutor
 from desim.study.workers.executors import workers_for
 from desim.study.workers.workers import Workers

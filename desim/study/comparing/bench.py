@@ -28,7 +28,8 @@ from desim.study.comparing.suite import (
 )
 from desim.study.plan.configurations import Configuration
 from desim.study.store.store import Store
-from desim.study.sweeps.sweep import SweepPlan, carry_out, check_ok
+from desim.study.sweeps.sweep import carry_out, check_ok
+from desim.study.sweeps.sweep_plan import SweepPlan
 from desim.study.workers.executors import workers_for
 from desim.study.workers.workers import Workers
 

@@ -28,7 +28,8 @@ from desim.study.results.result import SweepResult
 from desim.study.results.runs import Group, names_of_metrics, text
 from desim.study.store.file import path_of_store
 from desim.study.store.store import Store
-from desim.study.sweeps.sweep import SweepPlan, carry_out
+from desim.study.sweeps.sweep import carry_out
+from desim.study.sweeps.sweep_plan import SweepPlan
 from desim.study.workers.executors import workers_for
 from desim.study.workers.workers import Workers
 

@@ -26,7 +26,8 @@ from desim.study.store.file import path_of_store
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.metric_values import metric_value
-from desim.study.sweeps.sweep import MAX_RUNS, SweepPlan, check_ok, job_batches
+from desim.study.sweeps.sweep import check_ok, job_batches
+from desim.study.sweeps.sweep_plan import MAX_RUNS, SweepPlan
 from desim.study.workers.executors import workers_for
 from desim.study.workers.progress import advance, progress
 from desim.study.workers.workers import Workers

@@ -38,7 +38,8 @@ from desim.study.sensitivity.sobol_indices import SobolIndices, saltelli_points,
 from desim.study.store.file import path_of_store
 from desim.study.store.store import Store
 from desim.study.sweeps.metric_values import metric_values
-from desim.study.sweeps.sweep import SweepPlan, carry_out
+from desim.study.sweeps.sweep import carry_out
+from desim.study.sweeps.sweep_plan import SweepPlan
 from desim.study.workers.executors import workers_for
 from desim.study.workers.workers import Workers
 

@@ -17,7 +17,8 @@ from desim.study.results.result import SweepResult
 from desim.study.results.runs import SHOWN
 from desim.study.store.lock_file import LockFile
 from desim.study.store.store import Store
-from desim.study.sweeps.sweep import Job, SweepPlan, perform_jobs
+from desim.study.sweeps.sweep import perform_jobs
+from desim.study.sweeps.sweep_plan import Job, SweepPlan
 from desim.study.workers.workers import Workers
 
 if TYPE_CHECKING:

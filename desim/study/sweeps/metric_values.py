@@ -8,7 +8,7 @@ from desim.analysis.metrics import words
 from desim.config.arrays import Floats
 from desim.study.plan.configurations import Configuration
 from desim.study.results.result import SweepResult
-from desim.study.sweeps.sweep import SweepPlan
+from desim.study.sweeps.sweep_plan import SweepPlan
 
 
 class NoMeanError(ValueError):
