@@ -10,7 +10,7 @@ from desim.kernel.core.records import Record
 from desim.kernel.core.units import SECOND
 from desim.kernel.network import Network
 from desim.kernel.state.inbox import Message
-from desim.pursuit.byzantine.lies import Falsifiable
+from desim.pursuit.byzantine.speaker import Falsifiable
 from desim.pursuit.core.events import Distrusted
 from desim.pursuit.motion.capture import least_capture_time
 from desim.pursuit.sensing.views import View

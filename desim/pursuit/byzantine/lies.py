@@ -8,9 +8,9 @@ applies these models in a run.
 
 from cmath import isfinite
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf, isnan
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, Self, TypeGuard, runtime_checkable
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, TypeGuard
 
 import numpy as np
 from pydantic import model_validator
@@ -28,85 +28,11 @@ from desim.kernel.models.graphs import Node
 from desim.kernel.models.traced_faults import Misbehaviour
 from desim.kernel.models.traits import FaultTraits
 from desim.pursuit.byzantine.falsehoods import FALSE_POSITIONS, FALSE_TIMES
+from desim.pursuit.byzantine.speaker import CHASE_OR_STAY, Falsifiable, Said, Speaker
 from desim.pursuit.core.traits import AssumptionName
-from desim.pursuit.motion.capture import least_capture_time
-from desim.pursuit.sensing.views import View
 from desim.pursuit.team.announcements import Announcement, Assignment, Located, TimedAssignment
 from desim.pursuit.team.judges import Accusation
 from desim.pursuit.team.targeted_faults import TARGETED
-
-Said = Literal["truth", "chase", "stay", "opposite"]
-"""The action that a liar announces: its action, a chase, no chase, or the contrary of its action."""
-CHASE_OR_STAY: tuple[Said, Said] = ("chase", "stay")
-
-
-# The speakers.
-
-
-@runtime_checkable
-class Falsifiable(Protocol):
-    """An announcement of a protocol of its own, such as a claim in an auction, that a liar can change."""
-
-    def falsified(self, pursuer: int, action: int, phi: float) -> Any:
-        """Return the announcement with which a pursuer pretends to act so, and to have the capture time phi, s."""
-        ...
-
-    def phi(self, pursuer: int) -> float:
-        """Return the capture time, s, that it states for the chase of a pursuer; inf if it states none."""
-        ...
-
-
-@dataclass(frozen=True)
-class Speaker:
-    """A pursuer that speaks, and the facts that it can lie about.
-
-    Attributes:
-        id: the pursuer.
-        view: its view of the world.
-        seed: the seed of the run.
-        rng: the random stream of its lies.
-        now: the time, ns.
-        history: its honest announcements up to now, oldest first: (time in ns, body).
-    """
-
-    id: int
-    view: View
-    seed: int
-    rng: np.random.Generator
-    now: int
-    history: Sequence[tuple[int, Any]] = ()
-
-    def action(self, says: Said) -> int:
-        """Return the action that it says it has: an evader, or 0."""
-        true = self.view.state.profile[self.id]
-        if says == "truth" or (says == "chase" and true):
-            return true
-        return 0 if says == "stay" or true else self._closest()
-
-    def phi(self, evader: int) -> float:
-        """Return its true capture time for an evader, s; with 0, the least one for any evader at large."""
-        evaders = [evader] if evader else self.view.state.at_large
-        return min((self.view.capture_times_of([self.id], target)[0] for target in evaders), default=inf)
-
-    def least_phi(self, evader: int) -> float:
-        """Return the least capture time for an evader, s, that any pursuer at its position could have; see `phi`."""
-        state, position = self.view.state, self.view.state.position(self.id)
-        return min(
-            (
-                least_capture_time(
-                    abs(self.view.evader(target) - position), state.radius, state.top_speed, state.body(target).speed
-                )
-                for target in ([evader] if evader else state.at_large)
-            ),
-            default=inf,
-        )
-
-    def _closest(self) -> int:
-        """Return the evader at large that it could capture first; 0 if there is none."""
-        return min(self.view.state.at_large, key=self.phi, default=0)
-
-
-# The faults.
 
 
 class ByzantineFault(Window):

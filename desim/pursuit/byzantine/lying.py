@@ -28,7 +28,8 @@ from desim.kernel.fault_injection import Targets
 from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.kernel.models.transport import BestEffort, Transport
 from desim.kernel.network import Network
-from desim.pursuit.byzantine.lies import ByzantineFault, Lie, Speaker
+from desim.pursuit.byzantine.lies import ByzantineFault, Lie
+from desim.pursuit.byzantine.speaker import Speaker
 from desim.pursuit.sensing.views import View
 from desim.pursuit.team.agent import Agent, Process
 from desim.pursuit.team.announcements import Forwarded, relayed_records, with_records
