@@ -115,7 +115,7 @@ def test_independent_seeds_are_the_same_in_another_process():
     plan = SweepPlan.of(scenario, GRID)
     script = (
         "from desim.scenario.scenario import Scenario\n"
-        "from desim.study.sweeps.sweep import SweepPlan\n"
+        "from desim.study.sweeps.sweep_plan import SweepPlan\n"
         f"plan = SweepPlan.of(Scenario.model_validate_json({scenario.model_dump_json()!r}), {GRID}, 4, 5)\n"
         "print([plan.seed(cell, k) for cell in plan.configurations for k in range(4)])"
     )
