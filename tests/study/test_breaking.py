@@ -653,7 +653,16 @@ def searches():
     yield command_for("run", "x.toml", SMALL, None)
 
 
-@pytest.mark.parametrize("part", [features, smaller, searches], ids=lambda part: part.__name__)
+def performed():
+    """Yield the text of a search that is performed: what is found in the second case is made smaller."""
+    short = SMALL.with_({"horizon": 0.5})
+    chosen = {"features": ["loss", "crash", "heartbeat"], "vary": {"network.latency": [0.05, 0.2]}}
+    search = find_violation(short, "idle at most 0.46 in total", runs=8, jobs=1, shrinking=8, **chosen)
+    yield search_text(search, search.violation.prop)
+    yield "\n".join(f"{tried.seed}: {case_text(tried.case)}: {tried.verdict.margin:.4g}" for tried in search.tried)
+
+
+@pytest.mark.parametrize("part", [features, smaller, searches, performed], ids=lambda part: part.__name__)
 def test_cases_and_texts_are_golden(part):
     golden(f"breaking/{part.__name__}.txt", "\n\n".join(part()) + "\n")
 

@@ -9,10 +9,10 @@ from scipy import stats
 
 from desim import Scenario, sensitivity
 from desim.study.sensitivity.morris import LEVELS, STEP, elementary_effects, morris_points
-from desim.study.sensitivity.sensitivity_figure import draw_sensitivity
 from desim.study.sensitivity.sensitivity_result import SensitivityResult, _with_interval
 from desim.study.sensitivity.sobol_indices import IndexEstimate, SobolIndices, saltelli_points, sobol_indices
 from desim.study.store.store import Store
+from tests.golden import golden
 
 FIRST = (0.313905, 0.442411, 0.0)
 """The first-order indices of the function of Ishigami & Homma for a = 7 and b = 0.1."""
@@ -167,6 +167,30 @@ def test_an_analysis_finds_what_decides_and_resumes(tmp_path):
     assert len(figure.axes) == 2
 
 
+def test_an_analysis_of_a_known_function_is_golden(monkeypatch):
+    """Latency decides, loss and the protocol play a part together, the team none; two runs differ by 0.5."""
+    asked = []
+
+    def values(self, shares, *_):
+        asked.append(len(shares))
+        x, y, _, z = shares.T
+        together = 4.0 * x**2 + np.where(z < 0.5, -1.0, 1.0) * y * (1.0 + x)
+        return together[:, None] + np.array([0.0, 0.5]) * (1.0 + x[:, None])
+
+    monkeypatch.setattr("desim.study.sensitivity.analysis.Analysis._values", values)
+    result = analysed(points=16)
+    assert asked == [3 * 5, 16 * 5]
+    golden("sensitivity.txt", f"{result}\n{result.runs} runs\n")
+
+
+def test_screening_in_two_runs_at_each_point():
+    """The runs themselves are made: 2 trajectories of 2 keys have 6 points, some of them equal."""
+    pair = {key: RANGES[key] for key in ("network.latency.value", "prune")}
+    result = analysed(grid=pair, points=0, trajectories=2)
+    assert (result.runs, result.runs_at_point, result.kept) == (12, 2, (0,))
+    assert [effect.value for effect in result.effects.mean_absolute] == pytest.approx([4.0, 0.3], abs=1e-4)
+
+
 def constant(_):
     return 1.0
 
@@ -218,16 +242,6 @@ def test_what_is_no_analysis_is_refused(options, why):
 def test_an_index_is_told_with_its_interval_and_none_by_a_dash():
     assert _with_interval(IndexEstimate(0.25, 0.125, 0.5)) == "0.25 (0.125 .. 0.5)"
     assert _with_interval(IndexEstimate(nan, nan, nan)) == "-"
-
-
-def test_the_figure_of_indices_names_its_bars_if_there_are_some():
-    part, none = IndexEstimate(0.5, 0.25, 0.75), IndexEstimate(nan, nan, nan)
-    for is_varied, estimate in ((True, part), (False, none)):
-        indices = SobolIndices((estimate,) * 2, (estimate,) * 2, 1.0, nan, is_varied)
-        figure = draw_sensitivity(["a", "b"], None, indices, [0, 1], title="game", metric="energy", unit="J")
-        assert [text.get_text() for legend in figure.legends for text in legend.get_texts()] == (
-            ["total index", "first-order index"] if is_varied else []
-        )
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from desim.analysis.drawing.palette import EVADER_MARKS, HUES
 from desim.analysis.drawing.plots import COLUMN, styled
 from desim.view.pictures.paths import EvaderStyle, Paths, draw_pursuit, label_handovers, label_points
-from tests.drawn import described, without_layout
+from tests.drawn import described, text_of, without_layout
 from tests.golden import golden
 from tests.view.by_hand import MS, history, pair
 
@@ -93,6 +93,17 @@ def test_a_name_at_the_edge_stays_inside():
     for box in boxes(axes):
         assert axes.bbox.x0 - 1 <= box.x0 < box.x1 <= axes.bbox.x1 + 1
         assert axes.bbox.y0 - 1 <= box.y0 < box.y1 <= axes.bbox.y1 + 1
+
+
+@pytest.mark.parametrize("dpi", [72, 200])
+def test_labels_of_crowded_places_are_golden_at_any_resolution(dpi):
+    """Each of eight positions is taken by some label; offsets are in points, and no larger than a label."""
+    axes = Figure(figsize=(2.0, 2.0), dpi=dpi).add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set(xlim=(0.0, 100.0), ylim=(0.0, 100.0))
+    places = [(50 + 4.3 * i + 0.7 * j, 50 + 3.9 * j - 0.4 * i) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    places += [(0.5, 0.5), (99.5, 0.5), (0.5, 99.5), (99.5, 99.5), (20.0, 20.0)]
+    texts = label_points(axes, places, [str(k) for k in range(14)], avoid=[(22.0, 22.0), (22.0, 20.0)], color="red")
+    golden("labels.txt", "\n".join(map(text_of, texts)) + "\n")
 
 
 def test_labels_do_not_move_the_axes():
