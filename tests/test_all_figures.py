@@ -69,6 +69,7 @@ FIGURES = {
         "rows": lambda: made.swept({"protocol": RULES, "prune": ["inf", "none"]}).plot(labels={"sap": "SAP"}),
         "differences in rows": lambda: made.swept({"protocol": RULES}).plot(against={"protocol": "sap"}, size="17cm"),
         "panels": lambda: several().plot(x=LATENCY, by="protocol", labels={"protocol": "rule"}, ylabel="time"),
+        "narrow panels": lambda: several().plot(x=LATENCY, by="protocol", size="8.5cm"),
         "kinds on the abscissa": lambda: lines().plot(by=LATENCY, x="protocol", size="12cmx6cm"),
         "values of several magnitudes": lambda: made.swept({LOSS: [0.0, 0.001, 0.02, 0.3, inf]}).plot(),
         "many values": lambda: made.swept({"horizon": [float(k) for k in range(1, 13)]}).plot(),
@@ -86,6 +87,9 @@ FIGURES = {
         "without a value": lambda: grid(runs=1).plot(
             "capture_time", kind="phase", xlabel="delay", ylabel="$p$", size="8.5cm"
         ),
+        "narrow panels": lambda: made.swept({"protocol": RULES, LATENCY: TIMES, LOSS: [0.0, 0.25]}).plot(
+            kind="phase", size="8.5cm"
+        ),
         "on axes": lambda: grid().plot(kind="phase", ax=axes()),
     },
     "design_figures.scatter": {
@@ -95,6 +99,7 @@ FIGURES = {
     },
     "design_figures.contour": {
         "points": lambda: made.scattered().plot(kind="contour"),
+        "narrow panels": lambda: made.scattered().plot(kind="contour", size="8.5cm"),
         "on axes": lambda: grid().plot(kind="contour", ax=axes()),
     },
     "waterfalls.waterfall": {
@@ -109,6 +114,7 @@ FIGURES = {
     },
     "sensitivity_figure.draw_sensitivity": {
         "effects and indices": lambda: made.sensitivity().plot(),
+        "narrow": lambda: made.sensitivity().plot(size="8.5cm"),
         "effects": lambda: made.sensitivity(indices=False).plot(size="8.5cm"),
         "no indices": lambda: made.sensitivity(screened=False, varied=False).plot(),
     },
@@ -174,6 +180,18 @@ def test_figures_are_golden(kind, name, monkeypatch):
     monkeypatch.setattr("desim.live.figure.GRID", 11)
     with without_layout():
         golden(file_of(kind, name), described(FIGURES[kind][name]()) + "\n")
+
+
+NARROW = [case for case in CASES if case[1].startswith("narrow")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "name"), NARROW, ids=[f"{kind.split('.')[1]}" for kind, _ in NARROW])
+def test_labels_of_narrow_panels_do_not_touch(kind, name):
+    figure = FIGURES[kind][name]()
+    labels = [axis.label.get_window_extent() for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)]
+    seen = [box for box in labels if box.width and box.height]
+    assert not [1 for k, box in enumerate(seen) for other in seen[k + 1 :] if box.overlaps(other)]
 
 
 def test_each_figure_has_an_entry():

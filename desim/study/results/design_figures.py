@@ -13,9 +13,9 @@ from desim.analysis.statistics import Estimate
 from desim.config.escaping import escaped
 from desim.study.plan.configurations import in_words
 from desim.study.results.figure_labels import (
-    MAX_ABREAST,
     add_legend,
     add_legend_above,
+    columns_of,
     height_of_legend,
     key_with_unit,
     line_name,
@@ -79,7 +79,7 @@ def scatter(
             if named:
                 add_legend_above(ax, title_of_legend(named))
         return figure
-    columns = min(MAX_ABREAST, len(keys))
+    columns = columns_of(len(keys), size)
     rows = -(-len(keys) // columns)
     usual = (4.8 if columns == 1 else 0.6 + 2.6 * columns, 0.5 + 2.6 * rows)
     usual = usual[0], usual[1] + height_of_legend(list(lines), usual[0])
@@ -133,7 +133,7 @@ def contour(
     def draw(axes: Axes, panel: list[Point]) -> None:
         _draw_bands(axes, keys, panel, points, colours)
 
-    columns = min(MAX_ABREAST, len(panels))
+    columns = columns_of(len(panels), size, beside=1.2)
     usual = (1.6 + 3.0 * columns, 0.8 + 2.4 * -(-len(panels) // columns))
     return draw_panels(
         panels,

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Any
 
 from desim.analysis.drawing.palette import MARKERS, SERIES
-from desim.analysis.drawing.plots import Axes, Figure
+from desim.analysis.drawing.plots import Axes, Figure, size_of
 from desim.analysis.metrics import unit_of as unit_of_metric
 from desim.analysis.metrics import words
 from desim.config.escaping import escaped
@@ -18,10 +18,27 @@ from desim.study.results.runs import Group, SweepRuns, is_number, text
 
 MAX_ABREAST = 3
 """The largest number of panels side by side."""
+NARROWEST = 1.3
+"""The least width of a panel beside another one, inches: labels as long as "network.latency.value (s)" fit below it."""
 LETTER = 0.075
 """The approximate width of a letter of 8 points, inches."""
 LEGEND_LETTER = 0.062
 """The approximate width of a letter in a legend, inches."""
+
+
+def columns_of(panels: int, size: str | None, beside: float = 0.6) -> int:
+    """Return the number of panels side by side: at most three, and fewer in a narrow figure.
+
+    Args:
+        panels: the number of panels.
+        size: the size of the figure that was asked for; see `size_of`.
+        beside: the width of what lies beside the panels, inches.
+
+    Raises:
+        ValueError: if the size is invalid.
+    """
+    fitting = MAX_ABREAST if size is None else int((size_of(size)[0] - beside) / NARROWEST)
+    return max(1, min(panels, MAX_ABREAST, fitting))
 
 
 def swept_numbers(result: SweepRuns) -> list[str]:

@@ -17,6 +17,7 @@ from desim.study.results.figure_labels import (
     MAX_ABREAST,
     add_legend,
     add_legend_above,
+    columns_of,
     height_of_legend,
     is_swept_number,
     key_with_unit,
@@ -123,7 +124,7 @@ def means(
             label_axes(ax, xlabel, ylabel)
             add_legend_above(ax, legend_title)
         return figure
-    columns = min(MAX_ABREAST, len(panels))
+    columns = columns_of(len(panels), size)
     rows = -(-len(panels) // columns)
     names = [] if abscissa is None else list(dict.fromkeys(line_name(group, named, labels) for group in result.groups))
     width, height = _inches(size, rows, columns, None if abscissa else len(result.groups))

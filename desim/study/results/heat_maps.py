@@ -14,7 +14,7 @@ from desim.analysis.drawing.plots import Axes, Figure, Style, figure_of, in_styl
 from desim.config.escaping import escaped
 from desim.study.results.figure_labels import (
     LETTER,
-    MAX_ABREAST,
+    columns_of,
     key_with_unit,
     label_axes,
     metric_with_unit,
@@ -70,7 +70,7 @@ def phase(
     form = _cell_format(finite.tolist())
     longest = max(map(len, [*(_cell_text(value, form) for value in finite.tolist()), *map(text, over[x])]), default=0)
     across = 0.4 + max(CELL[0], LETTER * (longest + 2)) * len(over[x])
-    columns = max(1, min(len(panels), MAX_ABREAST, int((PAGE - 0.8) / across)))
+    columns = max(1, min(columns_of(len(panels), size, beside=1.2), int((PAGE - 0.8) / across)))
     rows = -(-len(panels) // columns)
 
     def draw(axes: Axes, panel: NDArray[np.float64]) -> None:

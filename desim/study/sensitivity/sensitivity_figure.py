@@ -7,7 +7,7 @@ from desim.analysis.drawing.palette import BLUE, GREY, SKY
 from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, as_it_is, size_of, styled
 from desim.analysis.metrics import words
 from desim.config.escaping import escaped
-from desim.study.results.figure_labels import axis_label, literal
+from desim.study.results.figure_labels import axis_label, columns_of, literal
 from desim.study.sensitivity.morris import ElementaryEffects
 from desim.study.sensitivity.sobol_indices import IndexEstimate, SobolIndices
 
@@ -47,11 +47,14 @@ def draw_sensitivity(
         *(["effects"] if effects is not None else []),
         *(["indices"] if indices is not None else []),
     ]
-    usual = (1.6 + 3.2 * len(panels), 1.3 + 0.42 * len(keys))
+    columns = columns_of(len(panels), size, beside=1.6)
+    rows = len(panels) // columns
+    usual = (1.6 + 3.2 * columns, 1.3 * rows + 0.42 * rows * len(keys))
     width, height = usual if size is None else size_of(size)
     font = 9.0 if width >= NARROW else 8.0
     with styled(figsize=(width, height or width * usual[1] / usual[0]), font=font, style=style) as figure:
-        for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False, sharey=True)[0], panels, strict=True):
+        shared = figure.subplots(rows, columns, squeeze=False, sharey=True)
+        for axes, panel in zip(shared.flat, panels, strict=True):
             if panel == "effects" and effects is not None:
                 _draw_bars(axes, effects.mean_absolute, range(len(keys)), 0.0, GREY)
                 axes.set_xlabel(axis_label(f"effect on {words(metric)}", unit))
