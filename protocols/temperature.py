@@ -9,12 +9,12 @@ from collections.abc import Iterator
 from math import exp, isnan, log
 from typing import Annotated, Any, Literal, Protocol
 
-import numpy as np
 from pydantic import Field
 
 from desim.config.answers import wrong_answer
 from desim.config.choice import OneOf
 from desim.config.model import Positive, Value
+from desim.config.python_numbers import as_real
 from desim.pursuit.team.agent import Agent
 
 
@@ -162,9 +162,8 @@ def inverse_temperatures(tau: Temperature, me: Agent, slot: float) -> Iterator[f
         ValueError: if a user's temperature returns anything else than a number of at least 0.
     """
     for eta in slots_seen(tau, me, slot):
-        inverse: Any = tau(eta)
-        if type(inverse) is not float or not inverse >= 0.0:  # the type of built-in temperatures
-            if isinstance(inverse, bool) or not isinstance(inverse, (float, int, np.number)) or not inverse >= 0.0:
-                raise wrong_answer("a temperature should return 1/tau, a number >= 0 in 1/s", inverse, tau)
-            inverse = float(inverse)
+        answer: Any = tau(eta)
+        inverse = as_real(answer)
+        if not inverse >= 0.0:
+            raise wrong_answer("a temperature should return 1/tau, a number >= 0 in 1/s", answer, tau)
         yield inverse

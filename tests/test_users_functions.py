@@ -3,6 +3,8 @@
 Each family that is called is listed once, so that a new one is noticed by `tests.test_overrides`.
 """
 
+from decimal import Decimal
+from fractions import Fraction
 from functools import partial
 from math import inf, nan
 from multiprocessing.pool import ThreadPool
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 
 from desim import Announcements, Fault, Links, Scenario, Sensing, Team, run, summary, sweep
+from desim.config.answers import value_text
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import Lost, MessageCounts
 from desim.kernel.models.faults import Jamming, Partition
@@ -91,11 +94,17 @@ SIZES = {"latency": None, "loss": None, "reception": None, "medium": None, "guid
 for _name, _size in SIZES.items():
     _ones = np.ones(_size or (), dtype=bool if _name == "loss" else float)
     WRONG[_name] += [_ones.view(Quantity), np.ma.array(_ones, mask=True), _ones.astype("m8[ms]"), np.ma.masked]
+for _name in ("latency", "medium", "strategy", "utility", "temperature", "noise"):
+    WRONG[_name] += [10**400, np.timedelta64(1, "s"), (number for number in (1.0, 2.0))]
+for _name in ("utility", "temperature", "medium", "latency"):
+    WRONG[_name] += [np.complex128(0.5), np.complex64(0.5)]
 RETURNS = [(name, k) for name, values in WRONG.items() for k in range(len(values))]
 
 
 @pytest.mark.slow_but_one
-@pytest.mark.parametrize(("name", "k"), RETURNS, ids=[f"{name}-{WRONG[name][k]!r}"[:40] for name, k in RETURNS])
+@pytest.mark.parametrize(
+    ("name", "k"), RETURNS, ids=[f"{name}-{value_text(WRONG[name][k])}"[:40] for name, k in RETURNS]
+)
 def test_a_wrong_return_value_gives_a_sentence_about_what_it_should_be(name, k):
     family = FAMILIES[name]
     answer = WRONG[name][k]
@@ -112,7 +121,10 @@ WRONG_METHODS = {
     "false position": [None, True, "x", complex(nan, 0.0), complex(inf, 0.0), (1.0, 2.0), np.ones(2)],
     "judge": [3, "x", object()],
     "ignored": [None, 3, "x"],
-    "covariance": [None, 1.0, np.eye(2), (1.0, 2.0, 1.0), (-1.0, 0.0, 1.0), ("a", 0.0, 1.0), (nan, 0.0, 1.0)],
+    "covariance": [
+        *(None, 1.0, np.eye(2), (1.0, 2.0, 1.0), (-1.0, 0.0, 1.0), ("a", 0.0, 1.0), (nan, 0.0, 1.0)),
+        *(("1", "0", "1"), (True, False, True), (np.complex128(1), 0.0, 1.0), (10**400, 0.0, 1.0)),
+    ],
     "capture_times": [
         None,
         np.ones(4, dtype=bool),
@@ -124,7 +136,7 @@ WRONG_METHODS = {
         np.ones((4, 2)),
         np.ones(4) * 1j,
     ],
-    "steered": [None, True, "x", nan, [1.0]],
+    "steered": [None, True, "x", nan, [1.0], 10**400, np.timedelta64(1, "s")],
     "headings": [None, [True] * 4, [1.0], [0j] * 4, "abcd", [2.0 + 0j] * 4, [nan] * 4],
 }
 """For each function of a liar, and each method of a trust, a noise and dynamics, what it should not return."""
@@ -195,6 +207,51 @@ def test_the_arguments_of_an_optional_method_are_checked_with_the_model():
         model = theirs(bitrate=1e6) if kind is Bitrate else theirs()
         with pytest.raises(ValueError, match=f"{key}: {name} should accept a call with"):
             linked(**{key: model, "range": 5.0})
+
+
+RIGHT = {
+    "strategy": 0.3,
+    "utility": 0.3,
+    "temperature": 0.3,
+    "noise": 0.3,
+    "latency": 0.03,
+    "medium": 0.003,
+    "reception": 0.3,
+}
+RIGHT_METHODS = {"false capture time": 0.3, "false position": 0.3, "steered": 0.3}
+RIGHT_ROWS = {"covariance": (0.3, 0.0, 0.3), "capture_times": [0.3, 0.4, 0.5, 0.6], "headings": [1.0, -1.0, 1.0, -1.0]}
+"""For each family and each method that returns one number, or several, some that are right."""
+KINDS = (np.float32, np.ma.array, Fraction, Decimal)
+"""Kinds of numbers: a `float32` of 0.3 differs from 0.3, the others have its value."""
+
+
+def answered(name, answer):
+    """Return a scenario in which a function of a family, or a method, returns an answer."""
+    if name not in FAMILIES:
+        return with_method(name, answer)
+    function = _answering(FAMILIES[name].function, answer)
+    return FAMILIES[name].with_model(plain(first_kind(name), function, FAMILIES[name].beside))
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("name", [*RIGHT, *RIGHT_METHODS, *RIGHT_ROWS])
+def test_a_returned_number_may_be_of_any_kind(name):
+    """The run is that of the same number as a `float`, to the last digit: no step is computed in 16 or 32 bits."""
+    value = (RIGHT | RIGHT_METHODS | RIGHT_ROWS)[name]
+    expected = {}
+    for kind in KINDS:
+        answer = [kind(number) for number in value] if name in RIGHT_ROWS else kind(value)
+        plainly = tuple(map(float, answer)) if name in RIGHT_ROWS else float(answer)
+        if plainly not in expected:
+            expected[plainly] = events(answered(name, plainly))
+        assert events(answered(name, answer)) == expected[plainly]
+
+
+@pytest.mark.parametrize("name", ["strategy", "noise", "false position", "steered"])
+def test_a_returned_vector_may_be_of_any_precision(name):
+    vector = np.complex64(0.3 + 0.4j)
+    for value in (vector, np.array(vector), np.clongdouble(vector)):
+        assert events(answered(name, value)) == events(answered(name, complex(vector)))
 
 
 METHODS = [(name, k) for name, values in WRONG_METHODS.items() for k in range(len(values))]
@@ -370,6 +427,16 @@ def test_a_mean_that_is_no_number_is_refused():
 
     with pytest.raises(ValueError, match="should return a number, s, or None"):
         dict(warnings(Scenario(network=Links(latency=Theirs()))))
+
+
+def test_a_returned_object_is_named_without_its_address():
+    """Addresses differ from run to run."""
+
+    def made():
+        yield object()
+
+    values = (made, made(), lambda: 1, (number for number in [1]), Clock(), [object(), iter([1])])
+    assert [*map(value_text, values)] == ["made", "made", "<lambda>", "<genexpr>", "Clock", "[object, list_iterator]"]
 
 
 class Fog(Bernoulli):

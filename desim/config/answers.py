@@ -12,8 +12,11 @@ import numpy as np
 from desim.config.errors import AnswerError
 from desim.config.traits import OURS, is_ours
 
-_ADDRESS = re.compile(r"<(?:function )?(?:[^<>]*\.)?(\w+)(?: object)? at 0x[0-9a-fA-F]+>")
-"""Matches the default representation of an object or a function; its name is the group."""
+_ADDRESS = re.compile(
+    r"<(?:(?:function|generator|coroutine|async_generator) )?(?:object )?(?:(?:[^<>]|<\w+>)*\.)?(\w+|<\w+>)"
+    r"(?: object)? at 0x[0-9a-fA-F]+>"
+)
+"""Matches the default representation of an object, a function or a generator; its name is the group."""
 MAX_ITEMS = 8
 """Maximum number of items of an array whose shape is not named."""
 LONGEST = 300

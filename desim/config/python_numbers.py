@@ -13,7 +13,7 @@ bytes on a command line have.
 from collections.abc import ItemsView, Iterator, KeysView, Sequence, Set, ValuesView
 from decimal import Decimal
 from itertools import chain, count, cycle, islice, repeat
-from math import isinf
+from math import isinf, nan
 from numbers import Complex, Integral, Real
 from operator import index, length_hint
 from typing import Any
@@ -108,6 +108,26 @@ def real(value: Any, name: str) -> float:
         return float(number)
     except OverflowError as error:
         raise ValueError(f"{name} should be a number up to 1.8e308 (got one of {len(str(number))} digits)") from error
+
+
+def as_real(value: Any) -> float:
+    """Return a number of any kind as a `float`; nan if it is none, or too large.
+
+    For what functions of users return: see `real` for the numbers of a caller, who is told what should be given.
+    """
+    number = value if type(value) is float else as_python(value)
+    if type(number) is not float and type(number) is not int:
+        return nan
+    try:
+        return float(number)
+    except OverflowError:
+        return nan
+
+
+def as_complex(value: Any) -> complex:
+    """Return a number of any kind as a `complex`; nan if it is none, as `as_real` does."""
+    number = value if type(value) is complex else as_python(value)
+    return number if type(number) is complex else complex(as_real(number))
 
 
 def _is_plain(values: list[Any] | tuple[Any, ...]) -> bool:

@@ -29,6 +29,7 @@ from pydantic import BaseModel, BeforeValidator, ValidationError
 from desim.config.error_texts import text_of
 from desim.config.field_docs import annotated, fields_of
 from desim.config.model import Value
+from desim.config.python_numbers import as_python
 
 Model = TypeVar("Model")
 SHORTEST = 5
@@ -45,7 +46,7 @@ class Parameter(BeforeValidator):
     """
 
     def __init__(self, *types: type):
-        super().__init__(lambda value: value if isinstance(value, types) else None)
+        super().__init__(lambda value: number if isinstance(number := as_python(value), types) else None)
 
 
 class Follows:

@@ -6,13 +6,14 @@ utility over the horizon.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from math import inf, isfinite
+from math import inf
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from desim.config.answers import wrong_answer
+from desim.config.arrays import array_of
 from desim.pursuit.game.game import gain, welfare
 
 
@@ -104,10 +105,8 @@ def rewards_of(reward: Reward, step: Step) -> Mapping[int, float]:
         return _wonderful_life(step)
     answer: Any = reward(step)
     count = len(step.profile)
-    values = (
-        list(answer) if isinstance(answer, list | tuple | np.ndarray) and np.ndim(answer) == 1 else [answer] * count
-    )
-    is_number = all(isinstance(value, float | int | np.number) and isfinite(value) for value in values)
-    if not is_number or len(values) != count:
+    values = array_of(answer)
+    is_number = values.dtype.kind in "biuf" and np.isfinite(values).all()
+    if not is_number or values.shape not in {(), (count,)}:
         raise wrong_answer(f"a reward should be a finite number, or one for each of {count} pursuers", answer, reward)
-    return dict(enumerate(map(float, values)))
+    return dict(enumerate(np.broadcast_to(values, count).astype(float).tolist()))

@@ -3,11 +3,11 @@
 from cmath import rect
 from collections.abc import Iterator
 from itertools import product
-from math import isnan
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from desim.config.python_numbers import as_complex
 from desim.pursuit.core.state import State
 from desim.pursuit.core.traits import StrategyTraits
 from desim.pursuit.evaders.evasion import STRATEGIES
@@ -108,19 +108,19 @@ def _heading(tested: Subject, case: _Case) -> complex:
     state, untouched = case.observation(), case.observation()
     try:
         with tested.fresh() as strategy:
-            heading = strategy(state, np.random.default_rng(1))
+            answer: Any = strategy(state, np.random.default_rng(1))
     except Exception as error:
         tested.blame(str(case), error)
     for name, value in vars(untouched).items():
         after: Any = getattr(state, name, None)
         tested.require(np.array_equal(after, value), f"{case} changes state.{name} from {value} to {after}; copy it")
-    if isinstance(heading, bool) or not isinstance(heading, int | float | complex | np.number):
-        tested.fail(f"{case} returns {heading!r}, expected a heading: a complex number x + 1j * y of length at most 1")
-    length = float(np.abs(heading))
-    tested.require(not isnan(length), f"{case} returns {heading}, expected a finite complex number")
+    heading = as_complex(answer)
+    if heading != heading:
+        tested.fail(f"{case} returns {answer!r}, expected a heading: a complex number x + 1j * y of length at most 1")
+    length = abs(heading)
     tested.require(
         length <= 1.0 + ROUNDING,
         f"{case} returns {heading} of length {length:.4g}, expected at most 1: the velocity is the heading times the"
         " speed",
     )
-    return complex(heading)
+    return heading

@@ -23,6 +23,7 @@ from pydantic import Field
 
 from desim.config.answers import wrong_answer
 from desim.config.model import Period, Rate, Value
+from desim.config.python_numbers import as_real
 from desim.pursuit.team.agent import Agent, Process
 
 
@@ -213,10 +214,11 @@ def slot_length(schedule: Schedule, me: Agent) -> float:
         ValueError: if a user's schedule returns anything else than a finite time greater than 0.
     """
     mean_slot: Any = schedule.mean_slot
-    slot = mean_slot(me) if callable(mean_slot) else None
-    if isinstance(slot, bool) or not isinstance(slot, float | int | np.number) or not 0.0 < slot < inf:
-        raise wrong_answer("mean_slot(me) should return a finite time > 0 s", slot, schedule)
-    return float(slot)
+    answer = mean_slot(me) if callable(mean_slot) else None
+    slot = as_real(answer)
+    if not 0.0 < slot < inf:
+        raise wrong_answer("mean_slot(me) should return a finite time > 0 s", answer, schedule)
+    return slot
 
 
 def ticks(me: Agent, period: float, first: int = 0, phase: float = 0.0) -> Iterator[float]:

@@ -2,9 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from decimal import Decimal
+from fractions import Fraction
 from string import ascii_lowercase
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -69,6 +72,14 @@ def test_attributes_of_models_and_dataclasses_count():
 
     assert (Singing.of(Model()).volume, Singing.of(Model()).melodic) == ("high", True)
     assert Singing.of(Data(0.5)).wingspan == 0.5
+
+
+@pytest.mark.parametrize("number", [np.float32(0.5), np.array(0.5), Fraction(1, 2), Decimal("0.5")])
+def test_a_parameter_may_be_a_number_of_any_kind(number):
+    class Bird:
+        wingspan = number
+
+    assert Singing.of(Bird()).wingspan == 0.5
 
 
 def test_a_parameter_of_another_type_has_no_effect():

@@ -6,6 +6,8 @@ import pickle
 import sys
 import threading
 import warnings
+from decimal import Decimal
+from fractions import Fraction
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -257,11 +259,21 @@ def test_a_reward_of_a_user_is_a_function_of_a_step():
     assert steps[0].profile == (1, 1, 1, 1, 1)
     end = env.result.trace.of(Ended)[0].t / 1e9
     assert list(sums.values()) == pytest.approx([-5 * (end - begin)] * 5)
-    for wrong in (lambda step: "much", lambda step: [1.0], lambda step: float("nan")):
+    for wrong in (lambda step: "much", lambda step: [1.0], lambda step: float("nan"), lambda step: np.complex64(1)):
         env = desim.env(small(), 3, reward=wrong)
         env.reset()
         with pytest.raises(ValueError, match=r"a reward should be a finite .* from <lambda> [(]"):
             env.step(1)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.array, Fraction, Decimal])
+def test_a_reward_may_be_a_number_of_any_kind(kind):
+    for reward in (lambda step: kind(0.25), lambda step: [kind(0.25)] * 5):
+        env = desim.env(small(), 3, reward=reward)
+        env.reset()
+        env.step(1)
+        assert {(value, type(value)) for value in env.rewards.values()} <= {(0.25, float), (0.0, float)}
+        assert 0.25 in env.rewards.values()
 
 
 @pytest.mark.parametrize("make", [desim.env, desim.parallel_env])

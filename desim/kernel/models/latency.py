@@ -18,6 +18,7 @@ from desim.config.answers import wrong_answer
 from desim.config.arrays import Floats
 from desim.config.choice import OneOf
 from desim.config.model import MAX_TIME, FirstError, NotEmpty, Speed, Time, Value
+from desim.config.python_numbers import real
 from desim.config.trust import resolve_path
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.core.portable_math import exp
@@ -257,8 +258,8 @@ def mean_latency(model: Latency) -> float | None:
     mean = LinkTraits.of(model).mean_latency
     latency = None if mean is None else mean()
     try:
-        return None if latency is None else float(latency)
-    except (TypeError, ValueError) as error:
+        return None if latency is None else real(latency, "a latency")
+    except ValueError as error:
         raise wrong_answer("mean_latency() should return a number, s, or None", latency, model) from error
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ValidationInfo, model_validator
 
 from desim.config.answers import wrong_answer
-from desim.config.arrays import Floats
+from desim.config.arrays import Floats, array_of
 from desim.config.choice import OneOf
 from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
 from desim.config.trust import resolve_path
@@ -66,9 +66,10 @@ class PerPair(Value):
     def base_latencies(self, context: LinkContext) -> Floats:
         """Return the (k,) base latencies, s, of the links."""
         u = context.uniform("pair latency", symmetric=self.symmetric)
-        latencies = np.asarray(self.base.quantile(u))
-        if latencies.shape != u.shape:
-            raise wrong_answer(f"quantile(u) should return a latency for each of {len(u)} u", latencies, self.base)
+        answer = self.base.quantile(u)
+        latencies = array_of(answer)
+        if latencies.shape != u.shape or latencies.dtype.kind not in "iuf":
+            raise wrong_answer(f"quantile(u) should return a latency for each of {len(u)} u", answer, self.base)
         return latencies
 
     def mean_latency(self) -> float | None:

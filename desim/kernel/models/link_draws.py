@@ -109,10 +109,10 @@ def times_of(answer: Any, count: int, model: object) -> "NDArray[np.int64]":
     Raises:
         ValueError: if they are neither one number nor one for each link, or one of them is invalid.
     """
-    shape = np.shape(answer)
-    if shape not in {(), (count,)}:
+    times = as_nanoseconds(answer, model)
+    if times.shape not in {(), (count,)}:
         raise wrong_answer(f"latencies should be one number or one for each of {count} links", answer, model)
-    return as_nanoseconds(answer, model)
+    return times
 
 
 def booleans_of(answer: Any, count: int, model: object) -> list[bool]:

@@ -12,7 +12,7 @@ from desim.config.arrays import Bools, Integers
 from desim.config.choice import OneOf
 from desim.config.errors import KeyedError, Problem
 from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
-from desim.config.python_numbers import as_python
+from desim.config.python_numbers import as_real
 from desim.config.traits import inherits, is_ours
 from desim.kernel.models.access import ACCESSES, Access, Ideal, Owner, Tdma
 from desim.kernel.models.interference import INTERFERENCES, Collision, Interference, LoRaInterference, LoRaSignal
@@ -299,9 +299,9 @@ def airtimes(medium: Medium) -> Callable[[int, int], float]:
 
 
 def _checked(airtime: Any, medium: Medium) -> float:
-    number = airtime if type(airtime) is float else as_python(airtime)
-    if type(number) in {float, int} and 0.0 <= number < inf:
-        return min(float(number), MAX_TIME)
+    number = as_real(airtime)
+    if 0.0 <= number < inf:
+        return min(number, MAX_TIME)
     raise wrong_answer("an airtime should be a finite time >= 0 s", airtime, medium)
 
 

@@ -18,7 +18,7 @@ from pydantic import model_validator
 from desim.config.answers import wrong_answer
 from desim.config.choice import OneOf
 from desim.config.model import Duration, Extent, FirstError, Flag, NotEmpty, Probability, Rate, Value
-from desim.config.python_numbers import real
+from desim.config.python_numbers import as_complex, real
 from desim.config.traits import check_inherited_flag, kind_of
 from desim.kernel.core.seeds import pair_uniform, stream
 from desim.kernel.core.units import nanoseconds
@@ -137,11 +137,11 @@ class FalseAnnouncements(ByzantineFault):
         return phi
 
     def _place(self, truth: complex, me: Speaker) -> complex:
-        place: Any = self.position(truth, me.rng)  # type: ignore[misc]  # one is given
-        is_number = isinstance(place, (complex, float, int, np.number)) and not isinstance(place, bool)
-        if not is_number or not isfinite(complex(place)):
-            raise ValueError(f"a false position should be a finite complex number, x + yj in m (got {place!r})")
-        return complex(place)
+        answer: Any = self.position(truth, me.rng)  # type: ignore[misc]  # one is given
+        place = as_complex(answer)
+        if not isfinite(place):
+            raise ValueError(f"a false position should be a finite complex number, x + yj in m (got {answer!r})")
+        return place
 
 
 class Liar(FalseAnnouncements):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from desim.config.answers import wrong_answer
 from desim.config.arrays import Floats, Points
+from desim.config.python_numbers import as_complex
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.pursuit.core.geometry import SMALLEST
 from desim.pursuit.core.state import State, lengths
@@ -99,14 +100,13 @@ class EvaderController:
             observation = observation.only(self._space.visible(observation.pursuers, observation.evader))
         if self._space is not PLANE:
             observation = observation.within(self._space)
-        heading = self._strategy(observation, self._rng)
-        if type(heading) is not complex and (
-            isinstance(heading, bool) or not isinstance(heading, (int, float, complex, np.number))
-        ):
-            raise wrong_answer("a heading should be a complex number", heading, self._strategy)
-        if not abs(heading) <= 1.0 + 1e-9:
-            raise wrong_answer("a heading should have length at most 1", heading, self._strategy)
-        self._heading, self._since = complex(heading), state.stamp
+        answer = self._strategy(observation, self._rng)
+        heading = as_complex(answer)
+        if heading != heading:
+            raise wrong_answer("a heading should be a complex number", answer, self._strategy)
+        if abs(heading) > 1.0 + 1e-9:
+            raise wrong_answer("a heading should have length at most 1", answer, self._strategy)
+        self._heading, self._since = heading, state.stamp
         return heading
 
 

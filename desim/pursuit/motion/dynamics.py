@@ -13,9 +13,10 @@ import numpy as np
 from pydantic import Field
 
 from desim.config.answers import wrong_answer
-from desim.config.arrays import Floats, Points
+from desim.config.arrays import Floats, Points, array_of
 from desim.config.choice import OneOf
 from desim.config.model import Flag, Value
+from desim.config.python_numbers import as_complex
 from desim.config.traits import Follows, Traits, check_inherited_flag, is_ours
 from desim.pursuit.core.geometry import SMALLEST
 from desim.pursuit.core.state import lengths
@@ -307,7 +308,7 @@ def capture_times_with(
     times = dynamics.capture_times(offsets, courses, speeds, evader_speed, radius)
     if is_ours(type(dynamics)):
         return times
-    array = np.asarray(times)
+    array = array_of(times)
     if array.shape != speeds.shape or array.dtype.kind not in "iuf" or not (array >= 0.0).all():
         expected = f"a time >= 0 s, or inf, for each of {len(speeds)} pursuers"
         raise wrong_answer(f"capture_times of dynamics should return {expected}", times, dynamics)
@@ -323,10 +324,10 @@ def steered_with(dynamics: Dynamics, command: complex, course: Course, aim: comp
     steered: Any = dynamics.steered(command, course, aim, radius)
     if is_ours(type(dynamics)):
         return steered  # type: ignore[no-any-return]
-    is_number = isinstance(steered, complex | float | int | np.number) and not isinstance(steered, bool)
-    if not is_number or not isfinite(complex(steered)):
+    velocity = as_complex(steered)
+    if not isfinite(velocity):
         raise wrong_answer("steered of dynamics should return a finite complex number, in m/s", steered, dynamics)
-    return complex(steered)
+    return velocity
 
 
 def headings_with(dynamics: Dynamics, rng: np.random.Generator, count: int) -> list[complex]:
@@ -338,7 +339,7 @@ def headings_with(dynamics: Dynamics, rng: np.random.Generator, count: int) -> l
     headings = dynamics.headings(rng, count)
     if is_ours(type(dynamics)):
         return headings
-    array = np.asarray(headings)
+    array = array_of(headings)
     if array.shape != (count,) or array.dtype.kind not in "iufc" or not np.allclose(np.abs(array), 1.0):
         expected = f"a complex number of length 1 for each of {count} players"
         raise wrong_answer(f"headings of dynamics should return {expected}", headings, dynamics)

@@ -10,9 +10,8 @@ from collections.abc import Generator, Iterable, Iterator
 from math import inf, nan
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-
 from desim.config.answers import wrong_answer
+from desim.config.python_numbers import as_complex, as_real
 from desim.config.traits import is_ours
 from desim.kernel.core.clock import Clock, Instant, NodeClock, Phase
 from desim.kernel.core.seeds import stream
@@ -143,12 +142,12 @@ class NoisySensor:
             seeing = (state.in_sight(evader, radius) & ~state.broken).tolist()
             for view, offset, (first, second), sees in zip(self.views, offsets, draws, seeing, strict=True):
                 if sees:
-                    measured: Any = self._noise(offset, first, second)
-                    is_number = isinstance(measured, (complex, float, int, np.number))
-                    if not is_number or isinstance(measured, bool) or measured != measured:
+                    answer: Any = self._noise(offset, first, second)
+                    measured = as_complex(answer)
+                    if measured != measured:
                         expected = "a noise should return the measured vector, a complex number in m"
-                        raise wrong_answer(expected, measured, self._noise)
-                    view.measure(evader, complex(measured), self.covariance_at(complex(measured)))
+                        raise wrong_answer(expected, answer, self._noise)
+                    view.measure(evader, measured, self.covariance_at(measured))
 
     def covariance_at(self, offset: complex) -> Covariance:
         """Return the covariance of the error of a measurement, given the true vector to the evader, m.
@@ -160,8 +159,8 @@ class NoisySensor:
         if type(entries) is Covariance and is_ours(type(self._noise)):
             return entries
         try:
-            covariance = Covariance(*(float(entry) for entry in entries))
-        except (TypeError, ValueError):
+            covariance = Covariance(*map(as_real, entries))
+        except TypeError:
             covariance = Covariance(nan, nan, nan)
         xx, xy, yy = covariance
         if not (0.0 < xx < inf and xy * xy < xx * yy < inf):

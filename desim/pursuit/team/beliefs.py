@@ -15,6 +15,7 @@ import numpy as np
 from desim.config.answers import wrong_answer
 from desim.config.arrays import Floats, Points
 from desim.config.model import MAX_TIME
+from desim.config.python_numbers import as_real
 from desim.kernel.core.clock import NodeClock
 from desim.kernel.core.records import Record
 from desim.kernel.core.units import SECOND
@@ -251,12 +252,11 @@ class Beliefs(Knowledge):
             counted = self.counted_teammates(utility.scope)
             times = [phi for j, phi in zip(rivals, times, strict=True) if j in counted]
         other_times = [phi for phi in times if phi < inf]
-        gain: Any = utility(own_time, other_times, self._state.time_left(self._clock.stamp))
-        if type(gain) is float and gain == gain:  # the type of built-in utilities; the check below takes longer
-            return gain
-        if isinstance(gain, bool) or not isinstance(gain, (float, int, np.number)) or gain != gain:
-            raise wrong_answer("a utility should return a gain, a number in s", gain, utility)
-        return float(gain)
+        answer: Any = utility(own_time, other_times, self._state.time_left(self._clock.stamp))
+        gain = as_real(answer)
+        if gain != gain:
+            raise wrong_answer("a utility should return a gain, a number in s", answer, utility)
+        return gain
 
     def counted_teammates(self, scope: Scope) -> Collection[int]:
         """Return the pursuers whose actions count in its utility, given the scope of the utility.
