@@ -20,7 +20,7 @@ NO_PAIR = {
     "desim/kernel/core/positions.py": "two interfaces for users, not two ways",
     "desim/kernel/models/traits.py": "says what a user's method `draw` is for; the network does it",
     "desim/kernel/tc/writer.py": "refuses what it cannot write",
-    "desim/pursuit/motion/flow.py": "says that there is no flow, and nothing is computed in another way",
+    "desim/pursuit/motion/environment.py": "says that there is no flow, and nothing is computed in another way",
     "desim/pursuit/team/observation.py": "saves questions that have one answer for that type",
     "protocols/schedules/periodic.py": "the block is a part of what a seed means, so there is no other way",
 }

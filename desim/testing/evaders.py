@@ -116,7 +116,8 @@ def _heading(tested: Subject, case: _Case) -> complex:
         tested.require(np.array_equal(after, value), f"{case} changes state.{name} from {value} to {after}; copy it")
     heading = as_complex(answer)
     if heading != heading:
-        tested.fail(f"{case} returns {answer!r}, expected a heading: a complex number x + 1j * y of length at most 1")
+        expected = "a heading: a finite complex number x + 1j * y of length at most 1"
+        tested.fail(f"{case} returns {answer!r}, expected {expected}")
     length = abs(heading)
     tested.require(
         length <= 1.0 + ROUNDING,

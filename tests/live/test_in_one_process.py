@@ -8,7 +8,8 @@ import pytest
 from desim import Bernoulli, Constant, Scenario
 from desim.kernel.core.events import MessageCounts
 from desim.kernel.core.units import nanoseconds
-from desim.kernel.models.faults import Crash, FaultStarted
+from desim.kernel.models.faults import Crash
+from desim.kernel.models.traced_faults import FaultStarted
 from desim.live import lobby, namespaces, node, pursuer, referee
 from desim.live import runs as runs_module
 from desim.live.lines import Lines

@@ -117,7 +117,9 @@ def test_a_heading_of_more_than_1_is_refused(heading):
     def wrong(state, rng):
         return heading
 
-    with pytest.raises(ValueError, match=r"a heading should have length at most 1, got .* from wrong \(tests"):
+    with pytest.raises(
+        ValueError, match=r"a heading should be a complex number of length at most 1, got .* from wrong \(tests"
+    ):
         controller(wrong).heading(state(0))
 
 

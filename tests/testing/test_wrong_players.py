@@ -229,7 +229,7 @@ def overwriting(state, rng):
 EVADERS = {
     "a vector": (
         lambda state, rng: np.array([1.0, 0.0]),
-        r"returns array\(\[1\., 0\.\]\), expected a heading: a complex number",
+        r"returns array\(\[1\., 0\.\]\), expected a heading: a finite complex number",
     ),
     "nothing": (lambda state, rng: None, r"returns None, expected a heading"),
     "truth": (lambda state, rng: True, r"returns True, expected a heading"),
@@ -239,7 +239,7 @@ EVADERS = {
     ),
     "nan": (
         lambda state, rng: complex(np.nan, 0.0),
-        r"with 0 pursuers .* returns \(nan\+0j\), expected a finite complex number",
+        r"with 0 pursuers .* returns \(nan\+0j\), expected a heading: a finite complex number",
     ),
     "away without pursuers": (
         lambda state, rng: complex(state.offsets[state.nearest]) / 99,

@@ -299,7 +299,7 @@ def airtimes(medium: Medium) -> Callable[[int, int], float]:
 
 
 def _checked(airtime: Any, medium: Medium) -> float:
-    number = as_real(airtime)
+    number = airtime if type(airtime) is float else as_real(airtime)
     if 0.0 <= number < inf:
         return min(number, MAX_TIME)
     raise wrong_answer("an airtime should be a finite time >= 0 s", airtime, medium)

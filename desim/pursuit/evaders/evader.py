@@ -102,10 +102,8 @@ class EvaderController:
             observation = observation.within(self._space)
         answer = self._strategy(observation, self._rng)
         heading = as_complex(answer)
-        if heading != heading:
-            raise wrong_answer("a heading should be a complex number", answer, self._strategy)
-        if abs(heading) > 1.0 + 1e-9:
-            raise wrong_answer("a heading should have length at most 1", answer, self._strategy)
+        if not abs(heading) <= 1.0 + 1e-9:
+            raise wrong_answer("a heading should be a complex number of length at most 1", answer, self._strategy)
         self._heading, self._since = heading, state.stamp
         return heading
 

@@ -253,7 +253,7 @@ class Beliefs(Knowledge):
             times = [phi for j, phi in zip(rivals, times, strict=True) if j in counted]
         other_times = [phi for phi in times if phi < inf]
         answer: Any = utility(own_time, other_times, self._state.time_left(self._clock.stamp))
-        gain = as_real(answer)
+        gain = answer if type(answer) is float else as_real(answer)
         if gain != gain:
             raise wrong_answer("a utility should return a gain, a number in s", answer, utility)
         return gain
