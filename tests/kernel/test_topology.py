@@ -18,7 +18,7 @@ from desim.kernel.models.links import Links
 from desim.kernel.models.reception import Disk, LogDistance, QuasiUnitDisk
 from desim.kernel.network import Network
 from desim.kernel.topology import topology as topology_module
-from desim.kernel.topology.topology import Topology
+from desim.kernel.topology.topology import FEW, Topology
 
 
 def test_without_a_range_the_graph_decides():
@@ -394,5 +394,9 @@ def test_several_messages_reach_what_each_of_them_reaches(model, per_link):
         topology.reaches(s, [d], k)[0] for s, d, k in zip(src.tolist(), dst.tolist(), number.tolist(), strict=True)
     ]
     assert topology.reaches(src, dst, number, 0) == of_each
-    assert topology.reaches(3, dst, 7, 0) == topology.reaches(3, dst.tolist(), 7)
+    several = topology.reaches(3, dst, 7, 0)
+    assert topology.reaches(3, dst.tolist(), 7) == several
+    for count in range(1, FEW + 2):
+        for receivers in (dst[:count], dst[:count].tolist()):
+            assert topology.reaches(3, receivers, 7) == several[:count]
     assert 0 < sum(of_each) < 200

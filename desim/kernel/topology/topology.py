@@ -22,6 +22,8 @@ from desim.kernel.topology.range_check import RangeCheck, WalledRangeCheck
 from desim.kernel.topology.spatial_hash import CellList
 from desim.kernel.walls.wall import Wall
 
+FEW = 4
+"""Number of receivers up to which each is asked for by itself, because operations on arrays take longer."""
 SMALL_NETWORK = 400
 """Number of nodes up to which computing all distances is faster than a cell list."""
 
@@ -154,15 +156,15 @@ class Topology:
         if (
             self.channel is None
             and self.walls is None
-            and len(dst) == 1
+            and len(dst) <= FEW
             and times is None
             and isinstance(src, int)
             and isinstance(message, int)
         ):
-            node = int(dst[0])
             if self._kept is not None and self._complete and (kept := self._kept.of(src)) is not None:
-                return [node in kept]
-            return [self._received.one(src, node, source.distance(src, node), message)]
+                return [node in kept for node in dst]
+            one, distance = self._received.one, source.distance
+            return [one(src, node, distance(src, node), message) for node in map(int, dst)]
         places = source.of if times is None else partial(source.at, times=times)
         receivers = np.asarray(dst)
         if isinstance(src, int):
