@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 from desim.pursuit.sensing.correction import StateVector, Upper, corrected_by_state
 from desim.pursuit.sensing.tracking import Track
 
+_new = tuple.__new__  # creates a named tuple in a third of the time
 Fusion = Literal["by_stamp", "naive", "covariance_intersection"]
 LEAST_DETERMINANT = 1e-4
 """Least determinant of a matrix that is inverted in closed form, relative to the product of its diagonal.
@@ -40,10 +41,10 @@ class InformedTrack(NamedTuple):
 def informed(track: Track) -> InformedTrack:
     """Return a track with a covariance, and its information."""
     assert track.covariance is not None
-    matrix = inverse(track.covariance)
-    if matrix is None:
-        return InformedTrack(track, None)
-    return InformedTrack(track, Information(matrix, product(matrix, track.state), trace(track.covariance)))
+    matrix, information = inverse(track.covariance), None
+    if matrix is not None:
+        information = _new(Information, (matrix, product(matrix, track.state), trace(track.covariance)))
+    return _new(InformedTrack, (track, information))
 
 
 def fused(tracks: Sequence[InformedTrack], how: Fusion) -> Track:
@@ -65,7 +66,7 @@ def fused(tracks: Sequence[InformedTrack], how: Fusion) -> Track:
             return fused_by_corrections([track for track, _ in tracks], how)
         matrix, vector = _mixed(combined, other.information, how)
         covariance = inverse(matrix)
-        combined = None if covariance is None else Information(matrix, vector, trace(covariance))
+        combined = None if covariance is None else _new(Information, (matrix, vector, trace(covariance)))
     if combined is None or covariance is None:
         return fused_by_corrections([track for track, _ in tracks], how)
     return Track(first.track.stamp, product(covariance, combined.vector), covariance)
