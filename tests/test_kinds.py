@@ -20,6 +20,9 @@ ALLOWED = {
         "desim.analysis.timeline": "Crash",
         "desim.testing.messages": "Crash Partition",
     },
+    "a plan of faults draws them, and of the entries of a scenario it takes those that are faults": {
+        "desim.kernel.models.fault_plans": "ClockSkew Crash Fault",
+    },
     "a check of a family has parts for the bases that users derive from": {
         "desim.testing.faults": "ByzantineFault ClockSkew Fault Window",
         "desim.testing.flows": "UniformFlow",
