@@ -494,6 +494,18 @@ def test_a_trivial_graph_has_labels_of_nodes_and_edges(tmp_path):
     assert [(edge.src, edge.dst) for edge in edges.edges] == [(0, 1), (1, 2)]
 
 
+XML_TWICE = """<graphml xmlns="http://graphml.graphdrawing.org/xmlns">
+<key id="d0" for="edge" attr.name="latency" attr.type="double"/>
+<key id="d1" for="edge" attr.name="latency" attr.type="double"/>
+<graph edgedefault="undirected"><node id="0"/><node id="1"/>
+<edge source="0" target="1"><data key="{first}">0.1</data><data key="{second}">0.2</data></edge></graph></graphml>"""
+GEXF_TWICE = """<gexf xmlns="http://www.gexf.net/1.2draft" version="1.2"><graph defaultedgetype="undirected">
+<attributes class="edge"><attribute id="0" title="latency" type="float"/>
+<attribute id="1" title="latency" type="float"/></attributes>
+<nodes><node id="0" label="0"/><node id="1" label="1"/></nodes><edges><edge id="0" source="0" target="1"><attvalues>
+<attvalue for="{first}" value="0.1"/><attvalue for="{second}" value="0.2"/></attvalues></edge></edges></graph></gexf>"""
+
+
 @pytest.mark.parametrize(
     ("name", "text", "why"),
     [
@@ -503,6 +515,20 @@ def test_a_trivial_graph_has_labels_of_nodes_and_edges(tmp_path):
         ("g.txt", "0 1 {'latency': 0.1, 'latency': 0.2}\n", "line 1: has 'latency' twice"),
         ("g.json", '{"nodes": [{"id": 0}, {"id": 1, "id": 2}], "links": []}', "an object has 'id' twice"),
         ("g.net", '*Vertices\n1 "a"\n', "line 1: .Vertices should be followed by their number"),
+        ("g.csv", "source,target,latency,latency\n0,1,0.1,0.2\n", "line 1: has 'latency' twice"),
+        ("g.csv", "source,source,target\n0,1,2\n", "line 1: has 'source' twice"),
+        ("g.tgf", "1 a\n1 b\n#\n1 1\n", "the list of nodes has '1' twice"),
+        ("g.net", '*Vertices 2\n1 "a"\n1 "b"\n*Edges\n1 2\n', "the list of vertices has '1' twice"),
+        ("g.net", "*Vertices 2\n*Edges\n1 2 1 latency 0.1 latency 0.2\n", "line 3: has 'latency' twice"),
+        (
+            "g.json",
+            '{"nodes": [{"id": 0}, {"id": 1}], "links": [{"source": 0, "target": 1}], "edges": [{"source": 1}]}',
+            "it should have edges or links, and has both",
+        ),
+        ("g.graphml", XML_TWICE.format(first="d0", second="d0"), "the edge from 0 to 1 has 'latency' twice"),
+        ("g.graphml", XML_TWICE.format(first="d0", second="d1"), "the edge from 0 to 1 has 'latency' twice"),
+        ("g.gexf", GEXF_TWICE.format(first="0", second="0"), "the edge from 0 to 1 has 'latency' twice"),
+        ("g.gexf", GEXF_TWICE.format(first="0", second="1"), "the edge from 0 to 1 has 'latency' twice"),
     ],
 )
 def test_what_is_read_in_two_ways_or_twice_is_refused(tmp_path, name, text, why):

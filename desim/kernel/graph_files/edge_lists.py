@@ -9,7 +9,7 @@ possibly attributes, named in a header or as Python writes a dict. A line with o
 
 import csv
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -69,6 +69,7 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
                 f"{file}, line {too_long[0].line}: should have two nodes; attributes need a first line that names the"
                 " columns, such as source,target,latency,loss; an adjacency list needs the ending .adjlist"
             )
+    check_once(filter(None, header), f"{file}, line {lines[0].line}:")
     lower = [name.lower() for name in header]
     src, dst = next(((lower.index(a), lower.index(b)) for a, b in ENDS if a in lower and b in lower), (0, 1))
     kinds, nodes, edges = set[str](), list[str](), list[NamedEdge]()
@@ -79,7 +80,7 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
         if len(cells) != len(header):
             raise ValueError(f"{file}, line {line}: should have {len(header)} columns, has {len(cells)}")
         place = f"{file}, line {line}"
-        named = {name: cells[k] for k, name in enumerate(header) if k not in {src, dst} and cells[k]}
+        named = {name: cells[k] for k, name in enumerate(header) if name and k not in {src, dst} and cells[k]}
         kinds |= {value.lower() for name, value in named.items() if name.lower() == "type"}
         read = {name: _attribute(name, value, place) for name, value in named.items() if name.lower() != "type"}
         edges.append((cells[src], cells[dst], read | attributes))
@@ -159,6 +160,7 @@ def read_trivial(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any]
         raise ValueError(f"{file}: should have a line # between nodes and edges")
     between = lines.index(["#"])
     nodes = [cells[0] for cells in lines[:between] if cells]
+    check_once(nodes, f"{file}: the list of nodes")
     edges: list[NamedEdge] = []
     for number, cells in enumerate(lines[between + 1 :], between + 2):
         if cells and not (len(cells) > 1 and {*cells[:2]} <= {*nodes}):
@@ -177,6 +179,7 @@ def read_pajek(file: Path, text: str) -> "nx.Graph[Any]":
     import networkx as nx
 
     labels, edges, parts, part = dict[str, str](), list[NamedEdge](), list[str](), ""
+    vertices = list[str]()
     for number, line in enumerate(text.split("\n"), 1):
         place = f"{file}, line {number}"
         cells = [cell.strip('"') for cell in re.findall(r'"[^"]*"|\S+', line.partition("%")[0])]
@@ -194,16 +197,19 @@ def read_pajek(file: Path, text: str) -> "nx.Graph[Any]":
             if cells[0] not in labels:
                 raise ValueError(f"{place}: there is no vertex {cells[0]}: they are 1 .. {len(labels)}")
             labels[cells[0]] = cells[1] if len(cells) > 1 else cells[0]
+            vertices.append(cells[0])
         elif part in {"*edges", "*arcs"}:
             if len(cells) < 2 or not {*cells[:2]} <= labels.keys():
                 raise ValueError(f"{place}: should be two vertices from 1 to {len(labels)}")
-            named = zip(cells[3::2], cells[4::2], strict=False)
+            named = [*zip(cells[3::2], cells[4::2], strict=False)]
+            check_once((name for name, _ in named), f"{place}:")
             attributes = {name: _attribute(name, value, place) for name, value in named}
             weight = {"weight": _attribute("weight", cells[2], place)} if len(cells) > 2 else {}
             parts.append(part)
             edges.append((cells[0], cells[1], weight | attributes))
         else:
             raise ValueError(f"{place}: should begin with *Vertices")
+    check_once(vertices, f"{file}: the list of vertices")
     if len(set(parts)) > 1:
         raise ValueError(f"{file} has edges and arcs: all should be of one type")
     graph: nx.Graph[Any] = nx.MultiDiGraph() if parts[:1] == ["*arcs"] else nx.MultiGraph()
@@ -254,9 +260,17 @@ def _dict(text: str, place: str) -> dict[str, Any]:
     if None in pairs or (inside and not pairs):
         raise ValueError(f"{place}: the attributes should be like {{'latency': 0.1}} (got {text[:40]})")
     entries = [(pair[2], pair[4], pair[5]) for pair in pairs if pair is not None]
-    if twice := next((name for k, (name, *_) in enumerate(entries) if name in [entry[0] for entry in entries[:k]]), ""):
-        raise ValueError(f"{place}: has {twice!r} twice")
+    check_once((name for name, *_ in entries), f"{place}:")
     return {name: _attribute("", word, place) if quoted is None else quoted for name, quoted, word in entries}
+
+
+def check_once(names: Iterable[str | None], owner: str) -> None:
+    """Raise ValueError if a name is given twice: a reader would take one of the values."""
+    seen = set[str | None]()
+    for name in names:
+        if name is not None and name in seen:
+            raise ValueError(f"{owner} has {name!r} twice")
+        seen.add(name)
 
 
 def _names_ends(cells: Sequence[str]) -> bool:

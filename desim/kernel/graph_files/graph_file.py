@@ -6,13 +6,14 @@ Format (`.tgf`): JSON (node-link, adjacency or Cytoscape), GraphML, GEXF, GML, P
 
 import json
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from desim.config.number_files import check_comments, content_of, text_of_file
 from desim.kernel.graph_files.edge_lists import (
+    check_once,
     read_adjacency_list,
     read_edge_list,
     read_metis,
@@ -151,6 +152,8 @@ def _from_json(text: str) -> "nx.Graph[Any]":
         _check_ends({node["id"] for node in data["nodes"]}, (edge["id"] for row in data["adjacency"] for edge in row))
         adjacency: nx.Graph[Any] = nx.adjacency_graph(data)
         return adjacency
+    if data.get("edges") and data.get("links"):
+        raise ValueError("it should have edges or links, and has both")
     key = "edges" if "edges" in data else "links"  # networkx before 3.4 writes "links"
     if key not in data or "nodes" not in data:
         raise ValueError("it should have nodes, and edges or links (node-link), adjacency, or elements (Cytoscape)")
@@ -166,11 +169,8 @@ def _from_json(text: str) -> "nx.Graph[Any]":
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Return an object of JSON; raise ValueError if it has a key twice."""
-    unique = dict(pairs)
-    if len(unique) < len(pairs):
-        names = [name for name, _ in pairs]
-        raise ValueError(f"an object has {next(name for name in names if names.count(name) > 1)!r} twice")
-    return unique
+    check_once((name for name, _ in pairs), "an object")
+    return dict(pairs)
 
 
 def _from_cytoscape(data: dict[str, Any]) -> "nx.Graph[Any]":
@@ -261,6 +261,9 @@ def _from_graphml(root: "Element", content: bytes) -> "nx.Graph[Any]":
         if key.get("for", "all") == "all" and key.find(_like(root, "default")) is not None:
             raise ValueError(f"the key {key.get('id')!r} with a default should be for edge or for node, not for all")
     _check_elements(root, graphs[0])
+    names = {key.get("id"): key.get("attr.name") or key.get("id") for key in root.iter(_like(root, "key"))}
+    for element in _nodes_and_edges(root, graphs[0]):
+        check_once((names.get(data.get("key")) for data in element.findall(_like(root, "data"))), _name_of(element))
     return _with_defaults(_quietly(lambda: nx.read_graphml(BytesIO(content))))
 
 
@@ -273,6 +276,14 @@ def _from_gexf(root: "Element", content: bytes) -> "nx.Graph[Any]":
     if graph.get("mode") == "dynamic":
         raise ValueError("a graph that changes in time (mode dynamic) is not read")
     _check_elements(root, graph)
+    titles: dict[tuple[str | None, str | None], str | None] = {}
+    for attributes in graph.iter(_like(root, "attributes")):
+        for attribute in attributes.iter(_like(root, "attribute")):
+            titles[attributes.get("class"), attribute.get("id")] = attribute.get("title")
+    for element in _nodes_and_edges(root, graph):
+        kind = element.tag.rpartition("}")[2]
+        values = element.findall(f"{_like(root, 'attvalues')}/{_like(root, 'attvalue')}")
+        check_once((titles.get((kind, value.get("for") or value.get("id"))) for value in values), _name_of(element))
     return _with_defaults(_quietly(lambda: nx.read_gexf(BytesIO(content))))
 
 
@@ -287,6 +298,18 @@ def _check_elements(root: "Element", graph: "Element") -> None:
     _check_nodes(nodes)
     edges = graph.iter(_like(root, "edge"))
     _check_ends(set(nodes), (edge.get(end) for edge in edges for end in ("source", "target")))
+
+
+def _nodes_and_edges(root: "Element", graph: "Element") -> Iterator["Element"]:
+    for kind in ("node", "edge"):
+        yield from graph.iter(_like(root, kind))
+
+
+def _name_of(element: "Element") -> str:
+    """Return what a node or an edge is called in an error message."""
+    if source := element.get("source"):
+        return f"the edge from {source} to {element.get('target')}"
+    return f"node {element.get('id')}"
 
 
 def _with_defaults(graph: "nx.Graph[Any]") -> "nx.Graph[Any]":
