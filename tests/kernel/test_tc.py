@@ -262,6 +262,7 @@ REFUSED = {
     "delay 0ms reorder 5%": (1, "latency: reorder, and a jitter with a table, need a delay > 0, as in tc"),
     "distribution normal": (47, "distribution needs delay"),
     "delay 1ms 1ms distribution ../own": (61, "'../own' should be the name of a table, without folder and suffix"),
+    "delay 10s 5s": (1, "latency: should be less than or equal to 2.147483647"),
     "delay 9e10s": (40, "'9e10s' should be at most 1000000000s"),
     "delay 1ms 1ms distribution nromal": (1, "latency: nromal.dist cannot be read: No such file"),
 }
@@ -358,6 +359,29 @@ MISSING = [
     (Links(medium=Bitrate(bitrate=1.0, queue_limit=3)), "network.medium.queue_limit: "),
     (Links(medium=Bitrate(bitrate=1.0, access=Csma())), "network.medium.access: netem has no contention"),
     (Links(link=(Link(src=0, dst=1, loss=ByDistance()),)), "link 0 -> 1: loss: netem has no such model"),
+]
+
+
+def wrong(kind, **parameters):
+    """Return a model of a user's class, whose methods do something else than those of the kind."""
+    methods = {name: lambda self, *_: 5.0 for name in ("__call__", "draw") if hasattr(kind, name)}
+    methods |= {"start_run": lambda self, size: self} if hasattr(kind, "start_run") else {}
+    return type("Theirs", (kind,), {"__module__": "theirs", **methods})(**parameters)
+
+
+MISSING += [
+    (Links(latency=wrong(Constant, value=0.1)), "network.latency: netem needs quantiles"),
+    (Links(latency=wrong(Uniform)), "network.latency: netem needs quantiles"),
+    (Links(latency=wrong(Lognormal)), "network.latency: netem needs quantiles"),
+    (Links(latency=wrong(Netem, jitter=0.01)), "network.latency: netem needs quantiles"),
+    (Links(loss=wrong(Bernoulli, p=0.1)), "network.loss: netem has no such model"),
+    (Links(loss=wrong(Correlated)), "network.loss: netem has no such model"),
+    (Links(loss=wrong(GilbertElliott)), "network.loss: netem has no such model"),
+    (Links(loss=wrong(FourState)), "network.loss: netem has no such model"),
+    (Links(duplicate=wrong(Bernoulli, p=0.1)), "network.duplicate: netem has no such model"),
+    (Links(medium=wrong(Bitrate, bitrate=1e6)), "network.medium: netem has only a bit rate"),
+    (Links(latency=Uniform(low=5.0, high=15.0)), "network.latency: netem varies a delay by at most 2.14748 s"),
+    (Links(latency=Lognormal(mean=50.0, cv=1.0)), "network.latency: netem varies a delay by at most 2.14748 s"),
 ]
 
 

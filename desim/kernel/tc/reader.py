@@ -8,6 +8,7 @@ from pydantic import ValidationError
 
 from desim.config.error_texts import text_of
 from desim.kernel.models.links import Links
+from desim.kernel.models.netem import MAX_JITTER
 from desim.kernel.models.netem_tables import TABLES
 from desim.kernel.models.own_links import Way
 from desim.kernel.tc.syntax import FORM, HEADERS, LINK, Command, Device, TcError, commands, order_of
@@ -147,7 +148,7 @@ def _latency(options: dict[str, Any], folder: Path) -> TomlTable:
     name = options.get("distribution", "uniform") if jitter else "uniform"
     if not (jitter or reorder):
         return {"kind": "constant", "value": delay} if delay else {}
-    if name == "uniform" and not (correlation or reorder) and jitter <= delay:
+    if name == "uniform" and not (correlation or reorder) and jitter <= min(delay, MAX_JITTER):
         middle, half = round(delay * 1e9), round(jitter * 1e9)
         return {"kind": "uniform", "low": (middle - half) / 10**9, "high": (middle + half) / 10**9}
     table = {"kind": "netem", "delay": delay, "jitter": jitter, "correlation": correlation if jitter else 0.0}

@@ -2,14 +2,15 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard
 
+from desim.config.traits import Model
 from desim.kernel.models.graphs import Complete
 from desim.kernel.models.latency import Constant, Uniform, mean_of
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli, Correlated, FourState, GilbertElliott
 from desim.kernel.models.medium import Bitrate, Medium, Unlimited, contends
-from desim.kernel.models.netem import Netem
+from desim.kernel.models.netem import MAX_JITTER, Netem
 from desim.kernel.models.netem_tables import TABLES, fit
 from desim.kernel.models.own_links import link_overrides
 from desim.kernel.models.traits import LinkTraits
@@ -62,6 +63,17 @@ def script(links: Links, size: int, device: str = "eth0", walls: Sequence[Wall] 
     return Script(lines, writer.tables, list(dict.fromkeys(writer.missing)))
 
 
+DRAWING = ("__call__", "draw", "start_run", "quantile", "is_lost", "airtime")
+"""The methods of a model of links that say what happens to a message."""
+
+
+def is_as_built(model: Any, kind: type[Model]) -> TypeGuard[Model]:
+    """Return whether a model is of a built-in kind, and no class of a user overrides what happens to a message."""
+    return isinstance(model, kind) and all(
+        getattr(type(model), name, None) is getattr(kind, name, None) for name in DRAWING
+    )
+
+
 class _Writer:
     """The commands of one script.
 
@@ -97,26 +109,29 @@ class _Writer:
 
     def _delay(self, key: str, latency: Any) -> Words:
         """Return the words of a latency, with the processing delays added."""
-        match latency:
-            case Constant():
-                total = latency.value + self._processing
-                return ["delay", time_word(total)] if total else []
-            case Uniform():
-                middle, half = (latency.low + latency.high) / 2.0, (latency.high - latency.low) / 2.0
-                jitter = [time_word(half)] if half else []
-                return ["delay", time_word(middle + self._processing), *jitter]
-            case Netem():
-                return self._netem(latency)
+        if is_as_built(latency, Constant):
+            total = latency.value + self._processing
+            return ["delay", time_word(total)] if total else []
+        if is_as_built(latency, Uniform):
+            middle, half = (latency.low + latency.high) / 2.0, (latency.high - latency.low) / 2.0
+            return ["delay", time_word(middle + self._processing), *self._jitter(key, half)]
+        if is_as_built(latency, Netem):
+            return self._netem(latency)
         traits = LinkTraits.of(latency)
         if traits.quantile is None:
             self.missing.append((key, "netem needs quantiles of the latency that are the same for all links"))
             return []
         fitted = fit(traits.quantile)
         words = ["delay", time_word(fitted.delay + self._processing)]
-        if not fitted.jitter:
+        jitter = self._jitter(key, fitted.jitter)
+        if not jitter:
             return words
-        name = self._name(traits.kind or "latency", fitted.table)
-        return [*words, time_word(fitted.jitter), "distribution", name]
+        return [*words, *jitter, "distribution", self._name(traits.kind or "latency", fitted.table)]
+
+    def _jitter(self, key: str, jitter: float) -> Words:
+        if jitter > MAX_JITTER:
+            self.missing.append((key, f"netem varies a delay by at most {MAX_JITTER:.6g} s; here it has the mean only"))
+        return [time_word(jitter)] if 0.0 < jitter <= MAX_JITTER else []
 
     def _netem(self, latency: Netem) -> Words:
         words = ["delay", time_word(latency.delay + self._processing)]
@@ -147,29 +162,27 @@ class _Writer:
 
 def _random(model: Any) -> Words | None:
     """Return the probability and the correlation of a loss model that draws random numbers; None for any other."""
-    match model:
-        case Bernoulli():
-            return [share_word(model.p)] if model.p else []
-        case Correlated():
-            return [share_word(model.p), share_word(model.correlation)]
+    if is_as_built(model, Bernoulli):
+        return [share_word(model.p)] if model.p else []
+    if is_as_built(model, Correlated):
+        return [share_word(model.p), share_word(model.correlation)]
     return None
 
 
 def _loss(loss: Any) -> Words | None:
     """Return the values of the option `loss`; None if netem has no such model."""
-    match loss:
-        case GilbertElliott(advance="message"):
-            shares = [to_bad(loss.share, loss.burst), 1.0 / loss.burst, loss.loss_bad, loss.loss_good]
-            is_gilberts = loss.loss_bad == 1.0 and loss.loss_good == 0.0
-            return ["gemodel", *map(share_word, shares[:2] if is_gilberts else shares)]
-        case FourState():
-            return ["state", *map(share_word, (loss.p13, loss.p31, loss.p32, loss.p23, loss.p14))]
+    if is_as_built(loss, GilbertElliott) and loss.advance == "message":
+        shares = [to_bad(loss.share, loss.burst), 1.0 / loss.burst, loss.loss_bad, loss.loss_good]
+        is_gilberts = loss.loss_bad == 1.0 and loss.loss_good == 0.0
+        return ["gemodel", *map(share_word, shares[:2] if is_gilberts else shares)]
+    if is_as_built(loss, FourState):
+        return ["state", *map(share_word, (loss.p13, loss.p31, loss.p32, loss.p23, loss.p14))]
     values = _random(loss)
     return ["random", *values] if values else values
 
 
 def _rate(medium: Medium) -> Words:
-    if not isinstance(medium, Bitrate):
+    if not is_as_built(medium, Bitrate):
         return []
     overhead = [str(medium.header - HEADERS)] if medium.header != HEADERS else []
     limit = ["limit", str(int(medium.queue_limit) + 1)] if medium.queue_limit < MAX_LIMIT else []
@@ -183,7 +196,7 @@ def _missing(links: Links) -> Iterator[tuple[str, str]]:
         yield "network.graph", "netem does not remove links: connect only the nodes that are linked"
     if links.range != Links().range:
         yield "network.range", "netem does not know positions"
-    if not isinstance(medium, Bitrate | Unlimited):
+    if not (is_as_built(medium, Bitrate) or is_as_built(medium, Unlimited)):
         yield "network.medium", "netem has only a bit rate"
     if contends(medium):
         yield "network.medium.access", "netem has no contention: each device has a channel of its own"
@@ -193,5 +206,5 @@ def _missing(links: Links) -> Iterator[tuple[str, str]]:
         yield "network.medium.shared", "netem has a rate for each device"
     if medium.half_duplex:
         yield "network.medium.half_duplex", "netem does not know what a device receives"
-    if isinstance(medium, Bitrate) and medium.queue_limit < MAX_LIMIT:
+    if is_as_built(medium, Bitrate) and medium.queue_limit < MAX_LIMIT:
         yield "network.medium.queue_limit", "netem also counts packets in their delay, and drops the newest"
