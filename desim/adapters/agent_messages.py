@@ -20,6 +20,7 @@ from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 
 from desim.adapters.env_network import EnvNetwork
 from desim.adapters.message_spaces import UNHEARD, ActionSpace, blank, joined
+from desim.config.arrays import array_of
 
 
 class AgentMessages(EnvNetwork):
@@ -77,11 +78,10 @@ class AgentMessages(EnvNetwork):
             raise ValueError(f"the action of {agent!r} should be a dict with the keys {list(keys)} (got {action!r})")
         rest = {key: value for key, value in action.items() if key != "message"}
         if (message := action["message"]) is not None:
-            if isinstance(self._message, spaces.Box):
-                message = np.asarray(message, self._message.dtype)
-            if message not in self._message:
+            said = _in_box(message, self._message.dtype) if isinstance(self._message, spaces.Box) else message
+            if said is None or said not in self._message:
                 raise ValueError(f"the message of {agent!r} should be in {self._message} (got {message!r})")
-            self.network.publish(self.node(agent), message, size=self._size)
+            self.network.publish(self.node(agent), said, size=self._size)
         return rest["action"] if rest.keys() == {"action"} else rest
 
     def hear(self, agent: Hashable, observation: Any) -> Any:
@@ -94,3 +94,12 @@ class AgentMessages(EnvNetwork):
         return joined(
             observation, "observation", {"messages": concatenate(self._message, messages, rows), "ages": ages}
         )
+
+
+def _in_box(message: Any, dtype: Any) -> Any:
+    """Return a message as an array of the numbers of a Box; None if it has others, as 0.5 among integers."""
+    numbers = array_of(message)
+    if numbers.dtype.kind not in "biuf":
+        return None
+    converted = numbers.astype(dtype)
+    return converted if converted.dtype.kind == "f" or np.array_equal(converted, numbers) else None

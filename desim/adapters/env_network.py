@@ -4,6 +4,7 @@ import secrets
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
+from desim.config.arrays import array_of, array_text
 from desim.config.model import MAX_COORDINATE
 from desim.config.python_numbers import whole
 from desim.kernel.core.seeds import seed_of, stream
@@ -107,9 +108,12 @@ class EnvNetwork:
             return None
         places = self._positions_of(self._env)
         if not isinstance(places, Mapping):
-            if len(places) != len(self.row) or self._is_open:
-                rows = "be a dict by agent" if self._is_open else f"have {len(self.row)} rows, one per agent"
-                raise ValueError(f"positions should {rows} (got {len(places)} rows)")
-            places = dict(zip(self.row, places, strict=True))
+            if hasattr(places, "loc") and {*places.index} == {*self.row}:  # a table of pandas by agent
+                places = places.loc[[*self.row]]
+            rows = array_of(places)
+            if rows.ndim == 0 or len(rows) != len(self.row) or self._is_open:
+                expected = "be a dict by agent" if self._is_open else f"have {len(self.row)} rows, one per agent"
+                raise ValueError(f"positions should {expected} (got {array_text(rows)})")
+            places = dict(zip(self.row, rows, strict=True))
         self._places |= {self.node(agent): place for agent, place in places.items()}
         return self._places

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from desim.config.extras import naming_extras
 from desim.config.fresh import Remembered
-from desim.config.python_numbers import whole
+from desim.config.python_numbers import as_python, whole
 from desim.config.shared_state import StateWarning
 from desim.kernel.core.events import Trace
 from desim.kernel.core.seeds import run_seed, seed_of
@@ -215,9 +215,10 @@ class Pursuit:
         """Return an action as an integer; ValueError if it is none of the actions of the game."""
         if type(action) is int and action in self._actions:  # the check of the space takes longer
             return action
-        if action is None or not self.action_spaces[agent].contains(action):
+        number = as_python(action)
+        if number is None or not self.action_spaces[agent].contains(number):
             raise ValueError(f"{agent}: an action should be from 0 to {len(self.scenario.evaders)} (got {action!r})")
-        return int(action)
+        return int(number)
 
     def _begun(self, actions: Mapping[int, int]) -> StepStart:
         """Return the start of the step that begins now with some actions, by pursuer."""

@@ -4,9 +4,12 @@ import copy
 import gc
 import pickle
 import warnings
+from decimal import Decimal
+from fractions import Fraction
 
 import networkx as nx
 import numpy as np
+import pandas as pd
 import pettingzoo
 import pytest
 from gymnasium import spaces
@@ -165,6 +168,49 @@ def test_agents_out_of_range_are_not_heard_unless_their_places_are_frozen():
     assert heard(lambda env: frozen) == ([2.0, 0.0, 2.0], pytest.approx([0.1, -1.0, 0.1]))
     as_rows = lambda env: [(env.x[name], 0.0) for name in env.possible_agents]  # noqa: E731
     assert heard(as_rows) == heard(lambda env: env.places())
+
+
+@pytest.mark.parametrize(
+    "places",
+    [
+        lambda rows: pd.DataFrame(rows, columns=["x", "y"]),
+        lambda rows: pd.DataFrame(rows, columns=["x", "y"], index=list(NAMES)).loc[["eve", "ann", "bob"], ["y", "x"]],
+        lambda rows: np.array([row[::-1] for row in rows], dtype=[("y", float), ("x", float)]),
+        lambda rows: (row for row in rows),
+        lambda rows: [[Fraction(x), Decimal(y)] for x, y in rows],
+    ],
+)
+def test_places_may_be_rows_of_any_kind(places):
+    """Tables of pandas count by the names of their columns and agents."""
+    rows = [(0.0, 0.0), (3.0, 0.0), (3.0, 40.0)]
+    env = desim.wrap(Line(), {"range": 5.0}, positions=lambda env: places(rows), message=NUMBERS)
+    assert talk(env, 1)[-1]["ann"]["ages"].tolist() == [-1.0, pytest.approx(0.1), -1.0]
+
+
+@pytest.mark.parametrize(
+    ("space", "said", "heard"),
+    [
+        (NUMBERS, np.float16([2.0]), [2.0]),
+        (NUMBERS, [Fraction(1, 2)], [0.5]),
+        (NUMBERS, np.ma.array([2.0]), [2.0]),
+        (NUMBERS, np.ma.array([2.0], mask=True), None),
+        (NUMBERS, np.array([2.0 + 1j]), None),
+        (NUMBERS, np.array([2], "m8[s]"), None),
+        (NUMBERS, ["2"], None),
+        (spaces.Box(0, 200, (1,), np.uint8), [2.0], [2]),
+        (spaces.Box(0, 200, (1,), np.uint8), [0.5], None),
+        (spaces.Box(0, 200, (1,), np.uint8), [300], None),
+    ],
+)
+def test_a_message_has_the_numbers_that_were_said_or_is_refused(space, said, heard):
+    env = desim.wrap(Line(), message=space)
+    env.reset(seed=0)
+    actions = {name: {"action": 0, "message": said} for name in NAMES}
+    if heard is None:
+        with pytest.raises(ValueError, match="the message of 'ann' should be in Box"):
+            env.step(actions)
+    else:
+        assert env.step(actions)[0]["ann"]["messages"][1].tolist() == heard
 
 
 def test_an_agent_that_is_gone_is_heard_no_more_and_keeps_its_place():

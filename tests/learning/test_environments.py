@@ -343,6 +343,21 @@ def test_wrong_arguments_are_refused(make, error, text):
         make()
 
 
+class Tensor:
+    """A number of another library."""
+
+    def tolist(self):
+        return 1
+
+
+@pytest.mark.parametrize("action", [np.int8(1), np.array(1), Tensor()])
+def test_an_action_may_be_an_integer_of_any_kind(action):
+    env = desim.env(small(), 1)
+    env.reset()
+    env.step(action)
+    assert env.pursuer("pursuer_0").action == 1
+
+
 def test_wrong_actions_are_refused():
     env = desim.env(small(), 1)
     env.reset()
