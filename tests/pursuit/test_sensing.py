@@ -16,9 +16,11 @@ from desim.kernel.models.graphs import Edges
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.kernel.network import Network
+from desim.kernel.walls.wall import Wall
 from desim.pursuit.core.events import Decided, Ended, Sampled, Started
 from desim.pursuit.evaders.evasion import ConstantHeading, Diffusion, Still
 from desim.pursuit.motion.dead_reckoning import MotionState
+from desim.pursuit.motion.dynamics import Simple, TurnRate
 from desim.pursuit.sensing.sensing import NOWHERE, PORT, EvaderEstimate, Sensing, Sighting, TeamSensor, spiral
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
@@ -49,6 +51,23 @@ def looks(questions, period=0.1):
             found.append((me.now, me.id, questions(me)))
 
     return behaviour, found
+
+
+@pytest.mark.parametrize("within_step", [0, 4_567_891])
+@pytest.mark.parametrize("wall", [(), (Wall(line=((9.0, 0.0), (11.0, 20.0)), blocks=("sight",)),)], ids=["", "wall"])
+@pytest.mark.parametrize("dynamics", [Simple(), TurnRate(limit=1.5)], ids=lambda dynamics: dynamics.kind)
+def test_the_sight_of_one_is_that_of_all(dynamics, wall, within_step):
+    """Also at a radius that is exactly a distance; within a step the positions of all are not known beforehand."""
+    team = Team(count=9, dynamics=dynamics, active_at_start=0.5)
+    for radius in (4.0, 8.0, 0.0):
+        parts = world_of(Scenario(team=team, wall=wall, horizon=3.0), 4)
+        parts.world.begin()
+        parts.env.run(until=SECOND + within_step)
+        state = parts.state
+        radius = radius or float(np.median(state.distances(1)))
+        of_each = [state.sees(pursuer, 1, radius) for pursuer in range(9)]
+        assert of_each == state.in_sight(1, radius).tolist()
+        assert 0 < sum(of_each) < 9 or radius < 8.0
 
 
 @pytest.mark.whole_but_one

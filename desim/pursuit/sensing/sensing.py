@@ -289,7 +289,7 @@ class SensedView(LimitedView):
 
     def sees(self, evader: int) -> bool:
         """Return whether an evader is within the sensing radius of the pursuer now, and not behind a wall."""
-        return bool(self.state.in_sight(evader, self._sensing.radius)[self._id])
+        return self.state.sees(self._id, evader, self._sensing.radius)
 
     def newest(self, evader: int) -> Sighting | None:
         """Return the newest sighting of an evader, the pursuer's own or a reported one; None if there is none."""

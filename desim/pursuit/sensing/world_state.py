@@ -131,6 +131,17 @@ class WorldState:
             near &= self._visible(evader)
         return near
 
+    def sees(self, pursuer: int, evader: int, radius: float) -> bool:
+        """Return whether one pursuer sees an evader now, in a tenth of the time of `in_sight`.
+
+        Kept equal to the sight of all by
+        `tests/pursuit/test_sensing.py::test_the_sight_of_one_is_that_of_all`.
+        """
+        (distance,) = self.players.distances(self.body(evader).player, [pursuer])
+        if distance > radius:
+            return False
+        return not self.space.blocks_sight or bool(self._visible(evader)[pursuer])
+
     def _visible(self, evader: int) -> Bools:
         """Return between which pursuers and an evader there is no wall that blocks sight now, (N,)."""
         if self._visible_at != self.now:
