@@ -21,7 +21,9 @@ from desim.pursuit.core.events import Decided, Ended, Sampled, Started
 from desim.pursuit.evaders.evasion import ConstantHeading, Diffusion, Still
 from desim.pursuit.motion.dead_reckoning import MotionState
 from desim.pursuit.motion.dynamics import Simple, TurnRate
+from desim.pursuit.sensing.noise import PositionNoise
 from desim.pursuit.sensing.sensing import NOWHERE, PORT, EvaderEstimate, Sensing, Sighting, TeamSensor, spiral
+from desim.pursuit.sensing.tracking import Kalman
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Recording
@@ -314,6 +316,40 @@ def test_a_broken_down_pursuer_sees_nothing():
         found.clear()
         desim.run(base.model_copy(update={"fault": fault}))
         assert {able for t, _, able in found if t > 5.05} == {knows}
+
+
+NOISY = PositionNoise(deviation=0.3)
+ACROSS = (Wall(line=((2.0, -1.0), (3.0, 9.0))),)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("sensing", "wall"),
+    [
+        (Sensing(radius=6.0, track_timeout=0.2), ()),
+        (Sensing(radius=6.0, estimate="worst_case"), ()),
+        (Sensing(radius=6.0, track_timeout=0.2), ACROSS),
+        (Sensing(radius=6.0, noise=NOISY, estimator=Kalman(), fusion="naive"), ()),
+        (Sensing(radius=6.0, noise=NOISY, estimator=Kalman(), fusion="naive"), ACROSS),
+        (Sensing(radius=6.0, noise=NOISY, estimate="hold"), ()),
+    ],
+)
+def test_capture_times_of_some_at_an_estimate_are_those_of_all(sensing, wall):
+    """The evader is unknown, seen, estimated or lost, and one pursuer is too slow."""
+
+    def asks(me):
+        every = me._view.capture_times(1)
+        return me._view.capture_times_of([4, 0, me.id], 1) == [every[pursuer] for pursuer in (4, 0, me.id)], every
+
+    behaviour, found = looks(asks)
+    places = (4.0, 0.0), (0.0, 5.5), (-7.0, 1.0), (9.0, 0.0), (0.0, -12.0), (-3.0, -3.0)
+    team = Team(positions=places, speeds=(0.5, 1.0, 1.1, 1.2, 1.3, 1.4))
+    evader = Evader(position=(0.0, 0.0), speed=0.9, strategy=ConstantHeading(angle=-1.5))
+    keys = {"network": Links(latency=Constant(value=0.2)), "horizon": 0.75}
+    desim.run(scenario(sensing, team=team, evader=evader, wall=wall, protocol=behaviour, **keys), 3)
+    assert len(found) == 6 * 7
+    assert all(agree for *_, (agree, _) in found)
+    assert {every.count(inf) for *_, (_, every) in found} == {1, 6}
 
 
 class Rig:

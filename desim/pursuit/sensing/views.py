@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from desim.config.arrays import Floats, Points
 from desim.kernel.core.units import seconds
+from desim.pursuit.evaders.evader import MAX_SCALAR_SIZE
 from desim.pursuit.motion.dead_reckoning import MotionState
 from desim.pursuit.paths.space import PLANE, Plane
 from desim.pursuit.sensing.noise import expected_distance
@@ -130,7 +131,9 @@ class View:
         """Return the capture times of some pursuers, s; like `capture_times`, and faster for a few.
 
         Kept equal to the capture times of all by
-        `tests/pursuit/test_kinematics.py::test_times_of_capture_of_some_are_those_of_all`.
+        `tests/pursuit/test_kinematics.py::test_times_of_capture_of_some_are_those_of_all`. Kept equal to the capture
+        times of all at an estimate by
+        `tests/pursuit/test_sensing.py::test_capture_times_of_some_at_an_estimate_are_those_of_all`.
         """
         state = self.state
         if self.unlimited or self.sees(evader):
@@ -138,6 +141,9 @@ class View:
             if now == state.step_end:  # cache all positions, which the motion step that begins now needs anyway
                 state.players.positions()
             return state.body(evader).capture_times_of(pursuers, now)
+        if len(pursuers) <= MAX_SCALAR_SIZE and state.body(evader).is_radial:
+            places = [MotionState(state.position(pursuer)) for pursuer in pursuers]
+            return self.capture_times_from(list(pursuers), places, evader)
         times = self.capture_times(evader)
         return [times[pursuer] for pursuer in pursuers]
 
