@@ -48,7 +48,8 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     yield from ((f"properties.{k}", f"it says nothing: {CANNOT_FAIL}") for k in unbreakable)
     if scenario.sweep.design is not None and not scenario.sweep.design.is_balanced:
         size = scenario.sweep.design.size
-        near = f"{1 << size.bit_length() - 1} or {1 << size.bit_length()}"
+        exponent = size.bit_length()  # of the next power of 2
+        near = f"{2 ** (exponent - 1)} or {2**exponent}"
         yield "sweep.design.size", f"{size} points of a Sobol sequence are less even than a power of 2, such as {near}"
 
 
@@ -112,18 +113,25 @@ def _unused_warnings(model: BaseModel, above: str = "") -> Iterator[tuple[str, s
         if fields[name] != type(model).model_fields[name].get_default(call_default_factory=True):
             yield f"{above}{name}", f"it has no effect with {why}"
     for name, value in fields.items():
-        for place, part in enumerate(value) if isinstance(value, tuple) else [(None, value)]:
+        for key, part in _parts(f"{above}{name}", value):
             if isinstance(part, BaseModel):
-                yield from _unused_warnings(part, f"{above}{name}." if place is None else f"{above}{name}.{place}.")
+                yield from _unused_warnings(part, f"{key}.")
 
 
 def _numbers(model: BaseModel, above: str = "") -> Iterator[tuple[str, float, list[Any]]]:
     """Yield the key, the value and the markers of every number in a model and its nested models."""
     for name, field in type(model).model_fields.items():
-        value, markers = dict(model)[name], markers_of(field)
-        for place, part in enumerate(value) if isinstance(value, tuple) else [(None, value)]:
-            key = f"{above}{name}" if place is None else f"{above}{name}.{place}"
+        markers = markers_of(field)
+        for key, part in _parts(f"{above}{name}", dict(model)[name]):
             if isinstance(part, BaseModel):
                 yield from _numbers(part, f"{key}.")
             elif isinstance(part, int | float):
                 yield key, part, markers
+
+
+def _parts(key: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the key and the value of a field or, if it holds a list, of each item."""
+    if isinstance(value, tuple):
+        yield from ((f"{key}.{place}", item) for place, item in enumerate(value))
+    else:
+        yield key, value

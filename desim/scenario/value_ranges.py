@@ -9,9 +9,12 @@ from typing import Any
 
 _NUMBER = r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*"
 _RANGE = re.compile(":".join([_NUMBER] * 3), re.IGNORECASE)
+"""Matches FIRST:LAST:STEP."""
 _END = r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?|[+-]?inf(?:inity)?|nan)\s*"
 _INTERVAL = re.compile(rf"\s*(log:)?{_END}:{_END}", re.IGNORECASE)
+"""Matches LOW:HIGH and log:LOW:HIGH, also with ends that are then refused with a reason: inf and nan."""
 _LOG = re.compile(rf"\s*log:{_NUMBER}:{_NUMBER}:\s*(\d+)\s*", re.IGNORECASE)
+"""Matches log:FIRST:LAST:COUNT."""
 MAX_VALUES = 100_000
 """Maximum number of values of a range."""
 DIGITS = 6
@@ -72,7 +75,7 @@ def is_range(values: Sequence[Any]) -> bool:
     return len(values) == 1 and isinstance(values[0], KeyRange)
 
 
-def ends(values: Sequence[Any]) -> Sequence[Any]:
+def values_to_try(values: Sequence[Any]) -> Sequence[Any]:
     """Return the values of a key of a grid that a scenario should take: both ends of a range, all items of a list."""
     return [values[0].at(0.0), values[0].at(1.0)] if is_range(values) else values
 

@@ -9,7 +9,7 @@ import numpy as np
 from desim.config.errors import problems_of
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Scenario
-from desim.scenario.value_ranges import ends, is_range, setting_at
+from desim.scenario.value_ranges import is_range, setting_at, values_to_try
 from desim.study.plan.configurations import checked_ranges
 
 NewValues = dict[str, Any]
@@ -119,7 +119,7 @@ def of_grid(grid: Mapping[str, Sequence[Any]], scenario: Scenario) -> Mapping[st
     ranges = {key: values for key, values in grid.items() if is_range(values)}
     grid = {**grid, **checked_ranges(Source.of(scenario), ranges)}
     for key, values in grid.items():
-        for value in ends(values):
+        for value in values_to_try(values):
             try:
                 scenario.with_({key: value})
             except ScenarioError as error:

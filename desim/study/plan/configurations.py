@@ -19,7 +19,7 @@ from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.sweep_table import Design, Sweep
 from desim.scenario.toml import validate
-from desim.scenario.value_ranges import ends, is_range
+from desim.scenario.value_ranges import is_range, values_to_try
 from desim.study.plan.config_hash import UNSWEPT, Identity, identify
 from desim.study.plan.designs import design_settings, drawn_keys
 
@@ -122,7 +122,7 @@ def check_grid(source: Source) -> None:
     grid = checked_ranges(source, sweep.grid)
     if sweep.design is None and any(map(is_range, grid.values())):
         lists = ({key: value} for key, values in grid.items() if not is_range(values) for value in values)
-        first = {key: ends(values)[0] for key, values in grid.items()}
+        first = {key: values_to_try(values)[0] for key, values in grid.items()}
         valid_configurations(source, grid, _distinct(first | changed for changed in [{}, *lists]))
     else:
         configurations(source)
@@ -138,7 +138,7 @@ def checked_ranges(source: Source, grid: SweepGrid) -> SweepGrid:
     Raises:
         ScenarioError: if a key does not take an end of its range.
     """
-    first = {key: ends(values)[0] for key, values in grid.items()}
+    first = {key: values_to_try(values)[0] for key, values in grid.items()}
     checked, problems = dict(grid), list[Problem]()
     for key, (interval, *_) in ((key, values) for key, values in grid.items() if is_range(values)):
         if interval.low % 1.0 == interval.high % 1.0 == 0.0:
@@ -147,7 +147,7 @@ def checked_ranges(source: Source, grid: SweepGrid) -> SweepGrid:
             interval = replace(interval, is_whole=not takes_halves)
             checked[key] = (interval,)
         first[key] = interval.at(0.0)
-        for end in ends(checked[key]):
+        for end in values_to_try(checked[key]):
             problems += _problems_of_key(source, first | {key: end}, key)
     if problems:
         raise ScenarioError(*dict.fromkeys(problems))
