@@ -180,8 +180,9 @@ def test_what_has_no_crossover_is_refused(tmp_path):
     for result, arguments, message in cases:
         with pytest.raises(ValueError, match=message):
             result.crossover(*arguments)
-    with pytest.raises(ValueError, match="confidence should be between 0 and 1"):
-        swept.crossover("active_time", KEY, A, B, confidence=95)
+    for confidence in (95, 1.0, 0.0, -0.5):
+        with pytest.raises(ValueError, match="confidence should be between 0 and 1"):
+            swept.crossover("active_time", KEY, A, B, confidence=confidence)
     assert three.crossover("active_time", KEY, A, B, where={"network.range": 6}).pairs == 4
     assert "'sap' should be KEY=VALUE, protocol.kind=sap for instance" in refused(
         "crossover", tmp_path, KEY, "sap", "protocol=cbba"

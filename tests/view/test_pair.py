@@ -95,8 +95,8 @@ def other_seed(result, seed):
     return Result(result.scenario, seed, result.trace)
 
 
-@pytest.mark.slow
-def test_the_header_names_both_runs_and_the_differences():
+def test_the_header_names_both_runs_and_the_differences(monkeypatch):
+    monkeypatch.setattr("desim.view.pages.pair.replay_page", lambda *_, **__: "")
     assert "p: the same scenario, seeds 3 and 4" in lines(history(), other_seed(history(), 4))
     assert "p: the same scenario and the same seed" in lines(history(), history())
     header = side_by_side(chase(1, 500), pair()).partition("<header>")[2].partition("</header>")[0]
