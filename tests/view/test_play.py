@@ -38,6 +38,7 @@ from desim.view.pages.session import Session
 from scenarios.studies.study import SCENARIOS
 from tests.command import accepted, refused
 from tests.view.browser import Page, in_chromium
+from tests.view.by_hand import history
 
 RELAY = SCENARIOS / "relay.toml"
 SMALL = ("team.count=6", "horizon=1.0")
@@ -222,6 +223,18 @@ def test_a_saved_run_is_repeated_byte_for_byte(small, tmp_path, monkeypatch):
     accepted("run", "--from", "out/relay-1/run.json", "-o", "again")
     for name in ("trace.jsonl", "summary.json", "scenario.toml"):
         assert (tmp_path / "out/relay-1" / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
+
+
+def test_runs_are_saved_below_out_and_numbered(small, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    written = []
+    monkeypatch.setattr(play.run_folder, "write", lambda *told: written.append(told))
+    monkeypatch.setattr(Playground, "result", lambda *_: history(name="a b"))
+    answers = [small.save((), {"what": "run"}) for _ in range(2)]
+    folders = [Path("out/a-b-1"), Path("out/a-b-2")]
+    assert answers == [{"folder": str(folder)} for folder in folders]
+    assert [(folder, made) for _, folder, made in written] == [(folder, {"what": "run"}) for folder in folders]
+    assert all(folder.is_dir() for folder in folders)
 
 
 def test_a_run_that_fails_leaves_no_folder(tmp_path, monkeypatch):
