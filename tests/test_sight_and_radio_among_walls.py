@@ -69,6 +69,22 @@ def test_the_watcher_notices_what_passes_through_a_wall():
             list(map(watcher, result.trace))
 
 
+@pytest.mark.parametrize(("x", "is_behind"), [(6.0, True), (2.0, False)])
+def test_a_sighting_through_a_wall_is_noticed(x, is_behind):
+    """The control: an evader before the wall."""
+    scenario = among([Wall(line=[[3.0, -9.0], [3.0, 9.0]], blocks=("sight",))], team__count=1, motion__static=True)
+    watcher = OpacityWatcher(scenario)
+    watcher(Sampled(0, [[x, 0.0]], [[0.0, 0.0]]))
+    body = (Sighting(1, 0.05, x, 0.0, 0.0, 0.0),)
+    report = Sent(100_000_000, 0, 0, 0, 200_000_000, 100_000_000, 10, body)
+    if is_behind:
+        with pytest.raises(AssertionError, match="nothing is seen through a wall: pursuer 0 reports evader 1, seen"):
+            watcher(report)
+    else:
+        watcher(report)
+    assert watcher.judged == 1
+
+
 @pytest.mark.slow
 def test_a_wall_that_only_weakens_radio_may_be_heard_through():
     glass = [wall.model_copy(update={"blocks": ("radio",), "loss": 4.0}) for wall in CROSS]

@@ -258,6 +258,19 @@ def test_seeds_of_reset_give_equal_episodes_and_others_differ():
     assert free[0] != free[1]
 
 
+def test_an_episode_of_turns_begins_with_a_network_of_its_seed():
+    def ages(env, seed):
+        env.reset(seed=seed)
+        for _ in range(30):
+            env.step({"action": 0, "message": np.zeros(1, np.float32)})
+        return [env.observe(name)["ages"].tolist() for name in NAMES]
+
+    env = desim.wrap(parallel_to_aec(Line()), LINKS)
+    first = ages(env, 5)
+    assert ages(env, 6) != first == ages(env, 5)
+    assert max(map(max, first)) < 100.0
+
+
 @pytest.mark.parametrize(
     "message",
     [

@@ -39,7 +39,7 @@ UNSEEN = ("desim.config.trust", "desim.config.extras", "desim.config.json_number
 """Modules whose calls are left out: they make texts or write files."""
 IGNORED = ("counted", "fields_of", "models_in", "note_command", "plain", "warnings", "where", "with_unit")
 """Functions whose calls say little: what they return is printed or passed on."""
-LINES, WIDTH = 24, 240
+LINES, WIDTH = 50, 240
 """Of a longer output the first lines are shown, and of a longer line its beginning."""
 
 GAME = """\
@@ -161,6 +161,9 @@ CASES = {
     "export": (
         f"game.toml events.csv --event Decided --event Ended {COMMON}",
         "game.toml length.txt --exporter scores:write_length --allow-import",
+        "game.toml run.perfetto.json",
+        "game.toml run.pcapng",
+        "game.toml run.nope",
         "swept tables.md --metric messages_sent --label 'sap=SAP (ours)' --without captured",
         "swept runs.csv",
         "swept runs.csv --event Decided",
@@ -236,7 +239,7 @@ CASES = {
         f" --first 3 -n 7 {MANY} -o r1",
         "plain.toml -g team.count=2,4 -y scores:size --zone 0.5 --minimise --first 3 -n 7 --cluster tcp://h:1 -o r2"
         " --json --allow-import",
-        "plain.toml -g team.count=2,4 -y capture_time --zone 0.5 -o r3",
+        "plain.toml -g team.count=2,4 -y capture_time --zone 0.5 --first 2 -o r3",
     ),
     "replay": (
         "game.toml",

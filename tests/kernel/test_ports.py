@@ -27,6 +27,14 @@ def test_every_port_of_the_simulator_is_reserved():
     assert len({str(port) for port in PORTS}) == len(PORTS)
 
 
+def test_a_reserved_port_is_equal_to_itself_and_to_no_text():
+    for port in PORTS:
+        assert (port == port) is True  # noqa: PLR0124 - not by identity, as in a list
+        assert (port != port) is False  # noqa: PLR0124
+        assert (port == str(port)) is False
+        assert (port != str(port)) is True
+
+
 def test_the_names_of_reserved_ports_in_traces_and_logs_stay():
     assert sorted(map(str, PORTS)) == [
         "accusations",

@@ -43,6 +43,18 @@ def small(**keys):
     return scenario.with_(changes | keys)
 
 
+def test_the_numbers_of_a_state_are_named_in_its_order():
+    """A pursuer that is down and a captured evader are 1 where their names say so."""
+    scenario = small(**{"team.count": 2, "evader.count": 2, "horizon": 0.3})
+    env = desim.env(scenario.with_({"fault": [Crash(start=0.0, node=1, scope="robot")]}))
+    env.reset(seed=1)
+    places = [f"pursuer_{k}.{name}" for k in (0, 1) for name in ("x", "y", "down")]
+    places += [f"evader_{k}.{name}" for k in (1, 2) for name in ("x", "y", "captured")]
+    assert env.state_names == ("time_left", *places, "pursuer_0.action", "pursuer_1.action")
+    state = dict(zip(env.state_names, env.state().tolist(), strict=True))
+    assert (state["pursuer_0.down"], state["pursuer_1.down"], state["evader_1.captured"]) == (0.0, 1.0, 0.0)
+
+
 def lines(result):
     return list(map(line_of, result.trace))
 

@@ -412,9 +412,11 @@ def forget_motions(monkeypatch):
 
 @pytest.mark.parametrize("payload", ["state", "course"])
 @pytest.mark.parametrize("protocol", [Voronoi(slot=0.1), BestResponse(schedule=Poisson(rate=5.0)), Server()])
-def test_motions_that_are_shared_are_those_that_each_pursuer_extrapolates(monkeypatch, payload, protocol):
-    """The same trace if the view that pursuers share keeps no motions, where one clock is wrong."""
+@pytest.mark.parametrize("radius", [inf, 5.0])
+def test_motions_that_are_shared_are_those_that_each_pursuer_extrapolates(monkeypatch, payload, protocol, radius):
+    """The same trace if the view that pursuers share keeps no motions, where a clock is wrong, or sight is limited."""
     scenario = Scenario(
+        sensing={"radius": radius},
         horizon=3.0,
         team=Team(count=6, speeds=1.0),
         protocol=protocol,

@@ -132,6 +132,16 @@ def test_what_is_lost_because_it_is_simultaneous_is_warned_of(channel, cause):
     assert keys == ([CAUSES[cause][0]] if channel in LOSES else [])
 
 
+@pytest.mark.parametrize("trigger", ["change", "both", "revision", "heartbeat", "never"])
+@pytest.mark.parametrize(
+    "protocol", [{"kind": "cbba", "schedule": {"kind": "rounds"}}, {"kind": "argmin", "slot": 0.1}]
+)
+def test_decisions_of_one_instant_are_warned_of_where_they_are_announced(trigger, protocol):
+    scenario = scenario_of("csma", "rounds").with_({"protocol": protocol, "announce.trigger": trigger})
+    texts = [text for _, text in warnings(scenario) if text.startswith("pursuers announce their decisions")]
+    assert len(texts) == (trigger in {"change", "both", "revision"})
+
+
 def test_every_kind_of_channel_is_in_the_table():
     """A kind of access, a medium or a preset that is added later needs a row of its own."""
     media = [Scenario(network=network).network.medium for network in CHANNELS.values()]

@@ -2,6 +2,7 @@
 
 import random
 import time
+from functools import partial
 from math import inf
 
 import numpy as np
@@ -335,6 +336,16 @@ def test_a_wrong_metric_is_told_what_is_wrong_with_it(name):
     model, what = METRICS[name]
     with pytest.raises(ContractError, match=what):
         check_metric(model)
+
+
+def test_the_name_of_a_wrong_metric_is_that_of_its_function():
+    def unlucky(_result):
+        return "no number"
+
+    with pytest.raises(ContractError, match=r"^unlucky: "):
+        check_metric(unlucky)
+    with pytest.raises(ContractError, match=r"^the metric: "):
+        check_metric(partial(unlucky))
 
 
 @pytest.mark.whole
