@@ -29,8 +29,8 @@ def test_every_port_of_the_simulator_is_reserved():
 
 def test_a_reserved_port_is_equal_to_itself_and_to_no_text():
     for port in PORTS:
-        assert (port == port) is True  # noqa: PLR0124 - not by identity, as in a list
-        assert (port != port) is False  # noqa: PLR0124
+        assert (port == port) is True
+        assert (port != port) is False
         assert (port == str(port)) is False
         assert (port != str(port)) is True
 

@@ -137,7 +137,9 @@ def test_what_is_lost_because_it_is_simultaneous_is_warned_of(channel, cause):
     "protocol", [{"kind": "cbba", "schedule": {"kind": "rounds"}}, {"kind": "argmin", "slot": 0.1}]
 )
 def test_decisions_of_one_instant_are_warned_of_where_they_are_announced(trigger, protocol):
-    scenario = scenario_of("csma", "rounds").with_({"protocol": protocol, "announce.trigger": trigger})
+    scenario = scenario_of("csma", "rounds").with_(
+        {"protocol": protocol, "announce.trigger": trigger, "announce.payload": "state"}
+    )
     texts = [text for _, text in warnings(scenario) if text.startswith("pursuers announce their decisions")]
     assert len(texts) == (trigger in {"change", "both", "revision"})
 
