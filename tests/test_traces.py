@@ -38,8 +38,8 @@ from protocols.rule import SCHEDULES
 from protocols.temperature import TEMPERATURES
 from tests.golden import golden
 
-BLOCKS, SIZE = 8, 8
-HORIZON = 0.25
+BLOCKS, SIZE = 16, 4
+HORIZON = 0.2
 """Of each run, s."""
 TIMES = "t,value\n0,{}\n0.11,{}\n0.17,\n0.23,{}"
 PAIRS = [(src, dst) for src in range(4) for dst in range(4) if src != dst]

@@ -123,7 +123,6 @@ CASES = {
         f"{RELY} --losses 1 -o k6",
         f"{RELY} --losses 1 --fate late --delay 0.01 --json -o k6",
         "plain.toml --protocol scores:stumble --allow-import -n 1 --feature latency -o k7",
-        "plain.toml --protocol best_response -n 1 --feature latency --keep kept -o k8 --json",
         "plain.toml --set properties=[]",
         "plain.toml --losses 1 --runs 3",
         "plain.toml --fate lost",
@@ -156,7 +155,7 @@ CASES = {
     "examples": ("", "relay copied.toml", "relay copied.toml", "nope"),
     "explain": (
         f"plain.toml -n 2 {MANY} -o e1 --metric scores:size",
-        "plain.toml --set network.loss.p=0.2 -n 2 --cluster tcp://h:1 -o e2 --json",
+        f"plain.toml -n 2 --cluster tcp://h:1 -o e1 --json {COMMON}",
     ),
     "export": (
         f"game.toml events.csv --event Decided --event Ended {COMMON}",
@@ -239,7 +238,7 @@ CASES = {
         f" --first 3 -n 7 {MANY} -o r1",
         "plain.toml -g team.count=2,4 -y scores:size --zone 0.5 --minimise --first 3 -n 7 --cluster tcp://h:1 -o r2"
         " --json --allow-import",
-        "plain.toml -g team.count=2,4 -y capture_time --zone 0.5 --first 2 -o r3",
+        "plain.toml -g team.count=2,4 -y captured --zone 0.5",
     ),
     "replay": (
         "game.toml",
