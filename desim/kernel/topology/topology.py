@@ -162,7 +162,7 @@ class Topology:
             and isinstance(message, int)
         ):
             if self._kept is not None and self._complete and (kept := self._kept.of(src)) is not None:
-                return [node in kept for node in dst]
+                return list(map(kept.__contains__, dst))
             one, distance = self._received.one, source.distance
             return [one(src, node, distance(src, node), message) for node in map(int, dst)]
         places = source.of if times is None else partial(source.at, times=times)
