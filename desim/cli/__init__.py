@@ -18,12 +18,12 @@ from desim.cli.fates import fates
 from desim.cli.live import live
 from desim.cli.merge import merge
 from desim.cli.netem import netem
-from desim.cli.one import run
 from desim.cli.pages import replay, report
 from desim.cli.play import play
 from desim.cli.plot import plot
 from desim.cli.program import Program
 from desim.cli.race import race
+from desim.cli.run import run
 from desim.cli.sensitivity import sensitivity
 from desim.cli.start import examples, new
 from desim.cli.submit import status, submit

@@ -204,7 +204,7 @@ def test_the_code_is_that_of_all_that_decides_what_comes_of_a_run(tmp_path, monk
     before = code()
     assert before == environment.code()
     listing = [f"desim/{module}" for module in environment.METRICS_MODULES]
-    for name in ("desim/cli/one.py", "desim/study/workers/dispatch.py", *listing):
+    for name in ("desim/cli/run.py", "desim/study/workers/dispatch.py", *listing):
         (tmp_path / name).write_text("# changed\n" + (tmp_path / name).read_text())
     assert code() == before
     seen = {before}
