@@ -4,8 +4,10 @@ from collections.abc import Callable, Sequence
 from math import inf
 from typing import NamedTuple
 
+from desim.config.arrays import Floats, Integers
 from desim.kernel.core.clock import Clock, NodeClock
 from desim.kernel.core.events import Trace
+from desim.kernel.core.positions import Nodes, PositionSource
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.link_layer.link_layer import LinkLayer
 from desim.kernel.models.fault_plans import draw_faults
@@ -14,6 +16,7 @@ from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.kernel.wandering_clock import node_clocks
 from desim.pursuit.byzantine.evidence import Witness
+from desim.pursuit.core.state import coordinates
 from desim.pursuit.sensing.views import GlobalState, View
 from desim.pursuit.sensing.world_state import WorldState
 from desim.pursuit.team.agent import Agent, Voice
@@ -21,7 +24,6 @@ from desim.pursuit.team.announcements import announced_action
 from desim.pursuit.team.judges import Judge
 from desim.pursuit.team.trust import judge_of
 from desim.scenario.scenario import Scenario
-from desim.simulation.pursuer_positions import PursuerPositions
 
 
 class TeamNetwork(NamedTuple):
@@ -103,3 +105,37 @@ def make_agents(
         for agent, clock in zip(agents, team.clocks, strict=True):
             network.set_initial_belief(agent.id, agent.announcement(), clock.stamp)
     return agents, judges
+
+
+class PursuerPositions(PositionSource):
+    """The positions of the pursuers for the network; see `desim.kernel.core.positions.PositionSource`."""
+
+    looks_back = True
+
+    def __init__(self, state: WorldState, top_speed: float):
+        self._state = state
+        self.max_speed = 0.0 if state.static else top_speed
+
+    def __call__(self) -> Floats:
+        """Return the (N, 2) positions now, m."""
+        return coordinates(self._state.positions())
+
+    def of(self, nodes: Nodes) -> Floats:
+        """Return the (k, 2) positions of some pursuers now, m."""
+        return coordinates(self._state.players.positions_of(nodes))
+
+    def distance(self, node: int, other: int) -> float:
+        """Return the present distance between two pursuers, m.
+
+        Kept equal to that between their positions by
+        `tests/simulation/test_world.py::test_the_distance_of_two_pursuers_is_that_between_their_positions`.
+        """
+        return self._state.players.distances(node, [other])[0]
+
+    def at(self, nodes: Nodes, times: int | Integers) -> Floats:
+        """Return the (k, 2) positions of some pursuers, m, at times of the present piece, ns."""
+        return coordinates(self._state.players.positions_at(nodes, times))
+
+    def before_change(self, act: Callable[[], object]) -> None:
+        """Register a function to call before the motion of a player changes."""
+        self._state.players.before_change(act)

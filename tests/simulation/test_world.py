@@ -23,7 +23,7 @@ from desim.pursuit.motion.kinematics import Kinematics
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Recording
-from desim.simulation.pursuer_positions import PursuerPositions
+from desim.simulation.wiring import PursuerPositions
 from desim.testing.pursuits import watched
 from scenarios.studies.study import SCENARIOS
 
