@@ -14,16 +14,9 @@ from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
 from desim.analysis.activity import changes
-from desim.analysis.drawing.palette import (
-    ACTIVE,
-    ACTIVE_WITH_OTHERS,
-    COLLISION_MARK,
-    GREY,
-    LOST,
-    LOST_MARK,
-    SERIES,
-)
-from desim.analysis.drawing.plots import Axes, Figure, draw_trajectory, styled
+from desim.analysis.drawing.palette import ACTIVE, ACTIVE_WITH_OTHERS, COLLISION_MARK, GREY, LOST, LOST_MARK, SERIES
+from desim.analysis.drawing.plots import Axes, Figure, styled
+from desim.analysis.drawing.trajectory import draw_trajectory
 from desim.analysis.trace_index import ended, sampled, started
 from desim.config.arrays import Floats
 from desim.kernel.core.events import Broadcast, Sent

@@ -161,7 +161,11 @@ def _undrawn(request, monkeypatch):
 
 def undraw(patch):
     """Let a run and a sweep draw and write no pictures, and a report have none, which takes a second each."""
-    for name in ("analysis.drawing.plots.save", "analysis.drawing.plots.trajectory", "study.results.figures.means"):
+    for name in (
+        "analysis.drawing.plots.save",
+        "analysis.drawing.trajectory.trajectory",
+        "study.results.figures.means",
+    ):
         patch.setattr(f"desim.{name}", lambda *_, **__: [])
     for name in ("figures.legend", "figures.multiples", "heat_maps.phase", "waterfalls.waterfall"):
         patch.setattr(f"desim.study.results.{name}", lambda *_, **__: None)

@@ -13,7 +13,8 @@ import pytest
 
 import desim
 from desim import Scenario
-from desim.analysis.drawing.plots import save, trajectory
+from desim.analysis.drawing.plots import save
+from desim.analysis.drawing.trajectory import trajectory
 from desim.cli import main
 from desim.config import named_code
 from desim.config.escaping import escaped

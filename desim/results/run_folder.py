@@ -130,7 +130,8 @@ def write(
     if made is None:
         made = provenance.document(provenance.RUN, resolved, seed=result.seed)
     if drawn and can_plot() and result.trace.of(Sampled):
-        from desim.analysis.drawing.plots import save, trajectory
+        from desim.analysis.drawing.plots import save
+        from desim.analysis.drawing.trajectory import trajectory
 
         save(trajectory(result), folder / "trajectory")
     provenance.write(folder, provenance.of_one(made, result.seed))

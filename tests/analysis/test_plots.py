@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from desim.analysis.drawing.plots import COLUMN, html_image, save, size_of, styled, trajectory
+from desim.analysis.drawing.plots import COLUMN, html_image, save, size_of, styled
+from desim.analysis.drawing.trajectory import trajectory
 from desim.kernel.core.events import Trace
 from desim.kernel.core.units import SECOND
 from desim.pursuit.core.events import Captured, Ended, Sampled, Started

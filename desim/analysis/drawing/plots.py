@@ -1,4 +1,4 @@
-"""Drawing with matplotlib: the common style of all figures, the writing of their files, and the paths of a run.
+"""Drawing with matplotlib: the common style of all figures, and the writing of their files.
 
 Files are reproducible byte by byte.
 """
@@ -19,43 +19,24 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.text import Text
-from matplotlib.ticker import MaxNLocator
 
 from desim.analysis.drawing.legends import uncover_data
-from desim.analysis.drawing.palette import (
-    ACTIVE,
-    ACTIVE_WITH_OTHERS,
-    CAPTURE_MARK,
-    EVADER,
-    EVADER_MARK,
-    INACTIVE,
-    PURSUER_MARK,
-)
-from desim.analysis.drawing.walls import draw_walls
-from desim.analysis.trace_index import captures, sampled
-from desim.config.escaping import escaped
 from desim.config.file_names import PICTURE_SUFFIXES, files
 from desim.config.whole_files import write_whole
-from desim.kernel.core.units import seconds
-from desim.simulation.run import Result
 
 __all__ = [
     "COLUMN",
-    "EVADER_PATH",
     "NARROW",
     "Axes",
     "Figure",
     "Style",
     "as_it_is",
-    "draw_trajectory",
     "figure_of",
     "html_image",
     "in_style",
     "save",
-    "set_plane",
     "size_of",
     "styled",
-    "trajectory",
 ]
 
 COLUMN = 8.5 / 2.54
@@ -72,11 +53,6 @@ STYLE: dict[Any, Any] = {
     "axes.spines.right": False,
     "legend.frameon": False,
 }
-EVADER_PATH: Mapping[str, Any] = {
-    **{"color": EVADER, "ls": (0, (3, 1.5)), "gapcolor": "white", "zorder": 4},
-    **{"marker": EVADER_MARK, "markevery": [0]},
-}
-"""Style of an evader's path: a diamond at its start, and dashes that distinguish it from pursuers in greyscale, too."""
 UNDATED: Mapping[str, Mapping[str, None]] = {".svg": {"Date": None}, ".png": {}, ".pdf": {"CreationDate": None}}
 """The option `metadata` of `savefig` for each format: None leaves out the date."""
 
@@ -294,67 +270,3 @@ def html_image(figure: Figure, name: str) -> str:
     width = 72.0 * figure.get_figwidth()
     source = f"data:image/png;base64,{b64encode(_png(figure)).decode()}"
     return f'<img src="{source}" alt="{escape(name)}" width="{width:.0f}">'
-
-
-def trajectory(result: Result, size: str | None = None, *, style: Style = None, ax: Axes | None = None) -> Figure:
-    """Draw the paths of the evaders, their capturers and all other pursuers that moved, and return the figure.
-
-    Args:
-        result: the result of a run with recorded positions.
-        size: the width and perhaps the height; see `size_of`.
-        style: a style of matplotlib on top of that of desim.
-        ax: the axes to draw on; None = a figure of its own.
-
-    Raises:
-        ValueError: if the run recorded no positions, or the size or the style is invalid.
-        TypeError: if `ax` is not one pair of axes of matplotlib.
-    """
-    if ax is not None:
-        figure = figure_of(ax, size=size)
-        with in_style(style):
-            draw_trajectory(ax, result)
-            ax.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.16), frameon=False)
-        return figure
-    width, height = (5.2, None) if size is None else size_of(size)
-    with styled(figsize=(width, height or width), font=9.0 if width >= NARROW else 8.0, style=style) as figure:
-        axes = figure.add_subplot()
-        draw_trajectory(axes, result)
-        axes.set_title(escaped(f"{result.scenario.name}, seed {result.seed}"), **as_it_is(result.scenario.name))
-        figure.legend(loc="outside lower center", ncols=2 if width >= NARROW else 1, fontsize=8)
-    return figure
-
-
-def set_plane(axes: Axes) -> None:
-    """Prepare axes for positions: equal scales, labels in metres, and at most five intervals of ticks on each axis."""
-    axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 5, 10]))
-
-
-def draw_trajectory(axes: Axes, result: Result) -> None:
-    """Draw the starts of the pursuers, and the paths of the players that `trajectory` shows, on given axes."""
-    samples = sampled(result)
-    evaders = np.array([sample.evaders for sample in samples])  # (samples, M, 2)
-    pursuers = np.array([sample.pursuers for sample in samples])  # (samples, N, 2)
-    captured = captures(result)
-    capturers = list(dict.fromkeys(capture.capturer for capture in captured))
-    idle = [i for i in range(pursuers.shape[1]) if np.ptp(pursuers[:, i], axis=0).any() and i not in capturers]
-    set_plane(axes)
-    draw_walls(axes, result.scenario.wall)
-    axes.plot(*pursuers[0].T, PURSUER_MARK, mfc="white", mec=INACTIVE, ms=5, label="pursuer at the start")
-    for i in idle:
-        label = "pursuer that chased for a while" if i == idle[0] else None
-        axes.plot(*pursuers[:, i].T, color=ACTIVE_WITH_OTHERS, lw=1.4, label=label)
-    several = len(evaders[0]) > 1
-    for capturer in capturers:
-        label = None if capturer != capturers[0] else "pursuer that captures"
-        label = label if several else f"pursuer {capturer}, which captures"
-        axes.plot(*pursuers[:, capturer].T, color=ACTIVE, lw=2.0, label=label, zorder=3)
-    for k, path in enumerate(evaders.transpose(1, 0, 2), start=1):
-        axes.plot(*path.T, lw=1.6, ms=5, label="evader" if k == 1 else None, **EVADER_PATH)
-        if several:
-            axes.annotate(str(k), path[0], (4, 4), textcoords="offset points", fontsize=8, zorder=6)
-    for capture in captured:
-        which = f"capture of {capture.evader} by {capture.capturer}" if several else "capture"
-        label = f"{which}, {seconds(capture.t):.2f} s"
-        axes.plot(*evaders[-1, capture.evader - 1], CAPTURE_MARK, color="black", ms=11, zorder=5, label=label)

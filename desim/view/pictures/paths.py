@@ -25,7 +25,8 @@ from desim.analysis.drawing.palette import (
     INACTIVE,
     PURSUER_MARK,
 )
-from desim.analysis.drawing.plots import EVADER_PATH, Axes, set_plane
+from desim.analysis.drawing.plots import Axes
+from desim.analysis.drawing.trajectory import EVADER_PATH, set_plane
 from desim.analysis.drawing.walls import draw_walls
 from desim.analysis.trace_index import captures, sampled
 from desim.config.arrays import Floats, Integers

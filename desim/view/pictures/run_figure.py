@@ -49,7 +49,7 @@ def plot(
         ValueError: if positions (trajectory) or messages (spacetime) were not recorded, or an option is wrong.
     """
     run_argument(Result).check(result, "plot")
-    from desim.analysis.drawing.plots import trajectory
+    from desim.analysis.drawing.trajectory import trajectory
     from desim.view.pictures.spacetime import spacetime
 
     if kind == "spacetime":
