@@ -78,10 +78,10 @@ class AgentMessages(EnvNetwork):
             raise ValueError(f"the action of {agent!r} should be a dict with the keys {list(keys)} (got {action!r})")
         rest = {key: value for key, value in action.items() if key != "message"}
         if (message := action["message"]) is not None:
-            said = _in_box(message, self._message.dtype) if isinstance(self._message, spaces.Box) else message
-            if said is None or said not in self._message:
+            body = _in_box(message, self._message.dtype) if isinstance(self._message, spaces.Box) else message
+            if body is None or body not in self._message:
                 raise ValueError(f"the message of {agent!r} should be in {self._message} (got {message!r})")
-            self.network.publish(self.node(agent), said, size=self._size)
+            self.network.publish(self.node(agent), body, size=self._size)
         return rest["action"] if rest.keys() == {"action"} else rest
 
     def hear(self, agent: Hashable, observation: Any) -> Any:
