@@ -169,6 +169,12 @@ def test_players_move_relative_to_each_other_at_most_as_fast_as_is_said(flow):
     assert (Environment(flow=flow).relative_speed == 0.0) == Environment(flow=flow).keeps_distances
 
 
+def test_a_medium_at_rest_moves_nothing():
+    still = Environment().flow
+    assert (still.kind, still.velocity_at(3.0), still.top_speed, still.top_acceleration) == ("none", 0, 0, 0)
+    assert (Environment().top_speed, still.displacement(1.0, 3.0)) == (0.0, 0.0)
+
+
 @pytest.mark.parametrize("flow", [*UNIFORM, *UNEVEN], ids=name)
 @pytest.mark.parametrize("on", ["all", "pursuers"])
 def test_an_unknown_place_has_no_time_and_gives_no_warning(flow, on):
