@@ -855,6 +855,23 @@ def test_state_of_an_installed_package_is_a_matter_of_its_authors(folder, monkey
         run(scenario, 1)
 
 
+def test_state_that_a_function_imports_is_watched(monkeypatch):
+    """As in a strategy that imports where it is called, so that its module has no such variable."""
+    library = ModuleType("library_of_mine")
+    library.__file__, library.calls = "/home/me/library_of_mine.py", []
+    monkeypatch.setitem(sys.modules, "library_of_mine", library)
+
+    def count(_state, _rng):
+        from library_of_mine import calls
+
+        calls.append(1)
+        return 1j
+
+    run(brief(count), 1)
+    with pytest.warns(StateWarning, match="library_of_mine.calls"):
+        run(brief(count), 1)
+
+
 class Counting:
     """A latency that counts, in its class, how often it is called: by runs, and by metrics."""
 
