@@ -1,4 +1,4 @@
-"""Short runs of rare combinations of models: golden counts of their events, and digests of their traces.
+"""Short runs of rare combinations of models: golden counts of their events, metrics, and digests of their traces.
 
 A run has one variant of each family below, none of them with its defaults. Watchers see what is wrong with any run
 (`tests/test_soak.py`); here a difference from what the run was is seen, whatever it is. If only digests differ, compare
@@ -14,7 +14,8 @@ from math import inf
 
 import pytest
 
-from desim import Scenario, run
+from desim import Scenario, run, summary
+from desim.analysis.metrics import plain
 from desim.kernel.core.trace_file import line_of
 from desim.kernel.models.access import ACCESSES
 from desim.kernel.models.graphs import GRAPHS
@@ -38,7 +39,7 @@ from protocols.rule import SCHEDULES
 from protocols.temperature import TEMPERATURES
 from tests.golden import golden
 
-BLOCKS, SIZE = 16, 4
+BLOCKS, SIZE = 10, 4
 HORIZON = 0.2
 """Of each run, s."""
 TIMES = "t,value\n0,{}\n0.11,{}\n0.17,\n0.23,{}"
@@ -372,11 +373,13 @@ IMPLIED = {"ideal", "simple", "collision", "best_effort"}
 
 @cache
 def variants(row):
-    """Return a variant of each family: that with the greatest digest with the row, so a new one changes few rows."""
-    return {
-        family: max(of, key=lambda variant: sha256(f"{row} {family} {variant}".encode()).digest())
-        for family, of in FAMILIES.items()
-    }
+    """Return a variant of each family: each occurs once in as many rows as it has, in an order of its own each time."""
+    chosen = {}
+    for family, of in FAMILIES.items():
+        turn, place = divmod(row, len(of))
+        order = sorted(of, key=lambda variant, key=f"{turn} {family}": sha256(f"{key} {variant}".encode()).digest())
+        chosen[family] = order[place]
+    return chosen
 
 
 def tables(row):
@@ -410,24 +413,37 @@ def tables(row):
     }
 
 
-def lines(row):
-    """Return the trace of the run of a row, a line each event; or why there is none."""
+def played(row):
+    """Return the result of the run of a row; the reason as text if there is none."""
     try:
         scenario = Scenario(**tables(row))
     except ValueError as error:
-        return str(error).splitlines(keepends=True)
-    return list(map(line_of, run(scenario).trace))
+        return str(error)
+    return run(scenario)
+
+
+def lines(result):
+    """Return the trace of a result, a line each event."""
+    return list(map(line_of, result.trace))
 
 
 def shown(row):
-    """Return the kinds of a row, the counts of its events, and the digest of its trace, as text."""
-    trace = lines(row)
-    if trace[0].startswith("Scenario: "):
-        return "".join(trace)
+    """Return the kinds of a row, the counts of its events, its metrics, and the digest of its trace, as text."""
+    result = played(row)
+    if isinstance(result, str):
+        return result
     names = [variant["kind"] for variant in variants(row).values() if isinstance(variant, dict) and "kind" in variant]
+    trace = lines(result)
     counts = Counter(json.loads(line)["event"] for line in trace)
     events = " ".join(f"{name} {counts[name]}" for name in sorted(counts))
-    return f"{' '.join(names)}\n{events}\n{sha256(''.join(trace).encode()).hexdigest()[:16]}"
+    metrics = [f"{name} {number(value)}" for name, value in plain(summary(result)).items() if value not in (None, 0)]
+    digest = sha256("".join(trace).encode()).hexdigest()[:16]
+    return "\n".join([" ".join(names), events, ", ".join(metrics), digest])
+
+
+def number(value):
+    """Return a number with six digits, and any other value, as text."""
+    return f"{value:.6g}" if isinstance(value, float) else json.dumps(value)
 
 
 @cache
@@ -460,4 +476,4 @@ def test_short_runs_are_golden(block):
 
 
 if __name__ == "__main__":
-    print("".join(lines(int(sys.argv[1]))), end="")
+    print("".join(lines(played(int(sys.argv[1])))), end="")
