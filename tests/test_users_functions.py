@@ -8,6 +8,7 @@ from fractions import Fraction
 from functools import partial
 from math import inf, nan
 from multiprocessing.pool import ThreadPool
+from typing import ClassVar
 
 import networkx as nx
 import numpy as np
@@ -26,7 +27,8 @@ from desim.kernel.models.reception import Disk
 from desim.kernel.network import Network
 from desim.pursuit.byzantine.lies import ByzantineFault, Liar
 from desim.pursuit.core.events import Ended
-from desim.pursuit.motion.dynamics import Acceleration
+from desim.pursuit.motion.dynamics import Acceleration, Course
+from desim.pursuit.motion.flow import Environment, SteadyFlow
 from desim.pursuit.sensing.noise import PositionNoise
 from desim.pursuit.team.judges import Judge, ignored_by
 from desim.pursuit.team.trust import Credulous
@@ -137,6 +139,7 @@ WRONG_METHODS = {
         np.ones(4) * 1j,
     ],
     "steered": [None, True, "x", nan, [1.0], 10**400, np.timedelta64(1, "s")],
+    "displacement": [None, True, "x", nan, [1.0], 10**400],
     "headings": [None, [True] * 4, [1.0], [0j] * 4, "abcd", [2.0 + 0j] * 4, [nan] * 4],
 }
 """For each function of a liar, and each method of a trust, a noise and dynamics, what it should not return."""
@@ -161,6 +164,19 @@ def with_method(name, answer):
             judge = type("Theirs", (Judge,), {name: lambda *_: answer})()
             trust = type(Credulous)("Trusting", (Credulous,), {"__module__": "theirs", "judge": lambda *_: judge})()
             return scenario(protocol="best_response", announce=Announcements(trust=trust, payload="time"))
+        case "displacement":
+            body = {
+                "velocity_at": lambda _, t: 0.1 + 0j,
+                "trend": lambda _, begin: (0.1 + 0j, 0.0),
+                name: lambda *_: answer,
+            }
+            body |= {
+                "__module__": "theirs",
+                "__annotations__": {"top_acceleration": ClassVar[float]},
+                "top_acceleration": 0.0,
+            }
+            theirs = type("Theirs", (SteadyFlow,), body)
+            return scenario(environment=Environment(flow=theirs(velocity=(0.1, 0.0))))
         case "covariance":
             return scenario(sensing=Sensing(noise=theirs(PositionNoise), estimator="kalman"))
     protocol = "best_response" if name == "capture_times" else "sap"
@@ -252,6 +268,58 @@ def test_a_returned_vector_may_be_of_any_precision(name):
     vector = np.complex64(0.3 + 0.4j)
     for value in (vector, np.array(vector), np.clongdouble(vector)):
         assert events(answered(name, value)) == events(answered(name, complex(vector)))
+
+
+class Turning(Acceleration):
+    """Dynamics whose pieces have numbers of some kind."""
+
+    kind_of: type = complex
+
+    def __call__(self, position, course, command):
+        made = super().__call__(position, course, command)
+        rounded = [np.complex64(number) for number in (made.position, *made.course, made.acceleration)]
+        start, velocity, heading, acceleration = map(self.kind_of, rounded)
+        return made._replace(position=start, course=Course(velocity, heading), acceleration=acceleration)
+
+
+class Drifting(SteadyFlow):
+    """A flow whose displacement is a number of some kind."""
+
+    kind_of: type = complex
+    top_acceleration: ClassVar[float] = 0.0
+
+    def velocity_at(self, t):
+        return self.kind_of(np.complex64(complex(*self.velocity)))
+
+    def displacement(self, begin, end):
+        return self.kind_of(np.complex64(complex(*self.velocity) * (end - begin)))
+
+    def trend(self, begin):
+        return self.velocity_at(begin), 0.0
+
+
+PRECISE = {
+    "guidance": lambda kind: FAMILIES["guidance"].with_model(
+        lambda gaps, aims, flight, speeds: np.full(len(gaps), 0.3 + 0.4j, np.complex64).astype(kind)
+    ),
+    "flow": lambda kind: FAMILIES["flow"].with_model(
+        plain(
+            first_kind("flow"),
+            lambda places, t: np.full(len(places), 0.3 + 0.1j * t, np.complex64).astype(kind),
+            FAMILIES["flow"].beside,
+        )
+    ),
+    "dynamics": lambda kind: scenario(team=Team(count=4, speeds=3.0, dynamics=Turning(kind_of=kind))),
+    "uniform flow": lambda kind: scenario(
+        environment=Environment(flow=Drifting(velocity=(0.3, 0.1), kind_of=kind), on="pursuers")
+    ),
+}
+"""Scenarios with functions of users that return complex numbers of some kind."""
+
+
+@pytest.mark.parametrize("name", PRECISE)
+def test_returned_vectors_may_be_of_any_precision(name):
+    assert events(PRECISE[name](np.complex64)) == events(PRECISE[name](complex))
 
 
 METHODS = [(name, k) for name, values in WRONG_METHODS.items() for k in range(len(values))]

@@ -26,7 +26,7 @@ from desim.pursuit.core.geometry import SMALLEST
 from desim.pursuit.core.state import complex_points, lengths
 from desim.pursuit.motion.capture import RadialTime
 from desim.pursuit.motion.dynamics import Courses
-from desim.pursuit.motion.flow import NoFlow, is_uniform
+from desim.pursuit.motion.flow import NoFlow, displacement, is_uniform
 from desim.pursuit.motion.flow_capture import capture_times_in_flow
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
@@ -57,7 +57,7 @@ class RelativePlaces:
         """Return the (N + M,) positions, m."""
         places = complex_points([*event.pursuers, *event.evaders])
         if is_uniform(self._flow):
-            places = places - self._carried * self._flow.displacement(0.0, seconds(event.t))
+            places = places - self._carried * displacement(self._flow, 0.0, seconds(event.t))
         return places
 
 

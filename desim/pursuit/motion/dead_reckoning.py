@@ -17,7 +17,7 @@ from operator import itemgetter
 from typing import NamedTuple
 
 from desim.kernel.core.units import seconds
-from desim.pursuit.motion.dynamics import Course, Dynamics, steered_with
+from desim.pursuit.motion.dynamics import Course, Dynamics, piece_with, steered_with
 from desim.pursuit.motion.environment import Environment
 from desim.pursuit.motion.guidance import Guidance, guided_velocity
 from desim.pursuit.paths.space import PLANE, Plane
@@ -134,6 +134,6 @@ class EvaderTrack:
         drift = self._environment.drift(place, command, begin, step)
         if course is None:
             return MotionState(place + (command + drift) * duration)
-        piece = self._dynamics(place, course, command)
+        piece = piece_with(self._dynamics, place, course, command)
         piece = piece._replace(drift=drift) if drift else piece
         return MotionState(piece.at(duration), piece.course_at(duration))

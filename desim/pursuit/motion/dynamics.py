@@ -16,7 +16,7 @@ from desim.config.answers import wrong_answer
 from desim.config.arrays import Floats, Points, array_of
 from desim.config.choice import OneOf
 from desim.config.model import Flag, Value
-from desim.config.python_numbers import as_complex
+from desim.config.python_numbers import as_complex, as_real
 from desim.config.traits import Follows, Traits, check_inherited_flag, is_ours
 from desim.pursuit.core.geometry import SMALLEST
 from desim.pursuit.core.state import lengths
@@ -295,6 +295,27 @@ class DynamicsTraits(Traits):
         """Raise ValueError if methods are overridden that are not called, because `is_simple` is inherited."""
         super().check(value)
         check_inherited_flag(value, "is_simple", CALLED_WITH_INERTIA, "commanded velocities are taken at once")
+
+
+def piece_with(dynamics: Dynamics, position: complex, course: Course, command: complex) -> Piece:
+    """Return the motion with some dynamics if a velocity is commanded; see `Dynamics`.
+
+    Raises:
+        ValueError: if the dynamics of a user return no piece, or one that has something else than finite numbers.
+    """
+    made: Any = dynamics(position, course, command)
+    if is_ours(type(dynamics)):
+        return made  # type: ignore[no-any-return]
+    try:
+        velocity, heading = made.course
+        vectors = [as_complex(vector) for vector in (made.position, velocity, heading, made.acceleration, made.drift)]
+        curved, turn_rate = as_real(made.curved), as_real(made.turn_rate)
+    except (AttributeError, TypeError, ValueError) as error:
+        raise wrong_answer("dynamics should return a Piece", made, dynamics) from error
+    if not all(map(isfinite, (*vectors, turn_rate))) or not curved >= 0.0:
+        raise wrong_answer("dynamics should return a Piece of finite numbers", made, dynamics)
+    start, velocity, heading, acceleration, drift = vectors
+    return Piece(start, Course(velocity, heading), curved, acceleration, turn_rate, drift)
 
 
 def capture_times_with(

@@ -9,7 +9,7 @@ from desim.config.arrays import Points, array_of
 from desim.config.model import Value
 from desim.config.traits import inherits, is_ours
 from desim.kernel.core.units import SECOND
-from desim.pursuit.motion.flow import FLOWS, Flow, FlowTraits, NoFlow, is_uniform
+from desim.pursuit.motion.flow import FLOWS, Flow, FlowTraits, NoFlow, displacement, is_uniform
 
 CARRIED_STEP = 50_000_000
 """Longest step, ns, of the integration of the path of a player that the flow carries."""
@@ -60,7 +60,7 @@ class Environment(Value):
         if checked.dtype.kind not in "iufc" or checked.shape != places.shape or not np.isfinite(checked).all():
             expected = f"an array of {len(places)} finite velocities, complex numbers in m/s, one for each place"
             raise wrong_answer(f"a flow should return {expected}", velocities, self.flow)
-        return checked
+        return checked.astype(complex)
 
     def relative(self, target: complex, places: Points, t: float) -> Points:
         """Return the (k,) velocities, m/s, at which the flow moves an evader at `target` relative to pursuers.
@@ -87,7 +87,7 @@ class Environment(Value):
         """
         t, flow = begin / SECOND, self.flow
         if is_uniform(flow):
-            return np.full(len(places), flow.displacement(t, t + duration) / duration)
+            return np.full(len(places), displacement(flow, t, t + duration) / duration)
         first = self.velocities(places, t)
         second = self.velocities(places + (commands + first) * (duration / 2.0), t + duration / 2.0)
         third = self.velocities(places + (commands + second) * (duration / 2.0), t + duration / 2.0)
@@ -103,7 +103,7 @@ class Environment(Value):
     def carried(self, place: complex, begin: int, end: int) -> complex:
         """Return where a player that does not move by itself is carried between two times (ns), m."""
         if is_uniform(self.flow):
-            return place + self.flow.displacement(begin / SECOND, end / SECOND)
+            return place + displacement(self.flow, begin / SECOND, end / SECOND)
         steps = max(-(-(end - begin) // CARRIED_STEP), 1)
         for k in range(steps):
             t, until = begin + (end - begin) * k // steps, begin + (end - begin) * (k + 1) // steps

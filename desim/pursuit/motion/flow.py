@@ -6,6 +6,7 @@ velocity and its course are relative to the flow. Points and velocities are comp
 """
 
 from bisect import bisect_right
+from cmath import isfinite
 from collections.abc import Mapping
 from functools import cache, cached_property
 from itertools import accumulate, pairwise
@@ -17,9 +18,11 @@ from typing import Annotated, Any, ClassVar, Literal, Protocol, Self, TypeGuard,
 import numpy as np
 from pydantic import Field, ModelWrapValidatorHandler, ValidationInfo, model_validator
 
+from desim.config.answers import wrong_answer
 from desim.config.arrays import Points
 from desim.config.choice import OneOf
 from desim.config.model import MAX_COORDINATE, Coordinate, Duration, FirstError, Length, Speed, Time, Value
+from desim.config.python_numbers import as_complex
 from desim.config.traits import Follows, Traits
 from desim.config.trust import resolve_path
 from desim.kernel.core import portable_math
@@ -326,6 +329,19 @@ def _is_closed(flow: type[UniformFlow]) -> bool:
     follows = Follows("velocity_at", "displacement")
     closed = ("displacement", "trend", "top_acceleration")
     return flow.__call__ is UniformFlow.__call__ and not any(follows.is_outdated(name, flow) for name in closed)
+
+
+def displacement(flow: UniformFlow, begin: float, end: float) -> complex:
+    """Return the displacement by a flow between two times (s), m; see `UniformFlow.displacement`.
+
+    Raises:
+        ValueError: if that of a user's flow is no finite number.
+    """
+    answer: Any = flow.displacement(begin, end)
+    vector = as_complex(answer)
+    if not isfinite(vector):
+        raise wrong_answer("displacement of a flow should return a finite complex number, in m", answer, flow)
+    return vector
 
 
 FLOWS = OneOf(

@@ -13,6 +13,7 @@ from math import inf
 import numpy as np
 
 from desim.config.arrays import Floats, Points
+from desim.config.python_numbers import as_complex
 from desim.config.traits import inherits
 from desim.kernel.core import portable_math
 from desim.kernel.core.units import SECOND
@@ -20,7 +21,7 @@ from desim.pursuit.core.geometry import SMALLEST
 from desim.pursuit.core.state import lengths
 from desim.pursuit.motion.capture import NO_SPEED, intercept_times
 from desim.pursuit.motion.environment import Environment
-from desim.pursuit.motion.flow import AffineFlow, UniformFlow, is_uniform
+from desim.pursuit.motion.flow import AffineFlow, UniformFlow, displacement, is_uniform
 
 MAX_STEPS = 1_000
 """Maximum number of steps towards a root; most roots take 5. A pursuer without a root by then is never in time."""
@@ -95,18 +96,18 @@ def _drifting_capture_times(
     this bound approach the least root from before.
     """
     mean, distance = flow.trend(begin)
-    times = intercept_times(offsets, flight - mean, speeds, radius + distance)
+    times = intercept_times(offsets, flight - as_complex(mean), speeds, radius + distance)
     left = np.flatnonzero(times < inf)
     for _ in range(MAX_STEPS):
         t, speed, w = times[left], speeds[left], flight[left]
         ends = (begin + t).tolist()
-        gaps = offsets[left] + w * t - np.array([flow.displacement(begin, end) for end in ends])
+        gaps = offsets[left] + w * t - np.array([displacement(flow, begin, end) for end in ends])
         distances = lengths(gaps)
         missing = distances - speed * t - radius
         remains = missing > ROUNDING * (radius + distances)
         if not remains.any():
             break
-        rates = w - np.array([flow.velocity_at(end) for end in ends])
+        rates = w - np.array([as_complex(flow.velocity_at(end)) for end in ends])
         slopes = (gaps.real * rates.real + gaps.imag * rates.imag) / np.maximum(distances, SMALLEST) - speed
         root = np.sqrt(slopes**2 + 2.0 * flow.top_acceleration * np.maximum(missing, 0.0)) - slopes
         times[left] += np.where(remains, 2.0 * missing / np.maximum(root, SMALLEST), 0.0)

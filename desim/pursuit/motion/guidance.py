@@ -145,6 +145,7 @@ def guided_velocities(
     if checked.dtype.kind not in "iufc" or checked.shape != speeds.shape:
         expected = f"an array of {len(speeds)} velocities, complex numbers in m/s, one for each pursuer in the call"
         raise wrong_answer(f"a guidance law should return {expected}", velocities, law)
+    checked = checked.astype(complex)
     if not (lengths(checked) <= speeds * (1.0 + 1e-9)).all():
         raise wrong_answer(f"velocities should be within the speeds {speeds} m/s", velocities, law)
     return checked

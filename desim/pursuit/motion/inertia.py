@@ -6,13 +6,12 @@ from math import inf, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.config.answers import wrong_answer
 from desim.config.arrays import Integers, Points
 from desim.config.traits import is_ours
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import SECOND
-from desim.pursuit.motion.dynamics import Course, Courses, Dynamics, Piece
+from desim.pursuit.motion.dynamics import Course, Courses, Dynamics, Piece, piece_with
 from desim.pursuit.motion.kinematics import CaptureTest, Kinematics
 
 MAX_STEPS = 1_000
@@ -113,7 +112,7 @@ class InertialKinematics(Kinematics):
             strict=True,
         )
         self._pieces = [
-            dynamics(place, course, command)._replace(drift=drift)
+            piece_with(dynamics, place, course, command)._replace(drift=drift)
             for dynamics, place, course, command, drift in motions
         ]
 
@@ -137,9 +136,7 @@ class InertialKinematics(Kinematics):
 
     def _piece(self, player: int, command: complex, drift: complex) -> Piece:
         """Return the piece of a player if a velocity (m/s) is commanded now."""
-        made = self._dynamics[player](self.position(player), self.course(player), command)
-        if not isinstance(made, Piece):
-            raise wrong_answer("dynamics should return a Piece", made, self._dynamics[player])
+        made = piece_with(self._dynamics[player], self.position(player), self.course(player), command)
         return made._replace(drift=drift) if drift else made
 
 

@@ -12,6 +12,7 @@ from desim.config.arrays import Floats, Points
 from desim.kernel.core.units import seconds
 from desim.pursuit.evaders.evader import MAX_SCALAR_SIZE
 from desim.pursuit.motion.dead_reckoning import MotionState
+from desim.pursuit.motion.dynamics import piece_with
 from desim.pursuit.paths.space import PLANE, Plane
 from desim.pursuit.sensing.noise import expected_distance
 from desim.pursuit.sensing.world_state import WorldState
@@ -246,7 +247,7 @@ class View:
         state, course = self.state, motion.course
         now, place = state.now, motion.position
         if course is not None:
-            piece, duration = state.dynamics(place, course, 0j), seconds(age - until)
+            piece, duration = piece_with(state.dynamics, place, course, 0j), seconds(age - until)
             place, course = piece.at(duration), piece.course_at(duration)
         if not state.environment.is_still:
             place = state.environment.carried(place, now - age, now - until)

@@ -8,7 +8,7 @@ import numpy as np
 
 from desim.kernel.core.units import SECOND
 from desim.pursuit.core.events import Sampled, Started
-from desim.pursuit.motion.flow import is_uniform
+from desim.pursuit.motion.flow import displacement, is_uniform
 from desim.scenario.scenario import Scenario
 
 ROUNDING = 1e-9
@@ -59,5 +59,5 @@ class Headings:
         if player >= self._size and self._environment.on == "pursuers":
             return 0j
         if is_uniform(flow):
-            return flow.displacement(begin, end)
+            return displacement(flow, begin, end)
         return complex(flow(np.array([middle]), (begin + end) / 2.0)[0]) * (end - begin)
