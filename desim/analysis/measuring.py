@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from keyword import iskeyword
 from math import isnan
+from sys import float_info
 from types import MappingProxyType
 from typing import Any
 
@@ -71,6 +72,8 @@ def _checked(name: str, metric: Metric, result: Result) -> bool | int | float | 
         raise MetricError(f"{where}: {type(error).__name__}: {error}") from error
     if value is not None and not isinstance(value, bool | int | float):
         raise MetricError(f"{where}: should return a number, True, False or None, not a {type(returned).__name__}")
+    if isinstance(value, int) and abs(value) > float_info.max:  # it has no mean
+        raise MetricError(f"{where}: should return a number up to 1.8e308, not an integer of {value.bit_length()} bits")
     return None if isinstance(value, float) and isnan(value) else value
 
 

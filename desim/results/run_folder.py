@@ -5,6 +5,7 @@ from collections.abc import Container, Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from itertools import chain, islice
+from os import PathLike
 from pathlib import Path
 from typing import Self
 
@@ -93,7 +94,7 @@ def simulate_below(parent: Path, scenario: Scenario, seed: int) -> Result:
 @writing()
 def write(
     result: Result,
-    folder: Path,
+    folder: str | PathLike[str],
     made: provenance.Document | None = None,
     *,
     simulated_there: bool = False,
@@ -116,6 +117,7 @@ def write(
     Raises:
         WriteError: if a file cannot be written.
     """
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     numbers = summary(result)
     is_there = simulated_there and result.scenario.record.messages == "file"

@@ -64,6 +64,13 @@ def test_anything_else_is_an_error_that_names_the_metric_the_scenario_and_the_se
         summary(result, {"x": lambda result: value})
 
 
+def test_an_integer_that_no_float_holds_is_refused():
+    """A sweep could not give its mean."""
+    for value in (10**400, -(10**400)):
+        with pytest.raises(MetricError, match=r"should return a number up to 1.8e308, not an integer of 1329 bits"):
+            summary(run(SHORT, 7), {"x": lambda result, value=value: value})
+
+
 @pytest.mark.parametrize("error", [ValueError("oh"), SystemExit("oh")])
 def test_an_exception_of_a_metric_names_the_metric_the_scenario_and_the_seed(result, error):
     def wrong(result):

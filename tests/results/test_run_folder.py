@@ -58,6 +58,11 @@ def test_a_folder_holds_the_trace_the_numbers_the_scenario_and_where_they_come_f
     assert provenance.read(folder / "run.json") == provenance.document("run", SCENARIO, seed=5)
 
 
+def test_a_folder_may_be_named_by_a_text(result, tmp_path):
+    write(result, str(tmp_path / "a"))
+    assert len(read(str(tmp_path / "a")).trace) == len(result.trace)
+
+
 def test_runs_are_written_below_a_folder_by_their_seed(result, tmp_path):
     assert write_below(tmp_path, result) == summary(result)
     assert names(tmp_path) == {"seed-5"}
