@@ -123,6 +123,8 @@ BAD = {
         "polygons 0 and 1 touch each other.*give each a wall of its own",
     ),
     "too far": ({"wkt": "LINESTRING (0 0, 1e10 0)"}, "from -1e\\+09 to 1e\\+09"),
+    "nan as x": ({"wkt": "LINESTRING (nan 0, 1 1)"}, "from -1e\\+09 to 1e\\+09"),
+    "nan as y": ({"wkt": "POLYGON ((0 0, 4 nan, 4 4, 0 0))"}, "from -1e\\+09 to 1e\\+09"),
     "scaled too far": ({"line": SQUARE, "scale": 1e9}, "scaled and displaced: a coordinate should be from"),
     "displaced to a point": (
         {"line": [[0, 0], [1e-12, 0]], "offset": [1e5, 0]},
@@ -181,6 +183,8 @@ def test_a_wall_that_is_none_is_refused_with_what_is_allowed(case):
         ('<svg><path transform="scale(2)" d="M0 0H1"/></svg>', "a.svg", "transform is not read"),
         ('<svg><g style="fill:none;display:none"><path d="M0 0H1"/></g></svg>', "a.svg", "'display:none' hides a part"),
         ('<svg><path visibility="hidden" d="M0 0H1"/></svg>', "a.svg", "'visibility=\"hidden' hides a part"),
+        ('<svg><path style="fill:none; opacity: 0" d="M0 0H1"/></svg>', "a.svg", "'opacity: 0' hides a part"),
+        ('<svg><path d="M0 0H1"/><svg x="5"><path d="M0 0H1"/></svg></svg>', "a.svg", "a drawing inside the drawing"),
         ('{"type": "LineString", "coordinates": [[13.4, 52.5], [13.5, 52.5]]}', "a.geojson", "GeoJSON.* in degrees"),
         ("t,x,y\n0,4,0\n", "a.csv", "line 1: a corner should have two numbers, x y .has 3"),
         ("<svg></svg>", "a.svg", "has no <path"),
@@ -190,6 +194,13 @@ def test_a_file_that_is_not_read_is_named(tmp_path, content, name, why):
     (tmp_path / name).write_text(content)
     with pytest.raises(ValueError, match=f"{name}.*{why}"):
         Wall.model_validate({"file": name}, context={"folder": tmp_path})
+
+
+def test_what_is_drawn_faintly_or_unfilled_is_a_wall(tmp_path):
+    styles = ("opacity:0.5", "opacity:1", "fill-opacity:0;stroke-opacity:1")
+    paths = "".join(f'<path style="{style}" d="M0 {k}H1"/>' for k, style in enumerate(styles))
+    (tmp_path / "a.svg").write_text(f'<svg pageopacity="0">{paths}</svg>')
+    assert len(Wall.model_validate({"file": "a.svg"}, context={"folder": tmp_path}).shapes) == 3
 
 
 def test_a_file_outside_of_the_folder_needs_trust(tmp_path):

@@ -232,7 +232,9 @@ _UNDRAWN = re.compile(
 """Comments, and elements that are not drawn where they stand."""
 _DATA = re.compile(r"""\sd\s*=\s*("[^"]*"|'[^']*')""")
 _HIDDEN = re.compile(
-    r"""\b(display\s*[:=]\s*["']?\s*none|visibility\s*[:=]\s*["']?\s*(hidden|collapse))\b""", re.IGNORECASE
+    r"""\b(display\s*[:=]\s*["']?\s*none\b|visibility\s*[:=]\s*["']?\s*(hidden|collapse)\b"""
+    r"""|(?<!-)opacity\s*[:=]\s*["']?\s*0(\.0*)?%?(?![.\d]))""",
+    re.IGNORECASE,
 )
 _WKT_BEGIN = re.compile(r"[A-Za-z]\w*\s*(Z|M|ZM|EMPTY)?\s*(\(|;|=|$)", re.IGNORECASE)
 _OTHERS = re.compile(r"<\s*(rect|circle|ellipse|line|polyline|polygon|use|image|text)\b", re.IGNORECASE)
@@ -283,6 +285,8 @@ def _svg_text(text: str, file: Path) -> str:
         raise ValueError(f"{file}: the attribute transform is not read: apply transformations in the editor")
     if hidden := _HIDDEN.search(text):
         raise ValueError(f"{file}: {hidden[0]!r} hides a part, which would be a wall: delete that part, or show it")
+    if len(re.findall(r"<\s*svg\b", text, re.IGNORECASE)) > 1:
+        raise ValueError(f"{file}: a drawing inside the drawing (<svg>) is not read: ungroup it in the editor")
     if other := _OTHERS.search(text):
         raise ValueError(f"{file}: <{other[1]}> is not read: convert objects to paths in the editor")
     data = [match[1][1:-1] for path in _PATH.findall(text) if (match := _DATA.search(path))]

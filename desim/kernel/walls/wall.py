@@ -158,7 +158,7 @@ def _check(outline: Outline, which: str) -> None:
     if len(corners) < least:
         raise ValueError(f"{which}a {form} should have at least {least} corners (has {len(corners)})")
     for x, y in corners:
-        if not max(abs(x), abs(y)) <= MAX_COORDINATE:
+        if not (abs(x) <= MAX_COORDINATE and abs(y) <= MAX_COORDINATE):  # neither if it is nan
             raise ValueError(f"{which}a coordinate should be from {-MAX_COORDINATE:g} to {MAX_COORDINATE:g} m")
     if (k := repeated_corner(corners, closed=closed)) is not None:
         x, y = corners[k % len(corners)]
