@@ -30,9 +30,10 @@ if TYPE_CHECKING:
 def fates(log: Path, file: Path, seed: int | None, out: Path | None, overrides: tuple[str, ...]) -> None:
     """Send the messages of a LOG over the network of a scenario FILE, and write what happens to each as CSV.
 
-    LOG is a CSV or Parquet file with the columns t (s), src, dst (a node, or empty: all neighbours) and size (bytes),
-    ascending in t. Nodes are numbers from 0 on, or the names of the graph; there are team.count of them, and they stand
-    where the pursuers start. The network is observed for 60 s after the last message.
+    LOG is a CSV or Parquet file with the columns t (s, or dates, of which the earliest is time 0), src, dst (a node, or
+    empty: all neighbours) and size (bytes), ascending in t. Nodes are numbers from 0 on, or the names of the graph;
+    there are team.count of them, and they stand where the pursuers start. The network is observed for 60 s after the
+    last message.
     """
     from desim.kernel.fates import fates as fates_of
     from desim.kernel.fates import read_log

@@ -9,8 +9,10 @@ from desim.config.arguments import naming_arguments
 from desim.config.model import MAX_TIME
 from desim.config.number_files import number_of
 from desim.config.python_numbers import real
+from desim.kernel.core.body_content import is_missing
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.measured.csv_tables import cells_of, csv_header, csv_text, select
+from desim.kernel.measured.measurements import start_of, time_of
 from desim.kernel.models.links import Links
 from desim.kernel.stepped_network import SteppedNetwork
 
@@ -183,7 +185,9 @@ def _logged(values: Any) -> LoggedMessage:
     if len(row) != len(COLUMNS):
         raise ValueError(f"a message should be {', '.join(COLUMNS)}")
     t, src, dst, size = row
-    if isinstance(dst, float):  # pandas has no other column for integers of which one is missing
+    if is_missing(dst):
+        dst = None
+    elif isinstance(dst, float):  # pandas has no other column for integers of which one is missing
         dst = None if isnan(dst) else int(dst) if dst.is_integer() else dst
     return LoggedMessage(t, src, dst, size)
 
@@ -192,7 +196,8 @@ def read_log(file: Path, node_of: Callable[[str], Any]) -> list[LoggedMessage]:
     """Return the messages of a CSV or Parquet file with the columns t, src, dst and size.
 
     Args:
-        file: the path of the file. An empty cell or * in the column `dst` stands for all neighbours.
+        file: the path of the file. An empty cell or * in the column `dst` stands for all neighbours. Dates, and seconds
+            since 1970, count from the earliest.
         node_of: returns the node of a cell; raises ValueError if there is none.
 
     Raises:
@@ -202,6 +207,17 @@ def read_log(file: Path, node_of: Callable[[str], Any]) -> list[LoggedMessage]:
     if set(COLUMNS) - set(header := csv_header(text, name)):
         raise ValueError(f"{name}: a log has the columns {', '.join(COLUMNS)}; this one has {', '.join(header)}")
     cells = cells_of(select(text, COLUMNS, name), name)
-    senders, sizes = cells.numbers("src", node_of), cells.numbers("size", int)
+    times = cells.numbers("t", time_of)
+    start = start_of(times, f"{name}, column t")
+    senders, sizes = cells.numbers("src", node_of), cells.numbers("size", _bytes)
     receivers = cells.numbers("dst", lambda cell: None if cell.strip() in ALL else node_of(cell))
-    return [LoggedMessage(*row) for row in zip(cells.numbers("t", number_of), senders, receivers, sizes, strict=True)]
+    seconds = (float(time - start) for time in times)
+    return [LoggedMessage(*row) for row in zip(seconds, senders, receivers, sizes, strict=True)]
+
+
+def _bytes(cell: str) -> int:
+    """Return the size in a cell, which a table with empty cells may have as 24.0."""
+    size = number_of(cell)
+    if not size.is_integer():
+        raise ValueError(f"{cell!r} is not a whole number of bytes")
+    return int(size)

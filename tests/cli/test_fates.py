@@ -47,6 +47,11 @@ def test_a_log_goes_in_and_a_table_of_fates_comes_out(files):
         ("t,src,dst,size\n1.0,0,1,8\n0.5,0,1,8\n", "message 1 (0.5, 0, 1, 8): t should be ascending"),
         ("t,src,dst,size\n0.0,0,1,-8\n", "at least 0 bytes"),
         ("t,src,dst,size\n0.0,1,1,8\n", "to itself"),
+        ("t,src,dst,size\n0.0,0,1,8.5\n", "log.csv, line 2: size: '8.5' is not a whole number of bytes"),
+        ("t,src,dst,size\n0.0,0,1,1_0\n", "log.csv, line 2: size: '1_0' is not a number"),
+        ("t,src,dst,size\n0.0,0,1,\u0663\n", "is not a number"),
+        ("t,src,dst,size\n20240517,0,1,8\n", "log.csv, column t: the times are probably dates"),
+        ("t,src,dst,size\n2024-05-17,0,1,8\n1.0,0,1,8\n", "t should be ascending"),
         ("t,src,dst,size\nx,0,1,8\n", "log.csv, line 2: t: "),
         ("t,src,dst,size\nnan,0,1,8\n", "t"),
         ("t,src,dst,size\n", "has no rows"),
@@ -55,6 +60,20 @@ def test_a_log_goes_in_and_a_table_of_fates_comes_out(files):
 def test_a_wrong_log_is_refused_with_its_line(files, log, why):
     (files / "log.csv").write_text(log)
     assert why in refused("fates", files / "log.csv", files / "net.toml")
+
+
+@pytest.mark.parametrize(
+    "log",
+    [
+        "t,src,dst,size\n2024-05-17T12:30:00,0,1,24\n2024-05-17T12:30:00.45,1,*,100\n",
+        "t,src,dst,size\n1700000000.0,0,1,24.0\n1700000000.45,1,,100\n",
+    ],
+)
+def test_the_times_of_a_log_may_be_dates(files, log):
+    (files / "log.csv").write_text("t,src,dst,size\n0.0,0,1,24\n0.45,1,*,100\n")
+    expected = accepted("fates", files / "log.csv", files / "net.toml").stdout
+    (files / "log.csv").write_text(log)
+    assert accepted("fates", files / "log.csv", files / "net.toml").stdout == expected
 
 
 def test_fates_say_what_is_lost_late_or_not_there_yet():
@@ -85,6 +104,7 @@ def test_the_rows_of_a_log_may_be_a_frame_of_pandas():
     frame = pd.DataFrame({"t": [0.0, 0.5], "src": [0, 1], "dst": [1, None], "size": [8, 9]})
     expected = fates([(0.0, 0, 1, 8), (0.5, 1, None, 9)], 3, Links(latency=0.1))
     assert fates(frame, 3, Links(latency=0.1)) == expected
+    assert fates(frame.convert_dtypes(), 3, Links(latency=0.1)) == expected  # then it is pandas.NA
 
 
 @pytest.mark.parametrize("rows", [[(0.0, 0, 1)], [3], ["abcd"], [(0.0, 0, 1, 8, 9)]])
