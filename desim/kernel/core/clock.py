@@ -200,7 +200,7 @@ class FirstOf(simpy.Event):
         super().__init__(events[0].env)
         self.events = events
         for event in events:
-            if event.callbacks is None:
+            if event.processed:
                 self._happen(event)
                 return
         for event in events:
