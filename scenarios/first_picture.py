@@ -38,11 +38,12 @@ def active_pursuers(result: Result) -> "NDArray[np.float64]":
 def picture(means: dict[float, "NDArray[np.float64]"]) -> "Figure":
     """Draw the trajectories and the mean number of active pursuers."""
     from desim.analysis.drawing import palette, plots
+    from desim.analysis.drawing.trajectory import draw_trajectory
 
     result = run(load(FILE))
     with plots.styled(figsize=(8.4, 4.8)) as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.25))
-        plots.draw_trajectory(left, result)
+        draw_trajectory(left, result)
         left.set_anchor("N")  # leaves the space below for the legend
         left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, fontsize=7)
         looks = zip(palette.SERIES, DASHES, strict=False)
