@@ -763,6 +763,7 @@ ELSEWHERE = {
     "RecordedMotion.places": "refusals",
     "Policy.write": "called by users",
     "Reliable.gives_up": "a warning about disseminations",
+    "Always.bound": "the text of a search, which asks for a limit",
     "Rounds.for_all": "explain",
     "Synchronous.for_all": "explain",
     **dict.fromkeys((f"{kind}.message_size" for kind in ("_WithToken", "LocalMutex")), "checks of a channel"),
