@@ -123,7 +123,7 @@ FIGURES = {
         "sized": lambda: made.benchmark().plot(size="12cmx5cm"),
     },
     "figure.agreement_figure": {"runs": lambda: agreement_figure(made.agreement())},
-    "plots.trajectory": {
+    "trajectory.trajectory": {
         "captured by 1": lambda: desim.plot(chase()),
         "captured by one that stood still": lambda: desim.plot(chase(capturer=0)),
         "not captured": lambda: desim.plot(chase("horizon", None), size="8.5cm"),

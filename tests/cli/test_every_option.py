@@ -459,7 +459,7 @@ def frozen():
 
 
 FIGURES = (
-    "analysis.drawing.plots.trajectory",
+    "analysis.drawing.trajectory.trajectory",
     "live.figure.agreement_figure",
     "study.comparing.scores.Benchmark.plot",
     "study.results.result.SweepResult.plot",
