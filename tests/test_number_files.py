@@ -196,6 +196,17 @@ def test_a_comment_may_name_the_right_unit_and_have_any_words(name, tmp_path):
     assert read(name, text, tmp_path) == read(name, plain(name), tmp_path)
 
 
+@pytest.mark.parametrize("comment", ["# ms", "#[ms]", "# in ms", "# RTT ms"])
+def test_a_comment_beside_the_first_number_counts_too(comment, tmp_path):
+    with pytest.raises(ValueError, match=r"line 2: the comment says 'ms'"):
+        read("empirical", f"# measured\n100 {comment}\n200\n", tmp_path)
+
+
+@pytest.mark.parametrize("comment", ["# 100 ms", "# s", "# first", "# not in the lab", "# s, not ms"])
+def test_a_comment_beside_a_number_may_say_anything_else(comment, tmp_path):
+    assert read("empirical", f"0.1 {comment}\n0.2\n", tmp_path) == read("empirical", "0.1\n0.2\n", tmp_path)
+
+
 def test_a_comment_may_explain_the_unit_or_the_scale_that_a_key_sets(tmp_path):
     for name, text, made, expected in (
         ("t.csv", "# in ms\nt,value\n0,50\n", lambda file: LatencyTrace(file=file, unit="ms").unit, "ms"),

@@ -80,7 +80,7 @@ SAME_UNIT = {"s": "s|secs?|seconds?", "m": "m|met(?:er|re)s?"}
 
 
 def check_comments(text: str, file: Path, unit: str) -> None:
-    """Check that the comments at the head of a file do not say that its numbers have another unit.
+    """Check that the comments at the head of a file, or beside its first numbers, do not name another unit.
 
     The units of a table are those of its columns, but a file of numbers has no other place to say them. Comments that
     also name the right unit may be about several columns, or about a conversion.
@@ -93,7 +93,11 @@ def check_comments(text: str, file: Path, unit: str) -> None:
     Raises:
         ValueError: if they say so, with the line.
     """
-    lines = list(takewhile(lambda line: not line.strip() or line.lstrip().startswith("#"), text.split("\n")))
+    rows = text.split("\n")
+    lines = list(takewhile(lambda line: not line.strip() or line.lstrip().startswith("#"), rows))
+    numbers, sign, comment = "".join(rows[len(lines) : len(lines) + 1]).partition("#")
+    if sign and re.search(r"\d", numbers) and not re.search(r"\d", comment):  # with a number, it may say how to convert
+        lines.append(f"#{comment}")
     if any(_names_unit(line, SAME_UNIT[unit]) for line in lines):
         return
     for number, line in enumerate(lines, 1):
