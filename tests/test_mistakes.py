@@ -316,6 +316,8 @@ OUTSIDE: dict[str, Any] = {
         "from time import monotonic as tell; tell()",
         "datetime.datetime.now()",
         "(lambda: datetime.date.today())()",
+        "import time; time.localtime().tm_sec",
+        "from time import ctime; ctime()",
     ],
 )
 def test_a_protocol_that_waits_for_the_clock_of_the_computer_is_warned_of(line):
@@ -376,6 +378,7 @@ def test_what_differs_from_process_to_process_is_warned_of(line, name):
         "np.random.default_rng(me.id).random()",
         "rng(7).random()",
         "import time; time.perf_counter()",
+        "import time; time.gmtime(me.now)",
         "datetime.datetime(2024, 5, 17)",
         "me.sleep(0.0)",
         "import uuid; uuid.UUID(int=3)",

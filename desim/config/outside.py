@@ -32,6 +32,8 @@ CLOCKS = {
 
 To measure how long a computation takes is another matter, so that `time.perf_counter` is not among them.
 """
+NOW = {getattr(time, name): f"time.{name}()" for name in ("localtime", "gmtime", "ctime", "asctime")}
+"""The names of the functions that tell the time if they are called without one."""
 ENTROPY = {
     **{getattr(secrets, name): f"secrets.{name}" for name in secrets.__all__ if name != "compare_digest"},
     **{uuid.uuid1: "uuid.uuid1", uuid.uuid4: "uuid.uuid4", os.urandom: "os.urandom"},
@@ -100,6 +102,7 @@ def outside_sources(function: FunctionType) -> Outside:
             is_own_hash = source is hash and function.__name__ == "__hash__"
             process |= {PROCESS[source]} if source in PROCESS and not is_own_hash else set()
             clocks |= {CLOCKS[source]} if source in CLOCKS else set()
+            clocks |= {NOW[source]} if use.is_called_alone and source in NOW else set()
             entropy |= {ENTROPY[source]} if source in ENTROPY else set()
             entropy |= {SEEDED[source]} if use.is_called_alone and source in SEEDED else set()
         except TypeError:  # it has no hash, and is none of them
