@@ -387,6 +387,15 @@ def events(experiment):
     return list(map(repr, run(experiment, seed=1).trace))
 
 
+@pytest.mark.parametrize("wrap", [staticmethod, lambda function: classmethod(lambda _, *given: function(*given))])
+@pytest.mark.parametrize("name", ["latency", "loss", "reception", "strategy", "guidance"])
+def test_an_overridden_call_may_be_static_or_of_the_class(name, wrap):
+    family = FAMILIES[name]
+    kind = next(kind for kind in family.choice.choices().values() if not is_refused(kind))
+    theirs = family.with_model(derived(kind, __call__=wrap(family.function)))
+    assert events(theirs) == events(family.with_model(plain(kind, family.function, family.beside)))
+
+
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize(("name", "kind"), CASES)
 def test_an_overridden_call_is_that_of_the_run(name, kind):

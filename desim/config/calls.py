@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from inspect import isasyncgenfunction, iscoroutinefunction, isgeneratorfunction, signature
+from inspect import getattr_static, isasyncgenfunction, iscoroutinefunction, isgeneratorfunction, signature
 from typing import Any
 
 from desim.config.answers import name_and_place
@@ -29,8 +29,9 @@ def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *
     """
     if any(map(iscoroutinefunction, _codes(function))) or any(map(isasyncgenfunction, _codes(function))):
         raise AnswerError(f"should have `def` in place of `async def`, and `yield` to wait: {name_and_place(value)}")
+    static = isinstance(getattr_static(type(function), "__call__", None), staticmethod | classmethod)
     try:
-        parameters = signature(function)
+        parameters = signature(function.__call__ if static else function)  # `signature` would take an argument for self
     except (TypeError, ValueError):  # some functions in C have no signature
         return
     try:
