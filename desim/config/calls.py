@@ -29,9 +29,11 @@ def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *
     """
     if any(map(iscoroutinefunction, _codes(function))) or any(map(isasyncgenfunction, _codes(function))):
         raise AnswerError(f"should have `def` in place of `async def`, and `yield` to wait: {name_and_place(value)}")
-    static = isinstance(getattr_static(type(function), "__call__", None), staticmethod | classmethod)
+    called: Any = function
+    if isinstance(getattr_static(type(function), "__call__", None), staticmethod | classmethod):
+        called = called.__call__  # else `signature` takes an argument for self
     try:
-        parameters = signature(function.__call__ if static else function)  # `signature` would take an argument for self
+        parameters = signature(called)
     except (TypeError, ValueError):  # some functions in C have no signature
         return
     try:
