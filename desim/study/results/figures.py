@@ -255,7 +255,6 @@ def multiples(result: SweepRuns, metrics: Sequence[str], *, has_legend: bool = T
             if k >= len(metrics):
                 axes.set_axis_off()
             if abscissa is None and k % columns:
-                axes.tick_params(labelleft=False)
                 axes.set_ylabel("")
             if k + columns < len(metrics):
                 axes.set_xlabel("")
