@@ -13,6 +13,7 @@ import pytest
 
 import desim
 import protocols
+from desim.config.model import Value
 from desim.kernel.models.access import ACCESSES, Ideal
 from desim.kernel.models.interference import INTERFERENCES
 from desim.pursuit.motion.dynamics import DYNAMICS, Simple
@@ -102,6 +103,33 @@ def test_the_example_of_the_package_runs(monkeypatch, capsys):
     _, example, _ = (desim.__doc__ or "").split("```")
     exec(example.removeprefix("python"), {})
     assert "active time: " in capsys.readouterr().out
+
+
+def test_the_arguments_of_public_functions_and_their_defaults_are_golden():
+    """Scripts of users rely on them; those of models are keys of scenario files."""
+    lines = []
+    for name in sorted(desim.__all__):
+        public = getattr(desim, name)
+        if inspect.isfunction(public):
+            lines.append(f"{name}({arguments(public)})")
+        elif inspect.isclass(public) and not issubclass(public, Value):
+            own = {key: getattr(member, "__func__", member) for key, member in vars(public).items()}
+            functions = [key for key, member in own.items() if inspect.isfunction(member) and not key.startswith("_")]
+            lines += [f"{name}.{key}({arguments(own[key])})" for key in functions]
+    golden("arguments.txt", "\n".join(lines) + "\n")
+
+
+def arguments(function):
+    """Return the arguments of a function with their defaults; of objects, only the class."""
+    shown, before = [], None
+    for argument in inspect.signature(function).parameters.values():
+        if argument.kind is argument.KEYWORD_ONLY and before not in (argument.KEYWORD_ONLY, argument.VAR_POSITIONAL):
+            shown.append("*")
+        before, default = argument.kind, argument.default
+        is_plain = isinstance(default, int | float | str | tuple | None)
+        told = "" if default is argument.empty else f"={default!r}" if is_plain else f"={type(default).__name__}"
+        shown.append(f"{str(argument).partition(':')[0].partition('=')[0].strip()}{told}")
+    return ", ".join(shown)
 
 
 def test_the_keys_of_the_documents_in_json_are_golden():

@@ -233,6 +233,19 @@ def test_a_race_finds_the_best_and_says_who_was_dropped_when():
     assert raced(maximise=True).best == {"team.count": 2}
 
 
+def test_the_progress_of_a_race_counts_runs(monkeypatch):
+    told = []
+
+    def begun(*arguments):
+        told.append(arguments)
+        raise StopAsyncIteration
+
+    monkeypatch.setattr("desim.study.selection.race.progress", begun)
+    with pytest.raises(StopAsyncIteration):
+        raced()
+    assert told == [(None, "unnamed", "run")]
+
+
 @pytest.mark.slow
 def test_a_race_reads_the_runs_of_a_sweep_and_resumes(tmp_path):
     path = tmp_path / "sweep.sqlite"

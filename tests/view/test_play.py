@@ -396,7 +396,19 @@ def test_an_earlier_request_of_a_page_that_has_not_begun_is_cancelled(small, pag
     assert not session._last
 
 
+def test_a_run_is_saved_with_its_changes_and_its_provenance(small, monkeypatch):
+    monkeypatch.setattr(Playground, "save", lambda _, changes, made: {"folder": f"{list(changes)} {made['what']}"})
+    assert Session(small, InProcess()).save(SMALL) == {"folder": f"{list(SMALL)} run"}
+
+
 # The server.
+
+
+def test_the_server_waits_for_another_page_only_after_the_last_one_was_closed(small):
+    with PlayServer(Session(small, InProcess())) as server:
+        for change, is_waiting in (("opened", 0), ("opened", 0), ("closed", 0), ("closed", 1), ("opened", 0)):
+            getattr(server, f"page_{change}")()
+            assert math.isfinite(server._closed_at) == is_waiting
 
 
 @pytest.fixture
