@@ -2,6 +2,7 @@
 
 import json
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -49,6 +50,33 @@ def test_a_request_is_answered_with_its_number(widget):
     assert (told["number"], told["isLast"]) == (7, True)
     assert told["answer"] == Playground(made._session.playground.base, None).answer(["team.count=4"], [])
     assert "page" in told["answer"]
+
+
+def test_each_request_asks_the_session_for_what_it_says(widget, monkeypatch):
+    made, sent = widget
+    asked_for = []
+
+    def answering(kind, answer):
+        return lambda *arguments: asked_for.append((kind, *arguments)) or answer
+
+    answers = {"run": {"page": "p"}, "save": {"folder": "f"}, "cancel": None, "compare": iter([{"done": 1}])}
+    session = SimpleNamespace(**{kind: answering(kind, answer) for kind, answer in answers.items()})
+    monkeypatch.setattr(made, "_session", session)
+    for number, kind in enumerate(("run", "save", "cancel", "seeds")):
+        made._answer(str(number), kind, {"now": ["a=1"], "pinned": None, "page": "first", "count": 3})
+    assert asked_for == [
+        ("run", ["a=1"], None, "first"),
+        ("save", ["a=1"]),
+        ("cancel", "first"),
+        ("compare", ["a=1"], None, 3, "first"),
+    ]
+    assert [(told["number"], told["answer"], told["isLast"]) for told in sent] == [
+        ("0", {"page": "p"}, True),
+        ("1", {"folder": "f"}, True),
+        ("2", {}, True),
+        ("3", {"done": 1}, False),
+        ("3", {}, True),
+    ]
 
 
 @pytest.mark.slow
