@@ -186,8 +186,8 @@ class Instant(simpy.Event):
 class FirstOf(simpy.Event):
     """An event that happens as soon as one of several events has happened; its value is None.
 
-    It is `first | second` of SimPy without a table of the events and their values, in half of the time. None of the
-    events may fail.
+    It is `first | second` of SimPy without a table of the events and their values, in three fifths of the time. None of
+    the events may fail.
 
     Kept equal to the condition of SimPy by
     `tests/kernel/test_clock.py::test_the_first_of_two_events_happens_as_their_condition_does`.
