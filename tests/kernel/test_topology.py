@@ -383,6 +383,20 @@ def test_in_a_network_of_many_nodes_time_passes():
     assert heard == [8 <= second <= 12 for second in range(14)]
 
 
+class Counting(PositionSource):
+    """Nodes that stand, whose distances are asked for one by one."""
+
+    def __init__(self, places):
+        self._places, self.distances = places, 0
+
+    def __call__(self):
+        return self._places
+
+    def distance(self, node, other):
+        self.distances += 1
+        return super().distance(node, other)
+
+
 @pytest.mark.parametrize("per_link", [True, False])
 @pytest.mark.parametrize("model", [Disk(), QuasiUnitDisk(), LogDistance()])
 def test_several_messages_reach_what_each_of_them_reaches(model, per_link):
@@ -396,7 +410,10 @@ def test_several_messages_reach_what_each_of_them_reaches(model, per_link):
     assert topology.reaches(src, dst, number, 0) == of_each
     several = topology.reaches(3, dst, 7, 0)
     assert topology.reaches(3, dst.tolist(), 7) == several
+    counted = Counting(places)
+    topology = Topology(nx.complete_graph(12), 8.0, counted, model, per_link=per_link, seed=5)
     for count in range(1, FEW + 2):
         for receivers in (dst[:count], dst[:count].tolist()):
             assert topology.reaches(3, receivers, 7) == several[:count]
+    assert counted.distances == 2 * sum(range(1, FEW + 1))
     assert 0 < sum(of_each) < 200

@@ -94,9 +94,13 @@ class Topology:
         if has_walls and self._positions is not None:
             self._received = WalledRangeCheck(reception, range, per_link, seed, size)
             self.walls, self._bound = RadioWalls(walls, size, self._received.exponent), self._received.bound
+        self._few = 1
+        """Number of receivers up to which `reaches` asks for each by itself: 1 if each asks for positions anew."""
         self._kept: KeptReceivers | None = None
         """The receivers of the last searches; None: they may change at any time, or there are too many nodes."""
         if self._positions is not None:
+            if type(self._positions).distance is not PositionSource.distance:
+                self._few = FEW
             self._candidates = _candidates(self._lists, size, self._positions, self._received.bound, now)
             have_borders = self._received.has_border and channel is None and self.walls is None
             if have_borders and size <= SMALL_NETWORK and now is not None and self._positions.max_speed < inf:
@@ -156,7 +160,7 @@ class Topology:
         if (
             self.channel is None
             and self.walls is None
-            and len(dst) <= FEW
+            and len(dst) <= self._few
             and times is None
             and isinstance(src, int)
             and isinstance(message, int)
