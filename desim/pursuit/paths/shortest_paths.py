@@ -59,7 +59,8 @@ class ShortestPaths:
             rows += [k] * len(pairs)
             columns += [j for j, _ in pairs]
             distances += [d for _, d in pairs]
-        graph = csr_array((distances, (rows, columns)), shape=(count, count))
+        places = np.array([rows, columns], dtype=np.int32)  # the dijkstra of SciPy 1.14 refuses indices of 64 bits
+        graph = csr_array((distances, (places[0], places[1])), shape=(count, count))
         self._apart: Floats = np.zeros((0, 0))
         self._before: Integers = np.zeros((0, 0), dtype=np.int64)
         if count:
