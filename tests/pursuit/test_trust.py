@@ -194,6 +194,14 @@ def test_a_position_that_cannot_be_is_found():
         assert distrusted(team(Plausible(), lie, payload="state", rule=ArgminKnown), 1) == found
 
 
+def test_a_sender_that_the_flow_carries_can_be_farther_away():
+    """States that are 0.2 s old, in a medium that is twice as fast as the pursuers; a lie of 5 m is one there, too."""
+    flow = {"environment": {"flow": {"kind": "uniform", "velocity": [3.0, 0.0]}}, "network": Links(latency=0.2)}
+    for shift, found in ((5.0, {(3, True)}), (0.0, set())):
+        lie = Liar(node=3, start=0.0, position={"kind": "shifted", "by": [shift, 0.0]})
+        assert distrusted(team(Plausible(), lie, payload="state", rule=ArgminKnown, **flow), 1) == found
+
+
 def test_the_claims_of_auctions_are_compared_with_physics():
     auction = PROTOCOLS.choice("cbba")
     assert distrusted(team(Plausible(), *liars(1), rule=auction), 1) == {(0, True)}

@@ -377,6 +377,15 @@ def talks(times):
     return rule
 
 
+def test_a_search_keeps_the_cases_that_it_has_tried_in_their_order():
+    scenario = Scenario(team=Team(count=2), horizon=0.02, record={"trajectory": 0})
+    search = find_violation(scenario, "crowded at most 0.0199 in total", runs=4, seed=1, jobs=1, features=["latency"])
+    assert (len(search.tried), search.runs, search.violation) == (4, 4, None)
+    assert [tried.seed for tried in search.tried] == sorted({tried.seed for tried in search.tried})
+    assert all(tried.verdict.margin > 0.0 and not tried.failure for tried in search.tried)
+    assert sum("latency" in tried.case for tried in search.tried) == search.featured["latency"]
+
+
 @pytest.mark.whole
 @pytest.mark.parametrize(("times", "is_found"), [(3, True), (1000, False)])
 def test_a_rule_that_falls_silent_is_found(times, is_found):
