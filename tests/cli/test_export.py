@@ -115,6 +115,8 @@ def test_what_makes_no_sense_is_refused(recorded, tmp_path):
     assert "the exporter mcap has no parameter 'events'" in refused(
         "export", recorded, tmp_path / "x.mcap", "--event", "Lost"
     )
+    unknown = refused("export", recorded, to, "--exporter", "pcap")
+    assert unknown.startswith("there is no exporter pcap, did you mean 'pcapng'?; there are csv, parquet, ")
     assert refused("export", tmp_path / "no.toml", to).startswith(f"{tmp_path}/no.toml: cannot be read")
     missing = tmp_path / "none" / "x.csv"
     for suffix in (".csv", ".parquet", ".pcapng", ".mcap"):
