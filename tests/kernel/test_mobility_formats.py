@@ -180,6 +180,10 @@ REFUSED = {
     "no header in a table": ("0 1 2\n1 2 3\n2 3 4\n", r"the first line of a table should name its columns"),
     "two columns": ("t,x,X,y\n0,1,2,3\n", r"has several columns 'x'"),
     "cells": ("t,x,y\n0,1\n", r"line 2: has 2 cells, but the header 3"),
+    "nodes in a column of another name": (
+        "t,boat,x,y\n0,a,0,0\n1,a,1,0\n2,b,5,5\n",
+        r"column 'boat' has several texts: if they name the nodes, call it node, else leave it out",
+    ),
     "row numbers": ("id,t,x,y\n0,0,1,2\n1,1,2,3\n2,2,3,4\n", r"column 'id' is different in each row"),
     "order": ("t,x,y\n1,1,2\n0,1,2\n", r"line 3: the times of a node should increase; after 1 s comes 0 s"),
     "no rows": ("t,x,y\n", r"has no rows below its header"),

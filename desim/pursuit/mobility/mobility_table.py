@@ -73,6 +73,10 @@ class MobilityTable(MobilityFile):
             raise ValueError(f"{file}: the columns {names} may name the nodes, and differ: leave out all but one")
         if not self._rows:
             raise ValueError(f"{file} has no rows below its header")
+        if columns["node"] is None and (name := _column_of_names(header, [cells for _, cells in self._rows["0"]])):
+            raise ValueError(
+                f"{file}: column {name!r} has several texts: if they name the nodes, call it node, else leave it out"
+            )
         super().__init__(file, sorted(map(int, self._rows)) if all(map(_is_number, self._rows)) else self._rows)
         if len(self._rows) > 1 and all(len(rows) == 1 for rows in self._rows.values()):
             times = [self._time(rows[0]) for rows in self._rows.values()]
@@ -112,6 +116,24 @@ class MobilityTable(MobilityFile):
             is_high |= z is not None and cells[z].strip() != "" and coordinate(cells[z], place) != 0.0
             append(waypoints, new, place)
         return NodeTrack(waypoints, is_high)
+
+
+def _column_of_names(header: Header, rows: Sequence[Sequence[str]]) -> str | None:
+    """Return the name of a column that may name nodes: it has several texts, and at least one of them repeatedly."""
+    for name, cells in zip(header.names, zip(*rows, strict=True), strict=True):
+        texts = {cell.strip() for cell in cells} - {""}
+        if 1 < len(texts) < len(cells) and not any(map(_is_read, texts)) and name not in COLUMNS["t"]:
+            return name
+    return None
+
+
+def _is_read(text: str) -> bool:
+    """Return whether a cell is a number, with a point or a comma."""
+    try:
+        float(text.replace(",", "."))
+    except ValueError:
+        return False
+    return True
 
 
 def _is_number(name: str) -> bool:
