@@ -121,6 +121,7 @@ def test_a_benchmark_has_the_scores_of_each_scenario_in_its_document():
         assert protocol["behind"] == made.is_behind(name)
 
 
+@pytest.mark.slow
 def test_the_figure_has_the_totals_and_the_scores():
     made = benchmark_of(
         perfect=[10.0, 10.1, 9.9], silent=[50.0, 50.1, 49.9], good=([20.0, 20.1, 19.9], [8.0, 8.1, 7.9])

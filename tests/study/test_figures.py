@@ -176,6 +176,7 @@ def test_an_axis_is_logarithmic_if_the_lower_half_is_below_a_quarter_of_the_larg
     assert is_wide(values) == wide
 
 
+@pytest.mark.slow
 def test_a_figure_of_more_lines_is_higher_by_its_legend():
     heights = [
         means(result({"x": [1.0, 2.0], "y": [f"value {k}" for k in range(n)]}), "active_time").get_size_inches()[1]
@@ -278,6 +279,7 @@ def test_small_panels_over_no_number_have_a_row_per_configuration():
     ] * 2
 
 
+@pytest.mark.slow
 def test_panels_of_rows_have_common_rows_and_panels_over_a_number_have_scales_of_their_own():
     rows = multiples(result({"prune": ["inf", "none"]}), ["active_time", "switches"])
     assert rows.axes[0].get_shared_y_axes().joined(*rows.axes)
@@ -328,6 +330,7 @@ def written(axes):
     return {tuple(each.get_position()): each.get_text() for each in axes.texts}
 
 
+@pytest.mark.slow
 def test_a_phase_diagram_has_the_mean_of_each_configuration_at_its_place():
     """Of k, k + 1, k + 2, the mean is k + 1; the last key changes fastest, and values are sorted."""
     figure = phase(result({"x": [2.0, 1.0], "prune": ["inf"], "y": [4.0, inf, 3.0]}), "active_time")
@@ -345,6 +348,7 @@ def test_a_phase_diagram_has_the_mean_of_each_configuration_at_its_place():
     }
 
 
+@pytest.mark.slow
 def test_a_phase_diagram_has_a_panel_per_combination_of_the_other_keys_in_equal_colours():
     figure = phase(result({"prune": ["inf", "none"], "x": [1.0, 2.0], "y": [1.0, 2.0]}), "active_time")
     one, other, _ = figure.axes
@@ -357,6 +361,7 @@ def test_a_phase_diagram_has_a_panel_per_combination_of_the_other_keys_in_equal_
     assert light == sorted(light)
 
 
+@pytest.mark.slow
 def test_text_on_a_dark_cell_is_light():
     axes = phase(result({"x": [1.0, 2.0], "y": [1.0, 2.0]}), "active_time").axes[0]
     for patch, each in zip(axes.patches, axes.texts, strict=True):
@@ -624,6 +629,7 @@ def test_a_reference_of_several_keys_is_named_with_them():
     assert axes.get_ylabel() == "difference in active time from protocol = SAP (ours), loss = 0 (s)"
 
 
+@pytest.mark.slow
 def test_a_metric_that_is_equal_in_every_run_has_no_scale_around_it():
     swept = result({"x": [1.0, 2.0], "protocol": ["sap", "cbaa"]})
     zero = [
@@ -679,6 +685,7 @@ DRAWN = {
 }
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("draw", DRAWN.values(), ids=DRAWN)
 def test_a_figure_is_drawn_on_given_axes_and_nowhere_else(draw):
     figure, (left, right) = two_axes()
