@@ -27,10 +27,6 @@ ALLOWED = {
         "desim.testing.faults": "ByzantineFault ClockSkew Fault Window",
         "desim.testing.flows": "UniformFlow",
     },
-    "netem has no other link models; what is none of these is reported as missing": {
-        "desim.kernel.tc.writer": "Bernoulli Bitrate Constant Correlated FourState"
-        " GilbertElliott Netem Uniform Unlimited"
-    },
     "a contention, an airtime by node, or a tuned radio needs the fields of the base of the built-in media": {
         "desim.kernel.channel.air": "LoRa",
         "desim.kernel.stepped_arguments": "ClockSkew Complete Fault",

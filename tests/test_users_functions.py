@@ -28,7 +28,8 @@ from desim.kernel.network import Network
 from desim.pursuit.byzantine.lies import ByzantineFault, Liar
 from desim.pursuit.core.events import Ended
 from desim.pursuit.motion.dynamics import Acceleration, Course
-from desim.pursuit.motion.flow import Environment, SteadyFlow
+from desim.pursuit.motion.environment import Environment
+from desim.pursuit.motion.flow import SteadyFlow
 from desim.pursuit.sensing.noise import PositionNoise
 from desim.pursuit.team.judges import Judge, ignored_by
 from desim.pursuit.team.trust import Credulous

@@ -222,7 +222,7 @@ def _keys(option: str) -> list[str]:
 def _about_value(message: str, param: click.Parameter) -> str:
     """Return the message about a value that an option does not take, with what it takes."""
     value, _, wrong = message.partition(" is not ")
-    from desim.config.choice import why_no_number
+    from desim.config.number_texts import why_no_number
 
     if (
         param.metavar == "SECONDS"
