@@ -20,6 +20,7 @@ from desim.kernel.transport.frames import Segment
 from desim.kernel.transport.layer import PORT as FRAMES
 from desim.live import Node, NotLiveError, sockets
 from desim.live.frames import _segment_of, segment_list
+from desim.live.node import _Body
 from desim.live.own_bodies import OwnBodies
 from desim.live.pursuer import _Pursuer
 from desim.live.refusals import reasons
@@ -181,6 +182,30 @@ def test_a_pursuer_leaves_as_its_last_report_has_been_read():
         await leaving
 
     asyncio.run(leave())
+
+
+def test_a_crash_of_a_robot_is_that_of_its_own_node():
+    node = Node(scenario(), 1, 5)
+    robot = _Body(node)
+    node._mirror.set_action(1)
+    robot.crash(0)
+    assert not node._state.broken.any()
+    robot.crash(1)
+    assert node._state.broken.tolist() == [False, True, False]
+    assert node._state.profile[1] == 0
+    robot.recover(1)
+    assert not node._state.broken.any()
+
+
+def test_a_socket_that_is_closed_is_watched_no_more():
+    async def watched():
+        bound = udp_socket((LOCAL, 0))
+        number, loop = bound.fileno(), asyncio.get_running_loop()
+        datagrams = sockets.Datagrams(bound, lambda *_: None)
+        datagrams.close()
+        return loop.remove_reader(number)
+
+    assert asyncio.run(watched()) is False
 
 
 def test_a_motion_step_arrives_as_it_was_sent():

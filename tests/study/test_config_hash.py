@@ -453,6 +453,10 @@ def test_an_installed_package_counts_with_all_its_modules_and_what_it_requires_w
     assert ("distribution other", "1.0") in found[0]["own"][1]
 
 
+def test_the_versions_of_what_is_not_installed_are_left_out():
+    assert user_code._versions(["numpy", "nobody-has-this"]) == {"distribution numpy": np.__version__}
+
+
 SCRIPT = """
 from dataclasses import dataclass
 from enum import Enum
