@@ -260,7 +260,7 @@ CASES = {
     ),
     "run": (
         f"game.toml -n 2 -j 3 -o run --metric scores:size --json {COMMON}",
-        "game.toml -n 2 -j 3 -s 9 --metric messages_sent",
+        "plain.toml -n 2 -j 3 -s 9 --metric messages_sent",
         "game.toml -o one --metric messages_sent",
         "--from one/run.json -n 1 --timeout 50 -o once",
         "--from run/run.json --allow-import",
@@ -295,9 +295,9 @@ CASES = {
         "game.toml --array 2 --memory much",
     ),
     "sweep": (
-        f"game.toml -g team.count=2,3 -n 2 {MANY} -o s1 --shard 1/2 --fail-fast --against capture.radius=0.1"
+        f"game.toml -g team.count=2,3 -n 1 {MANY} -o s1 --shard 1/2 --fail-fast --against capture.radius=0.1"
         " --metric scores:size",
-        f"game.toml -g team.count=2,3 -n 2 {MANY} -o s1 --shard 2/2 --json",
+        f"game.toml -g team.count=2,3 -n 1 {MANY} -o s1 --shard 2/2 --json",
         "plain.toml -g team.count=2:5 --design random:2 -n 2 -o s2",
         "plain.toml -g team.count=2,3 -n 2 --claim lots -o s3",
         "plain.toml -g team.count=2,3 -n 2 --until active_time:0.5 -o s4 --cluster tcp://h:1",
@@ -312,7 +312,7 @@ CASES = {
         "plain.toml -g team.count=2,3 -n 2 --control local_min --shard 1/2",
         "plain.toml -g team.count=2,3 -n 2 --control-runs 4",
         "plain.toml -g team.count=2,3 -n 2 --against team.count=7",
-        "plain.toml -g team.count=2,3 -n 2 --until scores:size:0.5 --allow-import -o s6",
+        "plain.toml -g team.count=2,3 -n 2 --until scores:size:0.5 --allow-import -o s6 --dry-run",
         "plain.toml -g capture.radius=0.1,0.2 -n 1 --set protocol=scores:stumble --allow-import -o s7",
         "plain.toml -g team.count=2:5 --design nope:2",
         "swept",
