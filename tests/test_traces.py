@@ -39,7 +39,7 @@ from protocols.rule import SCHEDULES
 from protocols.temperature import TEMPERATURES
 from tests.golden import golden
 
-BLOCKS, SIZE = 8, 4
+BLOCKS, SIZE = 7, 4
 HORIZON = 0.2
 """Of each run, s."""
 TIMES = "t,value\n0,{}\n0.11,{}\n0.17,\n0.23,{}"
