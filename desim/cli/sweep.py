@@ -307,7 +307,8 @@ def _plan_text(
     rule = ""
     if until:
         metric, width = until
-        rule = f" at most, and at least {FIRST_LOOK} of each, until the half width of {metric} is {width:g}"
+        least = min(FIRST_LOOK, plan.reps)
+        rule = f" at most, and at least {least} of each, until the half width of {metric} is {width:g}"
     head = f"{plan.base.name}: {counted(len(plan.configurations), 'configuration')}, {counted(len(wanted), 'run')}"
     return f"{head}{rule}; {len(done)} are stored, {len(wanted) - len(done)} remain\n{aligned(rows, right_from=0)}"
 
