@@ -519,6 +519,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "-s 3 run f.toml": ("Options follow the command: desim run ... -s",),
     "run f.toml --timeout 200ms": ("--timeout': '200ms' should be a number, in s: 0.2.",),
     "run f.toml -seed 3": ("No such option '-seed'. Did you mean '--seed'?",),
+    "run f.toml -o ''": ("The value of -o is empty. Is a variable of the shell not set?",),
+    "run f.toml --out=": ("The value of --out is empty.",),
     "run f.toml -o": ("-o PATH: Folder for the trace",),
     "run f.toml f.toml": ("(f.toml): ",),
     "schema f.toml": (" takes options only",),
@@ -561,7 +563,7 @@ def test_a_wrong_command_says_what_to_type(command, monkeypatch, tmp_path):
     Path("x.yaml").write_text("horizon: 3\n")
     Path("x.json").write_text('{"horizon": 3}')
     Path("f.py").write_text("print(3)\n")
-    done = CliRunner().invoke(main, command.split())
+    done = CliRunner().invoke(main, [word.replace("''", "") for word in command.split()])
     assert done.exit_code == 2
     for part in COMMANDS[command]:
         assert part in done.stderr

@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from desim.cli.output import NO_MEMORY, OUT_OF_TIME, RAISED, echo, fail
-from desim.cli.usage import WORDS, advised, check_hyphens
+from desim.cli.usage import WORDS, advised, check_empty, check_hyphens
 from desim.config.errors import AnswerError, MetricError
 from desim.config.interrupts import exit_code, raising
 from desim.config.packages import HiddenPackageError
@@ -83,7 +83,9 @@ class Program(click.Command):
         """Return the context of the command; an error says what to type instead."""
         words = tuple(args)  # parsing empties the list
         try:
-            check_hyphens(words, click.Context(self, info_name=info_name, parent=parent))
+            program = click.Context(self, info_name=info_name, parent=parent)
+            check_hyphens(words, program)
+            check_empty(words, program)
             context = super().make_context(info_name, args, parent, **extra)
         except click.UsageError as error:
             raise advised(error, words) from None

@@ -144,6 +144,19 @@ def check_hyphens(words: Iterable[str], context: click.Context) -> None:
             raise click.UsageError(f"No such option {name!r}. Did you mean '-{name}'?", typed)
 
 
+def check_empty(words: Sequence[str], context: click.Context) -> None:
+    """Raise UsageError if the value of an option is empty: -o "$OUT" where OUT is not set would mean this folder.
+
+    Args:
+        words: the words after the name of the program.
+        context: a context of the program.
+    """
+    for before, word in zip(("", *words), words, strict=False):
+        option, equals, value = word.partition("=") if word.startswith("--") else (before, "", word)
+        if option.startswith("-") and not value and (equals or not word):
+            raise click.UsageError(f"The value of {option} is empty. Is a variable of the shell not set?", context)
+
+
 def _described(param: click.Parameter, context: click.Context) -> str:
     """Return a parameter as the usage of a command has it, and what it is."""
     form = param.make_metavar(context)

@@ -80,7 +80,7 @@ def test_commands_without_effect_in_desim_are_warned_of():
         (["--parse", "tc qdisc add dev a root netem rate 1bit -99"], "--parse:1:1: medium: should be greater than or"),
         (["none.toml"], "none.toml: cannot be read: No such file"),
         (["--parse", "tc qdisc del dev eth0 root"], "--parse: no command adds netem, so nothing is read"),
-        (["--parse", ""], "--parse: no command adds netem, so nothing is read"),
+        (["--parse", " "], "--parse: no command adds netem, so nothing is read"),
         ([EXAMPLE, "--dev", "$(id)"], f"{EXAMPLE}: --dev: the name has at most 15 letters"),
         ([EXAMPLE, "--dev", "a;b"], f"{EXAMPLE}: --dev: the name has at most 15 letters"),
         ([EXAMPLE, "--dev", "a b"], f"{EXAMPLE}: --dev: the name has at most 15 letters"),
