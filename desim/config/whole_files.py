@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from errno import EEXIST
 from pathlib import Path
+from secrets import token_hex
 
 
 def write_new(files: Mapping[Path, bytes]) -> None:
@@ -26,8 +27,9 @@ def write_new(files: Mapping[Path, bytes]) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield the path PATH.part of a file to be written, which replaces `path` at the end; after an error, remove it.
+    """Yield the path PATH.*.part of a file to be written, which replaces `path` at the end; after an error, remove it.
 
+    The middle of its name is random, so that two programs which write one file at once do not write into one another's.
     A device or a pipe, such as /dev/stdout, cannot be replaced: its own path is yielded.
 
     Raises:
@@ -36,7 +38,7 @@ def replacing(path: Path) -> Iterator[Path]:
     if path.exists() and not (path.is_file() or path.is_dir()):
         yield path
         return
-    part = path.with_name(f"{path.name}.part")
+    part = path.with_name(f"{path.name}.{token_hex(4)}.part")
     try:
         yield part
         part.replace(path)

@@ -328,7 +328,7 @@ def text_of(value: object) -> str:
     if value is None or isinstance(value, (bool, int, float, str, range)):
         return repr(value)
     if isinstance(value, Path):
-        return str(value)
+        return re.sub(r"\.[0-9a-f]{8}\.part$", ".part", str(value))  # a file that will replace another
     if isinstance(value, Scenario):
         shown = (value.name, value.seed, value.team.count, value.protocol_name, getattr(value.network.loss, "p", None))
         return f"Scenario({', '.join(map(str, shown))})"
