@@ -394,11 +394,11 @@ def test_a_sweep_in_processes_warns_of_state_as_one_in_this_process_does(monkeyp
         assert len(caught) == 1
 
 
-SEEN = []
+REPORTED = []
 
 
 def reporting(state, rng):
-    SEEN.append(state)
+    REPORTED.append(state)
     return 1j
 
 
@@ -408,7 +408,7 @@ def test_a_function_may_report_to_its_caller_as_often_as_it_is_run():
     for _ in range(2):
         run(scenario, 1)
         run(game(reporting), 1)
-    assert len(SEEN) == len(seen) > 100
+    assert len(REPORTED) == len(seen) > 100
 
 
 def test_a_function_with_a_memory_may_report_by_a_method_of_a_list():
@@ -512,6 +512,9 @@ def drawing(state, rng):
 
 def calling(state, rng):
     return 1j * np.sign(HELD())
+
+
+SEEN = []
 
 
 def rereading(state, rng):
