@@ -14,6 +14,7 @@ from desim import Scenario, run
 from desim.kernel.core.clock import Phase
 from desim.kernel.core.events import Broadcast, Sent
 from desim.kernel.core.seeds import stream
+from desim.kernel.core.units import SECOND
 from desim.kernel.models.clock_skew import ClockSkew
 from desim.kernel.models.faults import Crash
 from desim.kernel.models.graphs import Edges, Ring
@@ -427,6 +428,25 @@ def test_motions_that_are_shared_are_those_that_each_pursuer_extrapolates(monkey
     shared = list(run(scenario).trace)
     forget_motions(monkeypatch)
     assert list(run(scenario).trace) == shared
+
+
+def test_what_a_server_believes_of_its_orders_is_not_shared_with_who_has_given_none():
+    """Ordered to chase at 0.2 s, both teammates would be 0.3 m closer at 0.5 s, of which nobody else knows."""
+    seen = []
+
+    def protocol(me):
+        yield me.at(0.5)
+        if me.id == 0:
+            given = {j: [(SECOND // 5, 1)] for j in (1, 2)}
+            seen.extend(
+                [each.capture_time for each in me.beliefs(orders=orders).values()] for orders in ({}, given, {})
+            )
+
+    play(protocol, announce=Announcements(payload="state", trigger="never", start="known"))
+    plain, ordered, again = seen
+    assert len(plain) == 2
+    assert ordered == pytest.approx([time - 0.3 for time in plain])
+    assert again == plain
 
 
 @pytest.mark.parametrize("reckoning", ["exact", "straight_line"])
