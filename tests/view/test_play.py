@@ -16,6 +16,7 @@ from contextlib import closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from threading import Thread
+from types import SimpleNamespace
 from typing import ClassVar
 from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
@@ -32,7 +33,7 @@ from desim.study.workers.workers import InProcess, Processes
 from desim.view.pages import play_server
 from desim.view.pages import playground as play
 from desim.view.pages.metric_rows import differences_over_seeds
-from desim.view.pages.play_server import PlayServer
+from desim.view.pages.play_server import PlayServer, _Handler
 from desim.view.pages.playground import Playground, _new_folder
 from desim.view.pages.session import Session
 from scenarios.studies.study import SCENARIOS
@@ -409,6 +410,32 @@ def test_the_server_waits_for_another_page_only_after_the_last_one_was_closed(sm
         for change, is_waiting in (("opened", 0), ("opened", 0), ("closed", 0), ("closed", 1), ("opened", 0)):
             getattr(server, f"page_{change}")()
             assert math.isfinite(server._closed_at) == is_waiting
+
+
+def handler(**parts):
+    """Return a handler of requests without a connection, with these parts."""
+    made = object.__new__(_Handler)
+    vars(made).update(parts)
+    return made
+
+
+def test_an_open_page_gets_signs_of_life_until_its_connection_ends(monkeypatch):
+    monkeypatch.setattr(play_server, "BEAT", 0.0)
+    told = []
+
+    def write(line):
+        told.append(line)
+        if len(told) == 3:
+            raise BrokenPipeError
+
+    page = SimpleNamespace(page_opened=lambda: told.clear(), page_closed=lambda: told.append("closed"))
+    handler(server=page, wfile=SimpleNamespace(write=write), _begin=told.append)._alive()
+    assert told == ["text/event-stream", b":\n\n", b":\n\n", "closed"]
+
+
+@pytest.mark.parametrize("request_of", ["_run", "_seeds", "_more", "_save", "_cancel"])
+def test_after_a_request_of_another_form_nothing_is_asked_of_the_session(request_of):
+    assert getattr(handler(_body=lambda: None), request_of)() is None
 
 
 @pytest.fixture
