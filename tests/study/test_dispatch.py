@@ -19,7 +19,7 @@ from desim.simulation.run import run
 from desim.simulation.watchdog import OUT_OF_MEMORY
 from desim.study.store.run_table import Row
 from desim.study.workers import dispatch
-from desim.study.workers.dispatch import CRASHED, INNERMOST, drive
+from desim.study.workers.dispatch import CRASHED, INNERMOST, drive, drive_batches
 from desim.study.workers.executors import workers_for
 from desim.study.workers.workers import InProcess, Workers
 from tests.study import sweeps
@@ -122,13 +122,15 @@ def remembering():
 remembering.calls = 0
 
 
+def simulate(scenario, seed):
+    """Stand for a run that changes it."""
+    with shared_changes([remembering], lambda value: value):
+        remembering.calls += 1
+    return seed
+
+
 def test_what_runs_warn_of_in_workers_is_told_once_here():
     """Whoever performs them: in a process nobody would read the warning."""
-
-    def simulate(scenario, seed):
-        with shared_changes([remembering], lambda value: value):
-            remembering.calls += 1
-        return seed
 
     class Copying(InProcess):
         def result(self, future):
@@ -140,6 +142,12 @@ def test_what_runs_warn_of_in_workers_is_told_once_here():
             assert len([*drive([(None, 1)] * 300, workers, lambda result: result, simulate)]) == 300
         assert [warning.category for warning in caught] == [StateWarning]
         assert str(caught[0].message).startswith("remembering.calls: an earlier run has changed it")
+
+
+def test_a_warning_of_runs_has_the_place_where_their_outcomes_are_asked_for():
+    with pytest.warns(StateWarning) as caught:
+        list(drive_batches([(None, 1)] * 2, InProcess(), lambda result: result, simulate))
+    assert {warning.filename for warning in caught} == {__file__}
 
 
 class Mortal(InProcess):
