@@ -296,6 +296,14 @@ def test_a_video_has_the_frames_of_the_gif(tmp_path):
     assert again.read_bytes() == (tmp_path / "film.mp4").read_bytes()
 
 
+@pytest.mark.parametrize(("name", "error"), [("film.mp4", ModuleNotFoundError), ("film.gif", ValueError)])
+def test_the_package_of_videos_is_asked_for_before_all_else_and_for_videos_only(tmp_path, monkeypatch, name, error):
+    """The window is empty."""
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(error):
+        animate(history(), tmp_path / name, begin=1e6)
+
+
 def test_without_its_package_a_video_names_the_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(ModuleNotFoundError):
