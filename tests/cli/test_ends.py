@@ -312,6 +312,18 @@ def test_too_little_memory_is_told_in_one_line(file, tmp_path, monkeypatch):
     assert len(done.stderr.splitlines()) == 1
 
 
+def test_the_calls_that_filled_the_memory_hold_nothing_any_more_when_it_is_told(file, monkeypatch):
+    error, seen = MemoryError(), []
+
+    def fill(*_):
+        raise error
+
+    monkeypatch.setattr("desim.simulation.run.World", fill)
+    monkeypatch.setattr("desim.cli.program.echo", lambda *_, **__: seen.append(error.__traceback__))
+    assert desim("run", file()).exit_code == 1
+    assert seen == [None]
+
+
 def test_samples_that_fill_the_memory_are_told_before_the_run(tmp_path):
     """500,000 samples of 21 players."""
     scenario = tmp_path / "long.toml"
