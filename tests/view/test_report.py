@@ -25,13 +25,15 @@ from desim.cli.pages import report as command
 from desim.results import provenance
 from desim.scenario.players import Team
 from desim.study.ablation.explain import Variants
+from desim.study.results.costs import Saving
 from desim.study.store.history import shell_lines, wanted
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep_plan import SweepPlan
 from desim.study.workers.executors import workers_for
-from desim.view.pages.report import MAX_FAILURES, Study, findings, report
+from desim.view.pages.report import MAX_FAILURES, Study, _greatest_cost, findings, report
 from tests.golden import golden
+from tests.study.by_hand import explanation
 from tests.summaries import changed
 from tests.view.browser import in_chromium
 from tests.view.by_hand import history
@@ -182,6 +184,15 @@ def test_nothing_is_said_where_nothing_can_be_compared(tmp_path):
     (tmp_path / "one").mkdir()
     assert found_in(tmp_path / "one", [[1.0, 2.0]], {"prune": ["none"]}) == []
     assert found_in(tmp_path, [[1.0, 2.0]] * 3 + [[8.0, 9.0]], seeds="independent") == []
+
+
+def test_nothing_is_said_of_costs_of_a_single_run():
+    """One run has no interval; of three, the second cost is the same in each."""
+    of_three = explanation()
+    (name, cost), *_ = of_three.costs.items()
+    of_one = {part: Saving.of([1.0]) for part in cost.parts}
+    assert list(_greatest_cost(replace(of_three, costs={name: replace(cost, parts=of_one)}))) == []
+    assert len(list(_greatest_cost(of_three))) == 1, "a control"
 
 
 def test_no_absolute_folder_of_the_author_is_shown(tmp_path):
