@@ -17,7 +17,7 @@ from desim.analysis.hindsight import (
 )
 from desim.analysis.measuring import summary
 from desim.analysis.metrics import active_time, capture_time
-from desim.analysis.timeline import timeline
+from desim.analysis.timeline import _Path, timeline
 from desim.config.model import Value
 from desim.kernel.core.events import MessageCounts, Trace
 from desim.kernel.core.units import SECOND, nanoseconds
@@ -81,6 +81,14 @@ def still(phi, *rest, every=None, **options):
     end = rest[-1]
     times = np.arange(0.0, end + 1e-9, every or end)
     return by_hand(phi, *rest, frozen=False, samples=[(t, phi) for t in times], **options)
+
+
+def test_a_pursuer_that_stands_still_keeps_its_heading():
+    """It goes outwards at 1 m/s for a second, is at rest for a second, and goes back at 0.5 m/s."""
+    result = by_hand((3.0,), (True,), [], 4.0, frozen=False, samples=enumerate([(3.0,), (4.0,), (4.0,), (3.5,)]))
+    courses = _Path(result, 1).courses(np.array([0.5, 1.5, 2.5]) * SECOND)
+    assert [course.velocities.tolist() for course in courses] == [[1.0], [0.0], [-0.5]]
+    assert [course.headings.tolist() for course in courses] == [[1.0], [1.0], [-1.0]]
 
 
 GAME = ((1.0, 2.0, 4.0), (True,) * 3, [(1.0, 2, False), (2.0, 1, False), (4.0, 0, False), (5.0, 1, True)], 6.0)
