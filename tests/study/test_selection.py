@@ -5,6 +5,7 @@ from math import floor, sqrt
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from scipy import stats
 
 from desim import Scenario, race, sweep
@@ -12,6 +13,7 @@ from desim.study.selection.kim_nelson import constants, independent_variances, k
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep import RunError
 from desim.study.sweeps.sweep_plan import SweepPlan
+from tests.study import by_hand
 
 SYSTEMS = 5
 LEAST_FAVOURABLE = np.array([0.0, 0.0, 0.0, 0.0, 1.0])
@@ -356,6 +358,14 @@ def test_a_race_over_a_design_is_one_over_its_points():
     ]
     assert "the means of" in result.sentences()[0]
     assert "are equal" in result.sentences()[0]
+
+
+def test_the_runs_of_a_race_are_counted_in_whole_numbers():
+    """Also where so few are shown that there is room for ticks between them."""
+    axes = Figure(figsize=(8, 3)).subplots()
+    by_hand.raced().plot(ax=axes)
+    axes.set_xlim(4.0, 5.0)
+    assert axes.get_xticks().tolist() == [4.0, 5.0]
 
 
 @pytest.mark.slow
