@@ -12,6 +12,7 @@ from contextlib import contextmanager
 import pytest
 
 from desim.study.store import connection, file_systems, lock_file
+from desim.study.store.connection import LOCK_TIMEOUT
 from desim.study.store.file import StoreError
 from desim.study.store.file_systems import network_file_system
 from desim.study.store.lock_file import LockedError, LockFile
@@ -207,6 +208,14 @@ def _unwatched(monkeypatch):
 def aged(path, seconds):
     """Let a file be older."""
     os.utime(path, (time.time() - seconds,) * 2)
+
+
+def test_the_page_of_clusters_states_the_times_of_locks():
+    page = " ".join((ROOT / "docs" / "howto" / "cluster.md").read_text().split())
+    assert f"rewrites it every {lock_file.HEARTBEAT:g} s" in page
+    assert f"A second writer waits for {LOCK_TIMEOUT:g} s" in page
+    assert f"its lock file must be {lock_file.STALE:g} s old" in page
+    assert f"while it is watched for another {lock_file.WATCH:g} s" in page
 
 
 @pytest.mark.usefixtures("_unwatched")
