@@ -388,6 +388,7 @@ def swept_counter(state, rng):
 @pytest.mark.whole
 def test_a_sweep_in_processes_warns_of_state_as_one_in_this_process_does(monkeypatch):
     monkeypatch.setattr(Workers, "batch_time", 1e9)  # several runs in a batch, however slow this machine is
+    monkeypatch.setitem(globals(), "CALLS", 0)  # and set back for other tests, which are not warned of it then
     for executor in (1, 2):
         with pytest.warns(StateWarning, match=rf"^{__name__}\.SWEPT: an earlier run has changed it") as caught:
             sweep(brief(swept_counter), {"team.count": [2]}, reps=20, executor=executor)
