@@ -375,23 +375,13 @@ def test_runs_of_the_executor_of_a_caller_start_from_the_state_of_the_caller(poo
         assert frame(executor) == frame(1)
 
 
-SWEPT = 0
-
-
-def swept_counter(state, rng):
-    """Only sweeps call it: of a counter that another test calls, too, the first of both would be warned of."""
-    global SWEPT
-    SWEPT += 1
-    return 1j
-
-
 @pytest.mark.whole
 def test_a_sweep_in_processes_warns_of_state_as_one_in_this_process_does(monkeypatch):
     monkeypatch.setattr(Workers, "batch_time", 1e9)  # several runs in a batch, however slow this machine is
     monkeypatch.setitem(globals(), "CALLS", 0)  # and set back for other tests, which are not warned of it then
     for executor in (1, 2):
-        with pytest.warns(StateWarning, match=rf"^{__name__}\.SWEPT: an earlier run has changed it") as caught:
-            sweep(brief(swept_counter), {"team.count": [2]}, reps=20, executor=executor)
+        with pytest.warns(StateWarning, match=rf"^{__name__}\.CALLS: an earlier run has changed it") as caught:
+            sweep(brief(global_counter), {"team.count": [2]}, reps=20, executor=executor)
         assert len(caught) == 1
 
 
