@@ -227,6 +227,8 @@ def test_the_first_of_two_events_happens_as_their_condition_does(alarm, interrup
         def process():
             once = Instant(clock, 3, Phase.DECISION)
             ring = Instant(clock, alarm, Phase.DECISION)
+            for event in (once, ring):
+                event.callbacks.append(lambda _: seen.append("another waits, too"))
             for _ in range(4):
                 try:
                     yield combine(once, ring)

@@ -199,10 +199,9 @@ class FirstOf(simpy.Event):
     def __init__(self, *events: simpy.Event):
         super().__init__(events[0].env)
         self.events = events
-        for event in events:
-            if event.processed:
-                self._happen(event)
-                return
+        if any(event.processed for event in events):
+            self.succeed()
+            return
         for event in events:
             event.callbacks.append(self._happen)
 
