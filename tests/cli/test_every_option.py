@@ -12,7 +12,7 @@ import shlex
 import sys
 import textwrap
 from collections.abc import Mapping
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from importlib import import_module
 from itertools import count, groupby
 from pathlib import Path
@@ -337,7 +337,7 @@ def text_of(value: object) -> str:
         return f"{{{shown if len(value) <= 3 else ', '.join([*map(str, value)][:3]) + ', ...'}}}"
     if isinstance(value, (list, tuple)) and not hasattr(value, "_fields"):
         return f"[{', '.join(map(text_of, value))}]"
-    return f"<{type(value).__name__}>"
+    return f"<{'function' if isinstance(value, partial) else type(value).__name__}>"
 
 
 def call_of(name: str, arguments: Mapping[str, object]) -> str:

@@ -12,6 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from desim.config.column_names import COLUMNS, DEGREES, UNITS, Header, header_of
+from desim.config.number_files import number_of
 from desim.kernel.measured.csv_tables import rows_of, separator_in, with_points
 from desim.kernel.measured.measurements import start_of, time_of
 from desim.pursuit.mobility.mobility import MobilityFile, NodeName, NodeTrack, Waypoint, append, coordinate, time
@@ -122,15 +123,15 @@ def _column_of_names(header: Header, rows: Sequence[Sequence[str]]) -> str | Non
     """Return the name of a column that may name nodes: it has several texts, and at least one of them repeatedly."""
     for name, cells in zip(header.names, zip(*rows, strict=True), strict=True):
         texts = {cell.strip() for cell in cells} - {""}
-        if 1 < len(texts) < len(cells) and not any(map(_is_read, texts)) and name not in COLUMNS["t"]:
+        if 1 < len(texts) < len(cells) and not any(map(_is_numeric, texts)) and name not in COLUMNS["t"]:
             return name
     return None
 
 
-def _is_read(text: str) -> bool:
-    """Return whether a cell is a number, with a point or a comma."""
+def _is_numeric(cell: str) -> bool:
+    """Return whether a cell is a number, with a decimal point or comma."""
     try:
-        float(text.replace(",", "."))
+        number_of(cell.replace(",", "."))
     except ValueError:
         return False
     return True
