@@ -226,6 +226,15 @@ def test_the_index_of_a_name_that_looks_like_a_number_is_refused(tmp_path):
     assert read_mobility(file).track("01").waypoints[0][1:3] == (1.0, 2.0)
 
 
+@pytest.mark.parametrize("values", ["auto auto auto", ".5 .5 .7", "0,5 0,5 0,7", "a b c", " a "])
+def test_other_columns_that_name_no_nodes_are_ignored(tmp_path, values):
+    """Equal texts, numbers, texts of which none repeats, and empty cells."""
+    cells = (*values.split(" "), "", "")
+    file = tmp_path / "walk.csv"
+    file.write_text("t;x;y;other\n" + "".join(f"{k};{k};0;{cells[k]}\n" for k in range(3)))
+    assert read_mobility(file).track(0).waypoints[-1][:3] == (2.0, 2.0, 0.0)
+
+
 @pytest.mark.parametrize("names", ["id,vehicle", "vehicle,node", "uav,name"])
 def test_two_columns_that_name_the_nodes_differently_are_refused(tmp_path, names):
     first, second = names.split(",")
