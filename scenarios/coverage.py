@@ -71,9 +71,9 @@ def covers(values: Sequence[float], mean: float) -> bool:
     return abs(interval.mean - mean) <= interval.half_width
 
 
-def coverage(law: Law, size: int, first_look: int, studies: int) -> Coverage:
+def coverage(law: Law, size: int, first_look: int, studies: int, seed: int = 1) -> Coverage:
     """Return the coverage of studies whose target is the half width of `size` values of known deviation."""
-    rng, target = np.random.default_rng(1), NORMAL_975 * law.deviation / sqrt(size)
+    rng, target = np.random.default_rng(seed), NORMAL_975 * law.deviation / sqrt(size)
     covered, errors, counts = 0, [], []
     for _ in range(studies):
         drawn = law.draw(rng, MOST * max(size, first_look)).tolist()

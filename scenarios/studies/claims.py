@@ -11,6 +11,7 @@ from desim.analysis.statistics import NORMAL_975
 from desim.pursuit.team.announcements import Start
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson
+from scenarios.coverage import FIRST_LOOKS
 from scenarios.studies import (
     bodies_runs,
     coherence_runs,
@@ -36,6 +37,7 @@ from scenarios.studies.claims_runs import (
     consistency,
     cost,
     cost_of_learned,
+    covered,
     crash_time,
     delayed_by,
     difference,
@@ -153,6 +155,11 @@ def row_of_race(rate: float, row: str) -> Claim:
     """Return the claim that is a row of the table of a race: the mean, and the difference from the best."""
     numbers = [average(active_time, raced(rate)), difference(active_time, raced(rate), raced(8.0))]
     return Claim("race", RACE, row, numbers)
+
+
+def row_of_coverage(law: str, size: int, row: str) -> Claim:
+    """Return the claim that is a row of the table of sequential studies: the shares that cover the mean."""
+    return Claim("coverage", VALIDATION, row, [covered(law, size, first_look) for first_look in FIRST_LOOKS])
 
 
 def row_of_start(team: str, start: Start, *cells: str) -> Claim:
@@ -495,6 +502,33 @@ CLAIMS = (
             (1.0, "| 1 | 0.95 | {0.99 +- 0.08} | {0.99 +- 0.07} |"),
             (4.0, "| 4 | 3.80 | {3.89 +- 0.12} | {3.87 +- 0.09} |"),
             (16.0, "| 16 | 15.20 | {15.22 +- 0.11} | {15.24 +- 0.10} |"),
+        )
+    ),
+    *(
+        row_of_coverage(*row)
+        for row in (
+            ("normal", 30, "| normal | 30 | {92.2 %}, +0.002, 34 | {94.7 %}, +0.004, 36 | {95.1 %}, +0.011, 100 |"),
+            ("normal", 300, "| normal | 300 | {95.1 %}, +0.003, 317 | {95.1 %}, +0.002, 316 | {95.3 %}, +0.001, 318 |"),
+            (
+                "exponential",
+                30,
+                "| exponential | 30 | {80.2 %}, -0.306, 29 | {91.9 %}, -0.070, 37 | {94.0 %}, -0.001, 100 |",
+            ),
+            (
+                "exponential",
+                300,
+                "| exponential | 300 | {92.7 %}, -0.109, 315 | {93.8 %}, -0.063, 316 | {93.5 %}, -0.064, 318 |",
+            ),
+            (
+                "lognormal, sigma = 1",
+                30,
+                "| lognormal, σ = 1 | 30 | {71.7 %}, -0.421, 20 | {88.0 %}, -0.081, 38 | {91.0 %}, +0.006, 101 |",
+            ),
+            (
+                "lognormal, sigma = 1",
+                300,
+                "| lognormal, σ = 1 | 300 | {85.8 %}, -0.349, 279 | {88.5 %}, -0.196, 290 | {89.8 %}, -0.165, 293 |",
+            ),
         )
     ),
     Claim("start", VALIDATION, "half a second of latency costs {1.4 +- 0.4} s", [cost("few in time", "sap", 0.5)]),

@@ -25,6 +25,7 @@ from desim.study.comparing.suite import AS_IT_IS
 from protocols.best_response import BestResponse
 from protocols.centralised import Centralised
 from protocols.rule import Rule
+from scenarios.coverage import LAWS, coverage
 from scenarios.studies import (
     bodies_runs,
     coherence_runs,
@@ -43,6 +44,8 @@ from scenarios.studies.study import SCENARIOS, Options
 
 Number = Callable[[Options], tuple[float, float]]
 """Measures a number; returns its mean and the half width of its 95 % interval."""
+STUDIES = 50
+"""The number of sequential studies for each run of other claims."""
 UNIT = delay_runs.LAMBDA / delay_runs.N
 """1 / (N^2 delta), 1/s."""
 
@@ -68,6 +71,17 @@ def share(metric: Callable[[Any], bool], scenario: Scenario) -> Number:
     def number(options: Options) -> tuple[float, float]:
         (values,) = options.measure([scenario], "", metric)
         return in_trials(values.count(True), len(values))
+
+    return number
+
+
+def covered(law: str, size: int, first_look: int) -> Number:
+    """Return what measures the share of sequential studies whose interval covers the mean; see `scenarios.coverage`."""
+
+    def number(options: Options) -> tuple[float, float]:
+        studies = STUDIES * options.runs
+        measured = coverage(LAWS[law], size, first_look, studies, options.seed)
+        return in_trials(round(measured.share * studies), studies)
 
     return number
 
