@@ -1,7 +1,8 @@
 """The names that a package exports, each of which is imported on first access."""
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
+from importlib import import_module
 from pathlib import Path
 
 from desim.config.suggestion import did_you_mean
@@ -16,6 +17,23 @@ def homes_of_exports(file: str) -> dict[str, str]:
     """
     source = Path(file).read_text(encoding="utf-8")
     return {name: home for home, name in _IMPORT.findall(source)}
+
+
+def lazy_exports(package: str, file: str) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
+    """Return the functions `__getattr__` and `__dir__` of a package, and its names for a star import.
+
+    Args:
+        package: the name of the package.
+        file: its source, which imports its names for type checkers.
+    """
+    homes = homes_of_exports(file)
+
+    def export(name: str) -> object:
+        if name not in homes:
+            raise missing_export(package, name, homes, {})
+        return getattr(import_module(homes[name]), name)
+
+    return export, lambda: sorted(homes), sorted(homes)
 
 
 def missing_export(package: str, name: str, names: Collection[str], elsewhere: Mapping[str, str]) -> Exception:

@@ -4,8 +4,9 @@ If you are unsure whether your latency is right, run `check_latency(...)`: it ra
 Watchers check the invariants of messages and of pursuits in any run. Nothing here needs pytest.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from desim.config.exports import lazy_exports
 
 if TYPE_CHECKING:
     from desim.testing.bodies import check_body as check_body
@@ -23,32 +24,4 @@ if TYPE_CHECKING:
     from desim.testing.pursuits import watched as watched
     from desim.testing.trust import check_trust as check_trust
 
-_NAMES = {
-    "bodies": ("check_body",),
-    "decisions": ("check_protocol", "check_schedule"),
-    "evaders": ("check_evader",),
-    "exporters": ("check_exporter",),
-    "faults": ("check_fault",),
-    "flows": ("check_flow",),
-    "judging": ("ContractError",),
-    "links": ("check_latency", "check_loss"),
-    "metrics": ("check_metric",),
-    "properties": ("assert_holds",),
-    "pursuits": ("watched",),
-    "trust": ("check_trust",),
-}
-"""The public names by module. Each is imported on first access."""
-_HOMES = {name: f"{__name__}.{module}" for module, names in _NAMES.items() for name in names}
-__all__ = sorted(_HOMES)
-
-
-def __getattr__(name: str) -> object:
-    """Return the object that a public name denotes; its module is imported on first access."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
-
-
-def __dir__() -> list[str]:
-    """Return the public names."""
-    return __all__
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)
