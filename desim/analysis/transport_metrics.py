@@ -1,6 +1,6 @@
 """Metrics of transports: the share of messages that were delivered, the attempts and the delay.
 
-A broadcast counts as one message per receiver. The functions need a run with a transport (`has_transport`).
+A broadcast counts as one message per receiver. In a run without a transport (`has_transport`) all raise ValueError.
 """
 
 from math import nan
@@ -45,55 +45,31 @@ def mean_attempts(result: Result) -> float:
 
 
 def delivery_delay(result: Result) -> float:
-    """Return the mean time from the sending to the delivery of a message, s; nan if none was delivered.
-
-    Raises:
-        ValueError: if no message needed a transport.
-    """
+    """Return the mean time from the sending to the delivery of a message, s; nan if none was delivered."""
     counts = _counts(result)
     return seconds(counts.delay) / counts.delivered if counts.delivered else nan
 
 
 def retransmissions(result: Result) -> int:
-    """Return the number of repeated transmissions of messages.
-
-    Raises:
-        ValueError: if no message needed a transport.
-    """
+    """Return the number of repeated transmissions of messages."""
     return _counts(result).retransmissions
 
 
 def acknowledgements(result: Result) -> int:
-    """Return the number of acknowledgements that were transmitted.
-
-    Raises:
-        ValueError: if no message needed a transport.
-    """
+    """Return the number of acknowledgements that were transmitted."""
     return _counts(result).acknowledgements
 
 
 def given_up(result: Result) -> int:
-    """Return the number of messages that their senders gave up before a receiver acknowledged them.
-
-    Raises:
-        ValueError: if no message needed a transport.
-    """
+    """Return the number of messages that their senders gave up before a receiver acknowledged them."""
     return portable_sum(_counts(result).given_up.values())
 
 
 def deadlines_missed(result: Result) -> int:
-    """Return the number of deadlines that receivers missed.
-
-    Raises:
-        ValueError: if no message needed a transport.
-    """
+    """Return the number of deadlines that receivers missed."""
     return _counts(result).deadlines_missed
 
 
 def liveliness_lost(result: Result) -> int:
-    """Return the number of times that a node lost the liveliness of another.
-
-    Raises:
-        ValueError: if no message needed a transport.
-    """
+    """Return the number of times that a node lost the liveliness of another."""
     return _counts(result).lives_lost
