@@ -38,14 +38,8 @@ def scatter(
 ) -> Figure:
     """Draw the mean of a metric at each point of a design, in a panel for each key of which numbers were drawn.
 
-    Points of one colour have equal values of the other keys. Vertical bars are 95 % intervals.
-
-    Args:
-        result: the result of a sweep.
-        metric: the name of the metric.
-        size: the width and perhaps the height, such as "16cm"; None = as the panels need.
-        style: a style of matplotlib on top of that of desim.
-        ax: the axes to draw on if there is one such key; None = a figure of its own.
+    Points of one colour have equal values of the other keys. Vertical bars are 95 % intervals. For the arguments see
+    `SweepResult.plot`.
 
     Raises:
         ValueError: if no key takes several numbers, the sweep has no such metric, the size is invalid, or several
@@ -106,7 +100,7 @@ def contour(
     """Draw the mean of a metric over two keys as coloured bands, between points that are joined to triangles.
 
     Dots are the points. Each combination of values of the other keys has a panel; all share one colour scale. For the
-    arguments see `scatter`.
+    arguments see `SweepResult.plot`.
 
     Raises:
         ValueError: if not just two keys take the numbers of a design, or a grid has fewer than two keys that take

@@ -65,34 +65,7 @@ def means(
 ) -> Figure:
     """Draw the mean of a metric by configuration, or its paired difference from a reference, with 95 % intervals.
 
-    Args:
-        result: the result of a sweep.
-        metric: the name of the metric.
-        x: the key on the abscissa; None = the first key not in `by` that takes several numbers. If there is none, each
-            configuration has a row; but with `by`, the first other key with several values is on the abscissa.
-        by: the key or keys whose values name the lines; each combination of values of the other keys has a panel. By
-            default all keys but `x` name the lines, in one panel.
-        against: values of some keys, such as {"protocol": "sap"}. The reference of a configuration is the configuration
-            that has these values and is otherwise equal. The differences from the references are drawn instead of the
-            means; see `SweepResult.differences`. None = draw the means.
-        labels: texts to show in place of values, such as {"sap": "SAP (ours)"}. A label belongs to a value, or to the
-            kind of a value, such as "sap" of "sap(tau=...)", if only one value has this kind. If one key names the
-            lines, a label of this key is the title of the legend. Text between dollar signs is mathematics, here and
-            in `xlabel` and `ylabel`.
-        xlabel: the label of the abscissa; None = the name and the unit of the key or metric on it.
-        ylabel: the label of the ordinate; None = the name and the unit of the metric or keys on it.
-        size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm". A figure with a size has no title: put
-            the title in the caption. A figure can also be resized later with `set_size_inches`. None = a size that
-            suits the panels.
-        style: a style of matplotlib that replaces parts of desim's own: rcParams, the name of a style, or a list of
-            these.
-        ax: the axes to draw on, for a figure of several; the figure then keeps its size and its title. None = a figure
-            of its own.
-
-    Raises:
-        ValueError: if the sweep has no such metric, key, value or reference, the size is invalid, or several panels do
-            not fit into `ax`.
-        TypeError: if `ax` is not one pair of axes of matplotlib.
+    For the arguments and errors see `SweepResult.plot`.
     """
     keys = (by,) if isinstance(by, str) else tuple(by)
     for key in keys:

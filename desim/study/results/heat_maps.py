@@ -46,7 +46,7 @@ def phase(
     """Draw the mean of a metric over the first two keys that take several numbers, as a heat map with printed values.
 
     The values of a key are equally spaced. Each combination of values of the other keys has a panel; all panels share
-    one colour scale, and one number of decimals. For the arguments see `means`.
+    one colour scale, and one number of decimals. See `SweepResult.plot`.
 
     Raises:
         ValueError: if fewer than two keys take several numbers, or a design drew them, the sweep has no such metric,

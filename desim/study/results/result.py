@@ -115,24 +115,28 @@ class SweepResult(SweepRuns, HintedAttributes):
             kind: means: the mean of each configuration, or its paired difference from a reference; phase: the mean of
                 each configuration as a heat map, with a key on each axis; scatter: the mean at each point of a design,
                 over each key; contour: bands of the mean over two keys. None = scatter for a design, else means.
-            x: of means: the key on the abscissa; None = the first key not in `by` that takes several numbers.
+            x: of means: the key on the abscissa; None = the first key not in `by` that takes several numbers. Without
+                one, each configuration has a row; but with `by`, the first other key with several values is on it.
             by: of means: the key or keys whose values name the lines; each combination of values of the other keys has
                 a panel. By default all keys but `x` name the lines, in one panel.
-            against: of means: values of some keys, such as {"protocol": "sap"}; draw the paired differences from the
-                configurations that have them and are otherwise equal. None = draw the means.
-            labels: of means: texts to show in place of values, or in place of the key of the legend.
+            against: of means: values of some keys, such as {"protocol": "sap"}. The reference of a configuration is the
+                one that has these values and is otherwise equal; the differences from the references are drawn, see
+                `differences`. None = draw the means.
+            labels: of means: texts to show in place of values, such as {"sap": "SAP (ours)"}. A label belongs to a
+                value, or to the kind of a value, such as "sap" of "sap(tau=...)", if only one value has this kind. If
+                one key names the lines, a label of this key is the title of the legend. Text between dollar signs is
+                mathematics, here and in `xlabel` and `ylabel`.
             xlabel: the label of the abscissa; None = the name and the unit of what is on it.
             ylabel: the label of the ordinate; None = the name and the unit of what is on it.
-            size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm"; None = as the panels need.
-            style: a style of matplotlib on top of that of desim: rcParams, or the name of a style.
-            ax: the axes to draw on, for a figure of several; the legend then lies above them. None = a figure of its
-                own, with the legend below.
-
-        `desim.study.results.figures.means` has the details.
+            size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm". A figure with a size has no title:
+                put the title in the caption. None = as the panels need.
+            style: a style of matplotlib on top of that of desim: rcParams, the name of a style, or a list of these.
+            ax: the axes to draw on, for a figure of several; it keeps its size and title, and the legend then lies
+                above the axes. None = a figure of its own, with the legend below.
 
         Raises:
-            ValueError: if the sweep has no such metric, key or value, an option does not fit the kind, or several
-                panels do not fit into `ax`.
+            ValueError: if the sweep has no such metric, key, value or reference, an option does not fit the kind, the
+                size is invalid, or several panels do not fit into `ax`.
             TypeError: if `ax` is not one pair of axes of matplotlib.
             ModuleNotFoundError: if matplotlib is not installed; the message names the extra.
         """
