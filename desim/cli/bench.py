@@ -1,6 +1,5 @@
 """`desim bench`: protocols compared in the scenarios of the benchmark."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -8,7 +7,8 @@ import click
 
 from desim.cli.execution import Execution, executing, failures_told
 from desim.cli.options import ALLOW_IMPORT, JSON
-from desim.cli.output import echo, fail, make_folder, storing, write
+from desim.cli.output import echo, fail, make_folder, storing
+from desim.cli.result_files import present, show
 from desim.cli.sources import protocol_of
 from desim.cli.usage import problem
 
@@ -57,15 +57,14 @@ def bench(
         raise click.BadParameter(str(error), param_hint="--version") from error
     entered = [protocol_of(text, "--protocol") for text in protocols]
     if not (entered or again):
-        _print(_measured(suite, [], runs, execution), as_json=as_json)
+        show(_measured(suite, [], runs, execution), as_json=as_json)
         return
     folder = Path("out") / "bench" / f"v{suite.version}" if out is None else out
     make_folder(folder)
     if not again:
         _check_repeats(suite)
     benchmark = _measured(suite, entered, runs, execution, folder, again=again)
-    _print(benchmark, as_json=as_json)
-    _write(benchmark, folder)
+    present(benchmark, folder, "bench", as_json=as_json, is_drawn=bool(benchmark.kept))
 
 
 def _check_repeats(suite: "Suite") -> None:
@@ -106,24 +105,3 @@ def _measured(
             )
         except ValueError as error:
             fail(problem(error))
-
-
-def _print(benchmark: "Benchmark", *, as_json: bool) -> None:
-    echo(_as_json(benchmark) if as_json else benchmark.table())
-
-
-def _as_json(benchmark: "Benchmark") -> str:
-    return json.dumps(benchmark.document(), indent=2)
-
-
-def _write(benchmark: "Benchmark", folder: Path) -> None:
-    """Write the table, the numbers and the figure to a folder."""
-    from desim.results.run_folder import can_plot
-
-    write(f"{benchmark.table()}\n".encode(), folder / "bench.txt")
-    write(f"{_as_json(benchmark)}\n".encode(), folder / "bench.json")
-    if can_plot() and benchmark.kept:
-        from desim.analysis.drawing.plots import save
-
-        for picture in save(benchmark.plot(), folder / "bench"):
-            echo(f"wrote {picture}", err=True)

@@ -1,6 +1,5 @@
 """`desim explain`: the cost of each imperfection of a scenario."""
 
-import json
 import sys
 from pathlib import Path
 
@@ -9,9 +8,9 @@ import click
 from desim.cli.execution import Execution, executing
 from desim.cli.options import ALLOW_IMPORT, COUNT, FILE, JSON, METRIC, SEED, SET
 from desim.cli.output import FAILED, echo, fail, folder_for, storing
+from desim.cli.result_files import present, record_command
 from desim.cli.sources import shown_metrics, source_of
 from desim.config.file_names import STORE
-from desim.config.whole_files import write_whole
 
 
 @click.command()
@@ -35,8 +34,6 @@ def explain(
     overrides: tuple[str, ...],
 ) -> None:
     """Measure what each imperfection costs: run the same seeds with and without it."""
-    from desim.results import provenance
-    from desim.results.run_folder import can_plot
     from desim.scenario.overrides import ScenarioError
     from desim.study.ablation.explain import RUNS, Variants
     from desim.study.plan.configurations import with_place
@@ -52,23 +49,11 @@ def explain(
     folder = out or folder_for(scenario, None) / "explain"
     with storing(folder), Store(folder / STORE) as store:
         variants.plan.register(store, mix_versions=execution.mix_versions)
-        made = provenance.document(
-            "explain", scenario, seed=variants.plan.root, runs=variants.plan.reps, folder=file.parent
-        )
-        provenance.write(folder, made)
-        store.note_command(str(Path.cwd()), sys.argv)
+        seed, runs = variants.plan.root, variants.plan.reps
+        record_command(store, folder, "explain", scenario, seed=seed, runs=runs, folder=file.parent)
         with execution.workers(store, variants.plan.runs) as workers:
             explanation = variants.carry_out(store, workers, shown, timeout=execution.timeout)
-        text = json.dumps(explanation.document(), indent=2)
-        write_whole(folder / "explain.json", f"{text}\n".encode())
-        write_whole(folder / "explain.txt", f"{explanation.table()}\n".encode())
-        if can_plot():
-            from desim.analysis.drawing.plots import save
-            from desim.study.results.waterfalls import waterfall
-
-            for picture in save(waterfall(explanation), folder / "explain"):
-                echo(f"wrote {picture}", err=True)
-    echo(text if as_json else explanation.table())
+    present(explanation, folder, "explain", as_json=as_json)
     if explanation.failed:
         echo(f"for {explanation.failed} seeds a run failed; the same command retries them", err=True)
         sys.exit(FAILED)

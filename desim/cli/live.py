@@ -10,6 +10,7 @@ import click
 
 from desim.cli.options import ALLOW_IMPORT, COUNT, FILE, JSON, METRIC, SEED, SET
 from desim.cli.output import FAILED, RAISED, echo, fail, folder_for, make_folder, making
+from desim.cli.result_files import show
 from desim.cli.sources import shown_metrics, source_of
 from desim.config.file_names import LIVE
 
@@ -187,7 +188,7 @@ def _compare(scenario: "Scenario", count: int, links: "LinkKind", out: Path | No
     if count < 2:
         raise click.UsageError("--compare needs several runs, such as -n 20")
     agreement = compare(scenario, count, links=links)
-    echo(json.dumps(agreement.document(), indent=2) if as_json else agreement.table())
+    show(agreement, as_json=as_json)
     with making("figure"):
         from desim.analysis.drawing.plots import save
         from desim.live.figure import agreement_figure

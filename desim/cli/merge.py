@@ -1,6 +1,5 @@
 """`desim merge`: the stores of several commands in one."""
 
-import sys
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import click
 
 from desim.cli.options import MIX_VERSIONS
 from desim.cli.output import echo, fail, storing
+from desim.cli.result_files import record_command
 from desim.config.file_names import STORE, TRACE
 
 
@@ -17,7 +17,6 @@ from desim.config.file_names import STORE, TRACE
 @MIX_VERSIONS
 def merge(stores: tuple[Path, ...], out: Path, mix_versions: bool) -> None:
     """Merge the runs of several stores (files or folders) of one sweep into one store."""
-    from desim.results import provenance
     from desim.study.store.store import Store
 
     with storing(), ExitStack() as opened:
@@ -28,11 +27,10 @@ def merge(stores: tuple[Path, ...], out: Path, mix_versions: bool) -> None:
         store = opened.enter_context(Store(out / STORE))
         for part in parts:
             store.merge(part, mix_versions=mix_versions)
-        store.note_command(str(Path.cwd()), sys.argv)
         count, names = len(store), [str(part.path) for part in parts]
         # An empty store has no root seed.
         root = store.read_property("root seed", int) if "root seed" in store.about else 0
-        provenance.write(out, provenance.document("merge", seed=root, runs=count, stores=names))
+        record_command(store, out, "merge", seed=root, runs=count, stores=names)
     echo(f"{count} runs are in {out / STORE}")
 
 

@@ -1,6 +1,7 @@
-"""The store and the files of `desim race` and `desim sensitivity`: a table with sentences, a figure and JSON."""
+"""What commands print and write about many runs: how these were performed, a table with sentences, a figure, JSON."""
 
 import json
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,14 +15,18 @@ if TYPE_CHECKING:
     from desim.study.store.store import Store
 
 
-class Presentable(Protocol):
-    """A result with a table, a figure and a document."""
+class Printable(Protocol):
+    """A result with a table and a document."""
 
     def table(self) -> str:
         """Return the table and the sentences."""
 
     def document(self) -> dict[str, Any]:
         """Return the result as JSON-compatible values."""
+
+
+class Presentable(Printable, Protocol):
+    """A result that also has a figure."""
 
     def plot(self) -> Any:
         """Return the figure."""
@@ -38,16 +43,31 @@ def adding_to(folder: Path) -> Iterator["Store"]:
         echo(f"{store.added} runs were performed, {before} were already stored; store: {folder / STORE}", err=True)
 
 
-def present(result: Presentable, folder: Path, name: str, *, as_json: bool) -> None:
+def record_command(store: "Store", into: Path, *made: Any, **more: Any) -> None:
+    """Record how the runs of a store are performed: the command in the store, the rest in a file of its folder `into`.
+
+    The other arguments are those of `desim.results.provenance.document`.
+    """
+    from desim.results import provenance
+
+    store.note_command(str(Path.cwd()), sys.argv)
+    provenance.write(into, provenance.document(*made, **more))
+
+
+def show(result: Printable, *, as_json: bool) -> None:
+    """Print a result as its table, or as JSON."""
+    echo(json.dumps(result.document(), indent=2) if as_json else result.table())
+
+
+def present(result: Presentable, folder: Path, name: str, *, as_json: bool, is_drawn: bool = True) -> None:
     """Print a result, and write it to NAME.json, NAME.txt and, if matplotlib is installed, to pictures of this name."""
     from desim.results.run_folder import can_plot
 
-    text, table = json.dumps(result.document(), indent=2), result.table()
-    echo(text if as_json else table)
+    show(result, as_json=as_json)
     with storing(folder):
-        write_whole(folder / f"{name}.json", f"{text}\n".encode())
-        write_whole(folder / f"{name}.txt", f"{table}\n".encode())
-        if can_plot():
+        write_whole(folder / f"{name}.json", f"{json.dumps(result.document(), indent=2)}\n".encode())
+        write_whole(folder / f"{name}.txt", f"{result.table()}\n".encode())
+        if is_drawn and can_plot():
             from desim.analysis.drawing.plots import save
 
             for picture in save(result.plot(), folder / name):

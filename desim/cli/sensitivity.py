@@ -1,6 +1,5 @@
 """`desim sensitivity`: which keys decide a metric."""
 
-import sys
 from pathlib import Path
 
 import click
@@ -8,7 +7,7 @@ import click
 from desim.cli.execution import Execution, executing
 from desim.cli.options import ALLOW_IMPORT, COUNT, FILE, GRID, JSON, ONE_METRIC, SEED, SET
 from desim.cli.output import fail, folder_for
-from desim.cli.result_files import adding_to, present
+from desim.cli.result_files import adding_to, present, record_command
 from desim.cli.sources import added_metrics, source_of
 from desim.cli.usage import problem
 
@@ -58,7 +57,6 @@ def sensitivity(
     The keys are those of `sweep.grid` and -g, each with a range LOW:HIGH or log:LOW:HIGH, or with a list of values.
     Keys without effect are screened out first (Morris 1991); the others have Sobol indices. Resumes.
     """
-    from desim.results import provenance
     from desim.study.sensitivity.analysis import Analysis
 
     source, scenario = source_of(file, overrides, added_metrics(metric), grid)
@@ -70,8 +68,6 @@ def sensitivity(
     with adding_to(folder) as store:
         with execution.workers(store) as workers:
             result = analysis.carry_out(store, workers, timeout=execution.timeout, mix_versions=execution.mix_versions)
-        store.note_command(str(Path.cwd()), sys.argv)
-        root = analysis.plan.root
-        made = provenance.document("sensitivity", scenario, seed=root, runs=len(store), folder=file.parent)
-        provenance.write(folder, made)
+        root, count = analysis.plan.root, len(store)
+        record_command(store, folder, "sensitivity", scenario, seed=root, runs=count, folder=file.parent)
     present(result, folder, "sensitivity", as_json=as_json)

@@ -15,13 +15,13 @@ import click
 from desim.cli.execution import Execution, executing
 from desim.cli.options import AGAINST, ALLOW_IMPORT, COUNT, DESIGN, FILE, GRID, JSON, METRIC, SEED, SET
 from desim.cli.output import FAILED, echo, fail, folder_for, storing
+from desim.cli.result_files import record_command
 from desim.cli.sources import protocol_of, shown_metrics, source_of
 from desim.config.file_names import STORE
 from desim.config.whole_files import write_whole
 
 if TYPE_CHECKING:
     from desim.scenario.overrides import Source
-    from desim.scenario.scenario import Scenario
     from desim.study.comparing.control import Controlled, ControlPlan
     from desim.study.results.result import SweepResult
     from desim.study.store.store import Store
@@ -147,7 +147,8 @@ def sweep(
     with storing(folder), Store(path) as store:
         before = len(store)
         plan.register(store, mix_versions=execution.mix_versions)
-        note = partial(_note_command, store, plan, scenario, folder, file.parent)
+        about: dict[str, Any] = {"seed": plan.root, "runs": plan.runs, "folder": file.parent}
+        note = partial(record_command, store, folder, "sweep", scenario, **about)
         common: dict[str, Any] = {"fail_fast": fail_fast, "timeout": execution.timeout, "metrics": shown}
         with execution.workers(store, plan.runs) as workers:
             if claim:
@@ -311,17 +312,6 @@ def _plan_text(
         rule = f" at most, and at least {least} of each, until the half width of {metric} is {width:g}"
     head = f"{plan.base.name}: {counted(len(plan.configurations), 'configuration')}, {counted(len(wanted), 'run')}"
     return f"{head}{rule}; {len(done)} are stored, {len(wanted) - len(done)} remain\n{aligned(rows, right_from=0)}"
-
-
-def _note_command(store: "Store", plan: "SweepPlan", scenario: "Scenario", folder: Path, code: Path) -> None:
-    """Record how the runs of a store are performed: the command in the store, the rest in a file of its folder.
-
-    `code` is the folder of the scenario file.
-    """
-    from desim.results import provenance
-
-    store.note_command(str(Path.cwd()), sys.argv)
-    provenance.write(folder, provenance.document("sweep", scenario, seed=plan.root, runs=plan.runs, folder=code))
 
 
 def _whole_of(result: "SweepResult", store: "Store") -> "SweepResult":
