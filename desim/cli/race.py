@@ -1,5 +1,6 @@
 """`desim race`: which configuration of a grid is best, with a guarantee."""
 
+import sys
 from pathlib import Path
 
 import click
@@ -7,7 +8,7 @@ import click
 from desim.cli.execution import Execution, executing
 from desim.cli.options import ALLOW_IMPORT, DESIGN, FILE, GRID, JSON, ONE_METRIC, SEED, SET
 from desim.cli.output import fail, folder_for
-from desim.cli.result_files import adding_to, present, record_command
+from desim.cli.result_files import adding_to, present
 from desim.cli.sources import added_metrics, source_of
 from desim.cli.usage import problem
 
@@ -62,6 +63,7 @@ def race(
     Configurations that have lost take no further runs (Kim & Nelson 2001). Runs of a sweep in the same folder are not
     repeated, so the same command resumes.
     """
+    from desim.results import provenance
     from desim.study.selection.race import RaceRules, carry_out_race
     from desim.study.sweeps.sweep_plan import SweepPlan
 
@@ -74,7 +76,9 @@ def race(
     folder = folder_for(scenario, out)
     with adding_to(folder) as store:
         plan.register(store, mix_versions=execution.mix_versions)
+        store.note_command(str(Path.cwd()), sys.argv)
         with execution.workers(store, plan.runs) as workers:
             result = carry_out_race(plan, store, workers, rules, timeout=execution.timeout)
-        record_command(store, folder, "race", scenario, seed=plan.root, runs=result.runs, folder=file.parent)
+        made = provenance.document("race", scenario, seed=plan.root, runs=result.runs, folder=file.parent)
+        provenance.write(folder, made)
     present(result, folder, "race", as_json=as_json)
