@@ -7,6 +7,7 @@ from typing import NamedTuple
 from desim.analysis.quantities import WATCHED, Level, Tally, cut, key_of, pieces_of
 from desim.analysis.trace_index import trace_index
 from desim.config.arguments import naming_arguments, run_argument
+from desim.config.errors import ArgumentError
 from desim.kernel.core.events import Event
 from desim.kernel.core.units import seconds
 from desim.scenario.properties import Property, PropertyPiece, Worst, property_of, recording
@@ -102,7 +103,7 @@ def stated(prop: Stated, scenario: Scenario) -> Property:
     """
     made = property_of(prop)
     for place, why in misfits_of(made, scenario):
-        raise ValueError(f"property {made.text!r}: {'.'.join(map(str, place))}: {why}")
+        raise ArgumentError("property", f"{made.text!r}: {'.'.join(map(str, place))}: {why}")
     return made
 
 
@@ -131,9 +132,10 @@ class PropertyWatcher:
         late = [comparison.quantity for comparison in self._comparisons if comparison.quantity not in WATCHED]
         if late or self.property.against:
             what = late[0] if late else f"the reference {self.property.against}"
-            raise ValueError(
-                f"property {self.property.text!r}: {what} is known only after a run; quantities that are known"
-                f" during it are {', '.join(sorted(WATCHED))}"
+            raise ArgumentError(
+                "property",
+                f"{self.property.text!r}: {what} is known only after a run; quantities that are known"
+                f" during it are {', '.join(sorted(WATCHED))}",
             )
         self.margin = inf
         self.violated_at: float | None = None

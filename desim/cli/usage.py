@@ -9,7 +9,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from desim.config.errors import NoMetricError
+from desim.config.errors import ArgumentError, KeyedError, NoMetricError
 from desim.config.suggestion import close_to
 
 OPTIONS: Mapping[str, str] = MappingProxyType(
@@ -74,7 +74,7 @@ NEEDED: Mapping[str, str] = MappingProxyType(
 """What an argument is, by the last part of its name in the usage of a command."""
 WORDS = "desim.words"
 """The key of the words of the command line in the context of a command."""
-ARGUMENT = re.compile(r"\A(?P<first>\w+)|`(?P<quoted>\w+)`")
+ARGUMENT = re.compile(r"`(\w+)`")
 """Matches an argument of a function in the message of an error."""
 
 
@@ -286,25 +286,6 @@ def spelled(name: str) -> str:
     return " or ".join((max(option.opts, key=len), *option.secondary_opts))
 
 
-def as_typed(message: str, **parameters: str) -> str:
-    """Return the message of an error with options of the current command in place of the arguments that it names.
-
-    An argument is named by the first word of a message, or between backticks.
-
-    Args:
-        message: the message.
-        parameters: the parameters of the command by argument where the names differ.
-    """
-    names = {parameter.name: str(parameter.name) for parameter in click.get_current_context().command.params}
-    names |= parameters
-
-    def option(match: re.Match[str]) -> str:
-        name = match["first"] or match["quoted"]
-        return spelled(names[name]) if name in names else match[0]
-
-    return ARGUMENT.sub(option, message)
-
-
 def metric_option() -> str:
     """Return the option of the current command that names a metric, as the command line writes it."""
     names = {parameter.name for parameter in click.get_current_context().command.params}
@@ -312,7 +293,25 @@ def metric_option() -> str:
 
 
 def problem(error: ValueError, **parameters: str) -> str:
-    """Return the message of an error with the options of the command; see `as_typed`."""
+    """Return the message of an error with options of the current command in place of the arguments that it names.
+
+    They are the argument of an `ArgumentError`, the place of a `Problem`, and names between backticks.
+
+    Args:
+        error: the error.
+        parameters: the parameters of the command by argument where the names differ.
+    """
     if isinstance(error, NoMetricError):
         return f"{metric_option()} {error.name}: {error}"
-    return as_typed(str(error), **parameters)
+    names = {str(parameter.name): str(parameter.name) for parameter in click.get_current_context().command.params}
+    names |= parameters
+
+    def typed(name: str) -> str | None:
+        return spelled(names[name]) if name in names else None
+
+    text = str(error)
+    if isinstance(error, ArgumentError):
+        text = str(ArgumentError(typed(error.name) or error.name, error.reason))
+    elif isinstance(error, KeyedError):
+        text = "\n".join(str(one._replace(where=typed(one.where) or one.where)) for one in error.problems)
+    return ARGUMENT.sub(lambda match: typed(match[1]) or match[0], text)

@@ -61,6 +61,17 @@ def problems_of(error: ValueError) -> tuple[Problem, ...]:
     return error.problems if isinstance(error, KeyedError) else (Problem(str(error)),)
 
 
+class ArgumentError(ValueError):
+    """A wrong argument of a function: its name, and what is wrong with it, in which names of others have backticks."""
+
+    def __init__(self, name: str, reason: str):
+        super().__init__(name, reason)
+        self.name, self.reason = name, reason
+
+    def __str__(self) -> str:
+        return f"{self.name}{'' if self.reason.startswith(':') else ' '}{self.reason}"
+
+
 class AnswerError(ValueError):
     """A model of a user cannot be called as one of its kind, or returned a wrong value; see `desim.config.answers`."""
 

@@ -30,6 +30,7 @@ from pydantic import BeforeValidator, Field, ValidationError
 
 from desim.config.choice import OneOf
 from desim.config.error_texts import text_of
+from desim.config.errors import ArgumentError
 from desim.config.model import Time, Value
 from desim.kernel.core.units import seconds
 from desim.scenario.conditions import NUMBER, QUANTITIES, AnyScenario, Condition, ConditionText
@@ -343,7 +344,7 @@ def property_of(value: Any, *, allow_import: bool = True, folder: Any = None) ->
             {"one": value}, context={"allow_import": allow_import, "folder": folder}
         ).one
     except ValidationError as error:
-        raise ValueError(f"property {value!r}: {'; '.join(map(text_of, error.errors()))}") from None
+        raise ArgumentError("property", f"{value!r}: {'; '.join(map(text_of, error.errors()))}") from None
     return made
 
 

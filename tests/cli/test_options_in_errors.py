@@ -6,7 +6,8 @@ from click.testing import CliRunner
 
 from desim import Scenario, sweep
 from desim.cli.program import Program
-from desim.cli.usage import as_typed, options_given, spelled
+from desim.cli.usage import options_given, problem, spelled
+from desim.config.errors import ArgumentError, KeyedError, Problem
 from tests.command import refused
 
 
@@ -55,8 +56,21 @@ def test_an_error_names_the_option(swept, words, why, tmp_path, monkeypatch):
 def command(**_):
     for name in ("runs", "first", "maximise"):
         click.echo(spelled(name))
-    click.echo(as_typed("most should be `first`, of `others`", most="runs"))
+    click.echo(problem(ArgumentError("most", "should be `first`, of `others`"), most="runs"))
     click.echo(options_given(("runs", "maximise", "others")))
+
+
+@click.command(cls=Program)
+@click.option("--seed", default=1)
+@click.option("--grid", default="")
+def failing(**_):
+    click.echo(problem(ValueError("seed 1: the run fails without any loss")))
+    click.echo(problem(KeyedError(Problem("should be a number", "team.count", "vary")), vary="grid"))
+
+
+def test_only_the_fields_of_an_error_name_an_argument():
+    lines = CliRunner().invoke(failing, [], catch_exceptions=False).stdout.splitlines()
+    assert lines == ["seed 1: the run fails without any loss", "--grid: team.count: should be a number"]
 
 
 @pytest.mark.parametrize(

@@ -689,7 +689,7 @@ def test_a_run_fails_by_its_exception_or_its_limit(outcome, timeout, told):
     assert failure_of(outcome, timeout) == told
 
 
-@pytest.mark.parametrize("error", [TimedOut("late"), KeyboardInterrupt(), JudgementError("property")])
+@pytest.mark.parametrize("error", [TimedOut("late"), KeyboardInterrupt(), JudgementError("property", "is unknown")])
 def test_what_is_no_failure_of_a_run_ends_the_search(error):
     with pytest.raises(type(error)):
         failure_of(Outcome("error", error=error), None)

@@ -21,6 +21,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.text import Text
 
 from desim.analysis.drawing.legends import uncover_data
+from desim.config.errors import ArgumentError
 from desim.config.file_names import PICTURE_SUFFIXES, files
 from desim.config.whole_files import write_whole
 
@@ -74,7 +75,7 @@ def in_style(style: Style) -> Iterator[None]:
     except (KeyError, OSError) as error:
         if style is None:
             raise
-        raise ValueError(f"style: {error.args[0] if error.args else error}") from error
+        raise ArgumentError("style", f": {error.args[0] if error.args else error}") from error
 
 
 def figure_of(ax: object, *, panels: Sequence[str] = ("",), size: str | None = None) -> Figure:
@@ -103,7 +104,7 @@ def figure_of(ax: object, *, panels: Sequence[str] = ("",), size: str | None = N
     if (figure := ax.get_figure(root=True)) is None:
         raise ValueError("ax was removed from its figure")
     if size is not None:
-        raise ValueError("size is that of a new figure: with ax, set the size of the figure of ax")
+        raise ArgumentError("size", "is that of a new figure: with ax, set the size of the figure of ax")
     if len(panels) > 1:
         raise ValueError(f"ax is one panel, and there are {len(panels)} ({'; '.join(panels[:3])}): leave ax out")
     return figure
@@ -227,12 +228,13 @@ def size_of(text: str) -> tuple[float, float | None]:
     match = SIZE.fullmatch(str(text).replace(" ", ""))
     units = [match["unit"], match["last"]] if match else []
     if match is None or not any(units):
-        raise ValueError(f"size should be a width and perhaps a height in cm, mm or in, as 8.5cmx6cm (got {text!r})")
+        why = "should be a width and perhaps a height in cm, mm or in, as 8.5cmx6cm"
+        raise ArgumentError("size", f"{why} (got {text!r})")
     unit, last = (unit_name or units[1 - k] for k, unit_name in enumerate(units))
     width = float(match["width"]) / UNITS[unit]
     height = None if match["height"] is None else float(match["height"]) / UNITS[last]
     if not all(LENGTHS[0] <= length <= LENGTHS[1] for length in (width, height) if length is not None):
-        raise ValueError(f"size should be from {LENGTHS[0]:g} in to {LENGTHS[1]:g} in, each way (got {text!r})")
+        raise ArgumentError("size", f"should be from {LENGTHS[0]:g} in to {LENGTHS[1]:g} in, each way (got {text!r})")
     return width, height
 
 

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple, TypeGuard
 
+from desim.config.errors import ArgumentError
 from desim.config.traits import Model
 from desim.kernel.models.graphs import Complete
 from desim.kernel.models.latency import Constant, Uniform, mean_of
@@ -95,8 +96,8 @@ class _Writer:
             ValueError: if the name of the device is invalid.
         """
         if not DEVICE.fullmatch(device):
-            raise ValueError(
-                f"device: the name has at most 15 letters, digits and characters . _ : @ - (got {device!r})"
+            raise ArgumentError(
+                "device", f": the name has at most 15 letters, digits and characters . _ : @ - (got {device!r})"
             )
         delay, rate = self._delay(f"{place}latency", latency), _rate(self._medium)
         keeps_order = order_of(reorders="reorder" in delay, has_rate=bool(rate))

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from desim.config.errors import problems_of
+from desim.config.errors import ArgumentError, problems_of
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.value_ranges import is_range, setting_at, values_to_try
@@ -115,7 +115,7 @@ def of_grid(grid: Mapping[str, Sequence[Any]], scenario: Scenario) -> Mapping[st
 
     for key, values in grid.items():
         if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray):
-            raise ValueError(f"vary: {key}: should be a list of values, [{values!r}] (got {values!r})")
+            raise ArgumentError("vary", f": {key}: should be a list of values, [{values!r}] (got {values!r})")
     ranges = {key: values for key, values in grid.items() if is_range(values)}
     grid = {**grid, **checked_ranges(Source.of(scenario), ranges)}
     for key, values in grid.items():

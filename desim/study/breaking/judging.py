@@ -7,6 +7,7 @@ from functools import partial
 from typing import NamedTuple
 
 from desim.analysis.properties import Judgement, judge
+from desim.config.errors import ArgumentError
 from desim.kernel.core.portable_math import portable_sum
 from desim.scenario.properties import Property, recording
 from desim.scenario.scenario import Scenario
@@ -79,7 +80,7 @@ class CaseJudge:
         return runs
 
 
-class JudgementError(ValueError):
+class JudgementError(ArgumentError):
     """A run has ended, but its property cannot be judged."""
 
 
@@ -116,7 +117,7 @@ def judged(prop: Property, result: Result) -> Judgement:
         return judge(prop, result)
     except Exception as error:
         kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
-        raise JudgementError(f"property {prop.text!r} cannot be judged: {kind}{error}") from error
+        raise JudgementError("property", f"{prop.text!r} cannot be judged: {kind}{error}") from error
 
 
 def with_messages(scenario: Scenario, prop: Property) -> Scenario:

@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 from desim.analysis.properties import Judgement, Stated
 from desim.config.arguments import naming_arguments, scenario_argument
+from desim.config.errors import ArgumentError
 from desim.config.python_numbers import real, whole
 from desim.config.traits import kind_of
 from desim.kernel.core.events import LOST
@@ -89,7 +90,7 @@ def fatal_losses(
     """
     scenario_argument(Scenario).check(scenario, "fatal_losses")
     if (most := whole(most, "most")) < 1:
-        raise ValueError(f"most should be at least 1 (got {most})")
+        raise ArgumentError("most", f"should be at least 1 (got {most})")
     delay, limit = real(delay, "delay"), whole(limit, "limit")
     fates = _checked_fates(fates, delay)
     prop = checked_property(prop, scenario)
@@ -116,9 +117,9 @@ def _checked_fates(fates: Sequence[MessageFate], delay: float) -> tuple[MessageF
         ValueError: if one does not exist, or lacks a delay.
     """
     if not delay > 0.0:
-        raise ValueError(f"delay should be positive, s (got {delay:g})")
+        raise ArgumentError("delay", f"should be positive, s (got {delay:g})")
     if unknown := [fate for fate in fates if fate not in FATES]:
-        raise ValueError(f"fates should be {', '.join(FATES)} (got {unknown[0]!r})")
+        raise ArgumentError("fates", f"should be {', '.join(FATES)} (got {unknown[0]!r})")
     if not fates:
         return ("lost",) if delay == inf else ("late",)
     if delay == inf and set(fates) != {"lost"}:

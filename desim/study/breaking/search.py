@@ -8,6 +8,7 @@ from typing import Any
 
 from desim.analysis.properties import Judgement, Stated, stated, under_protocol
 from desim.config.arguments import naming_arguments, scenario_argument
+from desim.config.errors import ArgumentError
 from desim.config.python_numbers import real, whole
 from desim.config.suggestion import did_you_mean
 from desim.kernel.core.seeds import run_seed, stream
@@ -141,7 +142,7 @@ def checked_property(prop: Stated, scenario: Scenario) -> Property:
     """
     made = stated(prop, scenario)
     if not made.can_fail(scenario):
-        raise ValueError(f"property {made.text!r} says nothing: {CANNOT_FAIL}")
+        raise ArgumentError("property", f"{made.text!r} says nothing: {CANNOT_FAIL}")
     if made.against == scenario.protocol_name:
         raise ValueError(f"{made.against} is its own reference: a run never differs from itself")
     return made
@@ -195,9 +196,9 @@ def find_violation(
     """
     scenario_argument(Scenario).check(scenario, "find_violation")
     if not real(budget, "budget") > 0.0:
-        raise ValueError(f"budget should be positive, s (got {budget:g})")
+        raise ArgumentError("budget", f"should be positive, s (got {budget:g})")
     if whole(runs, "runs") < 1:
-        raise ValueError(f"runs should be at least 1 (got {runs})")
+        raise ArgumentError("runs", f"should be at least 1 (got {runs})")
     prop = checked_property(prop, scenario)
     cases = _Cases(scenario, features_of(features, vary or {}, scenario), scenario.seed if seed is None else seed, runs)
     search = Search()
@@ -230,8 +231,9 @@ def features_of(
     """
     names = [*FEATURES] if names is None else [names] if isinstance(names, str) else names
     if unknown := [name for name in names if name not in FEATURES]:
-        raise ValueError(
-            f"features: there is no {unknown[0]!r}{did_you_mean(unknown[0], FEATURES)}; there are {', '.join(FEATURES)}"
+        raise ArgumentError(
+            "features",
+            f": there is no {unknown[0]!r}{did_you_mean(unknown[0], FEATURES)}; there are {', '.join(FEATURES)}",
         )
     features = {name: draw for name, draw in FEATURES.items() if name in names} | dict(of_grid(vary, scenario))
     if not features:

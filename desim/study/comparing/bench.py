@@ -10,6 +10,7 @@ import numpy as np
 
 from desim.config.arguments import naming_arguments
 from desim.config.arrays import Floats
+from desim.config.errors import ArgumentError
 from desim.config.python_numbers import whole
 from desim.config.traits import kind_of
 from desim.scenario.overrides import ScenarioError
@@ -76,7 +77,7 @@ def bench(
     suite = Suite.of(version)
     count = suite.runs if runs is None else whole(runs, "runs")
     if not 2 <= count <= suite.runs:
-        raise ValueError(f"runs should be 2 to {suite.runs}, those of version {version} (got {count})")
+        raise ArgumentError("runs", f"should be 2 to {suite.runs}, those of version {version} (got {count})")
     entrants = Entrants(suite, _by_name(protocols, suite), again=again)
     with workers_for(executor, entrants.runs(count)) as workers:
         return entrants.carry_out(

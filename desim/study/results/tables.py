@@ -9,6 +9,7 @@ from desim.analysis.metrics import title, words
 from desim.analysis.statistics import wilson
 from desim.analysis.tables import as_json, counted, digits_of, with_half_width
 from desim.config.arrays import Floats
+from desim.config.errors import ArgumentError
 from desim.config.json_numbers import json_number
 from desim.study.plan.configurations import in_words
 from desim.study.results.runs import SweepRuns, labels_of_values, text
@@ -62,7 +63,7 @@ def relabelled(
         if metric in shown:
             shown |= dict.fromkeys((title(metric, result.units), words(metric)), shown[metric])
     if unknown := [name for name in without if name not in heads]:
-        raise ValueError(f"without: no table has a column {unknown[0]}: they have {', '.join(sorted(heads))}")
+        raise ArgumentError("without", f": no table has a column {unknown[0]}: they have {', '.join(sorted(heads))}")
     count = len(result.keys)
     results: list[Table] = []
     for name, (head, *rows) in made:

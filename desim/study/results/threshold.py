@@ -15,6 +15,7 @@ from typing import Any, Self
 
 from desim.analysis.metrics import words
 from desim.config.arrays import Floats
+from desim.config.errors import ArgumentError
 from desim.config.json_numbers import json_number
 from desim.config.key_index import unit_of_key
 from desim.scenario.scenario import Scenario
@@ -128,7 +129,7 @@ class Threshold:
         """Return from where on a metric exceeds its baseline; see `SweepResult.threshold`."""
         check_paired(result, metric, confidence)
         if not over or not -1.0 < over < inf:
-            raise ValueError(f"over should be a share, 0.1 for 10 %, above -1 and not 0, got {over:g}")
+            raise ArgumentError("over", f"should be a share, 0.1 for 10 %, above -1 and not 0, got {over:g}")
         reference, x, values, bases = _beside_baseline(result, metric, key, baseline, where or {})
         sign = 1.0 if over > 0.0 else -1.0
         excess = sign * (values - (1.0 + over) * bases[:, None])

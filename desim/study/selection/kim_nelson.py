@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from desim.config.arrays import Floats
+from desim.config.errors import ArgumentError
 from desim.config.python_numbers import real, whole
 
 Sample = Callable[[Sequence[int], int], Sequence[float]]
@@ -72,7 +73,7 @@ def check_confidence(confidence: float, systems: int) -> float:
     confidence = real(confidence, "confidence")
     if not 1.0 / systems < confidence < 1.0:
         least = f"1/{systems}, which a guess among {systems} has,"
-        raise ValueError(f"confidence should be between {least} and 1 (got {confidence:g})")
+        raise ArgumentError("confidence", f"should be between {least} and 1 (got {confidence:g})")
     return confidence
 
 
@@ -85,7 +86,7 @@ def check_zone(zone: float, unit: str = "") -> float:
     zone = real(zone, "zone")
     if not 0.0 < zone < inf:
         meaning = f"the smallest difference of means that matters{f', {unit}' if unit else ''}"
-        raise ValueError(f"zone should be positive and finite: it is {meaning} (got {zone:g})")
+        raise ArgumentError("zone", f"should be positive and finite: it is {meaning} (got {zone:g})")
     return zone
 
 
@@ -96,9 +97,9 @@ def check_first(first: int, most: int | None = None) -> int:
         ValueError: if it is less than 2, or more than the largest number of samples.
     """
     if (first := whole(first, "first")) < 2:
-        raise ValueError(f"first should be at least 2, to estimate a variance (got {first})")
+        raise ArgumentError("first", f"should be at least 2, to estimate a variance (got {first})")
     if most is not None and most < first:
-        raise ValueError(f"most should be at least `first`, {first} (got {most})")
+        raise ArgumentError("most", f"should be at least `first`, {first} (got {most})")
     return first
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 from desim.analysis.measuring import Metrics, check_numeric
 from desim.analysis.metrics import more_is, unit_of, words
 from desim.config.arguments import naming_arguments, scenario_argument
+from desim.config.errors import ArgumentError
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.sweep_table import Design
@@ -143,7 +144,7 @@ class RaceRules:
                 raise ValueError(f"{words(metric)}: whether more of it is better is not known: give `maximise`")
             maximise = better == "better"
         elif not isinstance(maximise, bool):
-            raise ValueError(f"maximise should be True, False or None (got {maximise!r})")
+            raise ArgumentError("maximise", f"should be True, False or None (got {maximise!r})")
         return cls(metric, maximise, zone, confidence, first)
 
 

@@ -17,6 +17,7 @@ from desim.analysis.measuring import Metrics, check_numeric, users_metrics
 from desim.analysis.metrics import unit_of
 from desim.config.arguments import naming_arguments, scenario_argument
 from desim.config.arrays import Floats
+from desim.config.errors import ArgumentError
 from desim.config.python_numbers import whole
 from desim.kernel.core.seeds import seed_of, stream
 from desim.scenario.overrides import Source
@@ -148,9 +149,9 @@ class Analysis:
         check_numeric(metric, dict(added))
         points, trajectories = whole(points, "points"), whole(trajectories, "trajectories")
         if points < 0 or points & (points - 1) or 0 < points < 8:
-            raise ValueError(f"points should be 0 or a power of 2 from 8 on, such as 64 (got {points})")
+            raise ArgumentError("points", f"should be 0 or a power of 2 from 8 on, such as 64 (got {points})")
         if trajectories < 0 or trajectories == 1 or not (points or trajectories):
-            raise ValueError(f"trajectories should be at least 2, or 0 with points (got {trajectories})")
+            raise ArgumentError("trajectories", f"should be at least 2, or 0 with points (got {trajectories})")
         root = base.seed if seed is None else seed_of(seed)
         plan = SweepPlan(without_metrics(base), (), whole(runs, "runs"), root, metrics=added)
         unit = unit_of(metric, {name: one.unit for name, one in added})

@@ -37,6 +37,7 @@ from desim.analysis.drawing.plots import Axes, Figure, size_of, styled
 from desim.analysis.drawing.walls import draw_walls
 from desim.analysis.trace_index import captures, ended, messages_recorded, started
 from desim.config.arrays import Bools, Floats, Integers
+from desim.config.errors import ArgumentError
 from desim.config.whole_files import replacing
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import nanoseconds, seconds
@@ -157,11 +158,12 @@ def _pixels(size: str | None) -> tuple[int, int]:
     else:
         try:
             width, height = (None if side is None else side * DPI for side in size_of(size))  # type: ignore[assignment]
-        except ValueError as error:
-            raise ValueError(f"{error}; of a film also in px, as 1280x720px") from error
+        except ArgumentError as error:
+            raise ArgumentError(error.name, f"{error.reason}; of a film also in px, as 1280x720px") from error
     sides = width, width * HEIGHT / WIDTH if height is None else height
     if not all(SIDES[0] <= side <= SIDES[1] for side in sides):
-        raise ValueError(f"size of a film should be from {SIDES[0]} to {SIDES[1]} pixels, each way (got {size!r})")
+        why = f"of a film should be from {SIDES[0]} to {SIDES[1]} pixels, each way"
+        raise ArgumentError("size", f"{why} (got {size!r})")
     return 2 * round(sides[0] / 2), 2 * round(sides[1] / 2)
 
 

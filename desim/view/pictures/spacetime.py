@@ -17,6 +17,7 @@ from desim.analysis.activity import changes, changes_with_previous, chases, deci
 from desim.analysis.drawing.palette import CAPTURE_MARK, COLLISION_MARK, GREY, LOST, LOST_MARK
 from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, figure_of, in_style, size_of, styled
 from desim.analysis.trace_index import ended, started
+from desim.config.errors import ArgumentError
 from desim.config.escaping import escaped
 from desim.config.python_numbers import real, whole
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
@@ -79,7 +80,7 @@ def spacetime(
     begin, end = (None if time is None else real(time, name) for time, name in ((begin, "begin"), (end, "end")))
     numbers: Any = pursuers
     if numbers is not None and (isinstance(numbers, str) or not isinstance(numbers, Iterable)):
-        raise ValueError(f"pursuers should be a list of their numbers (got {numbers!r})")
+        raise ArgumentError("pursuers", f"should be a list of their numbers (got {numbers!r})")
     shown = _busiest(result) if pursuers is None else [whole(pursuer, "a pursuer") for pursuer in pursuers]
     _check(result, shown, begin, end)
     window, shown_messages = _window(result, shown, begin, end, round(MAX_DENSITY * width * 2.54))
@@ -137,9 +138,9 @@ def _check(result: Result, shown: Sequence[int], begin: float | None, end: float
     size, last = len(started(result).active), seconds(ended(result).t)
     for pursuer in shown:
         if not 0 <= pursuer < size:
-            raise ValueError(f"pursuers: there is no pursuer {pursuer}: they are 0 .. {size - 1}")
+            raise ArgumentError("pursuers", f": there is no pursuer {pursuer}: they are 0 .. {size - 1}")
     if len(set(shown)) < len(shown) or not shown:
-        raise ValueError(f"pursuers should be given once each, and at least one, got {list(shown)}")
+        raise ArgumentError("pursuers", f"should be given once each, and at least one, got {list(shown)}")
     if not 0.0 <= (begin or 0.0) < min(inf if end is None else end, last):
         until = "its end" if end is None else f"{end:g} s"
         window = f"the window from {begin or 0.0:g} s to {until}"
