@@ -90,7 +90,7 @@ def line_of(event: Event) -> str:
 
 
 def events_of(
-    lines: Iterable[str], kinds: Iterable[type[Any]], limits: Limits = MappingProxyType({}), first: int = 1
+    lines: Iterable[str], kinds: Iterable[type[Any]], limits: Limits = MappingProxyType({})
 ) -> Iterator[Event]:
     """Yield the events of a trace file line by line, so that a long trace need not fit in memory.
 
@@ -102,14 +102,13 @@ def events_of(
         lines: the lines of the file.
         kinds: the allowed types of events.
         limits: additional constraints by mark, such as an upper bound of the node ids.
-        first: the number of the first line.
 
     Raises:
         ValueError: if a line is not an event; the error message contains the number of the line.
     """
     types = {kind.__name__: kind for kind in kinds}
     readers: dict[str, Callable[[Any], Event]] = {}
-    for number, line in enumerate(lines, start=first):
+    for number, line in enumerate(lines, start=1):
         try:
             fields = json.loads(line)
             name = fields.pop("event", None) if isinstance(fields, dict) else None

@@ -104,24 +104,18 @@ class Obstacles:
         """Return to which of (k,) targets (m) the straight line from a source (m) is free, (k,)."""
         return self._clear(source, targets, self._sides(targets), None)
 
-    def bends_in_sight(self, source: complex, *, taut: bool = True) -> tuple[np.ndarray, Floats]:
+    def bends_in_sight(self, source: complex) -> tuple[np.ndarray, Floats]:
         """Return the corners to which the straight line from a source (m) is free, and their distances, m.
 
-        Args:
-            source: the source, m.
-            taut: whether only corners at which a shortest path from the source can bend count.
-
-        Returns:
-            ((c,) indices of `bends`, (c,) distances, m).
+        Only corners at which a shortest path from the source can bend count: ((c,) indices of `bends`, (c,) distances).
         """
         x, y = source.real - self.bends.real, source.imag - self.bends.imag  # from the corner to the source
         after = self._first.real * y - self._first.imag * x
         before = x * self._second.imag - y * self._second.real
         touch = self._touch
-        wanted = (after <= touch) | (before <= touch)
-        if taut:
-            wanted &= (after >= -touch) | (before >= -touch)
-        at = wanted.nonzero()[0]
+        is_in_front = (after <= touch) | (before <= touch)
+        is_taut = (after >= -touch) | (before >= -touch)
+        at = (is_in_front & is_taut).nonzero()[0]
         if not len(at):
             return at, np.zeros(0)
         clear = self._clear(source, self.bends[at], self._sides_of_bends[at], self._bend_at[at])

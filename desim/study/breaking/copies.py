@@ -85,9 +85,9 @@ class ReadingTime(NamedTuple):
     looks: list[int]
     """When its receiver looked, ns, ascending; see `looks`."""
 
-    def is_read(self, begin: float = 0.0, end: float = inf) -> bool:
-        """Return whether its receiver looked while it was the newest, between two times, ns, both included."""
-        at = bisect_left(self.looks, max(begin, self.since))
+    def is_read(self, end: float = inf) -> bool:
+        """Return whether its receiver looked while it was the newest, up to a time, ns, included."""
+        at = bisect_left(self.looks, self.since)
         return at < len(self.looks) and self.looks[at] <= min(end, self.until)
 
     def last_look(self) -> float:

@@ -5,14 +5,14 @@ start, so it performs runs for about a minute.
 """
 
 import os
-import pickle
 import time
 from collections.abc import Callable, Collection
-from concurrent.futures import Future
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from desim.study.workers.serialization import Call, called, packed
 from desim.study.workers.workers import Workers
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
 
 POLL = 0.2
 """The interval, s of wall time, at which jobs are asked whether they have ended."""
@@ -47,26 +47,11 @@ class JobWorkers(Workers):
         self._name = repr(executor)
         self.count = self.max_pending = jobs or os.cpu_count() or 1
 
-    def submit(self, call: Call) -> "Future[Any]":
-        """Submit a call as a job."""
-        try:
-            content = packed(call)
-        except Exception as error:  # a call that cannot be serialized fails like one that raises
-            future: Future[Any] = Future()
-            future.set_exception(error)
-            return future
-        job: Future[Any] = self.executor.submit(called, content)
-        return job
-
     def done(self, futures: Collection["Future[Any]"]) -> "set[Future[Any]]":
         """Wait until at least one of the jobs has ended, and return all that have."""
         while not (ended := {job for job in futures if job.done()}):
             time.sleep(POLL)
         return ended
-
-    def result(self, future: "Future[Any]") -> Any:
-        """Return the result of a job, or raise its exception."""
-        return pickle.loads(future.result())
 
     def died(self, error: BaseException) -> bool:
         """Return whether a job ended without a result: it was killed, or ran out of memory or time."""
