@@ -8,12 +8,12 @@ from pathlib import Path
 from types import FunctionType, MappingProxyType
 from typing import Any
 
-from pydantic import PydanticUserError
+from pydantic import PydanticUserError, ValidationInfo
 
 from desim.config.own_modules import CodeName, find_own_modules, module_beside, plain_name
 from desim.config.packages import KINDS_OF
 from desim.config.suggestion import did_you_mean
-from desim.config.trust import ALLOW_HINT
+from desim.config.trust import ALLOW_HINT, is_trusted
 
 find_own_modules()
 
@@ -92,6 +92,17 @@ def load_named(kind: str, folder: Path | None) -> Any:
         raise ValueError(f"{kind!r} cannot be imported: {error.message}") from error
     except SystemExit as error:
         raise ValueError(f"{kind!r} cannot be imported: {module} calls exit({error.code!r})") from error
+
+
+def named_in_file(kind: str, info: ValidationInfo) -> Any:
+    """Import and return the object "module:name" that a file names; see `load_named`.
+
+    Raises:
+        ValueError: if the object cannot be imported, or is not listed and the file is not trusted.
+    """
+    if is_unlisted_import(kind) and not is_trusted(info):
+        raise ValueError(refusal(kind))
+    return load_named(kind, (info.context or {}).get("folder"))
 
 
 def _without(place: str, error: Exception) -> str:

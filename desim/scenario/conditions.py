@@ -13,9 +13,8 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import PlainSerializer, PlainValidator, ValidationInfo, WithJsonSchema
 
-from desim.config.named_code import import_name, is_unlisted_import, load_named, refusal
+from desim.config.named_code import import_name, named_in_file
 from desim.config.suggestion import did_you_mean
-from desim.config.trust import is_trusted
 
 AnyScenario = Any
 """A `desim.scenario.scenario.Scenario`, whose module imports this one."""
@@ -159,9 +158,7 @@ def _comparison(text: str, info: ValidationInfo) -> QuantityComparison:
     evader = None if match["evader"] is None else int(match["evader"])
     of = None
     if ":" in name:
-        if is_unlisted_import(name) and not is_trusted(info):
-            raise ValueError(refusal(name))
-        of = load_named(name, (info.context or {}).get("folder"))
+        of = named_in_file(name, info)
         if not callable(of):
             raise ValueError(f"{name!r} should be a function of a result (got {of!r})")
     elif name not in QUANTITIES:

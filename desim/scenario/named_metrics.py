@@ -9,10 +9,9 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, PlainSerializer, PlainValidator, ValidationInfo, WithJsonSchema
 
-from desim.config.named_code import import_name, is_unlisted_import, load_named, refusal
+from desim.config.named_code import import_name, load_named, named_in_file
 from desim.config.packages import MARGINS
 from desim.config.suggestion import did_you_mean
-from desim.config.trust import is_trusted
 
 GROUP = "desim.metrics"
 """The entry point group of installed metrics."""
@@ -73,9 +72,7 @@ def _named(value: Any, info: ValidationInfo) -> NamedMetric:
         name = value.removeprefix(MARGIN)
         return NamedMetric(name=name, given=value, of=PropertyMargin(name))
     if ":" in value:
-        if is_unlisted_import(value) and not is_trusted(info):
-            raise ValueError(refusal(value))
-        name, of = value.rpartition(":")[2], load_named(value, (info.context or {}).get("folder"))
+        name, of = value.rpartition(":")[2], named_in_file(value, info)
     elif value in (installed := installed_metrics()):
         name, of = value, load_named(f"{installed[value].module}:{installed[value].attr}", None)
     else:

@@ -15,10 +15,9 @@ from pydantic import PlainSerializer, PlainValidator, ValidationInfo, WithJsonSc
 from desim.config.answers import wrong_answer
 from desim.config.choice import OneOf, kind_of
 from desim.config.model import Box, Duration, Extent, FirstError, Flag, NotEmpty, Rate, Value
-from desim.config.named_code import import_name, is_unlisted_import, load_named, refusal
+from desim.config.named_code import import_name, named_in_file
 from desim.config.suggestion import did_you_mean
 from desim.config.traits import inherits
-from desim.config.trust import is_trusted
 from desim.kernel.core.seeds import stream
 from desim.kernel.models.clock_skew import ClockSkew
 from desim.kernel.models.faults import BUILT_IN, Crash, Fault, MessageFault, RandomDraw
@@ -82,9 +81,7 @@ def _fault_kind(value: Any, info: ValidationInfo) -> str | type[Fault]:
     if value in _BY_KIND:
         return str(value)
     if isinstance(value, str) and ":" in value:
-        if is_unlisted_import(value) and not is_trusted(info):
-            raise ValueError(refusal(value))
-        value = load_named(value, (info.context or {}).get("folder"))
+        value = named_in_file(value, info)
     if not (isinstance(value, type) and issubclass(value, Fault)):
         hint = did_you_mean(value, _BY_KIND) if isinstance(value, str) else ""
         classes = 'a class that derives from Fault as "module:Name"'
