@@ -18,7 +18,7 @@ Robust to loss: yes, with heartbeats; flooding also without them where there are
 
 from functools import partial
 from math import inf
-from typing import Annotated, Any, ClassVar, Literal, Protocol, Self
+from typing import Annotated, Any, ClassVar, Literal, Protocol
 
 from pydantic import Field
 
@@ -145,7 +145,26 @@ class Gossip(Value):
         yield from merge_all(me)
 
 
-class ReliableOneHop(Reliable):
+class SentByTransport:
+    """A dissemination that is itself the transport of announcements: to the neighbours, of which none forwards them."""
+
+    hops: ClassVar[int] = 1
+
+    @property
+    def transport(self) -> Any:
+        """The transport of announcements."""
+        return self
+
+    def broadcast(self, me: Agent, announcement: Any) -> None:
+        """Send the announcement to the neighbours."""
+        send_record(me, announcement, self.transport)
+
+    def __call__(self, me: Agent) -> Process:
+        """Merge the records that arrive."""
+        yield from merge_all(me)
+
+
+class ReliableOneHop(SentByTransport, Reliable):
     """Each announcement is transmitted again to the neighbours that have not acknowledged it; none is forwarded.
 
     By default a newer announcement replaces one that is not acknowledged yet (`depth` is 1), because announcements are
@@ -153,7 +172,6 @@ class ReliableOneHop(Reliable):
     an acknowledgement of 24 bytes and p / (1 - p) repetitions at a probability p of loss.
     """
 
-    hops: ClassVar[int] = 1
     kind: Literal["reliable"] = "reliable"
     window: SendWindow = 1
     """Largest number of successive messages to a receiver of which the first is not acknowledged; 1 = stop-and-wait.
@@ -168,41 +186,14 @@ class ReliableOneHop(Reliable):
         """Whether an announcement is transmitted again until it is acknowledged, or a newer one replaces it."""
         return not self.gives_up
 
-    @property
-    def transport(self) -> Self:
-        """The transport of announcements."""
-        return self
 
-    def broadcast(self, me: Agent, announcement: Any) -> None:
-        """Send the announcement to the neighbours."""
-        send_record(me, announcement, self)
-
-    def __call__(self, me: Agent) -> Process:
-        """Merge the records that arrive."""
-        yield from merge_all(me)
-
-
-class CodedOneHop(Coded):
+class CodedOneHop(SentByTransport, Coded):
     """Each announcement is broadcast in coded pieces, of which some suffice; none is acknowledged or forwarded.
 
     Robust to loss: more than one hop, at the cost of the bytes of all pieces.
     """
 
-    hops: ClassVar[int] = 1
     kind: Literal["coded"] = "coded"
-
-    @property
-    def transport(self) -> Self:
-        """The transport of announcements."""
-        return self
-
-    def broadcast(self, me: Agent, announcement: Any) -> None:
-        """Send the pieces of the announcement to the neighbours."""
-        send_record(me, announcement, self)
-
-    def __call__(self, me: Agent) -> Process:
-        """Merge the records that arrive."""
-        yield from merge_all(me)
 
 
 def send_record(me: Agent, announcement: Any, transport: Transport) -> None:
