@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from functools import reduce
 from math import inf
 from types import MappingProxyType
-from typing import Any, TypeGuard
+from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
@@ -19,7 +19,7 @@ from desim.kernel.models.interference import Collision
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links, Processing
 from desim.kernel.models.loss import Bernoulli
-from desim.kernel.models.medium import LoRa, Medium, Radio, Unlimited, contends
+from desim.kernel.models.medium import LoRa, Unlimited, contends
 from desim.kernel.models.reception import Disk
 from desim.kernel.models.traits import FaultTraits
 from desim.kernel.models.transport import BestEffort
@@ -44,12 +44,12 @@ def without_latency(scenario: Scenario) -> Scenario:
     collide. See `without_contention`.
     """
     medium, sender = scenario.network.medium, scenario.network.processing.sender
-    separates = _contends(medium) and type(sender) is not Constant
+    separates = contends(medium) and type(sender) is not Constant
     return _with_network(
         scenario,
         latency=Constant(),
         processing=Processing(sender=sender) if separates else Processing(),
-        medium=medium if _contends(medium) else Unlimited(),
+        medium=medium if contends(medium) else Unlimited(),
         graph=_graph_without(scenario, "latency"),
         link=_links_without(scenario.network, "latency"),
     )
@@ -62,14 +62,14 @@ def without_contention(scenario: Scenario) -> Scenario:
     `without_latency` keeps are removed, too, where they are the only latency.
     """
     medium = scenario.network.medium
-    if not _contends(medium):
+    if not contends(medium):
         return scenario
     no_contention = (
         {"spreading_factors": None, "frequencies": None, "gateways": None} if isinstance(medium, LoRa) else {}
     )
     ideal = {"access": Ideal(), "reception": Collision(), "duty_cycle": None, "shared": True}
     network = scenario.network
-    is_only = network.latency == Constant() and network.processing.receiver == 0.0 and not _has_own(scenario, "latency")
+    is_only = network.latency == Constant() and network.processing.receiver == 0.0 and not _has_own_latency(scenario)
     processing = Processing() if is_only else network.processing
     return _with_network(scenario, medium=medium.model_copy(update=ideal | no_contention), processing=processing)
 
@@ -280,11 +280,6 @@ def _with_network(scenario: Scenario, **ideal: Any) -> Scenario:
     return scenario.model_copy(update={"network": type(network)(**dict(network) | {"preset": None} | ideal)})
 
 
-def _contends(medium: Medium) -> TypeGuard[Radio]:
-    """Return whether nodes contend for the channel of a medium."""
-    return contends(medium)
-
-
 def _links_without(network: Links, key: str) -> tuple[Any, ...]:
     """Return the links without their model `key`; links that have no model of their own left are dropped."""
     other_keys = {"latency", "loss", "order"} - {key}
@@ -292,10 +287,10 @@ def _links_without(network: Links, key: str) -> tuple[Any, ...]:
     return tuple(link.model_copy(update={key: None}) for link in kept)
 
 
-def _has_own(scenario: Scenario, key: str) -> bool:
-    """Return whether a link or an edge of the graph has a model `key` of its own."""
-    return any(getattr(link, key) is not None for link in scenario.network.link) or (
-        _graph_without(scenario, key) is not scenario.network.graph
+def _has_own_latency(scenario: Scenario) -> bool:
+    """Return whether a link or an edge of the graph has a latency of its own."""
+    return any(link.latency is not None for link in scenario.network.link) or (
+        _graph_without(scenario, "latency") is not scenario.network.graph
     )
 
 
