@@ -57,10 +57,8 @@ class _Body:
 
     def piece(self, call: _Call) -> Piece:
         """Return the motion that the dynamics return, an equal one for an equal call."""
-        try:
+        with self.tested.blaming(str(call)):
             first, second = self.model(*call), self.model(*call)
-        except Exception as error:
-            self.tested.blame(str(call), error)
         if not isinstance(first, Piece):
             self.tested.fail(f"{call} returns {first!r}, expected a Piece")
         self.tested.require(first == second, f"{call} returns another Piece when it is repeated: it may not remember")
@@ -178,10 +176,8 @@ class _Body:
 
     def check_headings(self) -> None:
         """Check the initial headings."""
-        try:
+        with self.tested.blaming("headings(rng, 5)"):
             first, second = (self.model.headings(np.random.default_rng(1), 5) for _ in range(2))
-        except Exception as error:
-            self.tested.blame("headings(rng, 5)", error)
         array = np.asarray(first)
         right = array.shape == (5,) and array.dtype.kind in "iufc" and bool(np.allclose(np.abs(array), 1.0))
         self.tested.require(right, f"headings(rng, 5) returns {first!r}, expected 5 complex numbers of length 1")
@@ -193,10 +189,8 @@ class _Body:
         """Require that the command of the guidance is replaced by one that is no faster."""
         aim = 3.0 * rect(1.0, abs(call.position))
         text = f"steered({call.command:.3g}, {call.course}, {aim:.3g}, {CAPTURE_RADIUS})"
-        try:
+        with self.tested.blaming(text):
             steered = complex(self.model.steered(call.command, call.course, aim, CAPTURE_RADIUS))
-        except Exception as error:
-            self.tested.blame(text, error)
         self.tested.require(
             abs(steered) <= abs(call.command) * (1.0 + TOLERANCE),
             f"{text} returns {steered}, expected a velocity of at most {abs(call.command):.4g} m/s",
@@ -249,10 +243,8 @@ class _Body:
 
     def _times(self, offsets: Any, courses: Courses, speeds: Any) -> Any:
         call = f"capture_times(offsets, courses, speeds, evader_speed, radius) of {len(speeds)} pursuers"
-        try:
+        with self.tested.blaming(call):
             reply = self.model.capture_times(offsets, courses, speeds, EVADER_SPEED, CAPTURE_RADIUS)
-        except Exception as error:
-            self.tested.blame(call, error)
         times = np.asarray(reply)
         right = times.shape == speeds.shape and times.dtype.kind in "iuf" and not np.isnan(times).any()
         self.tested.require(right, f"{call} returns {reply!r}, expected as many times in s, or inf, in an array")

@@ -106,11 +106,8 @@ def _check(tested: Subject, case: _Case) -> None:
 def _heading(tested: Subject, case: _Case) -> complex:
     """Return the heading that a fresh copy of a strategy chooses, and require that it is valid."""
     state, untouched = case.observation(), case.observation()
-    try:
-        with tested.fresh() as strategy:
-            answer: Any = strategy(state, np.random.default_rng(1))
-    except Exception as error:
-        tested.blame(str(case), error)
+    with tested.blaming(str(case)), tested.fresh() as strategy:
+        answer: Any = strategy(state, np.random.default_rng(1))
     for name, value in vars(untouched).items():
         after: Any = getattr(state, name, None)
         tested.require(np.array_equal(after, value), f"{case} changes state.{name} from {value} to {after}; copy it")

@@ -61,11 +61,8 @@ def _velocities(tested: Subject, places: Points, t: float) -> Points:
     """Return the velocities at some places, and require that they are valid and the places unchanged."""
     call = f"flow(places, {t:g}) with {len(places)} places"
     before = places.copy()
-    try:
-        with tested.fresh() as model:
-            velocities = Environment(flow=model).velocities(places, t)
-    except Exception as error:
-        tested.blame(call, error)
+    with tested.blaming(call), tested.fresh() as model:
+        velocities = Environment(flow=model).velocities(places, t)
     tested.require(np.array_equal(places, before), f"{call} changes the places; copy them")
     return np.asarray(velocities, dtype=complex)
 

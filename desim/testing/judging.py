@@ -63,6 +63,14 @@ class Subject(NamedTuple):
         raise ContractError(f"{self.name}: {where} {complaint}: {error}{notes}") from error
 
     @contextmanager
+    def blaming(self, where: str) -> Iterator[None]:
+        """Turn every error of a call of the model into one about the model."""
+        try:
+            yield
+        except Exception as error:
+            self.blame(where, error)
+
+    @contextmanager
     def fresh(self) -> Iterator[Any]:
         """Yield the model as a run has it: with the state that it had before the check."""
         with fresh_copy(self.model) as model:

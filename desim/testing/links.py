@@ -51,10 +51,8 @@ class _Links:
                 check(self.nodes, [(src, dst)])
                 linked.append(dst)
         if not linked:
-            try:
+            with self.tested.blaming(f"check_links({self.nodes}, links)"):
                 check(self.nodes, [(src, dst) for dst in receivers])
-            except ValueError as error:
-                self.tested.blame(f"check_links({self.nodes}, links)", error)
         return linked
 
     def replies(
@@ -83,10 +81,8 @@ class _Links:
         dst, places = context.dst.tolist(), self._places.copy()
         context.positions = lambda: places
         call = f"{self.noun}(context, rng) with context.dst = {dst}"
-        try:
+        with self.tested.blaming(call):
             reply = model(context, rng)
-        except Exception as error:
-            self.tested.blame(call, error)
         if (after := context.dst.tolist()) != dst:
             self.tested.fail(f"{call} changes context.dst to {after}; copy it")
         if places.tobytes() != self._places.tobytes():
@@ -137,10 +133,8 @@ class _Latencies(_Links):
         is_lost = link_trait(model, "is_lost")
         if is_lost is None:
             return np.zeros(len(context.dst), bool)
-        try:
+        with self.tested.blaming("is_lost(context)"):
             reply = is_lost(context)
-        except Exception as error:
-            self.tested.blame("is_lost(context)", error)
         lost = self.shaped(reply, len(context.dst), "is_lost(context)", "boolean")
         if lost.dtype != bool:
             self.tested.fail(f"is_lost(context) returns {_form(reply)}, expected booleans")
@@ -178,10 +172,8 @@ class _Latencies(_Links):
             )
         if traits.quantile is not None:
             u = (np.arange(draws) + 0.5) / draws
-            try:
+            with self.tested.blaming(f"quantile(u) of {draws} numbers in (0, 1)"):
                 quantiles = np.asarray(traits.quantile(u.copy()))
-            except Exception as error:
-                self.tested.blame(f"quantile(u) of {draws} numbers in (0, 1)", error)
             self.tested.require(
                 quantiles.shape == u.shape,
                 f"quantile(u) of {draws} numbers returns {_form(quantiles)}, expected shape ({draws},)",
@@ -203,10 +195,8 @@ class _Latencies(_Links):
                 for run in range(draws)
             ]
         )
-        try:
+        with self.tested.blaming("mean_latency()"):
             expected = mean_latency(self.tested.model)
-        except Exception as error:
-            self.tested.blame("mean_latency()", error)
         drawn = float(means.mean())
         if expected is not None:
             self.tested.require(
@@ -345,10 +335,8 @@ def _calls(links: _Links) -> list[tuple[int, Sequence[int]]]:
 def _drawn(links: _Links, draw: Any, count: int, kinds: str, noun: str) -> NDArray[Any]:
     """Return draws of a model, whose number, type and repetition are checked."""
     call = f"draw({count}, rng)"
-    try:
+    with links.tested.blaming(call):
         first, second = (draw(count, np.random.default_rng(1)) for _ in range(2))
-    except Exception as error:
-        links.tested.blame(call, error)
     array = np.asarray(first)
     right = array.shape == (count,) and array.dtype.kind in kinds
     links.tested.require(right, f"{call} returns {_form(first)}, expected {count} {noun}")
