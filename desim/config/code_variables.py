@@ -8,7 +8,7 @@ from dis import get_instructions
 from functools import cached_property, lru_cache, partial, partialmethod, singledispatchmethod
 from itertools import pairwise
 from types import CellType, CodeType, FunctionType, MethodType, ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -89,7 +89,7 @@ def _variables(function: FunctionType) -> Iterator[tuple[str, Read]]:
             yield f"{name} of {function.__qualname__}", read
     for module, place, names in _modules_of(function):
         for name in names:
-            if name in place and not (name in _names_of(code) and only_adds(code, name)):
+            if name in place and not (name in _words_of(code).names and only_adds(code, name)):
                 yield f"{plain_name(module)}.{name}", partial(place.get, name)
 
 
@@ -99,13 +99,13 @@ def _modules_of(function: FunctionType) -> Iterator[tuple[str, dict[str, Any], C
     A function that finds variables by texts, as in `globals()["calls"]`, uses the names that are among its constants.
     """
     code, place = function.__code__, function.__globals__
-    globals_, names, texts = _globals_of(code), _names_of(code), _texts_of(code)
+    names, texts, imports, globals_ = _words_of(code)
     by_text = texts | names if names & BY_TEXT else frozenset()
     if names & {"exec", "eval"}:
         by_text |= {word for text in texts for word in re.findall(r"\w+", text)}
     yield module_of(function), place, globals_ | (by_text & place.keys())
     held = [place.get(name) for name in globals_] + [_contents(cell) for cell in function.__closure__ or ()]
-    held += [sys.modules.get(name) for name in _imports_of(code) | by_text]
+    held += [sys.modules.get(name) for name in imports | by_text]
     modules = {id(value): value for value in held if isinstance(value, ModuleType) and not _is_installed(value)}
     for module in modules.values():
         yield module.__name__, vars(module), (names | by_text) & vars(module).keys()
@@ -179,23 +179,30 @@ def _is_of_package(definition: Any) -> bool:
     return is_foreign(definition) or (module is not None and _is_installed(module))
 
 
-@lru_cache(maxsize=256)
-def _names_of(code: CodeType) -> frozenset[str]:
-    """Return the names of the global variables and attributes that a function and the functions inside it use."""
-    return frozenset(code.co_names).union(*map(_names_of, inner_code(code)))
+class Words(NamedTuple):
+    """The words in the instructions of a function and of the functions inside it."""
+
+    names: frozenset[str]
+    """The names of the global variables and attributes that they use."""
+    texts: frozenset[str]
+    """The texts that are constants."""
+    imports: frozenset[str]
+    """The names of the modules that they import."""
+    globals: frozenset[str]
+    """The names of the global variables."""
 
 
 @lru_cache(maxsize=256)
-def _texts_of(code: CodeType) -> frozenset[str]:
-    """Return the texts that are constants of a function and of the functions inside it."""
-    return frozenset(item for item in code.co_consts if isinstance(item, str)).union(*map(_texts_of, inner_code(code)))
-
-
-@lru_cache(maxsize=256)
-def _imports_of(code: CodeType) -> frozenset[str]:
-    """Return the names of the modules that a function and the functions inside it import."""
-    names = {item.argval for item in get_instructions(code) if item.opname == "IMPORT_NAME"}
-    return frozenset(names).union(*map(_imports_of, inner_code(code)))
+def _words_of(code: CodeType) -> Words:
+    """Return the words in a function and in the functions inside it."""
+    instructions = [(item.opname, item.argval) for item in get_instructions(code)]
+    own = Words(
+        frozenset(code.co_names),
+        frozenset(item for item in code.co_consts if isinstance(item, str)),
+        frozenset(name for operation, name in instructions if operation == "IMPORT_NAME"),
+        frozenset(name for operation, name in instructions if operation.endswith("_GLOBAL")),
+    )
+    return Words(*(part.union(*inner) for part, *inner in zip(own, *map(_words_of, inner_code(code)), strict=True)))
 
 
 def defaults_of(function: FunctionType) -> list[Any]:
@@ -226,10 +233,3 @@ def only_adds(code: CodeType, name: str) -> bool:
         if is_used and "CLOSURE" not in instruction.opname and after.argval not in ADDING:
             return False
     return all(only_adds(inner, name) for inner in inner_code(code) if name in (*inner.co_freevars, *inner.co_names))
-
-
-@lru_cache(maxsize=256)
-def _globals_of(code: CodeType) -> frozenset[str]:
-    """Return the names of the global variables that a function and the functions inside it use."""
-    names = {item.argval for item in get_instructions(code) if item.opname.endswith("_GLOBAL")}
-    return frozenset(names).union(*map(_globals_of, inner_code(code)))
