@@ -25,38 +25,29 @@ if TYPE_CHECKING:
     import networkx as nx
 
 
-class _Faults(Value):
-    """Faults as in a scenario file."""
+class _Tables(Value):
+    """Lists of tables as in a scenario file."""
 
     fault: tuple[Annotated[Any, FAULTS], ...] = ()
+    wall: tuple[Wall, ...] = ()
 
 
 def faults_argument(faults: Any) -> tuple[Any, ...]:
     """Return faults, of which some may be given as dicts."""
-    if isinstance(faults, str | Mapping) or not isinstance(faults, Iterable):
-        raise ValueError(f"faults should be a list of faults, such as [Crash(start=1.0, node=0)] (got {faults!r})")
-    part: _Faults = _part_of_file(_Faults, fault=tuple(faults))
-    return part.fault
-
-
-class _Walls(Value):
-    """Walls as in a scenario file."""
-
-    wall: tuple[Wall, ...] = ()
+    return _checked_tables("fault", faults, "Crash(start=1.0, node=0)")
 
 
 def walls_argument(walls: Any) -> tuple[Wall, ...]:
     """Return walls, of which some may be given as dicts."""
-    if isinstance(walls, str | Mapping | Wall) or not isinstance(walls, Iterable):
-        raise ValueError(f"walls should be a list of walls, such as [Wall(line=[[0, 0], [4, 0]])] (got {walls!r})")
-    part: _Walls = _part_of_file(_Walls, wall=tuple(walls))
-    return part.wall
+    return _checked_tables("wall", walls, "Wall(line=[[0, 0], [4, 0]])")
 
 
-def _part_of_file(part: Any, **tables: Any) -> Any:
-    """Return a part of a scenario file; an error names the key, and not the part, which a caller does not know."""
+def _checked_tables(key: str, given: Any, example: str) -> tuple[Any, ...]:
+    """Return a list of tables; an error names their keys, and not the list, which a caller does not know."""
+    if isinstance(given, str | Mapping | Wall) or not isinstance(given, Iterable):
+        raise ValueError(f"{key}s should be a list of {key}s, such as [{example}] (got {given!r})")
     try:
-        return part(**tables)
+        return tuple(getattr(_Tables(**{key: tuple(given)}), key))
     except KeyedError as error:
         problems = [problem._replace(where="") for problem in error.problems]
     raise KeyedError(*problems)
