@@ -89,10 +89,8 @@ def _inertia_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 def _record_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about recorded motion whose file has heights."""
-    evaders = scenario.evader if isinstance(scenario.evader, tuple) else (scenario.evader,)
-    keys = [f"evader.{k}.strategy" if evaders is scenario.evader else "evader.strategy" for k in range(len(evaders))]
     records: list[tuple[str, Any]] = [
-        *((key, evader.record) for key, evader in zip(keys, evaders, strict=True)),
+        *((f"{_dotted(place)}.strategy", table.record) for place, table in scenario.evader_tables),
         *((f"team.relay.{k}.motion", relay.motion) for k, relay in enumerate(scenario.team.relay)),
         ("team.positions", scenario.team),
     ]
@@ -143,10 +141,14 @@ def _place_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             yield "wall", f"it lies within {max(walls[1] - walls[0], walls[3] - walls[2]):.2g} m: {hint} (`scale`)"
         elif walls[1] < box[0] or walls[0] > box[1] or walls[3] < box[2] or walls[2] > box[3]:
             yield "wall", f"it is where no player can come within the horizon: {hint} (`scale`, `offset`)"
-    for k, start in enumerate(starts):
+    keys = [_dotted(place) for place, table in scenario.evader_tables for _ in range(table.count)]
+    for key, start in zip(keys, starts, strict=True):
         if np.abs(pursuers - start).min() > 2.0 * SLOW * way > 0.0:
-            key = f"evader.{k}" if isinstance(scenario.evader, tuple) else "evader"
             yield key, f"it starts so far away that no pursuer could reach it in {SLOW:g} horizons: {hint}"
+
+
+def _dotted(place: Sequence[str | int]) -> str:
+    return ".".join(map(str, place))
 
 
 def _box(points: Iterable[complex], margin: float = 0.0) -> tuple[float, float, float, float]:

@@ -235,6 +235,13 @@ class Scenario(Value):
         return tuple(kind for kind in kinds for _ in range(kind.count))
 
     @property
+    def evader_tables(self) -> list[tuple[tuple[str | int, ...], Evader]]:
+        """The place and the parameters of each table of evaders, which may be one of several alike."""
+        if isinstance(self.evader, tuple):
+            return [(("evader", k), table) for k, table in enumerate(self.evader)]
+        return [(("evader",), self.evader)]
+
+    @property
     def space(self) -> Plane:
         """The space in which the players move: the plane among the walls that block motion."""
         return space_among(self.wall)

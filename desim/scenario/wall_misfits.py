@@ -15,7 +15,6 @@ from desim.pursuit.evaders.recorded import RecordedMotion
 from desim.pursuit.motion.guidance import PurePursuit
 from desim.pursuit.paths.space import Plane
 from desim.scenario.conditions import AnyScenario
-from desim.scenario.players import Evader
 
 Misfit = tuple[tuple[str | int, ...], str]
 """The key of a value, in parts, and why it does not fit."""
@@ -41,7 +40,7 @@ def wall_misfits(scenario: AnyScenario) -> Iterator[Misfit]:
         yield from _box_misfits(("team",), partial(team.start, scenario.seed, space))
     for k, relay in enumerate(team.relay):
         yield from _record_misfits(space, ("team", "relay", k, "motion"), relay.motion)
-    for place, evader in _evaders(scenario):
+    for place, evader in scenario.evader_tables:
         if evader.position is not None and not space.are_free(complex_points([evader.position]))[0]:
             yield (*place, "position"), _inside(*evader.position)
         yield from _box_misfits(place, partial(evader.start, scenario.seed, 0, space))
@@ -72,7 +71,7 @@ def _model_misfits(scenario: AnyScenario) -> Iterator[Misfit]:
             f"{kind_of(scenario.protocol)} takes straight lines for shortest paths: {INSTEAD} a protocol of capture"
             ' times, such as local_min, or argmin with `by` "capture_time"',
         )
-    for place, evader in _evaders(scenario):
+    for place, evader in scenario.evader_tables:
         if evader.has_inertia:
             yield (*place, "dynamics"), f"players with inertia cannot keep off walls: {INSTEAD} the kind simple"
         if StrategyTraits.of(evader.strategy).assumes_plane:
@@ -120,14 +119,6 @@ def reach_warnings(scenario: AnyScenario) -> Iterator[tuple[str, str]]:
                 "wall",
                 f"{who} {verb} {number} with seed {seed}: walls that block motion enclose it or them, so phi is inf",
             )
-
-
-def _evaders(scenario: AnyScenario) -> Iterator[tuple[tuple[str | int, ...], Evader]]:
-    """Yield the key of each table of evaders, and the evader."""
-    if isinstance(scenario.evader, tuple):
-        yield from ((("evader", k), evader) for k, evader in enumerate(scenario.evader))
-    else:
-        yield ("evader",), scenario.evader
 
 
 def _inside(x: float, y: float) -> str:

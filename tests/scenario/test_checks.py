@@ -713,3 +713,10 @@ def test_a_property_of_positions_lets_the_scenario_record_them():
         assert made.record.trajectory == recorded
     half = usual.with_({"record.trajectory": 0.5})
     assert recording(half, [property_of("misassigned never longer than 2")]).record.trajectory == 0.5
+
+
+def test_a_warning_about_one_of_several_evaders_names_its_table():
+    """Three evaders in two tables: the last is the third evader, and that of the second table."""
+    near, far = Evader(position=(9.0, 8.0), count=2), Evader(position=(1e6, 0.0))
+    scenario = Scenario(team=Team(count=1, positions=((0.0, 0.0),)), evader=(near, far), horizon=1.0)
+    assert [key for key, why in warnings(scenario) if "so far away" in why] == ["evader.1"]
