@@ -234,14 +234,14 @@ class Timer:
         """Call the function at a time, ns, or now if it has passed, unless it is called earlier anyway."""
         if when < self._when and (when := max(when, self._env.now)) < self._when:
             self._when = when
-            Instant(self._env, when, self._priority).callbacks.append(lambda _: self._ring(when))
+            Instant(self._env, when, self._priority).callbacks.append(self._ring)
 
     def stop(self) -> None:
         """Do not call the function until the timer is set again."""
         self._when = NEVER
 
-    def _ring(self, when: int) -> None:
-        if when == self._when:
+    def _ring(self, _: simpy.Event) -> None:
+        if self._env.now == self._when:
             self._when = NEVER
             self._act()
 
