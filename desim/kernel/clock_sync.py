@@ -29,14 +29,12 @@ from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.ports import ReservedPort
 from desim.kernel.core.records import Record
 from desim.kernel.core.seeds import stream
-from desim.kernel.models.transport import BestEffort
+from desim.kernel.models.transport import BEST_EFFORT
 from desim.kernel.network import Network
 from desim.kernel.state.inbox import Message
 
 PORT = ReservedPort("clock synchronisation", __name__)
 """The port at which requests and answers arrive."""
-BEST_EFFORT = BestEffort()
-"""The transport of all messages."""
 
 
 class Unsynchronised(Value):

@@ -83,7 +83,11 @@ class BestEffort(Quality):
     @property
     def is_plain(self) -> bool:
         """Whether messages are handed to the links as they are, because no quality is asked for."""
-        return self == BestEffort()
+        return self == BEST_EFFORT
+
+
+BEST_EFFORT = BestEffort()
+"""Messages are handed to the links as they are."""
 
 
 class Reliable(Quality):

@@ -29,7 +29,6 @@ from desim.kernel.transport.frames import (
     CodedPiece,
     Segment,
     Skip,
-    TransportFrame,
     acknowledgement_size,
 )
 from desim.kernel.transport.log import MessageFlow, TransportLog
@@ -73,7 +72,7 @@ class TransportLayer:
         state: the state of the network; its inboxes receive the frames, and the messages that are delivered.
         estimates: estimates of the delays of the network, for the time-out "auto".
         trace: receives the events of transports; None if they are not needed.
-        transmit: hands a message to the link layer, given its sender, receiver, size and port.
+        transmit: hands a message to the link layer, given its sender, receiver, content, size and port.
     """
 
     def __init__(
@@ -81,10 +80,11 @@ class TransportLayer:
         state: NetworkState,
         estimates: Estimates,
         trace: Trace | None,
-        transmit: Callable[[int, int | None, Message, int, str], object],
+        transmit: Callable[..., object],
     ):
         self._env, self._topology, self._fault_state = state.env, state.topology, state.fault_state
-        self._inboxes, self._clocks, self._transmit, self._estimates = state.inboxes, state.clocks, transmit, estimates
+        self._inboxes, self._clocks, self._estimates = state.inboxes, state.clocks, estimates
+        self._transmit_frame = partial(transmit, port=PORT)
         self._log = TransportLog(state.env, trace)
         self._transports: dict[str, Transport] = {}
         """By port."""
@@ -159,13 +159,10 @@ class TransportLayer:
     def _endpoint(self, node: int) -> Endpoint:
         """Create the endpoint of a node."""
         is_up = partial(self._is_up, node)
-        return Endpoint(self._env, self._clocks[node], self._log, self._send_frame, self._auto_timeout, is_up)
+        return Endpoint(self._env, self._clocks[node], self._log, self._transmit_frame, self._auto_timeout, is_up)
 
     def _is_up(self, node: int) -> bool:
         return self._fault_state is None or not self._fault_state.down(node)
-
-    def _send_frame(self, src: int, dst: int | None, stamp: int, frame: TransportFrame, size: int) -> None:
-        self._transmit(src, dst, _new(Message, (src, stamp, frame)), size, PORT)
 
     def _auto_timeout(self, transport: Reliable, size: int, receivers: int) -> float:
         """Return the first time-out "auto", s, of a frame of a size, bytes, that some receivers acknowledge."""
@@ -210,7 +207,8 @@ class TransportLayer:
             received = receiver.expected, receiver.beyond()
             answer = _new(Acknowledgement, (frame.port, frame.to_all, frame.session, *received))
             self._log.acknowledgements += 1
-            self._send_frame(node, src, self._env.now, answer, acknowledgement_size(transport.window))
+            message = _new(Message, (node, self._env.now, answer))
+            self._transmit_frame(node, src, message, acknowledgement_size(transport.window))
 
     def _deliver(
         self, node: int, flow: MessageFlow, seq: int, message: Message, attempt: int, transport: Transport

@@ -6,6 +6,7 @@ whatever the number of its messages.
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from heapq import heappop, heappush
 from math import inf
 from typing import NamedTuple
@@ -22,7 +23,6 @@ from desim.kernel.transport.frames import (
     CodedPiece,
     Segment,
     Skip,
-    TransportFrame,
     piece_size,
 )
 from desim.kernel.transport.log import MessageFlow, TransportLog
@@ -52,9 +52,9 @@ class Endpoint:
     clock: NodeClock
     """Its own clock."""
     log: TransportLog
-    transmit: Callable[[int, int | None, int, TransportFrame, int], object]
-    """Transmits a frame of the node (first argument) to one node, or to all (None), given its time stamp, ns, and its
-    size, bytes."""
+    transmit: Callable[[int, int | None, Message, int], object]
+    """Transmits a frame of the node (first argument), in a message, to one node, or to all (None), given its size,
+    bytes."""
     auto_timeout: Callable[[Reliable, int, int], float]
     """Returns the first time-out "auto", s, of a message of a size, bytes, to a number of receivers."""
     is_up: Callable[[], bool]
@@ -110,6 +110,7 @@ class ReliableSender:
         self._acknowledged: dict[int, int] = {}
         """The time stamp, ns, of the newest acknowledgement of each receiver."""
         self._timer = Timer(endpoint.env, Phase.RELAY + flow.src, self.advance)
+        self._timeout = cache(self._timeout_after)  # few of them differ
 
     def send(self, message: Message, size: int, receivers: Iterable[int]) -> None:
         """Accept a message for some receivers, and transmit it if the window allows."""
@@ -152,9 +153,8 @@ class ReliableSender:
         while self._entries and (first := next(iter(self._entries.values()))).expires <= now:
             self._drop(first, "lifespan")
         for entry in list(self._sent()):
-            for node, owed in list(entry.owed.items()):
-                if owed.due <= now:
-                    self._act(entry, node, owed)
+            for node, owed in [(node, owed) for node, owed in entry.owed.items() if owed.due <= now]:
+                self._act(entry, node, owed)
         while self._unsent < self._next and self._unsent < next(iter(self._entries), self._unsent) + self._model.window:
             unsent = self._entries.get(self._unsent)
             self._unsent += 1
@@ -194,7 +194,7 @@ class ReliableSender:
         if not entry.owed:
             del self._entries[entry.seq]
             return
-        due = self._endpoint.env.now + self._timeout(entry, 0)
+        due = self._endpoint.env.now + self._timeout(entry.size, len(entry.owed), 0)
         for owed in entry.owed.values():
             owed.attempts, owed.due = 1, due
 
@@ -205,29 +205,31 @@ class ReliableSender:
             self._finish(entry, node)
             self._close_gap(node)
             return
-        base = next(entry.seq for entry in self._entries.values() if node in entry.owed)
-        owed.due = self._endpoint.env.now + self._timeout(entry, owed.attempts)
+        first = self._first(node)
+        assert first is not None
+        owed.due = self._endpoint.env.now + self._timeout(entry.size, len(entry.owed), owed.attempts)
         owed.attempts += 1
         if owed.is_held:
-            skip = Skip(self._flow.port, self._flow.dst is None, self._endpoint.session, base)
-            self._endpoint.transmit(self._flow.src, node, self._endpoint.env.now, skip, SKIP_SIZE)
+            skip = Skip(self._flow.port, self._flow.dst is None, self._endpoint.session, first.seq)
+            message = Message(self._flow.src, self._endpoint.env.now, skip)
+            self._endpoint.transmit(self._flow.src, node, message, SKIP_SIZE)
         else:
             self._log.retransmitted(self._flow, node, entry.seq, owed.attempts)
-            self._send_segment(entry, node, base, owed.attempts)
+            self._send_segment(entry, node, first.seq, owed.attempts)
 
     def _send_segment(self, entry: Entry, dst: int | None, base: int, attempt: int) -> None:
         flow, message = self._flow, entry.message
         segment = _new(
             Segment, (flow.port, flow.dst is None, self._endpoint.session, entry.seq, base, attempt, message.body)
         )
-        self._endpoint.transmit(flow.src, dst, message.stamp, segment, entry.size + FRAME)
+        self._endpoint.transmit(flow.src, dst, _new(Message, (flow.src, message.stamp, segment)), entry.size + FRAME)
 
-    def _timeout(self, entry: Entry, attempts: int) -> int:
-        """Return the time-out after a number of earlier attempts, ns of true time."""
+    def _timeout_after(self, size: int, receivers: int, attempts: int) -> int:
+        """Return the time-out of a message to some receivers after a number of earlier attempts, ns of true time."""
         model = self._model
         first = model.timeout
         if first == "auto":
-            first = self._endpoint.auto_timeout(model, entry.size + FRAME, len(entry.owed))
+            first = self._endpoint.auto_timeout(model, size + FRAME, receivers)
         # A bounded exponent: a float to a higher power raises OverflowError before `min` could bound it.
         grown = min(first * model.backoff ** min(attempts, MAX_GROWTH), model.max_timeout)
         return self._endpoint.clock.span(max(first, grown))
@@ -245,15 +247,22 @@ class ReliableSender:
         if not entry.owed:
             del self._entries[entry.seq]
 
+    def _first(self, node: int) -> Entry | None:
+        """Return the first message that has been transmitted to a receiver, and that it has not acknowledged."""
+        for entry in self._entries.values():
+            if node in entry.owed:
+                return entry if entry.seq < self._unsent else None
+        return None
+
     def _close_gap(self, node: int) -> bool:
         """Plan to tell a receiver not to wait, if it holds the first message that it has not acknowledged.
 
         The messages that it waits for have then been given up. Return whether this is planned now.
         """
-        first = next((entry.owed[node] for entry in self._sent() if node in entry.owed), None)
-        if first is None or not first.is_held or first.due < NEVER:
+        first = self._first(node)
+        if first is None or not (owed := first.owed[node]).is_held or owed.due < NEVER:
             return False
-        first.attempts, first.due = 0, self._endpoint.env.now
+        owed.attempts, owed.due = 0, self._endpoint.env.now
         return True
 
 
@@ -295,7 +304,7 @@ class CodedSender:
             if self._endpoint.is_up():
                 piece = CodedPiece(flow.port, flow.dst is None, self._endpoint.session, seq, part, message.body)
                 self._endpoint.log.attempts += count
-                self._endpoint.transmit(flow.src, flow.dst, message.stamp, piece, size)
+                self._endpoint.transmit(flow.src, flow.dst, Message(flow.src, message.stamp, piece), size)
         if waiting:
             self._timer.set(waiting[0][0])
 
