@@ -186,8 +186,9 @@ class Instant(simpy.Event):
 class FirstOf(simpy.Event):
     """An event that happens as soon as one of several events has happened; its value is None.
 
-    It is `first | second` of SimPy without a table of the events and their values, in three fifths of the time. None of
-    the events may fail.
+    It is `first | second` of SimPy without a table of the events and their values, and without an event of its own: it
+    happens as a part of the first of them. So a process that waits for it resumes before those that have begun to wait
+    for that event later; with SimPy, it resumes after them. None of the events may fail.
 
     Kept equal to the condition of SimPy by
     `tests/kernel/test_clock.py::test_the_first_of_two_events_happens_as_their_condition_does`.
@@ -196,11 +197,14 @@ class FirstOf(simpy.Event):
         events: the events.
     """
 
+    _ok = True
+    _value: Any = None
+
     def __init__(self, *events: simpy.Event):
-        super().__init__(events[0].env)
-        self.events = events
-        if any(event.processed for event in events):
-            self.succeed()
+        self.env, self.events = events[0].env, events
+        self.callbacks: list[Callable[[simpy.Event], None]] = []
+        if [event for event in events if event.processed]:
+            self.env.schedule(self)
             return
         for event in events:
             event.callbacks.append(self._happen)
@@ -209,7 +213,9 @@ class FirstOf(simpy.Event):
         for event in self.events:
             if event.callbacks:  # else it has happened
                 event.callbacks.remove(self._happen)
-        self.succeed()
+        callbacks, self.callbacks = self.callbacks, None  # type: ignore[assignment]  # as in SimPy: it has happened
+        for callback in callbacks:
+            callback(self)
 
 
 class Timer:
