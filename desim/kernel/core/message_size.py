@@ -91,13 +91,10 @@ def _size(body: Any) -> int:
     if kind is Record:
         return HEADER + _size(body.body)
     if isinstance(body, COLLECTIONS):
-        items = NUMBER * len(body)
-        if not SCALARS.issuperset(map(type, body)):
-            items = 0
-            for item in body:  # in three quarters of the time of `portable_sum`
-                items += _size(item)
-        has_attributes = kind not in COLLECTIONS and not (isinstance(body, tuple) and not hasattr(body, "__dict__"))
-        return items + _attributes(body) if has_attributes else items  # a tuple has no slots
+        items = 0
+        for item in body:  # in three quarters of the time of `portable_sum`
+            items += NUMBER if type(item) in SCALARS else _size(item)
+        return items + _attributes(body) if kind.__dictoffset__ else items  # 0: it has no attributes
     return 0 if body is None else size(body)
 
 
