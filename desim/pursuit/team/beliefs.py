@@ -334,7 +334,7 @@ class Beliefs(Knowledge):
         motions: dict[int, MotionState] = {}
         for j, record in records.items():
             known, ordered = reckonings.get(j), orders.get(j)
-            if ordered and not record.body.active and not _has_action(ordered):
+            if ordered and len(ordered) == 1 and not ordered[0][1] and not record.body.active:
                 ordered = None  # an order to stay changes nothing
             if known and known[0] is record and (known[1] is None or known[1] == instant) and not ordered:
                 motions[j] = known[2]
