@@ -240,7 +240,7 @@ def first(
         return None
     best = measures.index(least)  # ties: the lowest id
     if hysteresis:
-        owners = [row for row, pursuer in enumerate(ids) if pursuer in present]
+        owners = sorted(ids.index(pursuer) for pursuer in present if pursuer in ids)
         owner = min(owners, key=measures.__getitem__, default=best)
         best = best if least < (1.0 - hysteresis) * measures[owner] else owner
     return ids[best]

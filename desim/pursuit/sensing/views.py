@@ -107,6 +107,8 @@ class View:
 
     def evader(self, evader: int) -> complex:
         """Return the estimated position of an evader, m; nan if unknown."""
+        if self.unlimited:
+            return self.state.body(evader).position
         estimate = self.estimate(evader)
         return NOWHERE if estimate is None else estimate.position
 

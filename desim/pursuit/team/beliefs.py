@@ -209,10 +209,10 @@ class Beliefs(Knowledge):
         team = self._reckoned_team(records, evader)
         positions, times = team.positions.copy(), team.capture_times.copy()
         positions[self.id] = state.position(self.id)
-        times[self.id] = view.capture_time_from(self.id, state.motion(self.id), evader)
+        times[self.id] = self.capture_time(evader)
+        if len(records) == state.size - 1:
+            return TeamEstimate(self._everyone, positions, state.speeds, times)
         ids = sorted([self.id, *records])
-        if len(ids) == state.size:
-            return TeamEstimate(ids, positions, state.speeds, times)
         return TeamEstimate(ids, positions[ids], state.speeds[ids], times[ids])
 
     def _reckoned_team(self, records: Mapping[int, Record], evader: int) -> ReckonedTeam:
