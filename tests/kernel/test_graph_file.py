@@ -281,6 +281,17 @@ NO_GRAPHS = {
     "far.tgf": ("1 a\n2 b\n#\n1 3\n", "line 4: should be two of the nodes above the line #"),
     "as_rel.txt": ("1|2|-1\n2|3|0\n", "line 1: '1.2.-1' is no edge, and none follows"),
     "dict.edgelist": ("0 1 {'latency': f()}\n", r"line 1: the attributes should be like \{'latency': 0\.1\}"),
+    "far.net": ('*Vertices 2\n3 "c"\n', "line 2: there is no vertex 3: they are 1 .. 2"),
+    "early.net": ("*Network a\n1 2\n", r"line 2: should begin with \*Vertices"),
+    "inside.graphml": (
+        '<graphml><graph edgedefault="undirected"><node id="0"><graph edgedefault="undirected"/></node></graph></graphml>',
+        "should have one graph, and has 2, with those inside of nodes",
+    ),
+    "all.graphml": (
+        '<graphml><key id="d0" for="all"><default>1</default></key><graph edgedefault="directed"/></graphml>',
+        "the key 'd0' with a default should be for edge or for node, not for all",
+    ),
+    "none.gexf": ("<gexf/>", "it has no graph"),
 }
 
 
@@ -299,8 +310,12 @@ def test_a_cut_or_huge_gzip_file_is_refused(tmp_path, monkeypatch):
     file.write_bytes(gzip.compress(b" " * 1000)[:-4])
     with pytest.raises(ValueError, match="its end is missing"):
         read(file)
+    content = gzip.compress(b" " * 1000)
+    file.write_bytes(content[:-8] + bytes([content[-8] ^ 1]) + content[-7:])  # another checksum
+    with pytest.raises(ValueError, match="is not valid gzip: .*incorrect data check"):
+        read(file)
     monkeypatch.setattr("desim.config.number_files.MAX_UNPACKED", 999)
-    file.write_bytes(gzip.compress(b" " * 1000))
+    file.write_bytes(content)
     with pytest.raises(ValueError, match=r"is larger than .* when it is decompressed"):
         read(file)
 
@@ -351,6 +366,39 @@ def test_lists_may_be_directed_and_no_other_format_may_be_told_to_be(tmp_path):
     assert (len(edges.edges), edges.nodes) == (2, 4)
     with pytest.raises(ValueError, match=r"directed is only for edge lists and adjacency lists: .* is JSON"):
         read(plain(tmp_path, "node_link.json"), directed=True)
+
+
+@pytest.mark.parametrize(("type_of_edges", "directed"), [("Directed", True), ("undirected", False)])
+def test_a_column_of_types_says_whether_a_list_is_directed(tmp_path, type_of_edges, directed):
+    """The only edge that is listed leads one way, or both."""
+    file = tmp_path / "net.csv"
+    file.write_text(f"Source,Target,Type\n0,1,{type_of_edges}\n")
+    graph = read(file)(2)
+    assert [graph.has_edge(0, 1), graph.has_edge(1, 0)] == [True, not directed]
+    with pytest.raises(ValueError, match=rf"a column Type, which says {type_of_edges.lower()}: leave out directed"):
+        read(file, directed=not directed)
+
+
+SAME = {
+    "names of columns in a comment": ("net.txt", "% of the lab\n# from to latency\n0 1 0.5\n"),
+    "blank lines before the numbers of METIS": ("net.metis", "\n \n% a comment\n2 1\n2\n1\n"),
+    "names and values in Pajek": ("net.net", "*Vertices 2\n*Edges\n1 2 1 latency 0.5 c Blue\n"),
+    "a list of elements, as in cytoscape.js": (
+        "net.json",
+        '{"elements": [{"data": {"id": 0}}, {"data": {"source": 0, "target": 1, "latency": 0.5}}, {"data": {"id": 1}}]}',
+    ),
+    "GML without labels": ("net.gml", "graph [ node [ id 0 ] node [ id 1 ] edge [ source 0 target 1 latency 0.5 ] ]"),
+}
+
+
+@pytest.mark.parametrize(("name", "text"), SAME.values(), ids=SAME)
+def test_an_edge_of_half_a_second_may_be_written_in_rarer_forms(tmp_path, name, text):
+    """METIS has no attributes, and numbers nodes from 1, as Pajek does."""
+    (tmp_path / name).write_text(text)
+    edges = read(tmp_path / name)
+    assert edges.nodes == 2
+    assert [(edge.src, edge.dst) for edge in edges.edges] == [(0, 1)]
+    assert edges.edges[0].latency == (None if name == "net.metis" else Constant(value=0.5))
 
 
 def test_attributes_of_nodes_of_the_graph_and_of_functions_are_named():

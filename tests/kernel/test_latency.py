@@ -503,6 +503,21 @@ def test_a_matrix_has_a_row_per_node_and_a_latency_for_each_link():
             Scenario(team={"count": nodes}, network={"latency": matrix, "graph": graph})
 
 
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("# none\n", r"m\.csv contains no numbers"),
+        ("0,1\n1\n", r"line 2: has 1 numbers, but the file has 2 lines of numbers: one per node; with decimal commas"),
+        ("a,b\n0,1\n", r"line 1: 'a' is not a number.*; a header should begin with #$"),
+        ("0,1\na,0\n", r"line 2: 'a' is not a number(?!.*header)"),
+    ],
+)
+def test_a_file_of_no_square_of_numbers_is_refused_with_the_line(tmp_path, text, why):
+    (tmp_path / "m.csv").write_text(text)
+    with pytest.raises(ValueError, match=why):
+        LatencyMatrix(file=str(tmp_path / "m.csv"))
+
+
 @pytest.mark.parametrize("header", ["{}0,1,2", "{}1,2,3"])
 def test_a_matrix_with_numbers_of_nodes_beside_it_is_refused(tmp_path, header):
     first = header.format(",").split(",")

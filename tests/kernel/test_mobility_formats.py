@@ -165,6 +165,13 @@ REFUSED = {
     "twice": (f"{START}$node_(0) set X_ 3\n", r"line 3: sets X_ of node 0 again; line 1 has set it"),
     "two arrays": (f"{START}$mnode_(0) set X_ 1\n", r"line 3: names nodes \$mnode_, and the lines above \$node_"),
     "height": (f'{START}$ns_ at 1 "$node_(0) setdest 1 2 3 4"\n', r"line 3: a setdest with a height .* is not read"),
+    "move to a point without a speed": (f'{START}$ns_ at 1 "$node_(0) setdest 1 2"\n', r"line 3: should have the form"),
+    "move without a time": (f"{START}$node_(0) setdest 1 2 3\n", r"line 3: should have the form"),
+    "time with a unit": (
+        f'{START}$ns_ at 1s "$node_(0) setdest 1 2 3"\n',
+        r"line 3: '1s' is neither a number nor a date",
+    ),
+    "word": ("0 10 x 5 6 12\n", r"line 1: 'x' is not a number"),
     "commas": ("0,0 10,5 12,0 5,0 1,0 2,0\n", r"line 1: '0,0' is .*; the decimal sign is a point"),
     "commas in a table": ("t,x,y\n0,1,5,2\n", r"line 2: has 4 cells, but the header 3"),
     "both signs": ("t;x;y\n0;1,5;2.5\n", r"numbers should have either decimal points or decimal commas"),

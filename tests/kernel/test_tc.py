@@ -323,6 +323,12 @@ def test_any_text_is_read_or_refused(words):
             "tc:1:28: 'tbf' is not allowed here; allowed: dev, parent, handle, root, netem",
         ),
         ("tc qdisc add dev", "tc:1:14: 'dev' should be followed by a value"),
+        ("tc qdisc add dev eth0 root", "tc:1:23: 'root' should be followed by netem"),
+        ("tc qdisc del dev eth0", "tc: no command adds netem, so nothing is read"),
+        (
+            "# link 0 -> 1\ntc qdisc add dev a root netem\n# link 0 -> 1\ntc qdisc add dev b root netem loss 1%",
+            "tc:4:1: differs from the command above for link 0 -> 1",
+        ),
         ("ip link set eth0 up", "tc:1:4: 'link' is not allowed here"),
         (
             "tc qdisc add dev a root netem\ntc qdisc add dev b root netem loss 1%",
@@ -358,6 +364,7 @@ MISSING = [
     (Links(medium=Bitrate(bitrate=1.0, half_duplex=True)), "network.medium.half_duplex: "),
     (Links(medium=Bitrate(bitrate=1.0, queue_limit=3)), "network.medium.queue_limit: "),
     (Links(medium=Bitrate(bitrate=1.0, access=Csma())), "network.medium.access: netem has no contention"),
+    (Links(processing={"sender": Uniform()}), "network.processing.sender: netem has one delay: only the mean"),
     (Links(link=(Link(src=0, dst=1, loss=ByDistance()),)), "link 0 -> 1: loss: netem has no such model"),
 ]
 
@@ -390,6 +397,12 @@ def test_what_netem_cannot_express_is_listed(links, why):
     found = [": ".join(each) for each in script(links, SIZE).missing]
     assert len(found) == 1
     assert found[0].startswith(why)
+
+
+def test_a_correlated_loss_has_both_shares():
+    written = script(Links(loss=Correlated(p=0.1, correlation=0.5)), SIZE)
+    assert written.lines[-1] == "tc qdisc add dev eth0 root netem loss random 10% 50%"
+    assert written.missing == []
 
 
 def test_processing_delays_are_added_and_edges_of_the_graph_count_as_links():
