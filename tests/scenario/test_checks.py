@@ -18,7 +18,7 @@ from desim.kernel.models.graphs import Ring
 from desim.kernel.models.interference import CaptureEffect
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
-from desim.kernel.models.reception import QuasiUnitDisk, Rice
+from desim.kernel.models.reception import Disk, QuasiUnitDisk, Rice
 from desim.kernel.models.transport import Reliable
 from desim.pursuit.byzantine.lies import Liar, ReplayAttack, Selective, Silent, Slander
 from desim.pursuit.evaders.evasion import ConstantHeading
@@ -52,7 +52,10 @@ FAST = {"kind": "bitrate", "bitrate": 8 * 24e3}
 """An announcement of 24 bytes takes a millisecond."""
 WIND = {"kind": "uniform", "velocity": (0.0, 0.3)}
 RELIABLE = Links(transport=Reliable())
-
+SHORT_WALL = {"line": [[5.0, 5.0], [5.5, 5.0]]}
+CONCRETE = SHORT_WALL | {"material": "concrete"}
+LORA = {"kind": "lora", "access": Aloha()}
+SELDOM = {"jitter": 0.1, "heartbeat": 9.0}
 
 AT_CORNERS = {"team": Team(positions=[[0.0, 0.0], [40.0, 20.0]], speeds=2.0), "evader": Evader(position=(9.0, 9.0))}
 """Players that come to x = 100 m at most in 30 s."""
@@ -180,6 +183,30 @@ def test_of_several_players_the_fastest_counts(speeds):
             "announce.dissemination",
             "nothing is ever announced",
         ),
+        ({"network": Links(range=9.0, reception=Disk(exponent=2.5))}, "network.reception.exponent", "no wall weakens"),
+        (
+            {"network": Links(range=9.0, reception=QuasiUnitDisk(exponent=2.5)), "wall": [SHORT_WALL]},
+            "network.reception.exponent",
+            "no wall weakens radio without blocking it",
+        ),
+        (
+            {"network": Links(range=9.0, reception=Disk(exponent=4.1)), "wall": [SHORT_WALL | {"loss": 3.0}]},
+            "network.reception.exponent",
+            "an exponent of 4.1 probably has walls in it",
+        ),
+        ({"wall": [SHORT_WALL, SHORT_WALL | {"loss": 3.0}]}, "wall.1", "no effect while network.range is inf"),
+        (
+            {"network": Links(range=9.0), "wall": [CONCRETE | {"frequency": 0.99e9}]},
+            "wall.0.frequency",
+            "the properties of concrete are extrapolated: they begin at 1 GHz",
+        ),
+        (
+            {"network": Links(medium=LORA | {"gateways": [0]}), "announce": SELDOM},
+            "network.medium.gateways",
+            "without `spreading_factors` and `frequencies` all nodes are tuned to each other",
+        ),
+        ({"environment": {"flow": WIND}, "motion": Motion(static=True)}, "environment.flow", "because nothing moves"),
+        ({"environment": {"on": "pursuers"}}, "environment.on", "it has no effect without a flow"),
         ({"fault": [Crash(start=1.0, node=0), Crash(start=30.0, node=0)]}, "fault.1.start", "starts after the horizon"),
         (
             {"network": Links(medium=BITS), "announce": Announcements(heartbeat=0.08)},
@@ -370,6 +397,9 @@ def test_probably_unintended_values_are_named_with_key_and_reason(given, key, wh
         {"team": Team(count=2), "horizon": 0.1},
         {"network": Links(range=1e6, reception=QuasiUnitDisk())},
         {"sensing": Sensing(radius=0.11, estimate="hold")},
+        {"network": Links(range=9.0, reception=Disk(exponent=4.0)), "wall": [SHORT_WALL | {"loss": 3.0}]},
+        {"network": Links(range=9.0), "wall": [CONCRETE | {"frequency": 1e9}]},
+        {"network": Links(medium=LORA | {"gateways": [0], "spreading_factors": [7, 8] * 10}), "announce": SELDOM},
         {"network": Links(preset="lte")},
         {"network": Links(preset="lte", range=1e6)},
         {"announce": Announcements(trigger="revision", dissemination=Flooding())},
