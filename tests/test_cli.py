@@ -32,6 +32,7 @@ from desim.study.workers import batch
 from desim.study.workers.batch import run_many
 from tests import command
 from tests.command import accepted, desim, strict_json
+from tests.golden import golden
 
 SCENARIOS = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
 pytestmark = pytest.mark.usefixtures("_undrawn")
@@ -721,6 +722,19 @@ def test_every_command_and_every_option_has_a_help_text():
         assert not [option.opts for option in made.params if isinstance(option, click.Option) and not option.help], (
             names
         )
+
+
+def test_the_usage_and_the_options_of_every_command_are_golden():
+    """The words for values, the bounds and the defaults, as --help shows them, in the order of its lists."""
+    lines = []
+    for names, made in commands_of(main):
+        context = click.Context(made, info_name=" ".join(("desim", *names)))
+        lines += ["", " ".join([context.info_name, *made.collect_usage_pieces(context)])]
+        for record in (option.get_help_record(context) for option in made.params if isinstance(option, click.Option)):
+            words, text = record or ("hidden", "")
+            notes = re.search(r"\[[^\]]*\]$", text)
+            lines.append(f"    {words}{f'  {notes[0]}' if notes else ''}")
+    golden("usage.txt", "\n".join(lines[1:]) + "\n")
 
 
 def test_a_label_is_split_after_the_shortest_value_of_the_sweep():
