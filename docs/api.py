@@ -183,8 +183,8 @@ PAGES: Mapping[str, Page] = MappingProxyType(
                     "Runs",
                     "One process per pursuer, over UDP.",
                     names=(
-                        "desim.live.runs.run",
-                        "desim.live.runs.runs",
+                        "desim.live.live_runs.run",
+                        "desim.live.live_runs.runs",
                         "desim.live.result.LiveResult",
                         "desim.live.result.Conduct",
                         "desim.live.wall_clock.Lateness",

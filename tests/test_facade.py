@@ -7,7 +7,7 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
-from pkgutil import walk_packages
+from pkgutil import iter_modules, walk_packages
 
 import pytest
 
@@ -40,6 +40,13 @@ def test_every_name_that_a_package_imports_on_access_is_there():
     for package in LAZY:
         for name in dir(package):
             assert getattr(package, name) is not None, (package.__name__, name)
+
+
+def test_no_public_name_is_that_of_a_module_beside_it():
+    # Python sets a module as an attribute of its package when it is imported, in the place of what the name denoted.
+    for package in LAZY:
+        modules = {module.name for module in iter_modules(package.__path__)}
+        assert not modules & set(package._HOMES), package.__name__
 
 
 @FACADES

@@ -17,8 +17,8 @@ from desim.config.file_names import LIVE
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from desim.live.live_runs import LinkKind
     from desim.live.result import LiveResult
-    from desim.live.runs import LinkKind
     from desim.scenario.scenario import Scenario
 
 
@@ -102,7 +102,7 @@ def _run(
     as_json: bool,
 ) -> None:
     """Run a scenario live, and print the metrics and how the runs went."""
-    from desim.live.runs import runs
+    from desim.live.live_runs import runs
     from desim.study.workers.batch import seeds_from
 
     if out is not None:

@@ -11,12 +11,12 @@ from desim.config.exports import lazy_exports
 if TYPE_CHECKING:
     from desim.live.agreement import Agreement as Agreement
     from desim.live.agreement import compare as compare
+    from desim.live.live_runs import run as run
+    from desim.live.live_runs import runs as runs
     from desim.live.lobby import LiveError as LiveError
     from desim.live.namespaces import NamespaceError as NamespaceError
     from desim.live.node import Node as Node
     from desim.live.refusals import NotLiveError as NotLiveError
     from desim.live.result import LiveResult as LiveResult
-    from desim.live.runs import run as run
-    from desim.live.runs import runs as runs
 
 __getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

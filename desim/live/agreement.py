@@ -11,8 +11,8 @@ from desim.analysis.statistics import Estimate, mean, paired
 from desim.analysis.tables import aligned, counted, number
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import SECOND
+from desim.live.live_runs import LinkKind, runs
 from desim.live.result import LateKind, LiveResult, lateness_of
-from desim.live.runs import LinkKind, runs
 from desim.live.wall_clock import Lateness
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result, run
@@ -168,13 +168,13 @@ def compare(
         seed: root seed, as of `desim run -n`; None: that of the scenario.
         simulated: another experiment to simulate, as a control that should differ; None: the same.
         at_once: number of live runs at the same time.
-        links: how the links of the live runs are made; see `desim.live.runs.run`.
+        links: how the links of the live runs are made; see `desim.live.live_runs.run`.
         finished: called with each live result.
 
     Raises:
-        ValueError: as `desim.live.runs.run`.
-        LiveError: as `desim.live.runs.run`.
-        NamespaceError: as `desim.live.runs.run`.
+        ValueError: as `desim.live.live_runs.run`.
+        LiveError: as `desim.live.live_runs.run`.
+        NamespaceError: as `desim.live.live_runs.run`.
     """
     seeds = seeds_from(scenario.seed if seed is None else seed, count)
     live = runs(scenario, seeds, at_once=at_once, links=links, finished=finished)

@@ -479,7 +479,7 @@ def replace(patch, calls):
         "analysis.drawing.plots.save": saved,
         "live.agreement.compare": agreement,
         "live.pursuer.play": lambda *_: 7,
-        "live.runs.runs": lambda scenario, seeds, **_: [lived(scenario, seed) for seed in seeds],
+        "live.live_runs.runs": lambda scenario, seeds, **_: [lived(scenario, seed) for seed in seeds],
         "study.comparing.bench.bench": lambda *_, **__: frozen(),
         "study.comparing.bench.frozen_matches": lambda _: False,
         "study.sensitivity.sobol_indices.unit_points": lambda design, keys: np.linspace(

@@ -161,14 +161,14 @@ def test_what_is_no_result_is_told_beside_the_results(simulated, tmp_path, monke
     live = [pretended(result, [30_000_000] * 100) for result in simulated]
     for result in live:
         result.conduct.notes.append("a note")
-    monkeypatch.setattr("desim.live.runs.runs", lambda *_, **__: live)
+    monkeypatch.setattr("desim.live.live_runs.runs", lambda *_, **__: live)
     done = CliRunner().invoke(main, ["live", RELAY, "-n", "2", "--json", "-o", str(tmp_path / "out")])
     assert done.exit_code == 0
     assert json.loads(done.stdout)
     assert done.stderr.count("a note") == 2
     assert f"wrote {tmp_path / 'out'}" in done.stderr
     assert {path.name for path in (tmp_path / "out").iterdir()} == {f"seed-{result.seed}" for result in live}
-    monkeypatch.setattr("desim.live.runs.runs", lambda *_, **__: live[:1])
+    monkeypatch.setattr("desim.live.live_runs.runs", lambda *_, **__: live[:1])
     assert CliRunner().invoke(main, ["live", RELAY, "-o", str(tmp_path / "one")]).exit_code == 0
     assert (tmp_path / "one" / "run.json").is_file()
 

@@ -10,14 +10,14 @@ from desim.kernel.core.events import MessageCounts
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.faults import Crash
 from desim.kernel.models.traced_faults import FaultStarted
+from desim.live import live_runs as runs_module
 from desim.live import lobby, namespaces, node, pursuer, referee
-from desim.live import runs as runs_module
 from desim.live.lines import Lines
+from desim.live.live_runs import runs
 from desim.live.lobby import LiveError, Lobby, ending
 from desim.live.namespaces import NamespaceError
 from desim.live.pursuer import ALONE, LOST_REFEREE, RAISED, _Pursuer, told
 from desim.live.referee import Referee
-from desim.live.runs import runs
 from desim.live.start import PursuerStart, digest
 from desim.pursuit.core.events import Ended
 from desim.testing.messages import Conservation

@@ -19,9 +19,9 @@ from desim.config.model import Value
 from desim.kernel.core.events import LOST, Broadcast, ClockCorrected, Delivered, Lost, MessageCounts, Sent
 from desim.kernel.models.traced_faults import FaultStarted
 from desim.live.agreement import ERRORS, GATE, compare
+from desim.live.live_runs import run, run_all, runs
 from desim.live.lobby import LiveError
 from desim.live.namespaces import NamespaceError
-from desim.live.runs import run, run_all, runs
 from desim.pursuit.core.events import Sampled
 from desim.results import run_folder
 from desim.scenario.toml import dump
