@@ -29,7 +29,7 @@ from desim.config.python_numbers import real, whole
 from desim.kernel.core.clock import RARE_COLLECTION, Clock, Instant, Phase
 from desim.kernel.core.events import Cause, MessageCounts, Trace, TransportCounts
 from desim.kernel.core.message_size import HEADER, size_of
-from desim.kernel.core.ports import ReservedPort
+from desim.kernel.core.ports import ReservedPort, check_port
 from desim.kernel.core.seeds import seed_of
 from desim.kernel.core.units import SECOND, nanoseconds
 from desim.kernel.fault_injection import inject
@@ -39,7 +39,7 @@ from desim.kernel.models.faults import Crash
 from desim.kernel.models.links import Links
 from desim.kernel.models.medium import Unlimited
 from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
-from desim.kernel.models.transport import Transport
+from desim.kernel.models.transport import Transport, check_transport
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.kernel.state.message_queue import MessageQueue
@@ -214,6 +214,10 @@ class SteppedNetwork:
         self._is_unused = False
         if self._numbers is not None:
             src, dst = self._number(src), None if dst is None else self._number(dst)
+        if type(port) is not str:
+            check_port(port, "send")
+        if transport is not None:
+            check_transport(transport)
         if size is None and self._is_unlimited:
             size = _size_of(body)
         self._network.send(src, dst, body, port=port, size=size, transport=transport)  # type: ignore[arg-type]

@@ -21,6 +21,7 @@ from desim.kernel.models.graphs import Edges, Ring
 from desim.kernel.models.latency import Constant, Lognormal
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
+from desim.kernel.models.transport import Reliable
 from desim.kernel.network import Network
 from desim.kernel.stepped_network import SteppedNetwork
 from desim.pursuit.byzantine.lying import LyingTeam
@@ -602,6 +603,86 @@ def test_an_evader_that_does_not_exist_is_refused(evader):
     asked = []
     run(Scenario(horizon=0.1, team=Team(count=2), protocol=protocol))
     assert len(asked) == 8
+
+
+TIMEOUTS = (0.5, 3, None, nan)
+"""What may be given in the place of a port, a phase or a name: a time-out, or nothing."""
+NO_NUMBERS = ("1", None, [1], {}, 1.0)
+WRONG_ARGUMENTS = {
+    "a port should be a text": [
+        (call, value)
+        for value in (*TIMEOUTS, ["a"], b"a")
+        for call in (lambda me, port: me.send(1, "x", port), Agent.mail, Agent.arrival)
+    ],
+    "transport should be": [
+        (lambda me, transport: me.send(1, "x", transport=transport), value)
+        for value in ("reliable", Reliable, {"kind": "reliable"}, 0.5, Links())
+    ],
+    "a phase should be one of": [
+        (call, value)
+        for value in (*TIMEOUTS, "decision")
+        for call in (lambda me, phase: me.arrival("", phase), lambda me, phase: me.sleep(0.1, phase))
+    ],
+    "an evader should be an integer": [
+        (call, value)
+        for value in NO_NUMBERS
+        for call in (Agent.capture_time, Agent.evader, Agent.may_chase, Agent.believed_chasers, Agent.team_estimate)
+    ],
+    "neighbours: a pursuer should be an integer": [(Agent.neighbours, value) for value in ("1", [1], {}, 1.0)],
+    "there is no pursuer": [(Agent.neighbours, value) for value in (-1, 99)],
+    "the time ahead should be": [(Agent.time_left, value) for value in ("1", None, [1], {}, nan, inf, 1e300)],
+    "the period": [(Agent.beliefs, value) for value in ("1", [1], {}, nan, 0.0, -1.0)],
+    "the name of a random stream should be a text": [
+        (call, value) for value in (*TIMEOUTS, ["a"], object()) for call in (Agent.stream, Agent.shared_stream)
+    ],
+    "merge_records takes": [(Agent.merge_records, value) for value in (None, 1, ["x"], "x")],
+    "after: the second argument should be a function": [
+        (lambda me, act: me.after(0.1, act), value) for value in (None, 0.5, "x")
+    ],
+}
+"""By the beginning of a sentence: calls of an agent, each with an argument that it refuses with this sentence."""
+
+
+@pytest.mark.parametrize("sentence", WRONG_ARGUMENTS)
+def test_what_an_agent_cannot_take_is_refused_in_a_sentence(sentence):
+    def protocol(me):
+        if me.id == 0:
+            for call, value in WRONG_ARGUMENTS[sentence]:
+                with pytest.raises((ValueError, TypeError), match=sentence):
+                    call(me, value)
+                refused.append(value)
+        yield from ()
+
+    refused = []
+    run(Scenario(horizon=0.1, team=Team(count=2), protocol=protocol))
+    assert len(refused) == len(WRONG_ARGUMENTS[sentence]) > 0
+
+
+@pytest.mark.parametrize("body", [{"active": 1}, "x", 0.5, Links])
+def test_a_payload_without_news_is_refused_where_news_are_announced(body):
+    def protocol(me):
+        me.set_payload(body)
+        me.announce()
+        yield from ()
+
+    with pytest.raises(
+        ValueError, match="pursuer 0: the payload should have an attribute news, since announce.trigger"
+    ):
+        run(Scenario(horizon=0.1, team=Team(count=2), protocol=protocol))
+
+
+def test_numbers_of_numpy_and_texts_of_any_class_are_taken_by_an_agent():
+    def protocol(me):
+        if me.id == 0:
+            me.send(1, "x", np.str_("port"))
+            taken.extend((me.mail(np.str_("port")), me.neighbours(np.int64(1)), me.time_left(np.float32(0.0))))
+            assert me.capture_time(np.int8(1)) == me.capture_time(True) == me.capture_time()
+            assert me.stream(np.str_("a")) is me.stream("a")
+        yield from ()
+
+    taken = []
+    run(Scenario(horizon=0.1, team=Team(count=2), protocol=protocol))
+    assert taken == [[], [0], 0.1]
 
 
 class Path:

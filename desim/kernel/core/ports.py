@@ -1,4 +1,17 @@
-"""Ports of the simulator itself, which no message of a protocol reaches."""
+"""Ports, the names of the inboxes of a node; those of the simulator itself are reached by no message of a protocol."""
+
+from typing import Any
+
+
+def check_port(port: Any, name: str) -> None:
+    """Raise ValueError if a port is no text: for example the size of a message, or a time, in the place of a port.
+
+    Args:
+        port: what was given as a port.
+        name: what it was given to, for the message.
+    """
+    if not isinstance(port, str):
+        raise ValueError(f"{name}: a port should be a text, the name of an inbox (got {port!r})")
 
 
 class ReservedPort(str):

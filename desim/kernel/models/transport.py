@@ -13,7 +13,7 @@ For a probability p that a message is lost, independently of all others, and at 
 """
 
 from math import inf
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
@@ -183,3 +183,12 @@ class Coded(Quality):
 
 Transport = BestEffort | Reliable | Coded
 TRANSPORTS = OneOf(BestEffort, Reliable, Coded, is_closed=True)
+
+
+def check_transport(transport: Any) -> None:
+    """Raise ValueError if what is given as the transport of a message is none: for example its name, or its class."""
+    if not isinstance(transport, Quality):
+        raise ValueError(
+            f"transport should be BestEffort(...), Reliable(...) or Coded(...), or None for that of the links (got"
+            f" {transport!r})"
+        )

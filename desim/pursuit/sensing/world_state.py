@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from desim.config.arrays import Bools, Floats, Points
+from desim.config.python_numbers import whole
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.units import SECOND
 from desim.pursuit.evaders.evader import EvaderBody
@@ -92,6 +93,8 @@ class WorldState:
         Raises:
             ValueError: if there is no such evader.
         """
+        if type(evader) is not int:
+            evader = whole(int(evader) if isinstance(evader, bool) else evader, "an evader")
         if not 1 <= evader <= self.evader_count:
             raise ValueError(f"there is no evader {evader}: they are 1 .. {self.evader_count}")
         return self.bodies[evader - 1]

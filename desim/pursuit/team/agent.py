@@ -17,9 +17,10 @@ import simpy
 from desim.config.arguments import HintedItems
 from desim.kernel.core.clock import Clock, NodeClock, Phase
 from desim.kernel.core.message_body import as_sent, differs
+from desim.kernel.core.ports import check_port
 from desim.kernel.core.records import Record
 from desim.kernel.core.seeds import stream
-from desim.kernel.models.transport import Transport
+from desim.kernel.models.transport import Transport, check_transport
 from desim.kernel.network import Network
 from desim.kernel.state.inbox import Message
 from desim.pursuit.sensing.views import GlobalState, View
@@ -159,7 +160,12 @@ class Agent(Beliefs, Timing, HintedItems):
         """Return the random stream of this pursuer with this name.
 
         Later calls with the same name return the same stream, which continues, also after a restart.
+
+        Raises:
+            ValueError: if the name is no text.
         """
+        if type(name) is not str:
+            self._check_stream(name)
         if name not in self._streams:
             self._streams[name] = stream(self._seed, name, self.id)
         return self._streams[name]
@@ -170,8 +176,18 @@ class Agent(Beliefs, Timing, HintedItems):
         return self.stream("decisions")
 
     def shared_stream(self, name: str) -> np.random.Generator:
-        """Create a random stream that yields the same draws for every pursuer that uses this name."""
+        """Create a random stream that yields the same draws for every pursuer that uses this name.
+
+        Raises:
+            ValueError: if the name is no text.
+        """
+        self._check_stream(name)
         return stream(self._seed, f"shared {name}")
+
+    def _check_stream(self, name: Any) -> None:
+        """Raise ValueError if the name of a stream is no text: that of an object may differ from run to run."""
+        if not isinstance(name, str):
+            raise ValueError(f"pursuer {self.id}: the name of a random stream should be a text (got {name!r})")
 
     # Actions and announcements.
 
@@ -209,7 +225,18 @@ class Agent(Beliefs, Timing, HintedItems):
 
     def _news(self) -> Any:
         """Return the value whose change makes an announcement due."""
-        return (self._state.profile[self.id],) if self._payload is None else self._payload.news
+        if self._payload is None:
+            return (self._state.profile[self.id],)
+        try:
+            return self._payload.news
+        except AttributeError as error:
+            if hasattr(type(self._payload), "news"):
+                raise
+            raise ValueError(
+                f"pursuer {self.id}: the payload should have an attribute news, since announce.trigger is"
+                f" {self._announcements.trigger!r}, and a change of the news makes an announcement due (got"
+                f" {self._payload!r})"
+            ) from error
 
     def set_payload(self, body: Any) -> None:
         """Set the body of all announcements from now on, in place of the standard payload; nothing is sent yet.
@@ -247,8 +274,18 @@ class Agent(Beliefs, Timing, HintedItems):
         self._voice.publish(self.id, body, size, self._clock.stamp)
 
     def merge_records(self, records: Iterable[Record]) -> None:
-        """Merge records received inside a message into this pursuer's table, which keeps the newest of each source."""
+        """Merge records received inside a message into this pursuer's table, which keeps the newest of each source.
+
+        Raises:
+            ValueError: if one is no record.
+        """
+        if not isinstance(records, Iterable):
+            raise ValueError(f"pursuer {self.id}: merge_records takes a list of records (got {records!r})")
         for record in records:
+            if not isinstance(record, Record):
+                raise ValueError(
+                    f"pursuer {self.id}: merge_records takes records, as of me.record(body) (got {record!r})"
+                )
             self._network.insert(self.id, record)
 
     def send(
@@ -277,12 +314,19 @@ class Agent(Beliefs, Timing, HintedItems):
 
         Raises:
             ValueError: if the receiver is the sender, there is no such teammate, the size is not an integer of at least
-                0, the body has no size or cannot be copied, or messages at the port have another transport.
+                0, the body has no size or cannot be copied, the port is no text, the transport is none, or messages at
+                the port have another transport.
         """
+        if type(port) is not str:
+            check_port(port, f"pursuer {self.id}: send")
+        if transport is not None:
+            check_transport(transport)
         self._voice.send(self.id, dst, body, port=port, size=size, transport=transport)
 
     def mail(self, port: str = "") -> list[Message]:
         """Remove and return the unread messages of a port, without waiting."""
+        if type(port) is not str:
+            check_port(port, f"pursuer {self.id}: mail")
         return self._network.inbox(self.id, port).drain()
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from desim.config.answers import wrong_answer
 from desim.config.arrays import Floats, Points
 from desim.config.model import MAX_TIME
-from desim.config.python_numbers import as_real
+from desim.config.python_numbers import as_real, real
 from desim.kernel.core.clock import NodeClock
 from desim.kernel.core.records import Record
 from desim.kernel.core.units import SECOND
@@ -277,6 +277,8 @@ class Beliefs(Knowledge):
 
     def _timeout(self, period: float | None = None) -> float:
         """Return the time for which an announcement is believed now, ns of true time; see `trusted`."""
+        if period is not None and type(period) is not float:
+            period = real(period, f"pursuer {self.id}: the period")
         timeout = self._constant_timeouts.get(period)
         if timeout is None:
             timeout = self._timeout_for(self._period if period is None else period)
@@ -292,6 +294,10 @@ class Beliefs(Knowledge):
     def _timeout_for(self, period: float) -> float:
         """Return the time, ns of true time, for which an announcement that is repeated every period (s) is believed."""
         limit = self._announcements.belief_timeout
+        if not period > 0.0:
+            raise ValueError(
+                f"pursuer {self.id}: the period between two announcements should be above 0 s (got {period})"
+            )
         if isinstance(limit, str):
             estimates, announcement = self._network.estimates, self._announcement()
             delay = estimates.latency + estimates.airtime(announcement)

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from operator import attrgetter
 from typing import Any
 
+from desim.config.model import MAX_TIME
+from desim.config.python_numbers import real, whole
 from desim.kernel.core.clock import NodeClock
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.network import Network
@@ -67,6 +69,10 @@ class Knowledge:
 
     def time_left(self, ahead: float = 0.0) -> float:
         """Return the time r, s, that will be left to the horizon `ahead` seconds from now, by its local clock."""
+        if type(ahead) is not float:
+            ahead = real(ahead, f"pursuer {self.id}: time_left: the time ahead")
+        if not abs(ahead) <= MAX_TIME:
+            raise ValueError(f"pursuer {self.id}: time_left: the time ahead should be finite, s (got {ahead})")
         return self._state.time_left(self._clock.stamp + nanoseconds(ahead))
 
     @property
@@ -114,7 +120,10 @@ class Knowledge:
 
     def neighbours(self, of: int | None = None) -> list[int]:
         """Return the nodes that now receive the transmissions of this pursuer, or of a teammate (`of`), ascending."""
-        receivers: list[int] = self._network.topology.neighbours(self.id if of is None else of).tolist()
+        node = self.id if of is None else whole(of, f"pursuer {self.id}: neighbours: a pursuer")
+        if not 0 <= node < self._state.size:
+            raise ValueError(f"there is no pursuer {node}: they are 0 .. {self._state.size - 1}")
+        receivers: list[int] = self._network.topology.neighbours(node).tolist()
         return receivers
 
     @property

@@ -1,11 +1,13 @@
 """The events for which the protocol of a pursuer waits: times on its local clock, and arriving messages."""
 
 from collections.abc import Callable
+from typing import Any
 
 import simpy
 
 from desim.config.python_numbers import real
 from desim.kernel.core.clock import Clock, Instant, NodeClock, Phase
+from desim.kernel.core.ports import check_port
 from desim.kernel.network import Network
 from desim.kernel.state.inbox import Message
 
@@ -77,12 +79,20 @@ class Timing:
 
     def _event(self, due: int, phase: Phase) -> Instant:
         """Return the event of this pursuer at a time, ns."""
+        self._check_phase(phase)
         if due == self._env.now:
             self._waits = self._waits + 1 if due == self._instant else 1
             self._instant = due
             if self._waits > MAX_AT_ONE_INSTANT:
                 raise self._standstill("wait for longer, as in yield me.sleep(0.1)")
         return Instant(self._env, due, phase + self.id)
+
+    def _check_phase(self, phase: Any) -> None:
+        """Raise TypeError if a phase is none: for example a time-out."""
+        if type(phase) is not Phase:
+            raise TypeError(
+                f"pursuer {self.id}: a phase should be one of desim.kernel.core.clock.Phase (got {phase!r})"
+            )
 
     def resume(self) -> None:
         """Count that its protocol goes on.
@@ -111,8 +121,10 @@ class Timing:
         """Call a function after a duration (s) on the local clock, unless the pursuer restarts without memory before.
 
         Raises:
-            ValueError: if the duration is negative, infinite, nan or not a number.
+            ValueError: if the duration is negative, infinite, nan or not a number, or there is no function.
         """
+        if not callable(act):
+            raise ValueError(f"pursuer {self.id}: after: the second argument should be a function (got {act!r})")
         restarts_before = self.restarts
 
         def happen(_: simpy.Event) -> None:
@@ -134,8 +146,11 @@ class Timing:
         dropped as they arrive, and the event does not happen: to pass over copies costs less than to wake for them.
 
         Raises:
-            ValueError: if `wanted` is not a function.
+            ValueError: if the port is no text, or `wanted` is not a function.
         """
+        if type(port) is not str:
+            check_port(port, f"pursuer {self.id}: arrival")
+        self._check_phase(phase)
         if wanted is not None and not callable(wanted):
             raise ValueError(f"pursuer {self.id}: arrival: wanted should be a function of a message (got {wanted!r})")
         return self._network.inbox(self.id, port).arrival(phase + self.id, wanted)
