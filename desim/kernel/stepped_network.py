@@ -147,40 +147,43 @@ class SteppedNetwork:
         self._start(seed, positions, trace)
 
     def _start(self, seed: int, positions: Any, trace: Trace | None) -> None:
-        """Create the network of an episode, at time 0."""
+        """Create the network of an episode, at time 0; nothing has changed if an argument is wrong."""
         if not isinstance(trace, Trace | None):
             raise ValueError(f"trace should be a desim.kernel.core.events.Trace (got {trace!r})")
-        self._seed, self._trace, size = seed_of(seed), trace, len(self._nodes)
-        self._clock = clock = Clock()
-        self._positions = SteppedPositions(clock, self._nodes)
+        seed, size, clock = seed_of(seed), len(self._nodes), Clock()
+        places = SteppedPositions(clock, self._nodes)
         if positions is not None:
-            self._positions.place(positions)
+            places.place(positions)
+        queues: list[MessageQueue] = []
+
+        def create_queue(clock: Clock, size: int) -> MessageQueue:
+            queues.append(MessageQueue(clock, size))
+            return queues[0]
+
         with fresh_copy((self._links, self._faults)) as (links, entries):
-            faults = draw_faults(entries, size, self._horizon / SECOND, self._seed)
+            faults = draw_faults(entries, size, self._horizon / SECOND, seed)
             has_faults = bool(faults) or self._can_leave
-            self._network = Network(
+            network = Network(
                 clock,
                 links.make_graph(size),
                 links,
-                seed=self._seed,
-                positions=self._positions,
+                seed=seed,
+                positions=places,
                 trace=trace,
-                fault_state=FaultState(self._positions, surprises=self._can_leave) if has_faults else None,
-                clocks=node_clocks(clock, entries, size, self._seed, self._horizon) if is_skewed(entries) else (),
-                inboxes=self._create_queue,
+                fault_state=FaultState(places, surprises=self._can_leave) if has_faults else None,
+                clocks=node_clocks(clock, entries, size, seed, self._horizon) if is_skewed(entries) else (),
+                inboxes=create_queue,
                 walls=self._walls,
             )
-        inject(faults, clock, self._network, trace)
-        self._network.watch_losses(self._lose)
+        inject(faults, clock, network, trace)
+        network.watch_losses(self._lose)
+        self._seed, self._trace, self._clock, self._positions = seed, trace, clock, places
+        self._network, (self._queue,) = network, queues
         self._losses: list[tuple[int, int, int, LostMessage]] = []
         self._lost: list[LostMessage] = []
         self._away: dict[int, Crash] = {}
         self._is_unused, self._problem = True, ""
         self._is_unlimited = self._links.medium == Unlimited()
-
-    def _create_queue(self, clock: Clock, size: int) -> MessageQueue:
-        self._queue = MessageQueue(clock, size)
-        return self._queue
 
     # Sending and stepping.
 
@@ -430,32 +433,25 @@ class SteppedNetwork:
             trace: receives the events of the new episode; None: nothing is recorded.
 
         Raises:
+            ValueError: if an argument is not valid; the episode then goes on.
             RuntimeError: if the network is closed.
         """
         if self._problem == CLOSED:
             raise RuntimeError(CLOSED)
         array = self._positions.array if positions is None else positions
-        seed = seed_of(seed)
-        if not self._problem:
-            self._finish()
+        last = None if self._problem else (self._network, self._trace)
         self._start(seed, array, trace)
+        if last is not None:
+            _finish(*last)
 
     def close(self) -> None:
         """Append the final counts to the trace, and let go of the network; a second call has no effect."""
         if self._problem == CLOSED:
             return
         if not self._problem:
-            self._finish()
+            _finish(self._network, self._trace)
         self._problem = CLOSED
         del self._network, self._queue
-
-    def _finish(self) -> None:
-        """Append the final counts to the trace."""
-        if self._trace is not None:
-            if (transports := self._network.transport_counts()) is not None:
-                self._trace.append(transports)
-            self._trace.append(self._network.message_counts())
-            self._trace.close()
 
     def __enter__(self) -> Self:
         RARE_COLLECTION.__enter__()
@@ -495,6 +491,15 @@ def _again(configuration: tuple[Any, ...], start: tuple[Any, ...]) -> SteppedNet
     ) = configuration
     network._start(*start)
     return network
+
+
+def _finish(network: Network, trace: Trace | None) -> None:
+    """Append the final counts of an episode to its trace."""
+    if trace is not None:
+        if (transports := network.transport_counts()) is not None:
+            trace.append(transports)
+        trace.append(network.message_counts())
+        trace.close()
 
 
 def _size_of(body: Any) -> int:

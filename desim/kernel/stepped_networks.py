@@ -110,9 +110,9 @@ class SteppedNetworks:
 
     def reset(self, seed: int, *, positions: Any = None) -> None:
         """Begin all networks anew, exactly as new ones with this seed would; see `SteppedNetwork.reset`."""
-        placed, self._shape = self._rows(positions), None
+        root, placed, self._shape = seed_of(seed), self._rows(positions), None
         for e, network in enumerate(self._networks):
-            network.reset(run_seed(seed_of(seed), e), positions=placed[e])
+            network.reset(run_seed(root, e), positions=placed[e])
 
     def close(self) -> None:
         """Close all networks."""
@@ -133,10 +133,10 @@ class SteppedNetworks:
 
     def _rows(self, positions: Any) -> Sequence[Any]:
         """Return the positions for each network, so that all are right or no network steps; None for each if none."""
-        self._array = self._array if positions is None else positions
-        if self._array is None:
+        last = self._array if positions is None else positions
+        if last is None:
             return [None] * len(self)
-        array, shape = array_of(self._array), (len(self), len(self[0].nodes), 2)
+        array, shape = array_of(last), (len(self), len(self[0].nodes), 2)
         if array.shape != shape or array.dtype.kind not in "iuf":
             raise ValueError(
                 f"positions should be an array of numbers of the shape {shape}, m (got {array_text(array)})"
@@ -147,6 +147,7 @@ class SteppedNetworks:
                 f"positions should be finite, at most {MAX_COORDINATE:g} m from 0 (got {array[e, row].tolist()} of node"
                 f" {row} in network {e})"
             )
+        self._array = last
         return array  # type: ignore[return-value]  # indexing gives views, not copies
 
     def _bodies(self, bodies: Any) -> list[list[Any]]:

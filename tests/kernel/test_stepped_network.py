@@ -503,7 +503,7 @@ def test_many_networks_step_together_or_not_at_all():
     ):
         with pytest.raises(ValueError, match=why):
             many.step(0.1, wrong)
-    many.step(0.1, places)
+    many.step(0.1)  # at the last places that were right
     places[1, 2, 0] = nan
     with pytest.raises(ValueError, match="of node 2 in network 1"):
         many.step(0.1)
@@ -651,6 +651,20 @@ def test_wrong_positions_are_refused_and_the_step_is_not_made(positions, why):
         network.step(0.1, positions)
     assert network.now == 0.0
     assert [message.body for message in network.step(0.1)] == ["still in flight"]
+
+
+@pytest.mark.parametrize("wrong", [{"seed": -1}, {"positions": np.zeros((3, 2))}, {"trace": True}])
+def test_a_reset_that_is_refused_leaves_the_episode_as_it_is(wrong):
+    trace = Trace()
+    network = SteppedNetwork(2, Links(latency=0.1), positions=np.zeros((2, 2)), trace=trace)
+    network.step(0.5)
+    network.send(0, 1, "still in flight")
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        network.reset(**{"seed": 1} | wrong)
+    assert not trace.of(MessageCounts)  # it is not closed
+    assert [message.arrived for message in network.step(0.1)] == [0.6]
+    network.reset(1)
+    assert (network.now, len(trace.of(MessageCounts))) == (0.0, 1)
 
 
 @pytest.mark.parametrize("dt", [0, 0.0, -0.1, nan, inf, -inf, 1e-10, 1e300, "0.1", None, True])
