@@ -2,13 +2,14 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import copysign
+from math import copysign, inf
 from typing import Any, NamedTuple, get_args
 
 from desim.analysis.measuring import summary
 from desim.analysis.metrics import METRICS, Summary
 from desim.analysis.statistics import Estimate, mean, paired
 from desim.analysis.tables import aligned, counted, number
+from desim.config.python_numbers import whole
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import SECOND
 from desim.live.live_runs import LinkKind, runs
@@ -41,10 +42,13 @@ class Row(NamedTuple):
 
     @property
     def errors(self) -> float:
-        """The difference in standard errors, less the margin; 0 if all pairs are equal."""
+        """The difference in standard errors, less the margin; infinite if it is the same in all pairs, and not 0."""
         difference = self.difference
         beyond = max(abs(difference.mean) - self.margin, 0.0)
-        return copysign(beyond / difference.standard_error, difference.mean) if difference.standard_error else 0.0
+        if not beyond:
+            return 0.0
+        error = difference.standard_error
+        return copysign(beyond / error if error else inf, difference.mean)
 
     @property
     def agrees(self) -> bool:
@@ -164,7 +168,7 @@ def compare(
 
     Args:
         scenario: the experiment.
-        count: number of runs of each kind.
+        count: number of runs of each kind, at least 2.
         seed: root seed, as of `desim run -n`; None: that of the scenario.
         simulated: another experiment to simulate, as a control that should differ; None: the same.
         at_once: number of live runs at the same time.
@@ -172,10 +176,12 @@ def compare(
         finished: called with each live result.
 
     Raises:
-        ValueError: as `desim.live.live_runs.run`.
+        ValueError: if there are fewer than 2 runs, which have no standard error; and as `desim.live.live_runs.run`.
         LiveError: as `desim.live.live_runs.run`.
         NamespaceError: as `desim.live.live_runs.run`.
     """
+    if (count := whole(count, "count")) < 2:
+        raise ValueError(f"a comparison needs at least 2 runs of each kind (got {count})")
     seeds = seeds_from(scenario.seed if seed is None else seed, count)
     live = runs(scenario, seeds, at_once=at_once, links=links, finished=finished)
     return Agreement(scenario, live, [run(simulated or scenario, seed) for seed in seeds])

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from math import inf, sqrt
 from pathlib import Path
 from typing import Literal
 
@@ -15,10 +16,11 @@ import pytest
 
 import desim
 from desim import Constant, Evader, Scenario, Team, load
+from desim.analysis.statistics import mean, paired
 from desim.config.model import Value
 from desim.kernel.core.events import LOST, Broadcast, ClockCorrected, Delivered, Lost, MessageCounts, Sent
 from desim.kernel.models.traced_faults import FaultStarted
-from desim.live.agreement import ERRORS, GATE, compare
+from desim.live.agreement import ERRORS, GATE, Row, compare
 from desim.live.live_runs import run, run_all, runs
 from desim.live.lobby import LiveError
 from desim.live.namespaces import NamespaceError
@@ -346,6 +348,29 @@ def test_pursuers_run_in_network_namespaces_and_netem_is_used_where_there_is_one
 
 
 # Agreement.
+
+
+@pytest.mark.parametrize(
+    ("others", "margin", "errors"),
+    [
+        ([3.0, 4.0, 5.0], 0.0, 0.0),
+        ([2.0, 3.0, 4.0], 0.0, inf),  # by the same in each pair
+        ([4.0, 5.0, 6.0], 0.5, -inf),
+        ([4.0, 5.0, 6.0], 1.0, 0.0),
+        ([2.0, 3.5, 3.5], 0.0, sqrt(12.0)),
+        ([2.0, 3.5, 3.5], 0.5, sqrt(3.0)),
+    ],
+)
+def test_a_difference_is_told_in_standard_errors_beyond_the_margin(others, margin, errors):
+    values = [3.0, 4.0, 5.0]
+    row = Row("end_time", "s", mean(values), mean(others), paired(values, others), margin)
+    assert row.errors == pytest.approx(errors)
+    assert row.agrees == (abs(errors) <= ERRORS)
+
+
+def test_one_run_is_no_comparison():
+    with pytest.raises(ValueError, match=r"at least 2 runs of each kind \(got 1\)"):
+        compare(game("sap"), 1)
 
 
 def agrees(agreement) -> bool:
