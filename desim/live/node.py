@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from desim.config.arguments import scenario_argument
-from desim.config.arrays import array_of
+from desim.config.arrays import Points, array_of
 from desim.config.fresh import fresh_copy
 from desim.config.python_numbers import whole
 from desim.kernel.clock_sync import synchronise
@@ -175,12 +175,15 @@ class Node:
         Raises:
             ValueError: if an address is none; see also `connect`.
             OSError: if the address cannot be used.
+            RuntimeError: if it has been opened before.
             BaseException: what the protocol raises.
         """
+        if self.clock is not None:
+            raise RuntimeError("a node runs once: create another one")
         with self._opened:
-            self.bind(udp_socket(checked_address(address)))
             if peers:
                 self.connect(peers)
+            self.bind(udp_socket(checked_address(address)))
             running = asyncio.create_task(self.run(now))
             try:
                 yield self
@@ -300,20 +303,17 @@ class Node:
 
     @property
     def now(self) -> float:
-        """The time since the start of the run, s."""
+        """The time of the last event, s since the start of the run; an event is also what the robot tells."""
         return seconds(self._env.now)
 
     def show(self, frame: WorldFrame) -> None:
         """Let the world be as in a frame of the referee."""
-        if self.clock is None:
-            self._mirror.show(frame)
-        else:
-            self.clock.meet(partial(self._mirror.show, frame))
+        self._meet(partial(self._mirror.show, frame))
 
     def sense(self, position: Any, evaders: Any, teammates: Any = None, velocities: Any = None) -> None:
         """Tell the node where the pursuer and the evaders are now.
 
-        Between two calls, all go on at their velocities.
+        Between two calls, evaders go on at their velocities, and pursuers stand.
 
         Args:
             position: [x, y] of the pursuer, m.
@@ -325,20 +325,28 @@ class Node:
         Raises:
             ValueError: if an argument has another shape, or is not finite.
         """
+        state = self._state
+        own = _points("position", position, 2).item()
+        team = None if teammates is None else _points("teammates", teammates, state.size, 2)
+        seen = _points("evaders", evaders, state.evader_count, 2)
+        moving = None if velocities is None else _points("velocities", velocities, state.evader_count, 2)
+        self._meet(partial(self._sense, own, team, seen, moving))
+
+    def _sense(self, own: complex, team: Points | None, seen: Points, moving: Points | None) -> None:
+        """Let the players be where they are now; for the arguments see `sense`."""
         state, now = self._state, self._env.now
         places = state.players.positions().copy()
         commands = np.zeros_like(places)
-        if teammates is not None:
-            places[: state.size] = _points("teammates", teammates, state.size, 2)
-        places[self.pursuer] = _points("position", position, 2).item()
-        places[state.size :] = _points("evaders", evaders, state.evader_count, 2)
-        if velocities is not None:
-            commands[state.size :] = _points("velocities", velocities, state.evader_count, 2)
+        if team is not None:
+            places[: state.size] = team
+        places[self.pursuer], places[state.size :] = own, seen
+        if moving is not None:
+            commands[state.size :] = moving
         end = min(now + nanoseconds(self._scenario.motion.step), self._horizon)
-        seen = zip(places[state.size :].tolist(), commands[state.size :].tolist(), strict=True)
-        segments = [segment_list(TrackSegment(now, place, place, velocity, end)) for place, velocity in seen]
+        pairs = zip(seen.tolist(), commands[state.size :].tolist(), strict=True)
+        segments = [segment_list(TrackSegment(now, place, place, velocity, end)) for place, velocity in pairs]
         frame = frame_of(state, [self._mirror.orders] * state.size)
-        self.show(frame._replace(places=hex_digits(places), commands=hex_digits(commands), segments=segments))
+        self._mirror.show(frame._replace(places=hex_digits(places), commands=hex_digits(commands), segments=segments))
 
     def captured(self, evader: int) -> None:
         """Tell the node that an evader has been captured.
@@ -348,10 +356,11 @@ class Node:
         """
         body = self._state.body(evader)
         if body.captured is None:
-            self._state.capture(body)
+            self._meet(partial(self._state.capture, body))
 
     def velocity(self) -> list[float]:
         """Return the velocity that the pursuer should command now, [vx, vy], m/s, by the guidance of the scenario."""
+        self._meet()
         state, action = self._state, self.action
         if not action:
             return [0.0, 0.0]
@@ -361,6 +370,13 @@ class Node:
             self._scenario.team.guidance, gap, gap, state.velocity(action), state.speed(self.pursuer)
         )
         return [velocity.real, velocity.imag]
+
+    def _meet(self, act: Callable[[], object] = lambda: None) -> None:
+        """Let something happen now; before the start, at time 0."""
+        if self.clock is None:
+            act()
+        else:
+            self.clock.meet(act)
 
     def lateness(self) -> Lateness:
         """Return how late the timers of the node have been so far."""

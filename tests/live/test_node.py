@@ -247,6 +247,48 @@ def test_a_program_of_ones_own_puts_positions_in_and_gets_commands_out():
     asyncio.run(play())
 
 
+def test_what_a_robot_tells_holds_from_the_time_at_which_it_tells_it():
+    """No event happens between its first announcement, at 0 s, and 0.1 s."""
+
+    async def play():
+        node, time = node_with(), [0]
+        running = asyncio.create_task(node.run(lambda: time[0]))
+        await asyncio.sleep(0)
+        time[0] = 30_000_000
+        node.sense([0.0, 0.0], [[5.0, 0.0]], velocities=[[0.0, 10.0]])
+        evader = node._state.body(1)
+        assert (evader.position, node.now) == (5.0, 0.03)
+        node._mirror.set_action(1)
+        time[0] = 50_000_000
+        assert node.velocity() == pytest.approx([2.0 * 5.0 / sqrt(25.04), 2.0 * 0.2 / sqrt(25.04)])
+        time[0] = 60_000_000
+        node.captured(1)
+        assert (evader.captured, node.action) == (60_000_000, 0)
+        node.stop()
+        await running
+
+    asyncio.run(play())
+
+
+def test_a_node_runs_once_and_one_that_is_not_opened_keeps_no_socket():
+    async def play():
+        (port,) = await free_ports(1)
+        node, address = node_with(), (LOCAL, port)
+        for peers in ([address], [address, (LOCAL, 1), ("no host", 2)]):
+            with pytest.raises((ValueError, OSError), match=r"peers should be|not known"):
+                async with node.open(address, peers):
+                    pass
+        with udp_socket(address):
+            pass
+        async with node.open(address):
+            assert not node.is_over
+        with pytest.raises(RuntimeError, match="a node runs once"):
+            async with node.open(address):
+                pass
+
+    asyncio.run(play())
+
+
 @pytest.mark.parametrize(("end", "last"), [(900_000_000, 800_000_000), (0, -1)])
 def test_a_node_that_is_late_performs_what_is_due_before_the_end(end, last):
     async def play():
