@@ -179,7 +179,7 @@ def _is_of_package(definition: Any) -> bool:
     return is_foreign(definition) or (module is not None and _is_installed(module))
 
 
-class Words(NamedTuple):
+class CodeWords(NamedTuple):
     """The words in the instructions of a function and of the functions inside it."""
 
     names: frozenset[str]
@@ -193,16 +193,18 @@ class Words(NamedTuple):
 
 
 @lru_cache(maxsize=256)
-def _words_of(code: CodeType) -> Words:
+def _words_of(code: CodeType) -> CodeWords:
     """Return the words in a function and in the functions inside it."""
     instructions = [(item.opname, item.argval) for item in get_instructions(code)]
-    own = Words(
+    words = CodeWords(
         frozenset(code.co_names),
         frozenset(item for item in code.co_consts if isinstance(item, str)),
         frozenset(name for operation, name in instructions if operation == "IMPORT_NAME"),
         frozenset(name for operation, name in instructions if operation.endswith("_GLOBAL")),
     )
-    return Words(*(part.union(*inner) for part, *inner in zip(own, *map(_words_of, inner_code(code)), strict=True)))
+    return CodeWords(
+        *(part.union(*inner) for part, *inner in zip(words, *map(_words_of, inner_code(code)), strict=True))
+    )
 
 
 def defaults_of(function: FunctionType) -> list[Any]:

@@ -42,19 +42,19 @@ def walls_argument(walls: Any) -> tuple[Wall, ...]:
     return _checked_tables("wall", walls, "Wall(line=[[0, 0], [4, 0]])")
 
 
-def _checked_tables(key: str, given: Any, example: str) -> tuple[Any, ...]:
+def _checked_tables(key: str, tables: Any, example: str) -> tuple[Any, ...]:
     """Return a list of tables; an error names their keys, and not the list, which a caller does not know."""
-    if isinstance(given, str | Mapping | Wall) or not isinstance(given, Iterable):
-        raise ValueError(f"{key}s should be a list of {key}s, such as [{example}] (got {given!r})")
+    if isinstance(tables, str | Mapping | Wall) or not isinstance(tables, Iterable):
+        raise ValueError(f"{key}s should be a list of {key}s, such as [{example}] (got {tables!r})")
     try:
-        return tuple(getattr(_Tables(**{key: tuple(given)}), key))
+        return tuple(getattr(_Tables(**{key: tuple(tables)}), key))
     except KeyedError as error:
         problems = [problem._replace(where="") for problem in error.problems]
     raise KeyedError(*problems)
 
 
 def links_argument(links: Any) -> Links:
-    """Return links, which may be given as a dict."""
+    """Return links, which may be tables as a dict."""
     if links is None or isinstance(links, Links):
         return links or Links()
     if not isinstance(links, Mapping):
@@ -81,7 +81,7 @@ def nodes_argument(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, t
     if not len(graph):
         raise ValueError("a network should have at least 1 node (got an empty graph)")
     edges, numbers = Edges.of(graph), numbered(graph).numbers
-    for note in unread_attributes(graph, of_links_only=True):  # positions of nodes are given beside the graph
+    for note in unread_attributes(graph, of_links_only=True):  # positions of nodes are tables beside the graph
         warn(note, UserWarning, stacklevel=3)
     labels = tuple(sorted(numbers, key=numbers.__getitem__))
     links = links.model_copy(update={"graph": edges}).numbered(edges.names)

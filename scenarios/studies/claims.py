@@ -11,7 +11,6 @@ from desim.analysis.statistics import NORMAL_975
 from desim.pursuit.team.announcements import Start
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson
-from scenarios.coverage import FIRST_LOOKS
 from scenarios.studies import (
     bodies_runs,
     coherence_runs,
@@ -73,6 +72,7 @@ from scenarios.studies.claims_runs import (
     watched_saving,
     worth,
 )
+from scenarios.studies.coverage_runs import FIRST_LOOKS
 from scenarios.studies.study import SCENARIOS
 
 MARKED = re.compile(r"\{([^}]*)\}")

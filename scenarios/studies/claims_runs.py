@@ -25,7 +25,6 @@ from desim.study.comparing.suite import AS_IT_IS
 from protocols.best_response import BestResponse
 from protocols.centralised import Centralised
 from protocols.rule import Rule
-from scenarios.coverage import LAWS, coverage
 from scenarios.studies import (
     bodies_runs,
     coherence_runs,
@@ -40,6 +39,7 @@ from scenarios.studies import (
     table1_runs,
     transport_runs,
 )
+from scenarios.studies.coverage_runs import LAWS, coverage
 from scenarios.studies.study import SCENARIOS, Options
 
 Number = Callable[[Options], tuple[float, float]]

@@ -5,7 +5,8 @@ from math import sqrt
 import pytest
 
 from desim.analysis.statistics import FIRST_LOOK
-from scenarios.coverage import LAWS, coverage, table
+from scenarios.coverage import table
+from scenarios.studies.coverage_runs import LAWS, coverage
 
 STUDIES = 500
 PUBLISHED = {
