@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property, partial
 from itertools import product
-from math import prod
+from math import isfinite, prod, ulp
 from typing import Any
 
 from pydantic import BaseModel
@@ -363,7 +363,9 @@ def label(value: Any) -> str:
     if value is None:
         return "none"
     if isinstance(value, int | float | str):
-        return f"{value:g}" if isinstance(value, float) and value == float(f"{value:g}") else str(in_short(value))
+        # 3 * 0.1 is shown as 0.3, from which it differs in the last bit.
+        near = isinstance(value, float) and isfinite(value) and abs(value - float(f"{value:g}")) <= 2 * ulp(value)
+        return f"{value:g}" if near else str(in_short(value))
     if isinstance(value, partial):
         arguments = [*map(label, value.args), *(f"{key}={label(argument)}" for key, argument in value.keywords.items())]
         return f"{label(value.func)}({', '.join(arguments)})"
