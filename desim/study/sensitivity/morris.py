@@ -20,6 +20,9 @@ LEVELS = 4
 STEP = LEVELS / (2.0 * (LEVELS - 1))
 """The change of an input, 2/3: every level is then as probable as another."""
 
+ROUNDING = 1e-9
+"""The spread of effects, relative to their size, that rounding can make; points are rounded to 12 digits."""
+
 
 @dataclass(frozen=True)
 class ElementaryEffects:
@@ -81,8 +84,10 @@ def elementary_effects(
     ends = 100.0 * np.array([0.5 - confidence / 2, 0.5 + confidence / 2])
     low, high = np.percentile(np.abs(effects)[draws].mean(axis=1), ends, axis=0).tolist()
     sizes = np.abs(effects).mean(axis=0).tolist()
+    spreads = effects.std(axis=0, ddof=1) if len(effects) > 1 else np.zeros(len(sizes))
+    spreads[spreads <= ROUNDING * np.array(sizes)] = 0.0
     return ElementaryEffects(
         tuple(IndexEstimate(*one) for one in zip(sizes, low, high, strict=True)),
         tuple(effects.mean(axis=0).tolist()),
-        tuple(effects.std(axis=0, ddof=1).tolist()) if len(effects) > 1 else tuple(0.0 for _ in sizes),
+        tuple(spreads.tolist()),
     )
