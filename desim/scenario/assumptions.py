@@ -72,7 +72,7 @@ def component_heard(scenario: "Scenario") -> str | None:
 def messages_get_through(scenario: "Scenario") -> str | None:
     """All receivers get each announcement eventually: it cannot be lost, or it is repeated."""
     network, trigger = scenario.network, scenario.announce.trigger
-    if trigger not in {"change", "never"} or _reached_by_schedule(scenario):
+    if trigger not in {"change", "never"} or scenario.schedule_traits.spreads_to is not None:
         return None
     if trigger == "never":
         is_told = scenario.announce.start == "announced"
@@ -223,20 +223,16 @@ def _loses_frames(medium: Medium) -> bool:
     return not isinstance(medium.access, Tdma) or InterferenceTraits.of(medium.reception).has_noise
 
 
-def _reached_by_schedule(scenario: "Scenario") -> str | None:
-    """Return which pursuers a schedule repeatedly sends actions to: "all", "neighbours", or None if it sends none."""
-    return scenario.schedule_traits.spreads_to
-
-
 def is_relayed(scenario: "Scenario") -> bool:
     """Return whether announcements are relayed over several hops, or messages of the schedule carry actions to all."""
-    return DisseminationTraits.of(scenario.announce.dissemination).relays or _reached_by_schedule(scenario) == "all"
+    relays = DisseminationTraits.of(scenario.announce.dissemination).relays
+    return relays or scenario.schedule_traits.spreads_to == "all"
 
 
 def _out_of_hops(scenario: "Scenario") -> str | None:
     """Return the reason why relayed announcements do not reach the whole component; None if they do."""
     hops = DisseminationTraits.of(scenario.announce.dissemination).hops
-    if hops == inf or _reached_by_schedule(scenario) == "all":
+    if hops == inf or scenario.schedule_traits.spreads_to == "all":
         return None
     graph = initial_graph(scenario)
     if is_complete(graph):

@@ -21,9 +21,8 @@ Nothing here knows a trace: `desim.analysis.properties` computes the pieces of t
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from math import inf
-from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field, ValidationError
@@ -73,6 +72,8 @@ class Property(Value):
     If in doubt, use "centralised", which knows all and decides at once.
     """
 
+    form: ClassVar[str]
+    """The text of the kind, with the names of its keys in braces."""
     unit: ClassVar[str] = "s"
     """The unit of the margin."""
     least: ClassVar[float] = 0.0
@@ -104,14 +105,9 @@ class Property(Value):
         raise NotImplementedError
 
     @property
-    def statement(self) -> str:
-        """The property as a text, without its name and its reference."""
-        raise NotImplementedError
-
-    @property
     def text(self) -> str:
         """The property as a text, without its name; `Property` objects are made from such texts."""
-        return self.statement + (f" against {self.against}" if self.against else "")
+        return self.form.format(**dict(self)) + (f" against {self.against}" if self.against else "")
 
     @property
     def label(self) -> str:
@@ -124,6 +120,7 @@ class Always(Property):
 
     kind: Literal["always"] = "always"
 
+    form: ClassVar[str] = "always {condition}"
     unit: ClassVar[str] = ""
     least: ClassVar[float] = -inf
 
@@ -148,11 +145,6 @@ class Always(Property):
         """Return whether the condition may be violated."""
         return bool(self.condition.can(scenario, hold=False))
 
-    @property
-    def statement(self) -> str:
-        """The property as a text."""
-        return f"always {self.condition.text}"
-
 
 class LimitedTime(Property):
     """Base of the properties that bound a time."""
@@ -175,6 +167,8 @@ class Eventually(LimitedTime):
 
     kind: Literal["eventually"] = "eventually"
 
+    form: ClassVar[str] = "eventually {condition} within {limit:g}"
+
     def worst(self, pieces: Iterable[PropertyPiece]) -> Iterator[Worst]:
         """Yield the time, s, for which the condition has not held."""
         waited, is_met = 0.0, False
@@ -187,11 +181,6 @@ class Eventually(LimitedTime):
         """Return whether the condition may be violated for longer than the limit."""
         return bool(self.limit < scenario.horizon and self.condition.can(scenario, hold=False))
 
-    @property
-    def statement(self) -> str:
-        """The property as a text."""
-        return f"eventually {self.condition.text} within {self.limit:g}"
-
 
 class LeadsTo(LimitedTime):
     """Whenever a condition holds, another one holds then or within a limit; the end of the run counts as such."""
@@ -199,6 +188,8 @@ class LeadsTo(LimitedTime):
     kind: Literal["leads_to"] = "leads_to"
     then: ConditionText
     """The condition that should follow."""
+
+    form: ClassVar[str] = "{condition} leads to {then} within {limit:g}"
 
     @property
     def conditions(self) -> tuple[Condition, ...]:
@@ -222,16 +213,13 @@ class LeadsTo(LimitedTime):
         may = self.condition.can(scenario, hold=True) and self.then.can(scenario, hold=False)
         return bool(self.limit < scenario.horizon and may)
 
-    @property
-    def statement(self) -> str:
-        """The property as a text."""
-        return f"{self.condition.text} leads to {self.then.text} within {self.limit:g}"
-
 
 class NeverLonger(LimitedTime):
     """A condition never holds for longer than a limit at a stretch."""
 
     kind: Literal["never_longer"] = "never_longer"
+
+    form: ClassVar[str] = "{condition} never longer than {limit:g}"
 
     def worst(self, pieces: Iterable[PropertyPiece]) -> Iterator[Worst]:
         """Yield the longest time, s, for which the condition has held at a stretch."""
@@ -245,16 +233,13 @@ class NeverLonger(LimitedTime):
                     worst = Worst(seconds(end - since), since)
             yield worst
 
-    @property
-    def statement(self) -> str:
-        """The property as a text."""
-        return f"{self.condition.text} never longer than {self.limit:g}"
-
 
 class InTotal(LimitedTime):
     """A condition holds for at most a limit in total."""
 
     kind: Literal["in_total"] = "in_total"
+
+    form: ClassVar[str] = "{condition} at most {limit:g} in total"
 
     def worst(self, pieces: Iterable[PropertyPiece]) -> Iterator[Worst]:
         """Yield the time, s, for which the condition has held, and the beginning of the longest piece."""
@@ -266,29 +251,34 @@ class InTotal(LimitedTime):
                     at, longest = begin, end - begin
             yield Worst(seconds(total), at)
 
-    @property
-    def statement(self) -> str:
-        """The property as a text."""
-        return f"{self.condition.text} at most {self.limit:g} in total"
 
-
-KINDS = OneOf(Always, Eventually, LeadsTo, NeverLonger, InTotal, is_closed=True)
+_KINDS = Always, Eventually, LeadsTo, NeverLonger, InTotal
+KINDS = OneOf(*_KINDS, is_closed=True)
 """The kinds of properties."""
-_LIMIT = rf"(?P<limit>{NUMBER})(?:\s*s)?"
-FORMS: Mapping[str, re.Pattern[str]] = MappingProxyType(
-    {
-        "always": re.compile(r"always\s+(?P<condition>.+)"),
-        "eventually": re.compile(rf"eventually\s+(?P<condition>.+?)\s+within\s+{_LIMIT}"),
-        "leads_to": re.compile(rf"(?P<condition>.+?)\s+leads\s+to\s+(?P<then>.+?)\s+within\s+{_LIMIT}"),
-        "never_longer": re.compile(rf"(?P<condition>.+?)\s+never\s+longer\s+than\s+{_LIMIT}"),
-        "in_total": re.compile(rf"(?P<condition>.+?)\s+at\s+most\s+{_LIMIT}\s+in\s+total"),
-    }
+
+
+def _filled(form: str, **texts: str) -> str:
+    """Return the form of a kind with other texts in place of its keys."""
+    return re.sub(r"{(\w+).*?}", lambda key: texts[key[1]], form)
+
+
+_PATTERNS = {
+    kind.model_fields["kind"].default: re.compile(
+        _filled(
+            kind.form,
+            condition="(?P<condition>.+?)",
+            then="(?P<then>.+?)",
+            limit=rf"(?P<limit>{NUMBER})(?:\s*s)?",
+        )
+    )
+    for kind in _KINDS
+}
+*_FIRST, _LAST = (
+    f'"{_filled(kind.form, condition="CONDITION", then="CONDITION", limit="SECONDS")}"' for kind in _KINDS
 )
-"""The text of each kind."""
 TEXTS = (
-    '"always CONDITION", "eventually CONDITION within SECONDS", "CONDITION leads to CONDITION within SECONDS",'
-    ' "CONDITION never longer than SECONDS" or "CONDITION at most SECONDS in total", after "NAME: " if it has a name,'
-    ' and before "against PROTOCOL" if it has a reference'
+    f'{", ".join(_FIRST)} or {_LAST}, after "NAME: " if it has a name, and before "against PROTOCOL" if it has a'
+    " reference"
 )
 
 
@@ -304,8 +294,8 @@ def as_table(text: Any) -> Any:
     name = re.match(r"([A-Za-z_]\w*): ", whole)
     reference = re.search(r" against (\S+)$", whole)
     statement = whole[name.end() if name else 0 : reference.start() if reference else None].strip()
-    for kind, form in FORMS.items():
-        if match := form.fullmatch(statement):
+    for kind, pattern in _PATTERNS.items():
+        if match := pattern.fullmatch(statement):
             parts: dict[str, Any] = {key: part for key, part in match.groupdict().items() if part is not None}
             if "limit" in parts:
                 parts["limit"] = float(parts["limit"])
