@@ -41,7 +41,7 @@ from math import inf, nan, sqrt
 
 import numpy as np
 
-from desim.analysis.statistics import Estimate, estimate
+from desim.analysis.statistics import Estimate, estimate, t_quantile
 from desim.config.arrays import Floats
 from desim.kernel.core.portable_math import inner_product
 
@@ -90,9 +90,7 @@ class ControlledEstimate(Estimate):
 
     def half_width_at(self, confidence: float) -> float:
         """Return half the width of the t interval with a confidence in (0, 1)."""
-        from scipy.special import stdtrit
-
-        return float(stdtrit(self.freedom, 0.5 + confidence / 2) * self.standard_error)
+        return t_quantile(self.freedom, confidence) * self.standard_error
 
 
 def control_variate(

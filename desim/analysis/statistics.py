@@ -60,6 +60,13 @@ OTHERS = 0.05
 """Largest share of runs that may differ from values that are all equal, if these are to end a sequential study."""
 
 
+def t_quantile(freedom: float, confidence: float) -> float:
+    """Return half the width of a t interval with a confidence in (0, 1), in units of the standard error."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, 0.5 + confidence / 2))
+
+
 @dataclass(frozen=True, slots=True, repr=False)
 class Estimate:
     """The mean of a value over independent runs, and its uncertainty."""
@@ -96,10 +103,7 @@ class Estimate:
 
     def half_width_at(self, confidence: float) -> float:
         """Return half the width of the t interval with a confidence in (0, 1); nan for fewer than 2 runs."""
-        from scipy.special import stdtrit
-
-        quantile = 0.5 + confidence / 2
-        return float(stdtrit(self.count - 1, quantile) * self.standard_error) if self.count > 1 else float("nan")
+        return t_quantile(self.count - 1, confidence) * self.standard_error if self.count > 1 else nan
 
 
 def estimate(values: Sequence[float] | Floats) -> Estimate:
@@ -163,11 +167,9 @@ class IndependentDifference(Estimate):
 
     def half_width_at(self, confidence: float) -> float:
         """Return half the width of the t interval with a confidence in (0, 1); nan for fewer than 2 runs of a side."""
-        from scipy.special import stdtrit
-
         if self.count < 2:
             return nan
-        return float(stdtrit(self.freedom, 0.5 + confidence / 2) * self.standard_error) if self.standard_error else 0.0
+        return t_quantile(self.freedom, confidence) * self.standard_error if self.standard_error else 0.0
 
 
 def independent(values: Sequence[float] | Floats, others: Sequence[float] | Floats) -> Estimate:

@@ -6,7 +6,7 @@ from typing import Any
 
 from desim.analysis.measuring import users_metrics
 from desim.analysis.metrics import METRICS, Summary, title, words
-from desim.analysis.statistics import Estimate, estimate, wilson
+from desim.analysis.statistics import Estimate, estimate, t_quantile, wilson
 from desim.config.json_numbers import json_number
 from desim.kernel.core.portable_math import portable_sum
 from desim.scenario.scenario import Scenario
@@ -111,11 +111,9 @@ def as_json(value: Estimate) -> dict[str, Any]:
 
 def from_json(made: Mapping[str, Any]) -> Estimate:
     """Return the estimate that `as_json` converted to JSON values, up to rounding."""
-    from scipy.special import stdtrit
-
     mean, half_width = (nan if made[key] is None else float(made[key]) for key in ("mean", "half_width"))
     count = int(made["runs"])
-    return Estimate(mean, half_width / float(stdtrit(count - 1, 0.975)) if count > 1 else nan, count)
+    return Estimate(mean, half_width / t_quantile(count - 1, 0.95) if count > 1 else nan, count)
 
 
 def _captures(scenario: Scenario, run: Summary) -> Iterator[tuple[str, str, str]]:

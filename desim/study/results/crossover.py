@@ -19,6 +19,7 @@ import numpy as np
 
 from desim.analysis.measuring import check_numeric
 from desim.analysis.metrics import METRICS, words
+from desim.analysis.statistics import t_quantile
 from desim.config.arrays import Floats
 from desim.config.json_numbers import json_number
 from desim.config.key_index import unit_of_key
@@ -245,10 +246,8 @@ def undecided_parts(x: Sequence[float], differences: Floats, confidence: float) 
     m + u (n - m) and the variance v + 2 u c + u^2 w. The t interval includes 0 where the quadratic
     (m + u (n - m))^2 - q (v + 2 u c + u^2 w) is not positive; q = t^2 / runs.
     """
-    from scipy.special import stdtrit
-
     runs = len(differences)
-    q = float(stdtrit(runs - 1, 0.5 + confidence / 2)) ** 2 / runs
+    q = t_quantile(runs - 1, confidence) ** 2 / runs
     parts: list[CrossoverInterval] = []
     for k in range(len(x) - 1):
         start, rise = differences[:, k], differences[:, k + 1] - differences[:, k]

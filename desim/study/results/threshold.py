@@ -14,6 +14,7 @@ from math import inf, isinf, nan, sqrt
 from typing import Any, Self
 
 from desim.analysis.metrics import words
+from desim.analysis.statistics import t_quantile
 from desim.config.arrays import Floats
 from desim.config.errors import ArgumentError
 from desim.config.json_numbers import json_number
@@ -198,10 +199,8 @@ def _relative(values: Floats, bases: Floats, confidence: float) -> CrossoverInte
     (m - r n)^2 = q (v - 2 r c + r^2 w), with the means m and n, the variances v and w, the covariance c, and
     q = t^2 / runs.
     """
-    from scipy.special import stdtrit
-
     runs = len(values)
-    q = float(stdtrit(runs - 1, 0.5 + confidence / 2)) ** 2 / runs
+    q = t_quantile(runs - 1, confidence) ** 2 / runs
     m, n = float(values.mean()), float(bases.mean())
     square = n * n - q * covariance(bases, bases)
     if square <= 0.0:
