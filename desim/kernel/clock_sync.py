@@ -176,19 +176,3 @@ class Synchroniser:
         offsets.clear()
         if self._trace is not None:
             self._trace.append(ClockCorrected(self._env.now, node, clock.correction))
-
-
-def synchronise(
-    env: Clock,
-    network: Network,
-    clocks: Sequence[NodeClock],
-    model: ClockSync,
-    seed: int,
-    trace: Trace | None = None,
-    send: Callable[..., None] | None = None,
-    nodes: Iterable[int] | None = None,
-) -> Synchroniser | None:
-    """Start the synchronisation of the clocks of a network, if its model has one; see `Synchroniser`."""
-    if isinstance(model, TwoWay):
-        return Synchroniser(env, network, clocks, model, seed, trace, send, nodes)
-    return None

@@ -24,7 +24,7 @@ from desim.config.arguments import scenario_argument
 from desim.config.arrays import Points, array_of
 from desim.config.fresh import fresh_copy
 from desim.config.python_numbers import whole
-from desim.kernel.clock_sync import synchronise
+from desim.kernel.clock_sync import Synchroniser, TwoWay
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.events import Trace, TransportCounts
 from desim.kernel.core.message_body import as_sent
@@ -135,9 +135,9 @@ class Node:
         announced: Any = DisseminationTraits.of(scenario.announce.dissemination).transport
         network.listen({} if announced is None else {ANNOUNCEMENTS: announced})
         self.link.trusts_stamps = not is_skewed(scenario.network_faults)
-        sync = synchronise(env, network, clocks, scenario.clocks.sync, seed, self.trace, nodes=[me])
-        if sync is not None:
-            sync.answered = self._wire.answered
+        if isinstance(sync := scenario.clocks.sync, TwoWay):
+            synchroniser = Synchroniser(env, network, clocks, sync, seed, self.trace, nodes=[me])
+            synchroniser.answered = self._wire.answered
         self._view = View(state, scenario.prune)
         global_state = GlobalState(state, scenario.prune, self._set_action)
         agents, judges = make_agents(env, scenario, seed, built, [self._view] * state.size, global_state, self.trace)

@@ -9,7 +9,7 @@ from desim.config.arguments import HintedAttributes, naming_arguments, scenario_
 from desim.config.escaping import escaped
 from desim.config.fresh import fresh_copy
 from desim.config.html import html_properties, picture_of
-from desim.kernel.clock_sync import synchronise
+from desim.kernel.clock_sync import Synchroniser, TwoWay
 from desim.kernel.core.clock import Clock, NodeClock
 from desim.kernel.core.events import Event, Trace, Watcher
 from desim.kernel.core.seeds import seed_of
@@ -174,8 +174,9 @@ def _simulate(
         liars = LyingTeam(env, network, views, seed, world.set_action, lies, chasers, trace)
     global_state = GlobalState(state, scenario.prune, world.set_action if liars is None else liars.set_action)
     voice = liars or network
-    if scenario.protocol_traits.embodied:
-        synchronise(env, network, clocks, scenario.clocks.sync, seed, trace, voice.send)
+    sync = scenario.clocks.sync
+    if scenario.protocol_traits.embodied and isinstance(sync, TwoWay):
+        Synchroniser(env, network, clocks, sync, seed, trace, voice.send)
     agents, judges = make_agents(env, scenario, seed, built, views, global_state, trace, voice)
     team = TeamProcesses(env, scenario, world, dict(enumerate(agents)), judges, sensor, liars)
     inject(faults, env, network, trace, crashed=team.crashed, recovered=team.recovered, targets=chasers)

@@ -8,7 +8,7 @@ import pytest
 
 from desim import Scenario, run, summary
 from desim.config.errors import KeyedError
-from desim.kernel.clock_sync import TwoWay, synchronise
+from desim.kernel.clock_sync import Synchroniser, TwoWay
 from desim.kernel.core.clock import Clock, NodeClock
 from desim.kernel.core.events import ClockCorrected, Sent, Trace
 from desim.kernel.core.units import SECOND
@@ -30,7 +30,7 @@ def errors(links, model, *, size=2, seconds=2.0, seed=0, **skew):
     env, trace = Clock(), Trace()
     clocks = [NodeClock(env), *(NodeClock(env, 0.3, skew.get("rate", 1.0)) for _ in range(size - 1))]
     net = Network(env, nx.star_graph(size - 1).to_directed(), links, seed=seed, trace=trace, clocks=clocks)
-    synchronise(env, net, clocks, model, seed, trace)
+    Synchroniser(env, net, clocks, model, seed, trace)
     env.run(round(seconds * SECOND))
     return np.array([clock.now - env.now / SECOND for clock in clocks[1:]]), trace
 

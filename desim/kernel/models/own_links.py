@@ -23,19 +23,13 @@ def link_overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]
     Raises:
         ValueError: if `links.link` names a link that is not in the graph, or an edge attribute is invalid.
     """
+    for src, dst in (way for link in links.link for way in link.ways()):
+        if not graph.has_edge(src, dst):
+            raise ValueError(f"there is no link from {src} to {dst} in the graph")
     by_name: dict[str, Overrides] = {"latency": {}, "loss": {}, "order": {}}
-    for src, dst, attributes in links_with_attributes(graph):
-        for name, overrides in by_name.items():
-            if (value := attributes.get(name)) is not None:
-                overrides.setdefault(src, {})[dst] = edge_model(src, dst, name, value)
-    for link in links.link:
-        for src, dst in link.ways():
-            if not graph.has_edge(src, dst):
-                raise ValueError(f"there is no link from {src} to {dst} in the graph")
-            for name, overrides in by_name.items():
-                model = dict(link)[name]
-                if model is not None:
-                    overrides.setdefault(src, {})[dst] = model
+    for name, overrides in by_name.items():
+        for (src, dst), (_, model) in _own_models(links, graph, name):
+            overrides.setdefault(src, {})[dst] = model
     return by_name
 
 
@@ -90,7 +84,7 @@ def _name_misfits(links: Links) -> Iterator[tuple[Place, str]]:
 
 
 def _own_models(links: Links, graph: "nx.Graph[int]", name: str) -> Iterator[tuple[Way, tuple[Place, Any]]]:
-    """Yield the links with a latency or a loss of their own, each with the key of the model and the model."""
+    """Yield the links with a latency, a loss or an order of their own, each with the key of the value and the value."""
     for src, dst, attributes in links_with_attributes(graph):
         model = attributes.get(name)
         if model is not None:
