@@ -10,6 +10,7 @@ from desim.results.run_folder import write
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result, run
+from desim.study.store import connection
 from desim.study.results.result import SweepResult
 from desim.study.sweeps.sweep import sweep
 from tests.command import accepted
@@ -99,3 +100,48 @@ def test_code_named_in_a_folder_is_imported_only_if_that_is_allowed(tmp_path, mo
     with pytest.raises(ValueError, match="'mine:rest' names code"):
         desim.open(Path("out"))
     assert desim.open(Path("out"), allow_import=True).scenario.protocol_name == "rest"
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """Return the folder of a sweep, and of one with the two parts of another."""
+    base = tmp_path_factory.mktemp("kept")
+    file = 'horizon = 0.02\nteam.count = 2\n[sweep]\nreps = 2\ngrid = { "network.loss.p" = [0.0, 0.5] }\n'
+    (base / "small.toml").write_text(file)
+    for part in ("1/2", "2/2"):
+        accepted("sweep", base / "small.toml", "-o", base / "parts", "--shard", part, "-j", 1)
+    (base / "whole").mkdir()
+    sweep(SCENARIO, {"network.loss.p": [0.0, 0.5]}, 2, store=base / "whole" / "sweep.sqlite")
+    return base
+
+
+READERS = {
+    "open": lambda base: desim.open(base / "whole"),
+    "compare": lambda base: desim.compare(base / "whole", base / "whole"),
+    "ls": lambda base: accepted("ls", base),
+    "status": lambda base: accepted("status", base / "parts"),
+    "desim compare": lambda base: accepted("compare", base / "whole", base / "whole"),
+    "crossover": lambda base: accepted("crossover", base / "whole", "network.loss.p", "--over", "10%"),
+    "report": lambda base: accepted("report", base / "whole", "-o", base / "made" / "report.html"),
+    "export a table": lambda base: accepted("export", base / "whole", base / "made" / "table.md"),
+    "export runs": lambda base: accepted("export", base / "whole", base / "made" / "runs.csv"),
+    "merge": lambda base: accepted("merge", base / "parts", "-o", base / "made"),
+}
+
+
+@pytest.mark.slow_cases("report")
+@pytest.mark.parametrize("reader", READERS)
+def test_what_reads_results_opens_their_stores_for_reading_only(kept, monkeypatch, reader):
+    """Another process may be writing to them, or the folder may be one that nobody may write to."""
+    opened = []
+
+    def connected(path, read_only=False, network=""):
+        opened.append((path, read_only))
+        return connection.connected(path, read_only, network)
+
+    monkeypatch.setattr("desim.study.store.file.connected", connected)
+    (kept / "made").mkdir(exist_ok=True)
+    READERS[reader](kept)
+    read = [read_only for path, read_only in opened if path is not None and path.parent != kept / "made"]
+    assert read
+    assert all(read)
