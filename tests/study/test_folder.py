@@ -10,8 +10,8 @@ from desim.results.run_folder import write
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result, run
-from desim.study.store import connection
 from desim.study.results.result import SweepResult
+from desim.study.store import connection
 from desim.study.sweeps.sweep import sweep
 from tests.command import accepted
 
