@@ -192,6 +192,33 @@ CALLS: dict[str, tuple[Any, ...]] = {
     "fates([(0, 0, 1, 9)], 2, latency=0.1)": ("did you mean 'links'?", "it is SteppedNetwork(nodes, links=None"),
     "SteppedNetwork(3, sed=1)": ("did you mean 'seed'?", "it is SteppedNetwork(nodes"),
     "load('.')": ("a scenario is one file", "desim.open"),
+    # flags as texts, which would be true, and functions, lists, times and paths of another type
+    "load(examples()['relay'], allow_import='no')": ("allow_import should be True or False (got 'no')",),
+    "load(examples()['relay'], allow_import=None)": ("allow_import should be True or False (got None)",),
+    "desim.open('out', allow_import=0)": ("allow_import should be True or False (got 0)",),
+    "sweep(SHORT, GRID, fail_fast='false')": ("fail_fast should be True or False (got 'false')",),
+    "sweep(SHORT, GRID, mix_versions='no')": ("mix_versions should be True or False (got 'no')",),
+    "find_violation(SHORT, 'idle at most 2 in total', guided='off')": ("guided should be True or False (got 'off')",),
+    "SteppedNetwork(3, can_leave='no')": ("can_leave should be True or False (got 'no')",),
+    "find_violation(SHORT, 'idle at most 2 in total', on_case=3)": ("on_case should be a function (got 3)",),
+    "find_violation(SHORT, 'idle at most 2 in total', timeout='1')": ("a time limit, in s, should be a number",),
+    "find_violation(SHORT, 'idle at most 2 in total', timeout=-1)": ("a time limit should be > 0 s",),
+    "find_violation(SHORT, 'idle at most 2 in total', shrinking=-1)": ("shrinking should be at least 0 (got -1)",),
+    "find_violation(SHORT, 'idle at most 2 in total', shrinking=None)": ("shrinking should be an integer (got None)",),
+    "find_violation(SHORT, 'idle at most 2 in total', log='a')": ("log should be a CaseLog (got 'a')",),
+    "find_violation(SHORT, 'idle at most 0.001 in total', vary=3)": ("vary should be lists of values by key", "got 3"),
+    "find_violation(SHORT, 'idle at most 0.001 in total', features=3)": ("features should be a list of names (got 3)",),
+    "find_violation(SHORT, 'idle at most 0.001 in total', features=[3])": (
+        "features should be a list of names (got [3])",
+    ),
+    "desim.fatal_losses(SHORT, 'idle at most 2 in total', fates=3)": ("fates should be a list of", "got 3"),
+    "desim.fatal_losses(SHORT, 'idle at most 2 in total', timeout=0)": ("a time limit should be > 0 s",),
+    "sweep(SHORT, GRID, until=0.1)": ("a metric and a half width", "got 0.1"),
+    "desim.ls(3)": ("ls takes the path of a folder with results, not a int (got 3)",),
+    "desim.status(None)": ("status takes the path of a folder with results",),
+    "desim.open_data(3)": ("open_data takes the path of a file (got 3)",),
+    "desim.TraceFile(3)": ("TraceFile takes the path of a file (got 3)",),
+    "desim.TraceFile('')": ("TraceFile takes the path of a file (got '')",),
 }
 
 

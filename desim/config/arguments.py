@@ -5,7 +5,7 @@ from functools import wraps
 from inspect import Parameter, signature
 from os import PathLike
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar, get_origin
 
 from desim.config.suggestion import did_you_mean
 
@@ -43,6 +43,7 @@ class Argument(NamedTuple):
         return f"not {what}: {code.format(function=function, value=shown)}"
 
 
+RESULTS = Argument("the path of a folder with results", (str, PathLike), MappingProxyType({}))
 MAX_SHOWN = 60
 """The largest number of characters of a value that a message shows."""
 
@@ -116,11 +117,17 @@ EXAMPLES = MappingProxyType(
 def naming_arguments(function: Callable[Taken, Returned]) -> Callable[Taken, Returned]:
     """Let a call with wrong arguments name those that the function takes; a decorator.
 
-    Python's message names only the wrong one.
+    Python's message names only the wrong one. A flag or a function of another type is refused, too: the text "no" would
+    be true.
     """
+    checks = _checks(function)
+    names = list(signature(function).parameters)
 
     @wraps(function)
     def called(*args: Taken.args, **named: Taken.kwargs) -> Returned:
+        for name, value in (*zip(names, args, strict=False), *named.items()):
+            if name in checks:
+                checks[name](name, value)
         try:
             return function(*args, **named)
         except TypeError as error:
@@ -132,6 +139,33 @@ def naming_arguments(function: Callable[Taken, Returned]) -> Callable[Taken, Ret
         raise TypeError(message)
 
     return called
+
+
+def _check_flag(name: str, value: Any) -> None:
+    if not isinstance(value, bool) and type(value).__name__ not in {"bool", "bool_"}:  # the latter are numpy's
+        raise ValueError(f"{name} should be True or False (got {_shown(value)})")
+
+
+def _check_function(name: str, value: Any) -> None:
+    if not callable(value):
+        raise ValueError(f"{name} should be a function (got {_shown(value)})")
+
+
+def _checks(function: Callable[..., object]) -> Mapping[str, Callable[[str, Any], None]]:
+    """Return the check of each argument of a function that is a flag or a function, by name."""
+    checks = {}
+    for name, parameter in signature(function).parameters.items():
+        if parameter.annotation is bool:
+            checks[name] = _check_flag
+        elif get_origin(parameter.annotation) is Callable and parameter.kind is not Parameter.VAR_POSITIONAL:
+            checks[name] = _check_function
+    return MappingProxyType(checks)
+
+
+def _shown(value: Any) -> str:
+    """Return the text of a value, or its beginning."""
+    text = repr(value)
+    return text if len(text) < MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."
 
 
 def _meant(function: Callable[..., object], named: Mapping[str, object]) -> str:

@@ -43,6 +43,16 @@ def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *
         raise AnswerError(f"should accept {call}; {name_and_place(value)} does not: {error}") from error
 
 
+def check_argument(function: Any, takes: Sequence[str], name: str) -> None:
+    """Raise ValueError if an argument is no function that can be called with the arguments named in `takes`."""
+    if not callable(function):
+        raise ValueError(f"{name} should be a function (got {function!r})")
+    try:
+        check_call(function, takes, function)
+    except AnswerError as error:
+        raise ValueError(f"{name} {error}") from error
+
+
 def check_at_once(function: Callable[..., Any], whose: str = "") -> None:
     """Raise AnswerError if a function would do nothing when it is called, because it is a generator."""
     if any(map(isgeneratorfunction, _codes(function))):

@@ -39,6 +39,7 @@ def open_data(path: str | Path) -> BytesIO:
     tuple of paths, or a method that returns such a tuple.
 
     Raises:
+        TypeError: if it is no path.
         OSError: if the file cannot be read.
         DataFileError: if it is called during a run of a sweep, an explanation or `run_many`, because the identity of a
             run is determined before the run starts.
@@ -48,6 +49,8 @@ def open_data(path: str | Path) -> BytesIO:
             f"{path}: is opened during a run, so its content is not part of the identity of the run: open it at the top"
             " level of the model's module, or list it in `depends_on` of the model and use open()"
         )
+    if not isinstance(path, str | PathLike):
+        raise TypeError(f"open_data takes the path of a file (got {path!r})")
     content = regular_or_missing(Path(path)).read_bytes()
     sys._getframe(1).f_globals.setdefault(OPENED, {})[str(path)] = content_hash(content)
     return BytesIO(content)

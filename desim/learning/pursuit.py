@@ -62,7 +62,7 @@ class Pursuit:
     ):
         if observation not in FORMS:
             raise ValueError(f"an observation should be {' or '.join(FORMS)} (got {observation!r})")
-        if render_mode not in {None, *RENDER_MODES}:
+        if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"a render mode should be {' or '.join(RENDER_MODES)} (got {render_mode!r})")
         for name, value in (("omniscient", omniscient), ("agents_leave", agents_leave)):
             if not isinstance(value, bool | np.bool_):  # "no" would count as true

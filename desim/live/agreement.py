@@ -9,6 +9,7 @@ from desim.analysis.measuring import summary
 from desim.analysis.metrics import METRICS, Summary
 from desim.analysis.statistics import Estimate, mean, paired
 from desim.analysis.tables import aligned, counted, number
+from desim.config.arguments import scenario_argument
 from desim.config.python_numbers import whole
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import SECOND
@@ -180,6 +181,9 @@ def compare(
         LiveError: as `desim.live.live_runs.run`.
         NamespaceError: as `desim.live.live_runs.run`.
     """
+    scenario_argument(Scenario).check(scenario, "compare")
+    if simulated is not None:
+        scenario_argument(Scenario).check(simulated, "compare")
     if (count := whole(count, "count")) < 2:
         raise ValueError(f"a comparison needs at least 2 runs of each kind (got {count})")
     seeds = seeds_from(scenario.seed if seed is None else seed, count)

@@ -1,12 +1,14 @@
 """Live runs from Python: one, or several one after another."""
 
 import asyncio
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from threading import Thread
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from desim.config.arguments import naming_arguments, scenario_argument
+from desim.config.python_numbers import whole
+from desim.kernel.core.seeds import seed_of
 from desim.live.lobby import LOCAL
 from desim.live.namespaces import Places, namespaces
 from desim.live.nursery import Nursery
@@ -74,14 +76,37 @@ def runs(
     """
     scenario_argument(Scenario).check(scenario, "run")
     check_live(scenario)
-    size = scenario.team.count
-    if hosts is not None and len(hosts) != size:
-        raise ValueError(f"hosts should be one for each of the {size} pursuers (got {len(hosts)})")
+    seeds, size = _checked_seeds(seeds), scenario.team.count
+    if (at_once := whole(at_once, "at_once")) < 1:
+        raise ValueError(f"at_once should be at least 1 (got {at_once})")
+    if links not in get_args(LinkKind):
+        raise ValueError(f"links should be {', '.join(map(repr, get_args(LinkKind)))} (got {links!r})")
+    if not callable(tell) or not (finished is None or callable(finished)):
+        raise ValueError(f"tell and finished should be functions (got {tell!r} and {finished!r})")
+    if hosts is not None:
+        _check_hosts(hosts, size)
     if hosts is not None and links != "drawn":
         raise ValueError('hosts have real links between them, so links should be "drawn"')
     with _places(scenario, links, hosts) as places:
         options: Any = {"hosts": places.hosts, "namespaces": places.namespaces, "draws": links != "netem"}
         return _play([(scenario, seed) for seed in seeds], at_once, finished, tell=tell, **options)
+
+
+def _checked_seeds(seeds: Any) -> list[int | None]:
+    """Return the seeds of runs; raise ValueError if they are none."""
+    if isinstance(seeds, str | Mapping) or not isinstance(seeds, Iterable):
+        raise ValueError(f"seeds should be a list of integers (got {seeds!r})")
+    return [None if seed is None else seed_of(seed) for seed in seeds]
+
+
+def _check_hosts(hosts: Any, size: int) -> None:
+    """Raise ValueError if the hosts are not one for each pursuer, each a text."""
+    if isinstance(hosts, str) or not isinstance(hosts, Sequence) or not all(isinstance(host, str) for host in hosts):
+        raise ValueError(f"hosts should be a list of names or addresses, ['192.168.0.2', ...] (got {hosts!r})")
+    if len(hosts) != size:
+        raise ValueError(f"hosts should be one for each of the {size} pursuers (got {len(hosts)})")
+    if not all(hosts):
+        raise ValueError(f"a host should have a name or an address (got {hosts!r})")
 
 
 def run_all(tasks: Sequence[tuple[Scenario, int]], *, at_once: int = 1) -> list[LiveResult]:

@@ -22,6 +22,7 @@ import numpy as np
 
 from desim.config.arguments import scenario_argument
 from desim.config.arrays import Points, array_of
+from desim.config.calls import check_argument
 from desim.config.fresh import fresh_copy
 from desim.config.python_numbers import whole
 from desim.kernel.clock_sync import Synchroniser, TwoWay
@@ -76,7 +77,7 @@ class Node:
 
     Raises:
         TypeError: if it is not a scenario; the message says what to write instead.
-        ValueError: if the scenario cannot run live, or has no such pursuer.
+        ValueError: if the scenario cannot run live, has no such pursuer, or `on_action` takes no action.
 
     Attributes:
         pursuer: see above.
@@ -98,6 +99,10 @@ class Node:
         pursuer = whole(pursuer, "pursuer")
         if not 0 <= pursuer < scenario.team.count:
             raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {scenario.team.count - 1}")
+        if not isinstance(draws, bool | np.bool_):  # "no" would count as true
+            raise ValueError(f"draws should be True or False (got {draws!r})")
+        if on_action is not None:
+            check_argument(on_action, ("action",), "on_action")
         self._opened = ExitStack()
         scenario = self._opened.enter_context(fresh_copy(scenario))
         self.pursuer, self._on_action = pursuer, on_action
@@ -173,7 +178,7 @@ class Node:
                 starts now. See "clocks" in the documentation.
 
         Raises:
-            ValueError: if an address is none; see also `connect`.
+            ValueError: if an address is none, or `now` returns no integer; see also `connect`.
             OSError: if the address cannot be used.
             RuntimeError: if it has been opened before.
             BaseException: what the protocol raises.
@@ -181,6 +186,7 @@ class Node:
         if self.clock is not None:
             raise RuntimeError("a node runs once: create another one")
         with self._opened:
+            _check_time(now)
             if peers:
                 self.connect(peers)
             self.bind(udp_socket(checked_address(address)))
@@ -236,6 +242,7 @@ class Node:
         Raises:
             BaseException: what the protocol raises.
         """
+        _check_time(now)
         self.clock = WallClock(self._env, self._over, now, self._read)
         try:
             await self.clock.ended
@@ -401,6 +408,13 @@ class _Body:
 
     def recover(self, pursuer: int) -> None:
         self._node._state.broken[pursuer] = False
+
+
+def _check_time(now: Any) -> None:
+    """Raise ValueError if a function that returns the time is none, or returns another one: seconds, for example."""
+    if now is not None:
+        check_argument(now, (), "now")
+        whole(now(), "what now returns, the time since the start of the run in ns,")
 
 
 def _points(name: str, pairs: Any, *shape: int) -> Any:

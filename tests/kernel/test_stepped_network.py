@@ -798,3 +798,15 @@ def test_consensus_bears_delays_below_the_bound(share, agrees):
         history.append(x + dt * np.array([sum(other.body - own[node] for other in heard[node]) for node in graph]))
     spread = max(history[-1]) - min(history[-1])
     assert spread < 0.1 if agrees else spread > 100.0
+
+
+@pytest.mark.parametrize("port", [40, 0.5, None, ["a"], b"a"])
+def test_a_port_that_is_no_text_is_refused(port):
+    with pytest.raises(ValueError, match="send: a port should be a text"):
+        SteppedNetwork(2).send(0, 1, "x", port)
+
+
+@pytest.mark.parametrize("transport", ["reliable", Reliable, {"kind": "reliable"}, 3])
+def test_a_transport_that_is_none_is_refused(transport):
+    with pytest.raises(ValueError, match="transport should be BestEffort"):
+        SteppedNetwork(2).send(0, 1, "x", transport=transport)

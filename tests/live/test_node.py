@@ -5,20 +5,21 @@ import json
 import subprocess
 import sys
 import time
-from math import sqrt
+from math import nan, sqrt
 from random import Random
 from types import SimpleNamespace
 from typing import ClassVar
 
 import pytest
 
+import desim
 from desim import Bernoulli, Crash, Fault, Partition, Scenario, Uniform, load
 from desim.kernel.core.events import LOST
 from desim.kernel.core.records import Record
 from desim.kernel.state.inbox import Message
 from desim.kernel.transport.frames import Segment
 from desim.kernel.transport.layer import PORT as FRAMES
-from desim.live import Node, NotLiveError, sockets
+from desim.live import Node, NotLiveError, compare, sockets
 from desim.live.frames import _segment_of, segment_list
 from desim.live.node import _Body
 from desim.live.own_bodies import OwnBodies
@@ -499,3 +500,56 @@ def test_a_pursuer_that_does_not_exist_and_too_few_addresses_are_refused():
         udp_socket(taken.getsockname())
     with pytest.raises(ValueError, match=r"peers should be the addresses of 3 pursuers \(got 1\)"):
         Node(scenario(), 0).connect([(LOCAL, 1)])
+
+
+WRONG_RUNS = {
+    "seeds should be a list of integers": [{"seeds": 3}, {"seeds": "12"}, {"seeds": None}],
+    "the seed should be": [{"seeds": [1.5]}, {"seeds": [-1]}],
+    "at_once should be": [{"at_once": 0}, {"at_once": "1"}, {"at_once": 1.5}, {"at_once": nan}],
+    "links should be 'drawn', 'namespaces', 'netem'": [{"links": "real"}, {"links": None}, {"links": 1}],
+    "tell and finished should be functions": [{"tell": None}, {"finished": 3}],
+    "hosts should be a list of names": [{"hosts": "abc"}, {"hosts": 3}, {"hosts": [1, 2, 3]}, {"hosts": [None] * 3}],
+    "a host should have a name": [{"hosts": [""] * 3}],
+    "hosts should be one for each of the 3": [{"hosts": ["127.0.0.1"]}],
+}
+
+
+@pytest.mark.parametrize("sentence", WRONG_RUNS)
+def test_arguments_of_live_runs_of_another_type_are_refused_before_a_process_starts(sentence):
+    for given in WRONG_RUNS[sentence]:
+        with pytest.raises(ValueError, match=sentence):
+            desim.live.runs(scenario(), **{"seeds": [1]} | given)
+
+
+@pytest.mark.parametrize("action", [3, lambda: None, "print"])
+def test_a_node_refuses_what_takes_no_action(action):
+    with pytest.raises(ValueError, match="on_action should"):
+        Node(scenario(), 0, 1, on_action=action)
+    with pytest.raises(ValueError, match="draws should be True or False"):
+        Node(scenario(), 0, 1, draws="no")
+
+
+@pytest.mark.parametrize("now", [3, lambda: 0.5, lambda: None, lambda time: time])
+def test_a_node_refuses_another_time_before_its_block_begins(now):
+    async def runs():
+        async with Node(scenario(), 0, 1).open((LOCAL, 0), now=now):
+            begun.append(now)
+
+    begun = []
+    with pytest.raises(ValueError, match=r"now (should|returns, the time since the start of the run in ns)"):
+        asyncio.run(runs())
+    assert not begun
+
+
+@pytest.mark.parametrize("evader", ["1", 1.0, None])
+def test_an_evader_of_another_type_is_not_captured(evader):
+    with pytest.raises(ValueError, match="an evader should be an integer"):
+        Node(scenario(), 0, 1).captured(evader)
+
+
+def test_only_scenarios_are_compared():
+    for wrong in ({"scenario": []}, {"scenario": scenario(), "simulated": 3}):
+        with pytest.raises(TypeError, match="compare takes a scenario"):
+            compare(**wrong)
+    with pytest.raises(ValueError, match="count should be at least 1"):
+        compare(scenario(), 0)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache, lru_cache
 from keyword import iskeyword
 from math import isfinite
+from os import PathLike
 from pathlib import Path
 from types import MappingProxyType, UnionType
 from typing import Annotated, Any, Literal, NamedTuple, Self, Union, get_args, get_origin, get_type_hints
@@ -45,9 +46,14 @@ class TraceFile:
 
     Args:
         path: the path of the file.
+
+    Raises:
+        ValueError: if the path is none.
     """
 
     def __init__(self, path: str | Path):
+        if not isinstance(path, str | PathLike) or not Path(path).name:
+            raise ValueError(f"TraceFile takes the path of a file (got {path!r})")
         self._path = Path(path)
         self._part = self._path.with_name(self._path.name + ".part")
         self._block: list[Event] = []

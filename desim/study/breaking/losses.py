@@ -17,7 +17,7 @@ so late that nobody reads it. Of such a pair only the loss is run. Choices are s
 not count either. There is no symmetry between pursuers: they differ in their places and in when they decide.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
 from math import inf
 from typing import NamedTuple
@@ -34,6 +34,7 @@ from desim.pursuit.team.announcements import Announcements
 from desim.scenario.properties import Property, recording
 from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.simulation.run import Result
+from desim.simulation.watchdog import checked_limit
 from desim.study.breaking.case_log import FAILED
 from desim.study.breaking.copies import MessageCopy, ReadingTime, copies, looks, readings
 from desim.study.breaking.judging import failure_of, judged, outcomes_of
@@ -92,6 +93,8 @@ def fatal_losses(
     if (most := whole(most, "most")) < 1:
         raise ArgumentError("most", f"should be at least 1 (got {most})")
     delay, limit = real(delay, "delay"), whole(limit, "limit")
+    if timeout is not None:
+        timeout = checked_limit(timeout)
     fates = _checked_fates(fates, delay)
     prop = checked_property(prop, scenario)
     table = LossTable(most, (scenario.seed,) if seeds is None else tuple(seeds), fates, delay)
@@ -118,6 +121,8 @@ def _checked_fates(fates: Sequence[MessageFate], delay: float) -> tuple[MessageF
     """
     if not delay > 0.0:
         raise ArgumentError("delay", f"should be positive, s (got {delay:g})")
+    if not isinstance(fates, Collection):
+        raise ArgumentError("fates", f"should be a list of {', '.join(FATES)} (got {fates!r})")
     if unknown := [fate for fate in fates if fate not in FATES]:
         raise ArgumentError("fates", f"should be {', '.join(FATES)} (got {unknown[0]!r})")
     if not fates:

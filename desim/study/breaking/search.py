@@ -1,7 +1,7 @@
 """The search for a scenario in which a protocol violates a property."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf
 from typing import Any
@@ -14,6 +14,7 @@ from desim.config.suggestion import did_you_mean
 from desim.kernel.core.seeds import run_seed, stream
 from desim.scenario.properties import CANNOT_FAIL, Property
 from desim.scenario.scenario import PROTOCOLS, Scenario
+from desim.simulation.watchdog import checked_limit
 from desim.study.breaking.case_log import CaseLog, CaseRun
 from desim.study.breaking.features import FEATURES, Case, Draw, applied, changed_or_none, drawn, of_grid
 from desim.study.breaking.judging import CaseJudge, Planned
@@ -192,15 +193,26 @@ def find_violation(
     Raises:
         TypeError: if it is not a scenario.
         ValueError: if the property does not fit the scenario or cannot fail, a feature does not exist, the protocol is
-            its own reference, or the budget is not positive.
+            its own reference, the budget or the time-out is not positive, or another argument is of a wrong type.
     """
     scenario_argument(Scenario).check(scenario, "find_violation")
     if not real(budget, "budget") > 0.0:
         raise ArgumentError("budget", f"should be positive, s (got {budget:g})")
     if whole(runs, "runs") < 1:
         raise ArgumentError("runs", f"should be at least 1 (got {runs})")
+    if timeout is not None:
+        timeout = checked_limit(timeout)
+    if (shrinking := whole(shrinking, "shrinking")) < 0:
+        raise ArgumentError("shrinking", f"should be at least 0 (got {shrinking})")
+    if not isinstance(log, CaseLog | None):
+        raise ArgumentError("log", f"should be a CaseLog (got {log!r})")
     prop = checked_property(prop, scenario)
-    cases = _Cases(scenario, features_of(features, vary or {}, scenario), scenario.seed if seed is None else seed, runs)
+    cases = _Cases(
+        scenario,
+        features_of(features, {} if vary is None else vary, scenario),
+        scenario.seed if seed is None else seed,
+        runs,
+    )
     search = Search()
     with progress(runs, "search", "case") as bar, workers_for(jobs, min(runs, GENERATION)) as workers:
         judge_run = CaseJudge(prop, workers, log, timeout)
@@ -230,6 +242,10 @@ def features_of(
         ValueError: if there is no feature of a name, there are none at all, or the scenario takes no such value.
     """
     names = [*FEATURES] if names is None else [names] if isinstance(names, str) else names
+    if not isinstance(names, Collection) or not all(isinstance(name, str) for name in names):
+        raise ValueError(f"features should be a list of names (got {names!r}); there are {', '.join(FEATURES)}")
+    if not isinstance(vary, Mapping):
+        raise ValueError(f"vary should be lists of values by key, {{'team.count': [3, 5]}} for instance (got {vary!r})")
     if unknown := [name for name in names if name not in FEATURES]:
         raise ArgumentError(
             "features",

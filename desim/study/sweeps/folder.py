@@ -5,10 +5,9 @@ import shlex
 from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
-from desim.config.arguments import Argument, naming_arguments
+from desim.config.arguments import RESULTS, naming_arguments
 from desim.config.file_names import STORE, STORE_PARTS, TRACE
 from desim.results import provenance, run_folder
 from desim.simulation.run import Result
@@ -17,8 +16,6 @@ from desim.study.results.result import SweepResult
 from desim.study.results.runs import SHOWN
 from desim.study.store.properties import flat
 from desim.study.store.store import Store
-
-PATH = Argument("the path of a folder with results", (str, PathLike), MappingProxyType({}))
 
 
 @naming_arguments
@@ -38,7 +35,7 @@ def open(path: str | PathLike[str], *, allow_import: bool = False) -> Result | S
             run.json is damaged or of another format.
         OSError: if a file does not exist or cannot be read, or if a store is damaged or of another format.
     """
-    PATH.check(path, "open")
+    RESULTS.check(path, "open")
     path = Path(path)
     if path.is_dir():
         path = _file_in(path)

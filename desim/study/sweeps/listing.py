@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from desim.analysis.tables import aligned
-from desim.config.arguments import naming_arguments
+from desim.config.arguments import RESULTS, naming_arguments
 from desim.config.escaping import escaped
 from desim.config.file_names import STORE, STORE_PARTS, TRACE
 from desim.config.html import html_table
@@ -86,8 +86,10 @@ def ls(folder: str | Path = "out") -> Listing:
     followed, and no code of a result is run.
 
     Raises:
+        TypeError: if it is no path.
         NotADirectoryError: if it is no folder.
     """
+    RESULTS.check(folder, "ls")
     folder = Path(folder)
     if not folder.is_dir():
         raise NotADirectoryError(20, "is not a folder", str(folder))

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from desim.analysis.tables import aligned, counted
-from desim.config.arguments import naming_arguments
+from desim.config.arguments import RESULTS, naming_arguments
 from desim.config.file_names import STORE, STORE_PARTS
 from desim.results import provenance
 from desim.study.store.store import Store
@@ -79,9 +79,11 @@ def status(folder: str | Path) -> SweepStatus:
     sweep writes to them, and the states of parts from squeue if there is one.
 
     Raises:
+        TypeError: if it is no path.
         ValueError: if the folder has no sweep.
         OSError: if it cannot be read.
     """
+    RESULTS.check(folder, "status")
     folder = Path(folder)
     if folder.is_file():
         raise ValueError(f"{folder}: is no folder: give the one of `desim submit`, or of `desim sweep -o`")

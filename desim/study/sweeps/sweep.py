@@ -101,7 +101,7 @@ def sweep(
     plan = SweepPlan.of(scenario, grid, MAX_RUNS if until and reps is None else reps, seed, metrics, design)
     if until is not None:
         pair: Any = until
-        if isinstance(pair, str) or len(pair) != 2:
+        if not isinstance(pair, list | tuple) or len(pair) != 2:
             form = "('active_time', 0.1)"
             raise ValueError(f"until should be a metric and a half width, {form} for instance (got {until!r})")
         until = until[0], real(until[1], f"the half width of {until[0]}")
