@@ -8,7 +8,8 @@ import pytest
 from scipy import stats
 
 from desim import Scenario, sensitivity
-from desim.study.sensitivity.morris import LEVELS, STEP, elementary_effects, morris_points
+from desim.scenario.value_ranges import setting_at
+from desim.study.sensitivity.morris import LEVELS, STEP, among_items, elementary_effects, morris_points
 from desim.study.sensitivity.sensitivity_result import SensitivityResult, _with_interval
 from desim.study.sensitivity.sobol_indices import IndexEstimate, SobolIndices, saltelli_points, sobol_indices
 from desim.study.store.store import Store
@@ -122,6 +123,50 @@ def test_the_effects_of_a_linear_model_are_its_slopes_and_interactions_spread():
     assert effects.matters(0.1) == [0, 1, 2]
 
 
+@pytest.mark.parametrize("count", [2, 3, 4, 5, 7, 11])
+def test_each_item_of_a_list_is_as_probable_and_a_step_leads_to_another_one(count):
+    """Of 4,000 shares at starts and ends each. The control is a list at the levels themselves."""
+    points = morris_points(2000, 2, np.random.default_rng(3))
+    items = [setting_at(range(count), share) for share in among_items(points, np.random.default_rng(4)).ravel()]
+    items = np.reshape(items, points.shape)
+    both = items[:, [0, -1]]
+    assert (both[:, 0] != both[:, 1]).all()
+    error = sqrt(2.0 * 4000 / count)  # the two of a trajectory are not independent
+    assert np.bincount(both.ravel(), minlength=count) == pytest.approx(8000 / count, abs=4 * error)
+    steps = np.diff(items, axis=1) != 0
+    assert (steps == (np.diff(points, axis=1) != 0.0)).all()
+    at_levels = {setting_at(range(count), share) for share in points.ravel()}
+    assert (at_levels == {*range(count)}) == (count in {2, 4})
+
+
+def test_the_effect_of_a_few_values_is_that_of_a_change_to_another_one():
+    """Only the second of three values differs, of numbers the whole range counts; the control is screened out."""
+
+    def values(self, shares, *_):
+        settings = map(self._settings, shares.tolist())
+        return np.array(
+            [
+                [2.0 * (one["prune"] == "inf") + 3.0 * one["team.count"] + 5.0 * one["network.loss.p"]]
+                for one in settings
+            ]
+        )
+
+    grid = {
+        "prune": ["none", "inf", "infeasible"],
+        "network.loss.p": "0:1",
+        "team.count": "2:4",
+        "horizon": [0.01, 0.02],
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("desim.study.sensitivity.analysis.Analysis._values", values)
+        result = analysed(grid=grid, points=0, trajectories=60)
+    changed, *linear, nothing = (effect.value for effect in result.effects.mean_absolute)
+    assert linear == pytest.approx([5.0, 6.0])
+    assert changed == pytest.approx(2.0 * 2 / 3, abs=4 * 2.0 * sqrt(2 / 9 / 60))  # two of three steps are to or from it
+    assert nothing == 0.0
+    assert result.kept == (0, 1, 2)
+
+
 SHORT = Scenario(horizon=0.01, team={"count": 2}, record={"trajectory": 0}, network={"latency": 0.1, "loss": 0.1})
 RANGES = {"network.latency.value": "0.0:1.0", "network.loss.p": "0:1", "team.count": "2:5", "prune": ["none", "inf"]}
 
@@ -188,7 +233,7 @@ def test_screening_in_two_runs_at_each_point():
     pair = {key: RANGES[key] for key in ("network.latency.value", "prune")}
     result = analysed(grid=pair, points=0, trajectories=2)
     assert (result.runs, result.runs_at_point, result.kept) == (12, 2, (0,))
-    assert [effect.value for effect in result.effects.mean_absolute] == pytest.approx([4.0, 0.3], abs=1e-4)
+    assert [effect.value for effect in result.effects.mean_absolute] == pytest.approx([4.0, 0.2], abs=1e-4)
 
 
 def constant(_):

@@ -23,7 +23,7 @@ from desim.kernel.core.seeds import seed_of, stream
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import validate
-from desim.scenario.value_ranges import is_range, setting_at
+from desim.scenario.value_ranges import KeyRange, is_range, setting_at
 from desim.simulation.watchdog import checked_limit
 from desim.study.plan.configurations import (
     SweepGrid,
@@ -33,7 +33,7 @@ from desim.study.plan.configurations import (
     valid_configurations,
     without_metrics,
 )
-from desim.study.sensitivity.morris import ElementaryEffects, elementary_effects, morris_points
+from desim.study.sensitivity.morris import ElementaryEffects, among_items, elementary_effects, morris_points
 from desim.study.sensitivity.sensitivity_result import SensitivityResult
 from desim.study.sensitivity.sobol_indices import SobolIndices, saltelli_points, sobol_indices
 from desim.study.store.file import path_of_store
@@ -176,10 +176,12 @@ class Analysis:
         kept, count = list(range(keys)), 0
         if self.trajectories:
             at = morris_points(self.trajectories, keys, stream(0, "morris"))
+            few = [k for k, (first, *_) in enumerate(self.grid.values()) if not _is_continuous(first)]
+            at[:, :, few] = among_items(at[:, :, few], stream(0, "items"))
             values = values_at(at.reshape(-1, keys))
             count += values.size
             means = values.mean(axis=1).reshape(at.shape[:2])
-            effects = elementary_effects(at, means, rng=stream(0, "bootstrap"))
+            effects = elementary_effects(at, means, self._spans(at), rng=stream(0, "bootstrap"))
             kept = effects.matters(SHARE)
         indices: SobolIndices | None = None
         if self.points and kept:
@@ -220,5 +222,21 @@ class Analysis:
         values: Floats = metric_values(plan, result, self.metric)[at]
         return values
 
+    def _spans(self, points: Floats) -> Floats:
+        """Return the (trajectories, keys) shares of the ranges over which trajectories go; 1 for lists."""
+        spans = np.abs(points[:, -1] - points[:, 0])
+        for k, (first, *_) in enumerate(self.grid.values()):
+            if not isinstance(first, KeyRange):
+                spans[:, k] = 1.0
+            elif first.is_whole:
+                begin, end = ([first.share_of(first.at(share)) for share in points[:, e, k].tolist()] for e in (0, -1))
+                spans[:, k] = np.abs(np.array(end) - begin)
+        return spans
+
     def _settings(self, shares: Sequence[float]) -> dict[str, Any]:
         return {key: setting_at(values, share) for (key, values), share in zip(self.grid.items(), shares, strict=True)}
+
+
+def _is_continuous(value: Any) -> bool:
+    """Return whether the first value of a key in a grid is a range with more than whole numbers."""
+    return isinstance(value, KeyRange) and not value.is_whole

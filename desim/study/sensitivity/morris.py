@@ -3,6 +3,8 @@
 Source: Morris 1991, "Factorial Sampling Plans for Preliminary Computational Experiments". Each trajectory begins at a
 random point of a grid of `LEVELS` levels, and changes one input after another by `STEP`, up or down, in random order.
 The change of the model divided by `STEP` is an elementary effect: the change over the whole range, if it were linear.
+An input with a few values, a list or whole numbers, steps from one to another that is half of them further; the effect
+of a list is the change itself.
 The mean of absolute effects (mu*, Campolongo et al. 2007, "An effective screening design for sensitivity analysis of
 large models") is 0 for an input without effect; the standard deviation of effects is 0 for an input that adds a term in
 proportion, and large for one with interactions or a curve.
@@ -56,9 +58,21 @@ def morris_points(trajectories: int, inputs: int, rng: np.random.Generator) -> F
     return points.round(12)
 
 
+def among_items(points: Floats, rng: np.random.Generator) -> Floats:
+    """Return the (trajectories, points, inputs) shares, in [0, 1), of inputs with a few values at some points.
+
+    A level becomes a share in its quarter of the values, the same in each quarter along a trajectory. So every value is
+    as probable as another, however many there are, and a step goes over half of them, to another one.
+    """
+    quarters = (points * (LEVELS - 1)).round()
+    shares: Floats = (quarters + rng.random((len(points), 1, points.shape[2]))) / LEVELS
+    return shares
+
+
 def elementary_effects(
     points: Floats,
     values: Floats,
+    spans: Floats | None = None,
     *,
     confidence: float = 0.95,
     resamples: int = 1000,
@@ -70,6 +84,9 @@ def elementary_effects(
         points: the points of trajectories, of `morris_points`.
         values: the (trajectories, inputs + 1) values of the model there; of a model with chance, means over the same
             seeds at all points.
+        spans: the (trajectories, inputs) shares of the ranges over which the steps go, and 1 for lists, whose effects
+            are not scaled; None: the differences of the points. Where one is 0, the
+            value is the same after the step, and the effect is 0.
         confidence: the confidence of the intervals.
         resamples: the number of bootstrap samples, which draw trajectories.
         rng: draws them; None = one with the seed 0.
@@ -77,7 +94,10 @@ def elementary_effects(
     rng = np.random.default_rng(0) if rng is None else rng
     steps = np.diff(points, axis=1)
     changed = np.abs(steps).argmax(axis=2)
-    slopes = np.diff(values, axis=1) / np.take_along_axis(steps, changed[..., None], axis=2)[..., 0]
+    of_changed = np.take_along_axis(steps, changed[..., None], axis=2)[..., 0]
+    if spans is not None:
+        of_changed = np.copysign(np.take_along_axis(spans, changed, axis=1), of_changed)
+    slopes = np.divide(np.diff(values, axis=1), of_changed, out=np.zeros(changed.shape), where=of_changed != 0.0)
     effects = np.empty_like(slopes)  # (trajectories, inputs)
     np.put_along_axis(effects, changed, slopes, axis=1)
     draws = rng.integers(len(effects), size=(resamples, len(effects)))

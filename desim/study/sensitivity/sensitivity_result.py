@@ -36,7 +36,7 @@ class SensitivityResult:
     runs_at_point: int
     """The number of runs at each point."""
     runs: int
-    """The number of runs of the analysis; a point that occurs several times is run once."""
+    """The number of runs at all points; a point that occurs several times counts as often, and is run once."""
     effects: ElementaryEffects | None
     """The effects of all keys; None without screening."""
     kept: tuple[int, ...]
