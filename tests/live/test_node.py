@@ -551,5 +551,5 @@ def test_only_scenarios_are_compared():
     for wrong in ({"scenario": []}, {"scenario": scenario(), "simulated": 3}):
         with pytest.raises(TypeError, match="compare takes a scenario"):
             compare(**wrong)
-    with pytest.raises(ValueError, match="count should be at least 1"):
+    with pytest.raises(ValueError, match="a comparison needs at least 2 runs"):
         compare(scenario(), 0)
