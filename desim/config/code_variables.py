@@ -196,14 +196,14 @@ class CodeWords(NamedTuple):
 def _words_of(code: CodeType) -> CodeWords:
     """Return the words in a function and in the functions inside it."""
     instructions = [(item.opname, item.argval) for item in get_instructions(code)]
-    words = CodeWords(
+    outer = CodeWords(
         frozenset(code.co_names),
         frozenset(item for item in code.co_consts if isinstance(item, str)),
         frozenset(name for operation, name in instructions if operation == "IMPORT_NAME"),
         frozenset(name for operation, name in instructions if operation.endswith("_GLOBAL")),
     )
     return CodeWords(
-        *(part.union(*inner) for part, *inner in zip(words, *map(_words_of, inner_code(code)), strict=True))
+        *(part.union(*inner) for part, *inner in zip(outer, *map(_words_of, inner_code(code)), strict=True))
     )
 
 

@@ -8,8 +8,6 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import reduce
-from operator import getitem
 from typing import Any
 
 from pydantic import BaseModel, Tag, ValidationError
@@ -26,6 +24,7 @@ from desim.config.key_suggestions import other_key, suggestion
 from desim.config.model import Value, markers_of, models_in
 from desim.config.number_texts import why_no_number
 from desim.config.python_numbers import as_python
+from desim.config.tables import holds, value_at
 
 MAX_SHOWN = 60
 """The largest number of characters of a value that an error message shows."""
@@ -210,16 +209,6 @@ def _wrapped(value: Any, info: FieldInfo | None) -> str:
             if any(type(value) in one_of.choices().values() for one_of in choices_of(field)):
                 return f": {outer.__name__}({name}={type(value).__name__}(...))"
     return ""
-
-
-def holds(node: Any, key: Any) -> bool:
-    """Return whether a table contains a key, or a list has an index."""
-    return key in node if isinstance(node, dict) else isinstance(node, list) and key in range(len(node))
-
-
-def value_at(tables: Any, place: KeyPath) -> Any:
-    """Return the value at a place in tables."""
-    return reduce(getitem, place, tables)
 
 
 def model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:

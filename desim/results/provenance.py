@@ -12,7 +12,9 @@ from pathlib import Path
 from types import FunctionType, NoneType
 from typing import TYPE_CHECKING, Any
 
+from desim.config.errors import KeyPath
 from desim.config.json_numbers import from_json, to_json
+from desim.config.tables import nested
 from desim.config.trust import regular_or_missing
 from desim.config.whole_files import write_whole
 from desim.results.environment import environment
@@ -239,14 +241,12 @@ def _given(scenario: Document) -> Document:
     return tables
 
 
-def _not_importable(node: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
+def _not_importable(tables: Document) -> Iterator[tuple[KeyPath, str]]:
     """Yield (key path, error) for each model that cannot be imported, such as one defined in a script."""
-    inner = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
-    for key, value in inner:
+    for (*place, key), value in nested(tables):
         if key == "kind" and isinstance(value, str) and (value.startswith("__main__:") or "<" in value):
             text = f"{value!r} was defined in a script or in a function and cannot be imported; move it to a module"
-            yield place, f"{'.'.join(map(str, place))}: {text}"
-        yield from _not_importable(value, (*place, key))
+            yield tuple(place), f"{'.'.join(map(str, place))}: {text}"
 
 
 def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:

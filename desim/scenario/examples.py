@@ -2,13 +2,13 @@
 
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from desim.config.arguments import naming_arguments
 from desim.config.packages import package_folder
 from desim.config.suggestion import did_you_mean
+from desim.config.tables import nested
 from desim.config.whole_files import write_new
 
 
@@ -62,13 +62,6 @@ def copy_example(name: str, target: Path = Path()) -> list[Path]:
 
 def _named_files(path: Path) -> list[Path]:
     """Return the files that a scenario file names: each string in it that is the path of a file in its folder."""
-    beside = (path.parent / text for text in _texts(tomllib.loads(path.read_text(encoding="utf-8"))))
+    values = (value for _, value in nested(tomllib.loads(path.read_text(encoding="utf-8"))))
+    beside = (path.parent / value for value in values if isinstance(value, str))
     return sorted({path for path in beside if path.is_file()})
-
-
-def _texts(value: Any) -> Iterator[str]:
-    """Yield every string nested in a value."""
-    if isinstance(value, str):
-        yield value
-    for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
-        yield from _texts(inner)

@@ -12,9 +12,10 @@ from pydantic.fields import FieldInfo
 from desim.config.choice import choices_of
 from desim.config.errors import KeyedError, KeyPath, Problem, problems_of
 from desim.config.field_docs import fields_of
-from desim.config.key_errors import holds, model_of, value_at
+from desim.config.key_errors import model_of
 from desim.config.model import Value
 from desim.config.python_numbers import as_python
+from desim.config.tables import holds, value_at
 from desim.kernel.models.presets import PRESETS
 from desim.scenario.override_texts import key_and_value, key_and_values
 

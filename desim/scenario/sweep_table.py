@@ -9,6 +9,7 @@ from pydantic_core import CoreSchema, PydanticCustomError
 
 from desim.config.model import Value
 from desim.config.named_code import definition_of, import_name, is_unlisted_import, refusal
+from desim.config.tables import nested
 from desim.config.trust import is_trusted
 from desim.scenario.value_ranges import KeyRange, interval_of, is_range, range_of
 
@@ -134,17 +135,9 @@ class Sweep(Value):
 
 def _kinds_in(grid: dict[str, tuple[Any, ...]]) -> Iterator[tuple[str, Any]]:
     """Yield each kind in the values of a grid, also in nested tables, as a pair (key of the grid, kind)."""
-
-    def inside(value: Any) -> Iterator[Any]:
-        inner = value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
-        if isinstance(value, dict):
-            yield value.get("kind")
-        for entry in inner:
-            yield from inside(entry)
-
     for key, values in grid.items():
-        kinds = [*inside(values), *(values if key.split(".")[-1].strip("\"'") == "kind" else ())]
-        yield from ((key, kind) for kind in kinds)
+        yield from ((key, value) for (*_, name), value in nested(values) if name == "kind")
+        yield from ((key, kind) for kind in (values if key.split(".")[-1].strip("\"'") == "kind" else ()))
 
 
 def _as_json(value: Any) -> Any:

@@ -13,9 +13,10 @@ from typing import Any
 import tomli_w
 
 from desim.config.arguments import Argument, naming_arguments
-from desim.config.errors import KeyPath, Problem
+from desim.config.errors import Problem
 from desim.config.own_modules import CodeName
 from desim.config.suggestion import close_to
+from desim.config.tables import nested, value_at
 from desim.config.traits import kind_of
 from desim.config.trust import path_in, regular_or_missing
 from desim.scenario.examples import examples
@@ -78,7 +79,7 @@ def read_source(file: str | PathLike[str], overrides: Sequence[str] = (), *, all
     source = sources.pop()
     while sources:
         source = sources.pop().over(source)
-    _relocate(source, source.tables, ())
+    _relocate(source)
     for override in overrides:
         source.override(override)
     return source
@@ -138,25 +139,18 @@ def _in_folder(node: Any, folder: Path) -> Any:
     return CodeName(node, folder) if isinstance(node, str) and ":" in node else node
 
 
-def _relocate(source: Source, node: Any, above: KeyPath) -> None:
+def _relocate(source: Source) -> None:
     """Convert the paths of data files in bases: make each relative to the folder of the file that uses the bases.
 
     Such a path is the value of the key `file` in a table, or one of the values of such a key in the grid of a sweep.
     Only tables whose kind is the name of an installed model are converted, because the key `file` may mean anything
     else in a table of the kind "module:name". The kind and the path may be set in different files.
-
-    Args:
-        source: the source of the file, merged with its bases.
-        node: a value in its tables.
-        above: the place of this value: the keys and list indices that lead to it.
     """
-    inner = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
-    for key, value in inner:
-        place = (*above, key)
-        _relocate(source, value, place)
+    for place, value in list(nested(source.tables)):
         *parts, last = ".".join(map(str, place)).split(".")  # a key of the grid is dotted
         if last != "file" or place not in source.files:
             continue
+        node, key = value_at(source.tables, place[:-1]), place[-1]
         folder = os.path.relpath(Path(source.files[place]).parent, Path(source.name).parent)
         if isinstance(value, str) and _has_installed_kind(node):
             node[key] = str(Path(folder, value))

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from desim.config.errors import KeyPath
+from desim.config.tables import nested
 
 
 def tables_of(text: str) -> dict[str, Any]:
@@ -34,7 +35,7 @@ def key_lines(text: str) -> dict[KeyPath, int]:
             header = _header(tables, statement.startswith("[["), lengths)
             places = [header[:end] for end in range(1, len(header) + 1)]
         else:
-            places = [header + place for place in _places(tables)]
+            places = [header + place for place, _ in nested(tables)]
         for place in places:
             lines.setdefault(place, first)
     return lines
@@ -115,11 +116,3 @@ def _header(tables: dict[str, Any], is_array: bool, lengths: dict[KeyPath, int])
         lengths[place] = lengths.get(place, 0) + 1
         place += (lengths[place] - 1,)
     return place
-
-
-def _places(value: Any, place: KeyPath = ()) -> Iterator[KeyPath]:
-    """Yield the place of every value nested in a value."""
-    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, entry in inner:
-        yield (*place, key)
-        yield from _places(entry, (*place, key))

@@ -77,17 +77,18 @@ class Result(HintedAttributes):
     def _ended(self) -> str:
         """The outcome of the run as text."""
         ends = self.trace.of(Ended)
-        return _outcome(ends[-1], len(self.trace.of(Captured)), len(self.scenario.evaders)) if ends else "not yet"
+        return outcome_of(ends[-1], len(self.trace.of(Captured)), len(self.scenario.evaders)) if ends else "not yet"
 
 
-def _outcome(end: Ended, captures: int, evaders: int) -> str:
-    """Return the outcome of a run as text."""
-    several = f"{captures} of {evaders} captured" if evaders > 1 else ""
+def outcome_of(end: Ended, captures: int, evaders: int) -> str:
+    """Return the outcome of a run as text: the number of captures, if there are several evaders, and its end."""
+    captured = f"captured {captures} of {evaders}" if evaders > 1 else ""
     if end.reason == "captured":
-        how = f"{several}, the last by" if several else "captured by"
+        how = f"{captured}, the last by" if captured else "captured by"
         return f"{how} {end.capturer} after {seconds(end.t):.2f} s"
-    how = f"{several or 'not captured'} within" if end.reason == "horizon" else "stopped after"
-    return f"{how} {seconds(end.t):g} s"
+    if end.reason == "horizon":
+        return f"{captured or 'not captured'} within {seconds(end.t):g} s"
+    return f"{captured}, stopped after {seconds(end.t):.2f} s".removeprefix(", ")
 
 
 @naming_arguments

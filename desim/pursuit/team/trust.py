@@ -63,22 +63,26 @@ def judge_of(trust: Trust, witness: Observer) -> Judge | None:
     return judge  # type: ignore[no-any-return]
 
 
-class Credulous(Value):
-    """A pursuer believes all announcements."""
-
-    kind: Literal["none"] = "none"
+class _WithoutReports(Value):
+    """Base of the kinds of trust whose judges do not report."""
 
     @property
     def period(self) -> float | None:
         """No reports."""
         return None
 
+
+class Credulous(_WithoutReports):
+    """A pursuer believes all announcements."""
+
+    kind: Literal["none"] = "none"
+
     def judge(self, witness: Observer) -> Judge | None:
         """Return None."""
         return None
 
 
-class Trimmed(Value):
+class Trimmed(_WithoutReports):
     """A pursuer ignores the F most extreme claims on each side of its own capture time.
 
     This is the rule of W-MSR (LeBlanc, Zhang, Koutsoukos & Sundaram 2013, "Resilient Asymptotic Consensus in Robust
@@ -97,26 +101,16 @@ class Trimmed(Value):
     If in doubt, use 1, and never more than a quarter of the team.
     """
 
-    @property
-    def period(self) -> float | None:
-        """No reports."""
-        return None
-
     def judge(self, witness: Observer) -> Judge | None:
         """Create a judge."""
         return TrimmingJudge(self.liars)
 
 
-class _Observing(Value):
+class _Observing(_WithoutReports):
     """Base of the kinds of trust that compare claims with what the pursuer observes."""
 
     radius: Limit = inf
     """Distance up to which a pursuer observes the position and the motion of a teammate, m."""
-
-    @property
-    def period(self) -> float | None:
-        """No reports."""
-        return None
 
 
 class Plausible(_Observing):

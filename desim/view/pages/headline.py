@@ -7,14 +7,13 @@ from desim.analysis.tables import counted
 from desim.analysis.trace_index import captures, ended, started
 from desim.config.model import Value
 from desim.config.traits import kind_of, name_of
-from desim.kernel.core.units import seconds
 from desim.kernel.models.graphs import Complete
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.loss import Bernoulli
 from desim.kernel.models.medium import Unlimited, contends
 from desim.kernel.models.reception import Disk
 from desim.scenario.scenario import Scenario
-from desim.simulation.run import Result
+from desim.simulation.run import Result, outcome_of
 
 TRIGGERS = {
     "change": "announced on change",
@@ -39,19 +38,7 @@ def about(result: Result) -> str:
 
 def outcome(result: Result) -> str:
     """Return the outcome of a run as text: the captures and the time of its end."""
-    end = ended(result)
-    if (count := len(started(result).evaders)) > 1:
-        how = {
-            "captured": f", the last by {end.capturer} after {seconds(end.t):.2f} s",
-            "horizon": f" within {seconds(end.t):g} s",
-            "stopped": f", stopped after {seconds(end.t):.2f} s",
-        }
-        return f"captured {len(captures(result))} of {count}{how[end.reason]}"
-    return {
-        "captured": f"captured by {end.capturer} after {seconds(end.t):.2f} s",
-        "horizon": f"not captured within {seconds(end.t):g} s",
-        "stopped": f"stopped after {seconds(end.t):.2f} s",
-    }[end.reason]
+    return outcome_of(ended(result), len(captures(result)), len(started(result).evaders))
 
 
 def conditions(scenario: Scenario) -> str:

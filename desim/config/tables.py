@@ -1,0 +1,26 @@
+"""Nested tables and lists, as TOML and JSON have them, and the places in them."""
+
+from collections.abc import Iterator
+from functools import reduce
+from operator import getitem
+from typing import Any
+
+from desim.config.errors import KeyPath
+
+
+def holds(node: Any, key: Any) -> bool:
+    """Return whether a table contains a key, or a list has an index."""
+    return key in node if isinstance(node, dict) else isinstance(node, list) and key in range(len(node))
+
+
+def value_at(tables: Any, place: KeyPath) -> Any:
+    """Return the value at a place in tables."""
+    return reduce(getitem, place, tables)
+
+
+def nested(node: Any, place: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
+    """Yield the place and the value of all that a table or list contains, what contains other values before these."""
+    inner = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list | tuple) else ()
+    for key, value in inner:
+        yield (*place, key), value
+        yield from nested(value, (*place, key))
