@@ -7,10 +7,14 @@ these are refused, and so are decimal commas, thousands separators and units.
 import re
 import zlib
 from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
+from collections.abc import Callable
 from itertools import takewhile
 from pathlib import Path
+from typing import TypeVar
 
 from desim.config.trust import regular_or_missing
+
+Number = TypeVar("Number")
 
 COMMAS = re.compile(r"[+-]?[\d.\s']*,\d[\d.,]*(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
 """Matches a number with a comma, for decimals or thousands."""
@@ -32,6 +36,18 @@ def number_of(text: str) -> float:
     except ValueError:
         pass
     raise not_a_number(text)
+
+
+def converted(convert: Callable[[str], Number], text: str, place: str) -> Number:
+    """Return the number in a text by one of the functions that convert it; an error begins with the place of the text.
+
+    Raises:
+        ValueError: if the function does.
+    """
+    try:
+        return convert(text)
+    except ValueError as error:
+        raise ValueError(f"{place}: {error}") from error
 
 
 def integer_of(text: str) -> int:

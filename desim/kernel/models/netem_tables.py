@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from desim.config.arrays import Floats, Integers
-from desim.config.number_files import integer_of, lines_of, words_of
+from desim.config.number_files import converted, integer_of, lines_of, words_of
 
 SIZE = 4096
 """Length of the tables of iproute2, and of fitted ones."""
@@ -74,10 +74,7 @@ def read_table(file: Path) -> tuple[int, ...]:
     numbers: list[int] = []
     for line, text in enumerate(lines_of(file), 1):
         for word in words_of(text):
-            try:
-                numbers.append(integer_of(word))
-            except ValueError as error:
-                raise ValueError(f"{file}, line {line}: {error}") from error
+            numbers.append(converted(integer_of, word, f"{file}, line {line}"))
             if not LOWEST <= numbers[-1] <= HIGHEST:
                 raise ValueError(f"{file}, line {line}: should be in {LOWEST} .. {HIGHEST} (got {word})")
     if not 1 <= len(numbers) <= LONGEST:

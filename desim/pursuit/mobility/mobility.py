@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from desim.config.model import MAX_COORDINATE, MAX_TIME
-from desim.config.number_files import number_of
+from desim.config.number_files import converted, number_of
 from desim.config.suggestion import did_you_mean
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.measured.measurements import LIKE_NUMBER, time_of
@@ -98,28 +98,18 @@ def time(text: str, place: str, start: Decimal = Decimal(0)) -> float:
     Raises:
         ValueError: if the text is not a time, or is not from 0 to `MAX_TIME`.
     """
-    try:
-        elapsed = float(time_of(text) - start)
-    except ValueError as error:
-        raise ValueError(f"{place}: {error}") from error
+    elapsed = float(converted(time_of, text, place) - start)
     return _within(elapsed, text, place, "a time", 0.0, MAX_TIME, "s")
 
 
 def coordinate(text: str, place: str) -> float:
     """Return a coordinate, m; raise ValueError if the text is none."""
-    return _within(_number(text, place), text, place, "a coordinate", -MAX_COORDINATE, MAX_COORDINATE, "m")
+    return _within(converted(number_of, text, place), text, place, "a coordinate", -MAX_COORDINATE, MAX_COORDINATE, "m")
 
 
 def speed(text: str, place: str) -> float:
     """Return a speed, m/s; raise ValueError if the text is none."""
-    return _within(_number(text, place), text, place, "a speed", 0.0, MAX_COORDINATE, "m/s")
-
-
-def _number(text: str, place: str) -> float:
-    try:
-        return number_of(text)
-    except ValueError as error:
-        raise ValueError(f"{place}: {error}") from error
+    return _within(converted(number_of, text, place), text, place, "a speed", 0.0, MAX_COORDINATE, "m/s")
 
 
 def _within(number: float, text: str, place: str, quantity: str, low: float, high: float, unit: str) -> float:

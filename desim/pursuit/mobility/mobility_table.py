@@ -12,7 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from desim.config.column_names import COLUMNS, DEGREES, UNITS, Header, header_of
-from desim.config.number_files import number_of
+from desim.config.number_files import converted, number_of
 from desim.kernel.measured.csv_tables import rows_of, separator_in, with_points
 from desim.kernel.measured.measurements import start_of, time_of
 from desim.pursuit.mobility.mobility import MobilityFile, NodeName, NodeTrack, Waypoint, append, coordinate, time
@@ -101,10 +101,7 @@ class MobilityTable(MobilityFile):
 
     def _time(self, row: tuple[int, list[str]]) -> Decimal:
         line, cells = row
-        try:
-            return time_of(cells[self._columns["t"] or 0])
-        except ValueError as error:
-            raise ValueError(f"{self._file}, line {line}: {error}") from error
+        return converted(time_of, cells[self._columns["t"] or 0], f"{self._file}, line {line}")
 
     def _track(self, node: NodeName) -> NodeTrack:
         start = start_of((self._time(row) for rows in self._rows.values() for row in rows), self._file)

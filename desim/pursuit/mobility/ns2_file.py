@@ -10,11 +10,11 @@ replaces this one, also before the arrival, and a speed of 0 stops the node. The
 
 import re
 from collections.abc import Iterator, Sequence
-from decimal import Decimal
 from math import hypot
 from pathlib import Path
 from typing import NamedTuple
 
+from desim.config.number_files import converted
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.measured.measurements import start_of, time_of
 from desim.pursuit.mobility.mobility import MobilityFile, NodeName, NodeTrack, Waypoint, coordinate, speed, time
@@ -67,7 +67,7 @@ class Ns2File(MobilityFile):
             self._read(statement, number)
         super().__init__(file, sorted(self._motions))
         moves = [entry for motion in self._motions.values() for entry in motion.moves]
-        self._zero = start_of((_time(text, f"{file}, line {move.line}") for text, move in moves), file)
+        self._zero = start_of((converted(time_of, text, f"{file}, line {move.line}") for text, move in moves), file)
         for motion in self._motions.values():
             for text, move in motion.moves:
                 time(text, f"{file}, line {move.line}", self._zero)
@@ -91,7 +91,7 @@ class Ns2File(MobilityFile):
             if len(numbers) != 3:
                 raise ValueError(f"{place}: should have the form {FORMS}")
             x, y = coordinate(numbers[0], place), coordinate(numbers[1], place)
-            _time(move[1], place)
+            converted(time_of, move[1], place)  # refused here, with the line
             self._motion(move, 2, place).moves.append((move[1], Move(0.0, x, y, speed(numbers[2], place), number)))
         else:
             raise ValueError(f"{place}: should have the form {FORMS}")
@@ -125,14 +125,6 @@ def _statements(lines: Sequence[str]) -> Iterator[tuple[int, str]]:
                 break
             if MOTION.search(statement):
                 yield number, statement
-
-
-def _time(text: str, place: str) -> Decimal:
-    """Return the time, s, that a text says, as in the file."""
-    try:
-        return time_of(text)
-    except ValueError as error:
-        raise ValueError(f"{place}: {error}") from error
 
 
 def legs(start: Waypoint, moves: Sequence[Move]) -> Iterator[Waypoint]:
