@@ -12,7 +12,7 @@ from desim.kernel.core.events import Trace
 from desim.kernel.core.seeds import stream
 from desim.kernel.core.units import nanoseconds
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Sampled, Started, TracePoint
-from desim.pursuit.core.state import complex_points, coordinates
+from desim.pursuit.core.state import complex_points
 from desim.pursuit.evaders.evader import EvaderBody
 from desim.pursuit.motion.dead_reckoning import EvaderTrack
 from desim.pursuit.motion.dynamics import Simple
@@ -209,7 +209,8 @@ class World:
 
     def _places(self) -> tuple[tuple[TracePoint, ...], tuple[TracePoint, ...]]:
         """Return the positions of the evaders and of the pursuers as (x, y), m."""
-        places: tuple[TracePoint, ...] = tuple(map(tuple, coordinates(self.state.players.positions()).tolist()))
+        positions = self.state.players.positions()
+        places = tuple(zip(positions.real.tolist(), positions.imag.tolist(), strict=True))
         return places[self.state.size :], places[: self.state.size]
 
 

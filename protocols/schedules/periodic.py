@@ -68,9 +68,10 @@ class SharedSeed(Value):
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise at the end of each slot that belongs to the pursuer."""
+        slot = self.slot
         for k in owned_slots(me.id, me.team_size, me.shared_stream("slots")):
-            if k * self.slot >= me.now:  # skip slots in the past, after a crash or if the clock is ahead
-                yield me.at(k * self.slot)
+            if k * slot >= me.now:  # skip slots in the past, after a crash or if the clock is ahead
+                yield me.at(k * slot)
                 revise()
                 me.announce()
 

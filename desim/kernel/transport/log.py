@@ -18,6 +18,8 @@ from desim.kernel.core.events import (
 )
 from desim.kernel.state.inbox import Message
 
+_new = tuple.__new__  # creates a named tuple in a third of the time
+
 
 class MessageFlow(NamedTuple):
     """The messages of one node at one port that share their sequence numbers."""
@@ -55,16 +57,16 @@ class TransportLog:
         self._delay += now - message.stamp
         is_to_all = flow.dst is None
         if self._wants_messages:
-            self._append(
-                Delivered(now, flow.src, node, str(flow.port), is_to_all, seq, message.stamp, attempt, message.body)
-            )
+            fields = now, flow.src, node, str(flow.port), is_to_all, seq, message.stamp, attempt, message.body
+            self._append(_new(Delivered, fields))
 
     def retransmitted(self, flow: MessageFlow, node: int, seq: int, attempt: int) -> None:
         """Record a repeated transmission of a message to a node."""
         self.attempts += 1
         self._retransmissions += 1
         if self._wants_messages:
-            self._append(Retransmitted(self._env.now, flow.src, node, str(flow.port), flow.dst is None, seq, attempt))
+            fields = self._env.now, flow.src, node, str(flow.port), flow.dst is None, seq, attempt
+            self._append(_new(Retransmitted, fields))
 
     def given_up(self, flow: MessageFlow, node: int, seq: int, cause: GiveUp) -> None:
         """Record that a sender gave up a message to a node."""

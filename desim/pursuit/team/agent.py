@@ -128,7 +128,7 @@ class Agent(Beliefs, Timing, HintedItems):
         Beliefs.__init__(self, pursuer, view, network, clock, announcements, self.announcement, judge)
         Timing.__init__(self, pursuer, env, clock, network)
         self.global_state, self._voice = global_state, voice or network
-        self._seed = seed
+        self._seed, self._trigger = seed, announcements.trigger
         # The body set by `set_payload`; None: the standard body, which depends on `announce.payload`.
         self._payload: Any = None
         # The result of `_news` at the last announcement. With the trigger "change" or "both", an announcement is due if
@@ -212,14 +212,14 @@ class Agent(Beliefs, Timing, HintedItems):
 
         Call it after every `assign`. Use `broadcast` to announce in any case.
         """
-        trigger = self._announcements.trigger
+        trigger = self._trigger
         if trigger == "revision" or (trigger in {"change", "both"} and differs(self._news(), self._announced)):
             self.broadcast()
 
     def broadcast(self) -> None:
         """Announce the action of the pursuer through `announce.dissemination`, even if the action has not changed."""
         self._announced = None
-        if self._announcements.trigger in {"change", "both"}:
+        if self._trigger in {"change", "both"}:
             self._announced = self._news() if self._payload is None else as_sent(self._news())
         self._announcements.dissemination.broadcast(self, self.announcement())
 
