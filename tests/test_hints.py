@@ -1,0 +1,192 @@
+"""Words of other programs, of papers and of other languages, each with what desim says to write instead."""
+
+import re
+
+import pytest
+
+import desim
+from desim import Scenario, Team, run
+from desim.config.extras import missing
+from desim.config.key_suggestions import suggestion
+from tests.command import refused
+
+SHORT = Scenario(horizon=0.01, team=Team(count=1))
+
+KEYS = {
+    "start": ["at"],
+    "latency": ["delay"],
+    "cv": ["deviation", "sigma", "std", "stddev"],
+    "min_timeout": ["floor"],
+    "belief_timeout": ["forget_after"],
+    "static": ["frozen"],
+    "flees_from": ["heeds"],
+    "holding_time": ["hold"],
+    "track_timeout": ["lost_after"],
+    "captures_to_end": ["needed"],
+    "schedule": ["of"],
+    "normally": ["otherwise"],
+    "loss": ["packet_loss", "packetloss", "packet-loss"],
+    "relay": ["pass_on"],
+    "winner_timeout": ["patience"],
+    "node": ["pursuer", "robot"],
+    "participation": ["q"],
+    "reception": ["reach"],
+    "reaction_delay": ["reaction"],
+    "sensing_range": ["sight"],
+    "dissemination": ["spread"],
+    "reheat_on": ["surprises"],
+    "during_handover": ["then"],
+    "synchronous": ["together"],
+    "end": ["until"],
+    "on_lost": ["when_lost"],
+    # kinds
+    "cbaa": ["auction", "consensus", "Auction"],
+    "cbba": ["auction", "consensus"],
+    "shifted_exponential": ["exponential"],
+    "constant": ["fixed"],
+    "lognormal": ["gauss", "gaussian", "normal"],
+    "gilbert_elliott": ["gilbert"],
+    "argmin": ["greedy"],
+    "local_min": ["greedy"],
+    "centralised": ["hungarian"],
+    "bernoulli": ["iid", "random"],
+    "uniform": ["random"],
+    "sap": ["spatial_adaptive_play", "Spatial Adaptive Play"],
+}
+"""Keys and kinds, and the words that may mean them."""
+
+
+@pytest.mark.parametrize(("key", "word"), [(key, word) for key, words in KEYS.items() for word in words])
+def test_a_key_or_a_kind_is_suggested_for_a_word_that_may_mean_it(key, word):
+    """Among names that are not similar, and only if the name is allowed there."""
+    assert suggestion(word, ["zzzz", key, "yyyy"]) == f", did you mean {key!r}?"
+    assert suggestion(word, ["zzzz", "yyyy"]) == ""
+
+
+ARGUMENTS = {
+    # a call, and the argument that it suggests for each of some names
+    "sweep(SHORT, {}=1)": {
+        "executor": ["cores", "jobs", "n_jobs", "processes", "workers", "Workers"],
+        "reps": ["n", "n_runs", "num_runs", "repeats", "repetitions", "runs"],
+    },
+    "find_violation(SHORT, 'x', {}=1)": {
+        "jobs": ["cores", "n_jobs", "processes", "workers"],
+        "runs": ["n", "n_runs", "num_runs", "repeats", "repetitions", "reps"],
+    },
+    "SteppedNetwork(2, {}=1)": {"links": ["latency", "loss", "network", "range"]},
+    "sensitivity(SHORT, {}=1)": {"points": ["samples"]},
+    "run(SHORT, {}=1)": {"seed": ["seeds"]},
+    "plot(SHORT, {}=1)": {"begin": ["window"]},
+    "SHORT.with_({}=1)": {"changes": ["overrides"]},
+}
+
+
+@pytest.mark.parametrize("call", ARGUMENTS)
+def test_an_argument_is_suggested_for_its_name_in_other_packages(call):
+    names = {"SHORT": SHORT} | {name: getattr(desim, name) for name in desim.__all__}
+    for argument, words in ARGUMENTS[call].items():
+        for word in words:
+            with pytest.raises(TypeError, match=f"'{word}', did you mean '{argument}'") as refusal:
+                eval(call.format(word), names)
+            assert str(refusal.value).count("did you mean") == 1
+
+
+OF_AGENTS = {
+    "assign(action)": ["act", "chase", "set_action"],
+    "now": ["clock", "time"],
+    "sleep(duration)": ["delay", "timeout", "wait"],
+    "mail()": ["get", "inbox", "messages", "receive", "recv"],
+    "id": ["index", "number"],
+    "position()": ["pos", "xy"],
+    "position().real": ["x"],
+    "position().imag": ["y"],
+    "rng": ["random"],
+    "evader()": ["target"],
+    "speed": ["velocity"],
+}
+
+
+@pytest.mark.parametrize(("meant", "word"), [(meant, word) for meant, words in OF_AGENTS.items() for word in words])
+def test_an_agent_says_what_it_has_for_the_names_of_others(meant, word):
+    def protocol(me):
+        yield getattr(me, word)
+
+    with pytest.raises(AttributeError) as refusal:
+        run(SHORT.with_({"protocol": protocol}))
+    said = " ".join([str(refusal.value), *getattr(refusal.value, "__notes__", ())])
+    assert re.search(rf"write me\.{re.escape(meant)}(?![\w(.])", said)
+
+
+OPTIONS = {
+    "-j": ["cores", "cpus", "parallel", "processes", "threads", "workers"],
+    "-n": ["count", "n-runs", "num-runs", "repetitions", "reps", "seeds"],
+    "-o": ["dir", "folder", "outdir", "output"],
+}
+
+
+def test_an_option_is_suggested_for_its_name_in_other_programs():
+    for option, words in OPTIONS.items():
+        for word in words:
+            assert f"No such option '--{word}'. Did you mean '{option}'?" in refused("run", "f.toml", f"--{word}", 3)
+    assert "No such option '--metric'. Did you mean '-y'?" in refused("compare", "a", "b", "--metric", "captured")
+    assert "No such option '--y'. Did you mean '--metric'?" in refused("run", "f.toml", "--y", "captured")
+
+
+COMMANDS = {
+    "plot FILE --kind film": ["animate", "film", "gif", "movie", "video"],
+    "new": ["create", "init"],
+    "compare": ["diff"],
+    "plot": ["draw"],
+    "play": ["gui", "show", "web"],
+    "--help": ["help"],
+    "ls": ["list"],
+    "run": ["simulate", "start"],
+    "check": ["validate"],
+    "--version": ["version"],
+}
+
+
+def test_a_command_is_suggested_for_its_name_in_other_programs():
+    for command, words in COMMANDS.items():
+        for word in words:
+            assert f"No such command '{word}'. Did you mean 'desim {command}'?" in refused(word)
+
+
+NEEDED = {
+    "check": "needs FILE: a scenario file; `desim examples relay` writes relay.toml, for instance",
+    "compare": "needs A: the folder of a sweep, which `desim sweep FILE -o DIR` writes",
+    "crossover": "needs DIR: a folder with results, which `desim run`, `sweep` and others write with -o DIR",
+    "crossover x": "needs KEY: a key of the grid, network.latency.value for instance",
+    "export x": "needs TO: the file to write, runs.csv for instance; its suffix sets the format",
+    "fates": "needs LOG: a CSV or Parquet file with the columns t, src, dst and size",
+    "merge": "needs STORES...: the folders of the sweeps to merge",
+    "new": "needs one of scenario, protocol, latency, evader, metric",
+    "new protocol": "needs NAME: the name of what is written, my_rule for instance",
+    "plot": "needs DIR|FILE: a folder with results, which `desim run`, `sweep` and others write with -o DIR, or",
+    "run": "needs a FILE, or --from RUN.JSON; `desim examples relay` writes relay.toml, which `desim run",
+    "status": "needs FOLDER: the folder of a sweep, which `desim sweep FILE -o DIR` writes",
+}
+
+
+@pytest.mark.parametrize("words", NEEDED)
+def test_a_command_says_what_it_needs(words):
+    assert f"Error: {NEEDED[words]}" in refused(*words.split())
+
+
+EXTRAS = {
+    "plot": ["PIL", "jinja2", "matplotlib"],
+    "notebook": ["anywidget", "traitlets"],
+    "cluster": ["dask", "distributed"],
+    "rl": ["greenlet", "gymnasium", "pettingzoo"],
+    "film": ["imageio_ffmpeg"],
+    "mcap": ["mcap"],
+    "live": ["msgspec"],
+    "frame": ["pandas"],
+    "parquet": ["pyarrow"],
+}
+
+
+def test_a_package_that_is_not_installed_is_told_with_its_extra():
+    for extra, packages in EXTRAS.items():
+        for package in packages:
+            assert f"desim[{extra}]" in missing(package), package
