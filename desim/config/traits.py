@@ -46,7 +46,12 @@ class Parameter(BeforeValidator):
     """
 
     def __init__(self, *types: type):
-        super().__init__(lambda value: number if isinstance(number := as_python(value), types) else None)
+
+        def parameter(value: Any) -> Any:
+            number = as_python(value)
+            return number if isinstance(number, types) and not isinstance(number, bool) else None
+
+        super().__init__(parameter)
 
 
 class Follows:

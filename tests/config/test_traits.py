@@ -4,8 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
+from importlib import import_module
+from math import nan
 from string import ascii_lowercase
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 import pytest
@@ -15,7 +17,10 @@ from pydantic import TypeAdapter
 
 from desim.config.choice import OneOf
 from desim.config.model import Flag, Probability, Value
-from desim.config.traits import Parameter, Traits, is_one_letter_off
+from desim.config.traits import Parameter, Traits, is_one_letter_off, is_ours
+from desim.pursuit.core.traits import DisseminationTraits, ProtocolTraits
+from desim.pursuit.evaders.recorded import RelayTraits
+from desim.pursuit.motion.flow import FlowTraits
 
 
 class Singing(Traits):
@@ -208,3 +213,52 @@ def test_fields_of_other_types_may_be_declared_only():
         melodie: Probability
 
     Singing.check(Bird())
+
+
+def families(base: type[Traits] = Traits) -> list[type[Traits]]:
+    """Return the classes of traits of desim and of the protocols."""
+    return [kind for each in base.__subclasses__() for kind in (each, *families(each)) if is_ours(kind)]
+
+
+def numbers() -> list[tuple[type[Traits], str]]:
+    """Return the traits that are numbers: those that may be 1.0, and no boolean."""
+    for module in ("desim.view.formats.export", "desim.pursuit.byzantine.lies", "desim.pursuit.motion.guidance"):
+        import_module(module)
+    assert len(families()) > 15
+    return [
+        (family, name)
+        for family in families()
+        for name, field in family.model_fields.items()
+        if any(part in (int, float, complex) for part in types_in(field.annotation))
+    ]
+
+
+def types_in(annotation: Any) -> list[Any]:
+    return [kind for part in get_args(annotation) for kind in types_in(part)] or [annotation]
+
+
+@pytest.mark.parametrize(("family", "trait"), numbers(), ids=lambda value: getattr(value, "__name__", value))
+@pytest.mark.parametrize("value", ["1.0", "1", True, np.True_, b"1", nan, -1.0], ids=repr)
+def test_a_trait_that_is_a_number_is_no_text_no_boolean_and_not_nan(family, trait, value):
+    owner = type("Own", (), {trait: value})()
+    if trait == "start" and value == -1.0:  # a position
+        return
+    is_parameter = any(isinstance(marker, Parameter) for marker in family.model_fields[trait].metadata)
+    if is_parameter and not isinstance(value, float):  # that of another program
+        assert getattr(family.of(owner), trait) is None
+        return
+    with pytest.raises(ValueError, match=f"^{trait} of Own: should be "):
+        family.of(owner)
+
+
+def test_numbers_of_any_kind_are_traits():
+    class Own:
+        top_speed = np.float32(0.5)
+        start = np.complex64(1 + 2j)
+        slot = Fraction(1, 2)
+        host = np.int64(1)
+        hops = np.int8(3)
+
+    assert RelayTraits.of(Own()).top_speed == FlowTraits.of(Own()).top_speed == ProtocolTraits.of(Own()).slot == 0.5
+    assert RelayTraits.of(Own()).start == 1 + 2j
+    assert (ProtocolTraits.of(Own()).host, DisseminationTraits.of(Own()).hops) == (1, 3)

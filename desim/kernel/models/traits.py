@@ -15,6 +15,9 @@ from desim.config.traits import Follows, Traits, attributes, is_ours, name_of, p
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.models.coherence import ChannelState, Variation
 
+Exponent = Annotated[float, Field(gt=0, le=20, strict=True)]
+"""A path loss exponent."""
+
 
 class LinkTraits(Traits):
     """The optional methods of a latency or loss model, in addition to `__call__`."""
@@ -38,7 +41,7 @@ class LinkTraits(Traits):
     is_lost: Callable[[LinkContext], Any] | None = None
     """`is_lost(context)` returns (k,) booleans, or one for all: which messages a latency model loses. Their latencies
     have no effect."""
-    time_span: Annotated[float, Field(ge=0)] | None = None
+    time_span: Limit | None = None
     """For a latency that is a function of time: the time from 0, s, whose mean latency is typical."""
     check_links: Annotated[
         Callable[[int, Iterable[tuple[int, int]]], object] | None, Follows("__call__", "start_run", not_above="draw")
@@ -157,7 +160,7 @@ class InterferenceTraits(Traits):
     """Why the power of a frame at a distance is random: "fading", "shadowing" or both."""
     lock: Flag = False
     """Whether a receiver locks on to the first frame that it hears, see `interference.CaptureEffect`."""
-    exponent: Annotated[float, Field(gt=0, le=20)] = 3.0
+    exponent: Exponent = 3.0
     """The path loss exponent n, by which walls stretch distances, as in `ReceptionTraits`."""
 
 
@@ -177,7 +180,7 @@ class ReceptionTraits(Traits):
     border: Annotated[Callable[[Floats, float], Floats] | None, Follows("__call__")] = None
     """`border(draws, range)` returns the (k,) distances, m, up to which the probability of reception is at least as
     large as each of (k,) numbers in (0, 1); None: `__call__` is asked at each distance."""
-    exponent: Annotated[float, Field(gt=0, le=20)] = 3.0
+    exponent: Exponent = 3.0
     """The path loss exponent n: a wall of A dB has the effect of a distance that is 10^(A / (10 n)) times as long."""
 
 

@@ -9,8 +9,10 @@ from math import inf
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal
 
+from pydantic import Field
+
 from desim.config.answers import wrong_answer
-from desim.config.model import Flag, Value
+from desim.config.model import Flag, Positive, Time, Value
 from desim.config.python_numbers import as_python
 from desim.config.traits import Follows, Parameter, Traits
 
@@ -62,11 +64,11 @@ class ProtocolTraits(Assuming):
     check_game: Annotated[Callable[[int, int], None] | None, Follows("__call__", "actions")] = None
     """`check_game(pursuers, evaders)` raises KeyedError if the protocol does not fit a game with these numbers of
     players; None: it fits any."""
-    host: Annotated[int | None, Parameter(int)] = None
+    host: Annotated[Annotated[int, Field(ge=0)] | None, Parameter(int)] = None
     """The pursuer that hosts the server of the protocol; a scenario without this pursuer is invalid."""
-    slot: Annotated[float | None, Parameter(int, float)] = None
+    slot: Annotated[Positive | None, Parameter(int, float)] = None
     """Time between two decisions, s."""
-    period: Annotated[float | None, Parameter(int, float)] = None
+    period: Annotated[Positive | None, Parameter(int, float)] = None
     """Time between two decisions, s, if there is no `slot`."""
     schedule: Annotated[Callable[..., Any] | None, Parameter(Callable)] = None
     """The schedule, which determines when pursuers revise; see `ScheduleTraits`."""
@@ -124,9 +126,9 @@ class UtilityTraits(Assuming):
 class DisseminationTraits(Assuming):
     """The optional attributes of a dissemination, in addition to `__call__` and `broadcast`."""
 
-    hops: float = inf
+    hops: Annotated[float, Field(ge=1, strict=True)] = inf
     """Largest number of hops that an announcement travels."""
-    forwarding_jitter: float | None = None
+    forwarding_jitter: Time | None = None
     """Longest random delay between the arrival of an announcement and its rebroadcast, s; None if no arrival causes
     one."""
     retransmits: Flag = False

@@ -11,10 +11,19 @@ from math import ceil
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
-from pydantic import Discriminator, Field, ModelWrapValidatorHandler, Tag, ValidationInfo, model_validator
+from pydantic import (
+    BeforeValidator,
+    Discriminator,
+    Field,
+    ModelWrapValidatorHandler,
+    Tag,
+    ValidationInfo,
+    model_validator,
+)
 
 from desim.config.choice import OneOf
-from desim.config.model import MAX_COORDINATE, Coordinate, FirstError, Length, Time, Value
+from desim.config.model import MAX_COORDINATE, Coordinate, FirstError, Length, Limit, Time, Value
+from desim.config.python_numbers import as_complex
 from desim.config.traits import Follows, Traits, name_of
 from desim.config.trust import resolve_path
 from desim.kernel.core.units import nanoseconds, seconds
@@ -206,12 +215,20 @@ class RecordedMotion(_Record):
         return velocity / max(state.speed, abs(velocity)) if velocity else 0j
 
 
+def _place(value: Any) -> complex:
+    """Return a position, m; raise ValueError if it is none, for example a text, which `complex` would read."""
+    place = as_complex(value)
+    if not (abs(place.real) <= MAX_COORDINATE and abs(place.imag) <= MAX_COORDINATE):
+        raise ValueError("should be a position x + iy, m")
+    return place
+
+
 class RelayTraits(Traits):
     """The attributes of the motion of a relay that must be valid, or agree with its `__call__`."""
 
-    start: complex = 0j
+    start: Annotated[complex, BeforeValidator(_place)] = 0j
     """The initial position, m."""
-    top_speed: Annotated[float, Field(ge=0)] = 0.0
+    top_speed: Limit = 0.0
     """The greatest speed, m/s."""
     velocity: Annotated[Callable[[int, complex], complex] | None, Follows("__call__")] = None
 

@@ -21,7 +21,7 @@ from pydantic import Field, ModelWrapValidatorHandler, ValidationInfo, model_val
 from desim.config.answers import wrong_answer
 from desim.config.arrays import Points
 from desim.config.choice import OneOf
-from desim.config.model import MAX_COORDINATE, Coordinate, Duration, FirstError, Length, Speed, Time, Value
+from desim.config.model import MAX_COORDINATE, Coordinate, Duration, FirstError, Length, Limit, Speed, Time, Value
 from desim.config.python_numbers import as_complex
 from desim.config.traits import Follows, Traits
 from desim.config.trust import resolve_path
@@ -40,7 +40,7 @@ class FlowTraits(Traits):
     twins: ClassVar[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         dict.fromkeys(("displacement", "trend", "top_acceleration"), ("velocity_at", "__call__"))
     )
-    top_speed: Annotated[float, Field(ge=0), Follows("__call__", "velocity_at")] = inf
+    top_speed: Annotated[Limit, Follows("__call__", "velocity_at")] = inf
     """Upper bound of its speed everywhere and at all times, m/s."""
 
 
