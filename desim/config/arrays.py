@@ -23,7 +23,7 @@ def array_of(value: Any) -> "NDArray[Any]":
     """
     if type(value) in PLAIN or (type(value) is np.ndarray and value.dtype.kind in "biufc"):
         return np.asarray(value)
-    if hasattr(value, "iloc") and not value.index.is_monotonic_increasing:
+    if hasattr(value, "iloc") and hasattr(value, "index") and not value.index.is_monotonic_increasing:
         return np.array(None)  # values are taken in their order, and labels may say another one
     converted = as_python(value)
     try:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
 from typing import NamedTuple
 
 COLUMNS: Mapping[str, tuple[str, ...]] = {
@@ -15,10 +16,28 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
 LATITUDES, LONGITUDES = frozenset({"lat", "latitude"}), frozenset({"lon", "lng", "long", "longitude"})
 DEGREES = LATITUDES | LONGITUDES
 UNITS = {"t": "s", "x": "m", "y": "m", "z": "m"}
-OTHER_UNITS = frozenset({"mm", "cm", "dm", "km", "ft", "mi", "px", "deg", "ns", "us", "ms", "min", "h"})
-"""Units that may end the name of a column, as in `x_cm`, and are not those of desim."""
 HEADER_CELL = re.compile(r"\s*(.*?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?\s*")
 """Matches the name of a column and its unit, for example `x [m]`."""
+
+
+OTHER_UNITS = {
+    "s": "ms|msecs?|milliseconds?|us|[µμ]s|usecs?|microseconds?|ns|nsecs?|nanoseconds?|minutes|hours",
+    "m": "(?:m|c|k)m|(?:milli|centi|kilo)met(?:er|re)s?|ft|feet|inch(?:es)?|px|pixels?|deg(?:rees)?",
+}
+"""Expressions for units that people use instead of a unit."""
+SAME_UNIT = {"s": "s|secs?|seconds?", "m": "m|met(?:er|re)s?"}
+"""Expressions for the names of a unit."""
+NAMES_OF_UNITS = {unit: f"{SAME_UNIT[unit]}|{OTHER_UNITS[unit]}" for unit in SAME_UNIT}
+LABEL = re.compile(
+    r"(?P<name>.*?)(?:\s*[\[(]\s*(?P<bracketed>[^\])]*?)\s*[\])]"
+    rf"|(?:\s*[/,:]\s*|\s+in\s+|_in_|\s+|_)(?P<unit>{'|'.join(NAMES_OF_UNITS.values())}|m|mi|dm|min|h))?\s*",
+    re.IGNORECASE,
+)
+"""Matches the label of a column with its unit, as in `x [cm]`, `x_cm`, `x / cm` or `x in cm`."""
+WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?(?:(?![A-Z])[^\W\d_])+|\d+")
+"""Matches a word in a label, as in `pose.position.x`, `posX` or `utm_north`."""
+AXES = {"x": re.compile(r"[a-z]?x|east|easting"), "y": re.compile(r"[a-z]?y|north|northing")}
+"""Match the word that ends the label of a coordinate."""
 
 
 class Header(NamedTuple):
@@ -42,19 +61,33 @@ def coordinate_columns(labels: Sequence[object]) -> list[int] | None:
     Raises:
         ValueError: if they are in degrees, or in another unit than m and s.
     """
-    if not all(isinstance(label, str) for label in labels):
+    texts = [" ".join(label) if isinstance(label, tuple) and all(map(_is_text, label)) else label for label in labels]
+    if not all(map(_is_text, texts)):
         return None
-    names, units = header_of(map(str, labels))
-    if LATITUDES & set(names) and LONGITUDES & set(names):
+    words = [[word.lower() for word in WORD.findall(str(text))] for text in texts]
+    named = frozenset(chain.from_iterable(words))
+    if LATITUDES & named and LONGITUDES & named:
         raise ValueError("positions are in degrees: project them to m")
     index: dict[str, int] = {}
-    for k, name in enumerate(names):
-        stem, _, suffix = name.rpartition("_")
-        unit = units[k] or (suffix if stem and suffix in OTHER_UNITS else None)
-        role = next((key for key in "txy" if name in COLUMNS[key] or (unit == suffix and stem in COLUMNS[key])), None)
-        if role is None or role in index:
+    for k, text in enumerate(texts):
+        match = LABEL.fullmatch(str(text))
+        role = None if match is None else _role(match["name"])
+        if match is None or role is None or role in index:
             return None
-        if unit and unit != UNITS[role]:
-            raise ValueError(f"column {labels[k]!r} is in {unit}, and should be in {UNITS[role]}")
+        unit, right = match["bracketed"] or match["unit"], UNITS[role]
+        if unit and not re.fullmatch(SAME_UNIT[right], unit, re.IGNORECASE):
+            raise ValueError(f"column {labels[k]!r} is in {unit}, and should be in {right}")
         index[role] = k
     return [index[role] for role in "txy" if role in index] if {"x", "y"} <= index.keys() else None
+
+
+def _is_text(label: object) -> bool:
+    return isinstance(label, str)
+
+
+def _role(name: str) -> str | None:
+    """Return which of t, x and y a column is, given its label without a unit; None if it cannot be told."""
+    if (role := next((key for key in "txy" if name.strip().lower() in COLUMNS[key]), None)) is not None:
+        return role
+    words = [word.lower() for word in WORD.findall(name) if not word.isdecimal()]
+    return next((key for key, axis in AXES.items() if words and axis.fullmatch(words[-1])), None)

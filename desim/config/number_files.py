@@ -12,6 +12,7 @@ from itertools import takewhile
 from pathlib import Path
 from typing import TypeVar
 
+from desim.config.column_names import OTHER_UNITS, SAME_UNIT
 from desim.config.trust import regular_or_missing
 
 Number = TypeVar("Number")
@@ -84,15 +85,6 @@ def hint_of(text: str) -> str:
     if WITH_UNIT.fullmatch(cell):
         return "; a number has no unit here"
     return ""
-
-
-OTHER_UNITS = {
-    "s": "ms|msecs?|milliseconds?|us|[µμ]s|usecs?|microseconds?|ns|nsecs?|nanoseconds?|minutes|hours",
-    "m": "(?:m|c|k)m|(?:milli|centi|kilo)met(?:er|re)s?|ft|feet|inch(?:es)?|px|pixels?|deg(?:rees)?",
-}
-"""Expressions for units that people use instead of a unit."""
-SAME_UNIT = {"s": "s|secs?|seconds?", "m": "m|met(?:er|re)s?"}
-"""Expressions for the names of a unit."""
 
 
 def check_comments(text: str, file: Path, unit: str) -> None:

@@ -197,33 +197,79 @@ def _in_order(value: Any) -> Any:
     Raises:
         ValueError: if they are in another unit than those of desim.
     """
+    if hasattr(value, "data_vars"):
+        raise ValueError("a dataset of xarray has several arrays: give one")
     if hasattr(value, "isel"):  # of xarray, whose last dimension may have labels
-        labels = value.coords[value.dims[-1]].values.tolist() if value.dims and value.dims[-1] in value.coords else []
+        labels = _labels(value, -1)
         order = coordinate_columns(labels)
-        return value if order is None else value.isel({value.dims[-1]: order})
-    names = getattr(getattr(value, "dtype", None), "names", None)
-    labels = list(getattr(value, "columns", ()) if names is None else names)
+        if order is not None:
+            value = value.isel({value.dims[-1]: order})
+        rows = _by_player(_labels(value, 0)) if value.dims and (order is None or len(order) == 2) else None
+        return value if rows is None else value.isel({value.dims[0]: rows})
+    if hasattr(value, "struct") and getattr(value.dtype, "fields", None):  # a series of polars
+        value = value.struct.unnest()
+    labels = _columns(value)
     if (order := coordinate_columns(labels)) is not None:
-        columns = value[[labels[k] for k in order]]
+        names = [labels[k] for k in order]
+        columns = value.select(names) if hasattr(value, "select") else value[names]
         return columns if len(order) > 2 else _by_number(columns)
     rows = list(value.index) if hasattr(value, "index") and labels else []
     is_permuted = len(set(labels)) == len(labels) == len(rows) and set(labels) == set(rows) and labels != rows
     return value[rows] if is_permuted else value if labels else _by_number(value)
 
 
+def _columns(value: Any) -> list[Any]:
+    """Return the labels of the columns of a table; none if it has no such labels.
+
+    Raises:
+        ValueError: if a column has a unit.
+    """
+    about = getattr(value, "attrs", None)
+    if isinstance(about, dict) and (unit := about.get("units") or about.get("unit")):
+        raise ValueError(f"its attributes say that it is in {unit}: give numbers without a unit")
+    if hasattr(value, "colnames"):  # of astropy
+        units = {name: str(value[name].unit) for name in value.colnames if value[name].unit is not None}
+        if units:
+            raise ValueError(
+                f"column {next(iter(units))!r} is in {next(iter(units.values()))}: give numbers without a unit"
+            )
+    names = getattr(getattr(value, "dtype", None), "names", None) or getattr(value, "column_names", None)  # of Arrow
+    return list(getattr(value, "columns", ()) if names is None else names)
+
+
+def _labels(value: Any, dimension: int) -> list[Any]:
+    """Return the labels along a dimension of an array of xarray; none if it has none."""
+    coordinates, dims = getattr(value, "coords", {}), value.dims
+    return coordinates[dims[dimension]].values.tolist() if dims and dims[dimension] in coordinates else []
+
+
 def _by_number(value: Any) -> Any:
-    """Return a series or a table of pandas in the order of its labels, if these are the numbers 0 .. n - 1.
+    """Return a series or a table of pandas in the order of its labels, if these are the numbers of its rows.
 
     pandas keeps them when it sorts or shuffles rows.
     """
     if not hasattr(value, "iloc") or not hasattr(value, "index"):
         return value
-    labels = list(value.index)
-    numbers = list(range(len(labels)))
+    order = _by_player(list(value.index))
+    return value if order is None else value.iloc[order]
+
+
+def _by_player(labels: list[Any]) -> list[int] | None:
+    """Return the order of rows in which their labels are the numbers 0 .. n - 1, or 1 .. n; None if they are others.
+
+    The labels may be texts, as of rows that come from JSON.
+    """
     try:
-        return value.loc[numbers] if labels != numbers and sorted(labels) == numbers else value
-    except TypeError:  # they cannot be compared
-        return value
+        numbers = [int(label) for label in labels]
+    except (TypeError, ValueError):
+        return None
+    if numbers != labels and list(map(str, numbers)) != labels:  # such as 0.5, or the time "01"
+        return None
+    first, count_of_rows = min(numbers, default=0), len(numbers)
+    if first not in {0, 1} or sorted(numbers) != list(range(first, first + count_of_rows)):
+        return None
+    order = sorted(range(count_of_rows), key=numbers.__getitem__)
+    return None if order == list(range(count_of_rows)) else order
 
 
 def _asarray(value: Any) -> Any:

@@ -8,7 +8,7 @@ from decimal import Decimal
 from fractions import Fraction
 from itertools import chain, count, cycle, repeat
 from math import inf, isnan
-from types import UnionType
+from types import SimpleNamespace, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import numpy as np
@@ -415,11 +415,49 @@ class Labelled:
         self.coords = {"axis": pd.Series(labels)}
 
     def isel(self, order):
-        (columns,) = order.values()
-        return Labelled(self._rows[:, columns], [self._labels[k] for k in columns])
+        ((name, indices),) = order.items()
+        if name == "row":
+            return Labelled(self._rows[indices], self._labels)
+        other = Labelled(self._rows[:, indices], [self._labels[k] for k in indices])
+        other.coords = self.coords | other.coords
+        return other
 
     def __array__(self, dtype=None, copy=None):
         return self._rows
+
+
+class OfStructs:
+    """A series of structs, as that of polars."""
+
+    dtype = SimpleNamespace(fields=["y", "x"])
+
+    def __init__(self, **columns):
+        self.struct = SimpleNamespace(unnest=lambda: pd.DataFrame(columns))
+
+    def __array__(self, dtype=None, copy=None):
+        raise AssertionError("its columns have names")
+
+
+class OfArrow:
+    """A table of arrays, as that of Arrow: its columns are no names."""
+
+    def __init__(self, **columns):
+        self.columns, self.column_names = [[*column] for column in columns.values()], [*columns]
+
+    def select(self, names):
+        return OfArrow(**{name: self.columns[self.column_names.index(name)] for name in names})
+
+    def __array__(self, dtype=None, copy=None):
+        return np.array(self.columns).T
+
+
+class OfUnits(pd.DataFrame):
+    """A table whose columns may have units, as that of astropy."""
+
+    colnames = ("x", "y")
+
+    def __getitem__(self, name):
+        return SimpleNamespace(unit="km" if name == "y" else None)
 
 
 ROW = namedtuple("ROW", "y x")
@@ -436,11 +474,51 @@ ROW = namedtuple("ROW", "y x")
         [ROW(3.0, 1.0)],
         [ROW(np.float32(3.0), 1.0)],
         Labelled([[3.0, 1.0]], ["y", "x"]),
+        OfStructs(y=[3.0], x=[1.0]),
+        OfArrow(y=[3.0], x=[1.0]),
+        pd.DataFrame([[3.0, 1.0]], columns=pd.MultiIndex.from_tuples([("p", "y"), ("p", "x")])),
     ],
-    ids=["capital", "unit", "prefix", "compass", "record", "named tuple", "of numpy", "labels"],
+    ids=[
+        *("capital", "unit", "prefix", "compass", "record", "named tuple", "of numpy", "labels", "structs", "arrow"),
+        "levels",
+    ],
 )
 def test_names_of_coordinates_are_understood_as_in_a_file(table):
     assert Team(positions=table).positions == ((1.0, 3.0),)
+
+
+@pytest.mark.parametrize(
+    ("y", "x"),
+    [
+        *[("y/m", "x/m"), ("y / m", "x / m"), ("y in m", "x in m"), ("y, m", "x, m"), ("y_meters", "x_meters")],
+        *[("pose.position.y", "pose.position.x"), ("/odom/pose/y", "/odom/pose/x"), (".y", ".x"), ("p_y", "p_x")],
+        *[("pos y", "pos x"), ("pos-y", "pos-x"), ("py", "px"), ("y1", "x1"), ("y_0", "x_0"), ("centreY", "centreX")],
+        *[("utm_north", "utm_east"), ("Northing (m)", "Easting (m)"), ("world.Y [metre]", "world.X [metre]")],
+    ],
+)
+def test_labels_of_coordinates_may_have_words_before_them_and_units_in_any_form(y, x):
+    assert Team(positions=pd.DataFrame({y: [3.0], x: [1.0]})).positions == ((1.0, 3.0),)
+    assert Team(positions=pd.DataFrame({x: [1.0], y: [3.0]})).positions == ((1.0, 3.0),)
+
+
+@pytest.mark.parametrize(
+    "labels", [[2, 0, 1], [3, 1, 2], [2.0, 0.0, 1.0], ["2", "0", "1"], ["3", "1", "2"], np.int8([2, 0, 1])]
+)
+def test_rows_may_be_labelled_from_0_or_from_1_by_numbers_or_texts(labels):
+    rows = [[5.0, 7.0], [1.0, 2.0], [3.0, 4.0]]
+    table = pd.DataFrame(rows, columns=["x", "y"], index=labels)
+    expected = ((1.0, 2.0), (3.0, 4.0), (5.0, 7.0))
+    assert Team(positions=table).positions == expected
+    assert Team(count=3, speeds=table["x"]).speeds == (1.0, 3.0, 5.0)
+    labelled = Labelled(rows, ["x", "y"])
+    labelled.coords["row"] = pd.Series(labels)
+    assert Team(positions=labelled).positions == expected
+
+
+@pytest.mark.parametrize("labels", [[7, 2, 4], [1, 0, 0], [2, 3, 4], ["c", "a", "b"], ["02", "00", "01"], [0.5, 1, 2]])
+def test_rows_with_other_labels_stay_in_their_order(labels):
+    table = pd.DataFrame([[5.0, 7.0], [1.0, 2.0], [3.0, 4.0]], columns=["x", "y"], index=labels)
+    assert Team(positions=table).positions == ((5.0, 7.0), (1.0, 2.0), (3.0, 4.0))
 
 
 def test_a_time_is_the_first_coordinate_whatever_its_name():
@@ -461,6 +539,12 @@ def test_columns_without_such_names_stay_in_their_order():
         (["Longitude", "Latitude"], "in degrees"),
         (["x_cm", "y_cm"], "column 'x_cm' is in cm, and should be in m"),
         (["x [km]", "y [km]"], r"column .x.* is in km, and should be in m"),
+        (["lat_deg", "lon_deg"], "in degrees"),
+        (["latitude_deg_e7", "longitude_deg_e7"], "in degrees"),
+        (["gps_lat", "gps_lng"], "in degrees"),
+        (["y_in_cm", "x_in_cm"], "column 'y_in_cm' is in cm, and should be in m"),
+        (["y_inch", "x_inch"], "column 'y_inch' is in inch, and should be in m"),
+        (["y_millimeters", "x_millimeters"], "is in millimeters"),
     ],
 )
 def test_columns_in_another_unit_are_refused(names, why):
@@ -468,6 +552,31 @@ def test_columns_in_another_unit_are_refused(names, why):
         Team(positions=pd.DataFrame([[3.0, 1.0]], columns=names))
     with pytest.raises(KeyedError, match=f"positions.0: .*a row: .*{why}"):
         Team(positions=[namedtuple("Row", [name.split(" [")[0] + "_km" * ("[" in name) for name in names])(3.0, 1.0)])
+
+
+@pytest.mark.parametrize(
+    ("table", "why"),
+    [
+        (pd.DataFrame({"y / cm": [3.0], "x / cm": [1.0]}), "column 'y / cm' is in cm"),
+        (pd.DataFrame({"x, km": [1.0], "y, km": [3.0]}), "column 'x, km' is in km"),
+        (pd.DataFrame({"GPS.Lat": [3.0], "GPS.Lon": [1.0]}), "positions are in degrees"),
+        (OfStructs(y_cm=[3.0], x_cm=[1.0]), "column 'y_cm' is in cm"),
+        (OfUnits({"x": [1.0], "y": [3.0]}), "column 'y' is in km"),
+        (OfArrow(lat=[3.0], lon=[1.0]), "positions are in degrees"),
+        (type("Dataset", (), {"data_vars": {}, "__array__": None})(), "a dataset of xarray"),
+    ],
+    ids=["slash", "comma", "prefix", "structs", "astropy", "arrow", "dataset"],
+)
+def test_tables_of_other_packages_in_another_unit_are_refused(table, why):
+    with pytest.raises(KeyedError, match=f"positions: .*a table: {why}"):
+        Team(positions=table)
+
+
+def test_a_table_whose_attributes_name_a_unit_is_refused():
+    table = pd.DataFrame({"x": [1.0], "y": [3.0]})
+    table.attrs["units"] = "km"
+    with pytest.raises(KeyedError, match="its attributes say that it is in km"):
+        Team(positions=table)
 
 
 @pytest.mark.parametrize(
