@@ -10,9 +10,39 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     "x": ("x", "x_m", "pos_x", "posx", "position_x", "east", "easting"),
     "y": ("y", "y_m", "pos_y", "posy", "position_y", "north", "northing"),
     "z": ("z", "z_m", "pos_z", "posz", "position_z", "height", "altitude", "alt"),
-    "node": ("node", "name", "node_id", "nodeid", "id", "vehicle", "vehicle_id", "agent", "robot", "uav"),
+    "node": (
+        *(
+            "node",
+            "name",
+            "node_id",
+            "nodeid",
+            "id",
+            "vehicle",
+            "vehicle_id",
+            "agent",
+            "robot",
+            "uav",
+            "drone",
+            "track",
+        ),
+        *(
+            "vehicleid",
+            "agent_id",
+            "agentid",
+            "robot_id",
+            "robotid",
+            "uav_id",
+            "drone_id",
+            "droneid",
+            "track_id",
+            "trackid",
+        ),
+    ),
 }
 """The names that a column of a table may have, in lower case; the first that a table has is read."""
+WHOLE_SECONDS = frozenset({"sec", "seconds", "timestamp"})
+FRACTIONS = frozenset({"nanosec", "nanosecs", "nanoseconds", "nsec", "nsecs", "usec", "usecs", "microseconds", "msec"})
+"""The names of columns that have the rest of a time whose whole seconds are in one of `WHOLE_SECONDS`, as of ROS."""
 LATITUDES, LONGITUDES = frozenset({"lat", "latitude"}), frozenset({"lon", "lng", "long", "longitude"})
 DEGREES = LATITUDES | LONGITUDES
 UNITS = {"t": "s", "x": "m", "y": "m", "z": "m"}

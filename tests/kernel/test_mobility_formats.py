@@ -191,6 +191,11 @@ REFUSED = {
         "t,boat,x,y\n0,a,0,0\n1,a,1,0\n2,b,5,5\n",
         r"column 'boat' has several texts: if they name the nodes, call it node, else leave it out",
     ),
+    "time in two columns": (
+        "sec,nanosec,x,y\n0,500000000,1,2\n1,0,2,3\n",
+        r"line 1: columns sec and nanosec have the time",
+    ),
+    "timestamp in two columns": ("timestamp,nsec,x,y\n0,5,1,2\n1,0,2,3\n", r"columns timestamp and nsec have the time"),
     "row numbers": ("id,t,x,y\n0,0,1,2\n1,1,2,3\n2,2,3,4\n", r"column 'id' is different in each row"),
     "order": ("t,x,y\n1,1,2\n0,1,2\n", r"line 3: the times of a node should increase; after 1 s comes 0 s"),
     "no rows": ("t,x,y\n", r"has no rows below its header"),
@@ -254,3 +259,19 @@ def test_two_columns_that_name_the_nodes_differently_are_refused(tmp_path, names
     file.write_text(f"{first},t,x,y\n0,0,1,2\n1,1,2,3\n")
     with pytest.raises(ValueError, match="is different in each row"):
         RecordedMotion(file=str(file))
+
+
+@pytest.mark.parametrize("name", ["VehicleID", "drone", "track_id", "robot_id", "AgentId", "uav_id"])
+def test_a_column_of_numbers_of_robots_is_not_one_track(tmp_path, name):
+    """Without its name the file would be one node that jumps from the end of a track to the beginning of the next."""
+    file = tmp_path / "walk.csv"
+    file.write_text(f"{name},t,x,y\n1,0,0,0\n1,1,1,0\n2,2,50,0\n2,3,51,0\n")
+    assert len(RecordedMotion(file=str(file), node=2).waypoints) == 2
+    with pytest.raises(ValueError, match="node"):
+        RecordedMotion(file=str(file))
+
+
+def test_a_whole_time_beside_its_parts_is_read(tmp_path):
+    file = tmp_path / "walk.csv"
+    file.write_text("t,sec,nanosec,x,y\n0.5,0,500000000,1,2\n1.25,1,250000000,2,3\n")
+    assert [waypoint[0] for waypoint in RecordedMotion(file=str(file)).waypoints] == [0.5, 1.25]

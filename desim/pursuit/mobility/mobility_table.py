@@ -11,7 +11,7 @@ from decimal import Decimal
 from itertools import pairwise
 from pathlib import Path
 
-from desim.config.column_names import COLUMNS, DEGREES, UNITS, Header, header_of
+from desim.config.column_names import COLUMNS, DEGREES, FRACTIONS, UNITS, WHOLE_SECONDS, Header, header_of
 from desim.config.number_files import converted, number_of
 from desim.kernel.measured.csv_tables import rows_of, separator_in, with_points
 from desim.kernel.measured.measurements import start_of, time_of
@@ -56,6 +56,10 @@ class MobilityTable(MobilityFile):
                 f"{file}, line {first + 1}: has no column {missing[0]}; the first line should name the columns, t, x"
                 f" and y (s, m), and those of several nodes also node; it has {', '.join(filter(None, header.names))}"
             )
+        time_column = header.names[columns["t"] or 0]
+        if (rest := sorted(FRACTIONS & set(header.names))) and time_column in WHOLE_SECONDS:
+            names = f"{time_column} and {rest[0]}"
+            raise ValueError(f"{file}, line {first + 1}: columns {names} have the time together: give it in one, in s")
         node_columns = [k for k, name in enumerate(header.names) if name in COLUMNS["node"]]
         groups = set[tuple[str, ...]]()
         self._columns, self._rows = columns, dict[str, list[tuple[int, list[str]]]]()
