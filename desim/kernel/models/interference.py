@@ -25,9 +25,8 @@ from desim.kernel.models.fading import (
     rice_powers,
     rice_quantiles,
 )
-from desim.kernel.models.traits import InterferenceTraits
+from desim.kernel.models.traits import Exponent, InterferenceTraits
 
-Exponent = Annotated[float, Field(gt=0, le=20, strict=True)]
 Decibels = Annotated[float, Field(ge=-300, le=300, strict=True)]
 
 
