@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from desim.config.arguments import naming_arguments
 from desim.pursuit.core.state import lengths
 from desim.pursuit.motion.capture import RadialTime
 from desim.pursuit.motion.dynamics import DYNAMICS, Course, Courses, Piece, coasts
@@ -251,6 +252,7 @@ class _Body:
         return times
 
 
+@naming_arguments
 def check_body(body: Any, *, limit: float = 10.0) -> None:
     """Check the dynamics of a player; if you are unsure whether your body is right, run this.
 

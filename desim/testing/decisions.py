@@ -10,6 +10,7 @@ from typing import Any
 
 import cloudpickle
 
+from desim.config.arguments import naming_arguments
 from desim.kernel.core.events import Broadcast, Event, Queued, Sent
 from desim.kernel.core.units import seconds
 from desim.kernel.models.faults import Crash
@@ -56,6 +57,7 @@ def _scenario(protocol: Any, parts: dict[str, Any]) -> Scenario:
     return Scenario(**usual | {"protocol": protocol} | parts)
 
 
+@naming_arguments
 def check_protocol(protocol: Any, *, limit: float = 10.0, hash_seeds: bool = False) -> None:
     """Check a protocol; if you are unsure whether yours is right, run this.
 
@@ -81,6 +83,7 @@ def check_protocol(protocol: Any, *, limit: float = 10.0, hash_seeds: bool = Fal
         _check_hash_seeds(tested, _scenario(tested.model, {}))
 
 
+@naming_arguments
 def check_schedule(schedule: Any, *, limit: float = 10.0) -> None:
     """Check a schedule; if you are unsure whether yours is right, run this.
 

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from desim.config.arguments import naming_arguments
 from desim.config.python_numbers import as_complex
 from desim.pursuit.core.state import State
 from desim.pursuit.core.traits import StrategyTraits
@@ -58,6 +59,7 @@ def _cases() -> Iterator[_Case]:
     yield from map(_Case._make, product((0, 1, 2, 5), (0j, rect(1.0, 0.7)), (False, True), (False, True)))
 
 
+@naming_arguments
 def check_evader(strategy: Any, *, limit: float = 10.0) -> None:
     """Check the strategy of an evader; if you are unsure whether yours is right, run this.
 

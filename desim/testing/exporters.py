@@ -4,6 +4,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from desim.config.arguments import naming_arguments
 from desim.kernel.core.trace_file import line_of
 from desim.results.run_folder import streamed, write
 from desim.scenario.scenario import Scenario
@@ -13,6 +14,7 @@ from desim.testing.metrics import SITUATIONS
 from desim.view.formats.export import EXPORTERS, ExporterTraits
 
 
+@naming_arguments
 def check_exporter(exporter: Any, *, limit: float = 10.0) -> None:
     """Check an exporter; if you are unsure whether yours is right, run this.
 

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from desim.config.arguments import naming_arguments
 from desim.kernel.core.events import Event, Lost
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.models.clock_skew import ClockSkew
@@ -24,6 +25,7 @@ SIZES = (1, 2, 5)
 """Numbers of nodes for which a plan is called."""
 
 
+@naming_arguments
 def check_fault(fault: Any, *, limit: float = 10.0) -> None:
     """Check a fault, or a plan of faults; if you are unsure whether yours is right, run this.
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from desim.config.arguments import naming_arguments
 from desim.config.arrays import Points
 from desim.pursuit.core.state import lengths
 from desim.pursuit.motion.environment import Environment
@@ -25,6 +26,7 @@ STEPS = 2000
 """Number of steps of an integral over time."""
 
 
+@naming_arguments
 def check_flow(flow: Any, *, limit: float = 10.0) -> None:
     """Check a flow; if you are unsure whether yours is right, run this.
 

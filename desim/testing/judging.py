@@ -12,17 +12,19 @@ from typing import Annotated, Any, NamedTuple, NoReturn
 import cloudpickle
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError, create_model
 
+from desim.config.arguments import with_article
 from desim.config.choice import OneOf
-from desim.config.error_texts import text_of
+from desim.config.errors import WORDINGS, Problem
 from desim.config.fresh import fresh_copy
+from desim.config.model import Value
 from desim.config.shared_state import StateWarning
 from desim.config.traits import name_of
 from desim.kernel.core.trace_file import line_of
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
-from desim.simulation.watchdog import TimedOut, within
+from desim.simulation.watchdog import TimedOut, checked_limit, within
 from desim.testing.pursuits import watched
 
 ERRORS = 5.0
@@ -84,6 +86,7 @@ class Subject(NamedTuple):
             where: the call or the situation that the block is.
             limit: the time that the block may take, s of wall time.
         """
+        limit = checked_limit(limit)
         before = random.getstate(), _state_of_numpy()
         try:
             with warnings.catch_warnings(), within(limit):
@@ -116,12 +119,15 @@ def subject(model: Any, family: OneOf, noun: str) -> Subject:
         ContractError: if a scenario would refuse it, or it cannot be sent to another process.
     """
     name = model if isinstance(model, str) else model.__name__ if isinstance(model, type) else name_of(model)
+    chosen: Any = create_model("Given", __base__=Value, model=(Annotated[Any, family], ...))
+    made = model
     try:
         made = model() if isinstance(model, type) else model
         context = {"allow_import": True, "folder": Path.cwd()}
-        made = TypeAdapter(Annotated[Any, family]).validate_python(made, context=context)
+        made = chosen.model_validate({"model": made}, context=context).model
     except ValidationError as error:
-        raise ContractError(f"{name} is not a {noun}: {'; '.join(map(_problem, error.errors()))}") from error
+        texts = (_problem(problem) for problem in WORDINGS["call"](error, chosen, {"model": made}))
+        raise ContractError(f"{name} is not {with_article(noun)}: {'; '.join(texts)}") from error
     except TypeError as error:
         raise ContractError(f"{name} needs parameters, so give an object: {error}") from error
     tested = Subject(made, name)
@@ -132,9 +138,10 @@ def subject(model: Any, family: OneOf, noun: str) -> Subject:
     return tested
 
 
-def _problem(error: Any) -> str:
-    place = ".".join(map(str, error["loc"]))
-    return f"{place}: {text_of(error)}" if place else text_of(error)
+def _problem(problem: Problem) -> str:
+    """Return the text of a problem, without the key of the model itself."""
+    key = problem.key.partition(".")[2]
+    return f"{key}: {problem.reason}" if key not in {"", "kind"} else problem.reason
 
 
 def twice(

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from desim.config.arguments import naming_arguments
 from desim.config.arrays import Floats
+from desim.config.python_numbers import real, whole
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.models.latency import mean_latency
 from desim.kernel.models.latency_by_link import LATENCIES
@@ -265,6 +267,7 @@ class _Losses(_Links):
         )
 
 
+@naming_arguments
 def check_latency(latency: Any, *, nodes: int = 6, draws: int = 200) -> None:
     """Check a model of latency; if you are unsure whether yours is right, run this.
 
@@ -281,7 +284,9 @@ def check_latency(latency: Any, *, nodes: int = 6, draws: int = 200) -> None:
 
     Raises:
         ContractError: an AssertionError; if the model is wrong, with the call, the input and what is expected.
+        ValueError: if a number is out of its range.
     """
+    nodes, draws = _numbers(nodes, draws)
     tested = subject(latency, LATENCIES, "latency")
     links = _Latencies(tested, nodes, "latency")
     with tested.judged("latency(context, rng)", LIMIT):
@@ -295,6 +300,7 @@ def check_latency(latency: Any, *, nodes: int = 6, draws: int = 200) -> None:
     _run(tested, nodes, latency=tested.model)
 
 
+@naming_arguments
 def check_loss(loss: Any, *, nodes: int = 6, draws: int = 1_000, share: float | None = None) -> None:
     """Check a model of loss; if you are unsure whether yours is right, run this.
 
@@ -312,7 +318,11 @@ def check_loss(loss: Any, *, nodes: int = 6, draws: int = 1_000, share: float | 
 
     Raises:
         ContractError: an AssertionError; if the model is wrong, with the call, the input and what is expected.
+        ValueError: if a number is out of its range.
     """
+    nodes, draws = _numbers(nodes, draws)
+    if share is not None and not 0.0 <= (share := real(share, "share")) <= 1.0:
+        raise ValueError(f"share should be a probability, in [0, 1] (got {share:g})")
     tested = subject(loss, LOSSES, "loss")
     links = _Losses(tested, nodes, "loss")
     with tested.judged("loss(context, rng)", LIMIT):
@@ -321,6 +331,13 @@ def check_loss(loss: Any, *, nodes: int = 6, draws: int = 1_000, share: float | 
         if share is not None:
             links.check_share(share, max(draws // 10, 2))
     _run(tested, nodes, loss=tested.model)
+
+
+def _numbers(nodes: Any, draws: Any) -> tuple[int, int]:
+    """Return the numbers of nodes and of draws; raise ValueError if there are too few."""
+    if min(numbers := (whole(nodes, "nodes"), whole(draws, "draws"))) < 2:
+        raise ValueError(f"nodes and draws should be at least 2 (got {nodes} and {draws})")
+    return numbers
 
 
 def _calls(links: _Links) -> list[tuple[int, Sequence[int]]]:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from desim.analysis.measuring import summary
+from desim.config.arguments import naming_arguments
 from desim.config.named_code import load_named
 from desim.kernel.core.trace_file import line_of
 from desim.kernel.models.faults import Crash
@@ -32,6 +33,7 @@ SITUATIONS: dict[str, dict[str, Any]] = {
 """Scenarios in which a metric may be undefined, but not fail."""
 
 
+@naming_arguments
 def check_metric(metric: Any, *, limit: float = 10.0) -> None:
     """Check a metric; if you are unsure whether yours is right, run this.
 

@@ -4,12 +4,13 @@ import shlex
 from collections.abc import Iterable
 
 from desim.analysis.properties import Stated, judge, stated
-from desim.config.arguments import scenario_argument
+from desim.config.arguments import naming_arguments, scenario_argument
 from desim.scenario.properties import CANNOT_FAIL, recording
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import run
 
 
+@naming_arguments
 def assert_holds(scenario: Scenario, prop: Stated, seeds: Iterable[int] = range(20)) -> None:
     """Check that runs of a scenario keep a property; use it in a test of your protocol.
 
@@ -31,6 +32,8 @@ def assert_holds(scenario: Scenario, prop: Stated, seeds: Iterable[int] = range(
     if not prop.can_fail(scenario):
         raise ValueError(f"property {prop.text!r} says nothing: {CANNOT_FAIL}")
     recorded = recording(scenario, [prop])
+    if isinstance(seeds, str) or not isinstance(seeds, Iterable):
+        raise ValueError(f"seeds should be a list of integers (got {seeds!r})")
     seeds = [*seeds]
     if not seeds:
         raise ValueError("assert_holds needs a seed: without a run, any property holds")

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from desim.analysis.metrics import active_time, energy
 from desim.analysis.timeline import RelativePlaces
+from desim.config.arguments import naming_arguments, scenario_argument
 from desim.config.traits import inherits, overrides, positions
 from desim.kernel.core.events import Event, Watcher
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
@@ -42,6 +43,7 @@ ROUNDING = 1e-9
 """Tolerance for rounding errors, absolute (in m, s or m^2/s) and, except for the potential, relative."""
 
 
+@naming_arguments
 def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Result:
     """Run a scenario as `run` does, with the watchers whose invariants hold in every run, and return the result.
 
@@ -50,8 +52,10 @@ def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> 
     this function in tests of a protocol or a model.
 
     Raises:
+        TypeError: if it is not a scenario.
         AssertionError: if an invariant is broken.
     """
+    scenario_argument(Scenario).check(scenario, "watched")
     stopwatches = ActiveTimeWatcher()
     standard: list[Watcher] = [
         Conservation(),

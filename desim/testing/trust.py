@@ -3,6 +3,7 @@
 from math import inf, nan
 from typing import Any
 
+from desim.config.arguments import naming_arguments
 from desim.kernel.core.records import Record
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.faults import Crash
@@ -57,6 +58,7 @@ class _Observer:
         """Do nothing."""
 
 
+@naming_arguments
 def check_trust(trust: Any, *, limit: float = 10.0) -> None:
     """Check a trust; if you are unsure whether yours is right, run this.
 

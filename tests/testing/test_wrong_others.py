@@ -1,17 +1,32 @@
 """Wrong faults, trusts, flows and exporters: each is told what is wrong with it."""
 
 import random
+from math import nan
 from typing import ClassVar
 
 import numpy as np
 import pytest
 
-from desim import Crash, Fault
+from desim import Crash, Fault, Scenario
 from desim.config.model import Value
 from desim.kernel.core.units import SECOND
 from desim.pursuit.motion.flow import SteadyFlow, UniformFlow
 from desim.pursuit.team.judges import Judge
-from desim.testing import ContractError, check_exporter, check_fault, check_flow, check_trust
+from desim.testing import (
+    ContractError,
+    assert_holds,
+    check_body,
+    check_evader,
+    check_exporter,
+    check_fault,
+    check_flow,
+    check_latency,
+    check_loss,
+    check_protocol,
+    check_trust,
+    watched,
+)
+from tests.command import JARGON
 
 
 def a_kind(base, **methods):
@@ -187,3 +202,42 @@ def test_an_exporter_that_streams_is_given_the_events_of_a_file():
 
     with pytest.raises(ContractError, match="raises TypeError"):  # what is read from a file has no length
         check_exporter(a_kind(Lines, __call__=counts)(), limit=60.0)
+
+
+WRONG_ARGUMENTS = [
+    (lambda: check_protocol("sapp"), ContractError, "sapp is not a protocol: there is no 'sapp', did you mean 'sap'"),
+    (lambda: check_exporter("cvs"), ContractError, "cvs is not an exporter: there is no 'cvs', did you mean 'csv'"),
+    (
+        lambda: check_evader({}),
+        ContractError,
+        "is not a strategy of an evader: should be a kind, .*allowed: pure_evasion",
+    ),
+    (
+        lambda: check_latency({"kind": "constant", "value": -1}),
+        ContractError,
+        "is not a latency: value: should be greater",
+    ),
+    (lambda: check_latency({"kind": "constant", "valu": 1}), ContractError, "is not a latency: valu: unknown key"),
+    (lambda: check_protocol("sap", limit="long"), ValueError, "^a time limit, in s, should be a number"),
+    (lambda: check_body("simple", limit=0), ValueError, "^a time limit should be > 0 s"),
+    (lambda: check_protocol("sap", hash_seeds="no"), ValueError, "hash_seeds should be True or False"),
+    (lambda: check_protocol("sap", hash_seed=True), TypeError, "did you mean 'hash_seeds'"),
+    (lambda: check_loss("bernoulli", nodes="six"), ValueError, "nodes should be an integer"),
+    (lambda: check_loss("bernoulli", draws=1), ValueError, "nodes and draws should be at least 2"),
+    (lambda: check_loss("bernoulli", share=nan), ValueError, "share should be a probability"),
+    (lambda: check_latency("constant", draws=2.5), ValueError, "draws should be an integer"),
+    (lambda: watched(None), TypeError, "watched takes a scenario"),
+    (
+        lambda: assert_holds(Scenario(), "idle at most 0.1 in total", 3),
+        ValueError,
+        "seeds should be a list of integers",
+    ),
+]
+
+
+@pytest.mark.parametrize(("call", "kind", "text"), WRONG_ARGUMENTS, ids=[text for _, _, text in WRONG_ARGUMENTS])
+def test_a_wrong_call_of_a_check_says_what_to_write_and_blames_no_model(call, kind, text):
+    with pytest.raises(kind, match=text) as refused:
+        call()
+    assert not JARGON.search(str(refused.value))
+    assert "Input tag" not in str(refused.value)
