@@ -19,6 +19,7 @@ from desim.config.shared_state import StateWarning
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import Trace
 from desim.kernel.core.trace_file import line_of
+from desim.results import run_folder
 from desim.scenario.overrides import ScenarioError
 from desim.simulation.watchdog import TimedOut, within
 from scenarios.studies.study import SCENARIOS
@@ -167,3 +168,31 @@ def test_a_result_takes_no_more_memory_than_its_events(count, size):
     result = run(Scenario(team=Team(count=count), network={"range": 5.0}, horizon=1.0, record={"trajectory": 0.0}), 1)
     assert len(pickle.dumps(result)) < size
     assert np.isfinite(summary(result).end_time)
+
+
+EXECUTED = """
+import numpy as np
+from desim import Links, Scenario, Team
+
+def protocol(me):
+    me.assign(1)
+    yield me.sleep(9.0)
+
+class Late:
+    def __call__(self, context, rng):
+        return np.full(len(context.dst), 0.1)
+
+scenario = Scenario(team=Team(count=2), horizon=0.2, protocol=protocol, network=Links(latency=Late()))
+"""
+
+
+@pytest.mark.parametrize("names", [{}, {"__name__": None}, {"__name__": 3}, {"__name__": "<cell>"}], ids=repr)
+def test_code_without_a_module_can_be_swept_and_recorded(tmp_path, names):
+    """Code that `exec` runs has the module that its dict names, often none."""
+    places = dict(names)
+    exec(EXECUTED, places)
+    scenario = places["scenario"]
+    assert scenario.model_dump(mode="json")["protocol"]["kind"].endswith(":protocol")
+    result = sweep(scenario, {"team.count": [2, 3]}, reps=1, store=tmp_path / "sweep.sqlite")
+    assert len(result.to_frame()) == 2
+    run_folder.write(run(scenario, 1), tmp_path / "run")

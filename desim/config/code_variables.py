@@ -59,7 +59,7 @@ def is_foreign(definition: Any) -> bool:
     A function that `functools` makes of a user's has the module of the latter, and the variables of `functools`.
     """
     places = definition.__globals__ if isinstance(definition, FunctionType) else {}
-    return (places.get("__name__") or module_of(definition)).partition(".")[0] in _FOREIGN
+    return str(places.get("__name__") or module_of(definition)).partition(".")[0] in _FOREIGN
 
 
 def _items(owner: str, place: Any) -> Iterator[tuple[str, Read]]:

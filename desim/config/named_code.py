@@ -24,8 +24,12 @@ def definition_of(value: Any) -> Any:
 
 
 def import_name(definition: Any) -> str:
-    """Return the `kind` "module:name" that selects a function or class without an entry point."""
-    return f"{plain_name(definition.__module__)}:{definition.__qualname__}"
+    """Return the `kind` "module:name" that selects a function or class without an entry point.
+
+    Code that `exec` runs in a dict of its own has no module, and counts as that of a script.
+    """
+    module = definition.__module__
+    return f"{plain_name(module) if isinstance(module, str) else '__main__'}:{definition.__qualname__}"
 
 
 IMPORTED = "^[^:]+:[^:]+$"
