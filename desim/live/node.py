@@ -333,20 +333,20 @@ class Node:
             ValueError: if an argument has another shape, or is not finite.
         """
         state = self._state
-        place = _points("position", position, 2).item()
+        here = _points("position", position, 2).item()
         team = None if teammates is None else _points("teammates", teammates, state.size, 2)
         seen = _points("evaders", evaders, state.evader_count, 2)
         moving = None if velocities is None else _points("velocities", velocities, state.evader_count, 2)
-        self._meet(partial(self._sense, place, team, seen, moving))
+        self._meet(partial(self._sense, here, team, seen, moving))
 
-    def _sense(self, place: complex, team: Points | None, seen: Points, moving: Points | None) -> None:
+    def _sense(self, here: complex, team: Points | None, seen: Points, moving: Points | None) -> None:
         """Let the players be where they are now; for the arguments see `sense`."""
         state, now = self._state, self._env.now
         places = state.players.positions().copy()
         commands = np.zeros_like(places)
         if team is not None:
             places[: state.size] = team
-        places[self.pursuer], places[state.size :] = place, seen
+        places[self.pursuer], places[state.size :] = here, seen
         if moving is not None:
             commands[state.size :] = moving
         end = min(now + nanoseconds(self._scenario.motion.step), self._horizon)
