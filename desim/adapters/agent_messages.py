@@ -67,8 +67,8 @@ class AgentMessages(EnvNetwork):
             self._spaces.clear()
         super().reset(seed)
 
-    def say(self, agent: Hashable, action: Any) -> Any:
-        """Broadcast the message of an agent's action, and return the action without it.
+    def parted(self, agent: Hashable, action: Any) -> tuple[Any, Any]:
+        """Return the action of an agent without its message, and the message; None: it says nothing.
 
         Raises:
             ValueError: if the action has no message, or one that is not in its space.
@@ -77,12 +77,17 @@ class AgentMessages(EnvNetwork):
         if not isinstance(action, dict) or action.keys() != set(keys):
             raise ValueError(f"the action of {agent!r} should be a dict with the keys {list(keys)} (got {action!r})")
         rest = {key: value for key, value in action.items() if key != "message"}
-        if (message := action["message"]) is not None:
+        body = message = action["message"]
+        if message is not None:
             body = _in_box(message, self._message.dtype) if isinstance(self._message, spaces.Box) else message
             if body is None or body not in self._message:
                 raise ValueError(f"the message of {agent!r} should be in {self._message} (got {message!r})")
-            self.network.publish(self.node(agent), body, size=self._size)
-        return rest["action"] if rest.keys() == {"action"} else rest
+        return rest["action"] if rest.keys() == {"action"} else rest, body
+
+    def say(self, agent: Hashable, message: Any) -> None:
+        """Broadcast the message of an agent; None: nothing."""
+        if message is not None:
+            self.network.publish(self.node(agent), message, size=self._size)
 
     def hear(self, agent: Hashable, observation: Any) -> Any:
         """Return an observation with what the agent has heard."""

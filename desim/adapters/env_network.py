@@ -3,11 +3,16 @@
 import secrets
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
+from warnings import warn
 
 from desim.config.arrays import array_of, array_text
 from desim.config.model import MAX_COORDINATE
 from desim.config.python_numbers import whole
 from desim.kernel.core.seeds import seed_of, stream
+from desim.kernel.models.latency import Constant
+from desim.kernel.models.links import Links
+from desim.kernel.models.medium import MANY, channel_of
+from desim.kernel.stepped_arguments import links_argument
 from desim.kernel.stepped_network import SteppedNetwork
 
 CAPACITY = 100
@@ -28,6 +33,8 @@ class EnvNetwork:
         graph: a networkx graph whose nodes are the agents; the nodes of the network are their rows if None.
         capacity: the number of nodes, if the agents are not known: each that appears in an episode takes one.
         seed: the seed of the network until `reset` is given one.
+        at_once: whether all agents transmit at the same instant of a step; a channel on which they then overlap is
+            warned of.
         **arguments: further arguments of `SteppedNetwork`, except a trace, which is of one episode.
 
     Raises:
@@ -45,12 +52,13 @@ class EnvNetwork:
         graph: Any = None,
         capacity: int = CAPACITY,
         seed: int | None = None,
+        at_once: bool = True,
         **arguments: Any,
     ):
         if positions is not None and not callable(positions):
             raise ValueError("positions should be a function of the environment, which is called after each step of it")
         self._env, self._dt, self._positions_of, self._has_graph = env, dt, positions, graph is not None
-        self._root = None if seed is None else seed_of(seed)
+        self._root, links = None if seed is None else seed_of(seed), links_argument(links)
         self._episodes, self._is_open = 0, agents is None
         self.row = {agent: row for row, agent in enumerate(agents or ())}
         """The row of each agent that has appeared."""
@@ -58,6 +66,8 @@ class EnvNetwork:
         if graph is not None and set(graph) != set(self.row):
             raise ValueError(f"the nodes of the graph should be the agents {list(self.row)} (got {list(graph)})")
         self.network = SteppedNetwork(self.size if graph is None else graph, links, **arguments)
+        if at_once and self.size > 1:
+            _check_overlap(links, self.size)
         self.network.step(dt)  # a wrong duration is refused now, not in the first step
         self.network.reset(0)
         self._places: dict[Any, Any] = {}
@@ -117,3 +127,17 @@ class EnvNetwork:
             places = dict(zip(self.row, rows, strict=True))
         self._places |= {self.node(agent): place for agent, place in places.items()}
         return self._places
+
+
+def _check_overlap(links: Links, senders: int) -> None:
+    """Warn if most frames overlap that several nodes create at one instant."""
+    channel = channel_of(links.medium, 0.0)
+    if channel is None or type(links.processing.sender) is not Constant:
+        return
+    lost = 1.0 - (1.0 - channel.chance) ** (senders - 1)
+    if lost >= MANY:
+        text = (
+            f"network.medium: all agents speak at the same instant of a step, and {100.0 * lost:.0f} % of their frames"
+            " overlap on this channel: a random delay, such as `network.processing.sender`, should separate them"
+        )
+        warn(text, UserWarning, stacklevel=2)

@@ -1,7 +1,7 @@
 """Environments of PettingZoo whose agents talk over a network; see `desim.wrap`."""
 
 from collections.abc import Hashable
-from typing import Any
+from typing import Any, ClassVar
 
 from gymnasium.spaces import Space
 from pettingzoo.utils.wrappers import BaseParallelWrapper, BaseWrapper
@@ -14,10 +14,12 @@ class _Talking:
     """What both kinds of environments have: the network, and spaces with messages."""
 
     env: Any
+    _at_once: ClassVar[bool]
+    """Whether all agents speak at the same instant of a step."""
 
     def __init__(self, env: Any, links: Any = None, **options: Any):
         super().__init__(env)  # type: ignore[call-arg]  # that of the wrapper of PettingZoo, which comes next
-        self._messages = AgentMessages(env, links, **options)
+        self._messages = AgentMessages(env, links, at_once=self._at_once, **options)
 
     @property
     def network(self) -> SteppedNetwork:
@@ -55,6 +57,8 @@ class ParallelMessages(_Talking, BaseParallelWrapper):  # type: ignore[misc]  # 
         **options: as in `desim.adapters.agent_messages.AgentMessages`.
     """
 
+    _at_once = True
+
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, Any]:
         """Begin an episode; see `pettingzoo.ParallelEnv.reset`."""
         observations, infos = self.env.reset(seed=seed, options=options)
@@ -63,7 +67,10 @@ class ParallelMessages(_Talking, BaseParallelWrapper):  # type: ignore[misc]  # 
 
     def step(self, actions: dict[Any, Any]) -> tuple[Any, ...]:
         """Let all agents speak and act; see `pettingzoo.ParallelEnv.step`."""
-        observations, *rest = self.env.step({agent: self._messages.say(agent, actions[agent]) for agent in actions})
+        parted = {agent: self._messages.parted(agent, action) for agent, action in actions.items()}
+        for agent, (_, message) in parted.items():  # once all are known to be right
+            self._messages.say(agent, message)
+        observations, *rest = self.env.step({agent: action for agent, (action, _) in parted.items()})
         self._messages.step()
         return self._heard(observations), *rest
 
@@ -83,6 +90,8 @@ class TurnMessages(_Talking, BaseWrapper):  # type: ignore[misc]  # it has no ty
         **options: as in `desim.adapters.agent_messages.AgentMessages`.
     """
 
+    _at_once = False
+
     def observe(self, agent: Hashable) -> Any:
         """Return the observation of an agent now, with what it has heard."""
         observation = self.env.observe(agent)
@@ -98,5 +107,8 @@ class TurnMessages(_Talking, BaseWrapper):  # type: ignore[misc]  # it has no ty
         if action is None:  # of a dead agent
             self.env.step(None)
         else:
-            self.env.step(self._messages.say(self.env.agent_selection, action))
+            agent = self.env.agent_selection
+            of_env, message = self._messages.parted(agent, action)
+            self._messages.say(agent, message)
+            self.env.step(of_env)
             self._messages.step()

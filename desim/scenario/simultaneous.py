@@ -14,11 +14,11 @@ import numpy as np
 from desim.config.arrays import Floats
 from desim.config.traits import inherits
 from desim.kernel.clock_sync import Unsynchronised
-from desim.kernel.models.access import Aloha, CarrierSensing, Csma, Ideal, SlottedAloha
+from desim.kernel.models.access import CarrierSensing
 from desim.kernel.models.clock_skew import drawn_skews
 from desim.kernel.models.faults import Crash
 from desim.kernel.models.graphs import Complete
-from desim.kernel.models.medium import Medium, Radio
+from desim.kernel.models.medium import MANY, Channel, channel_of
 from desim.kernel.models.traits import LinkTraits
 from desim.kernel.models.transport import Reliable
 from desim.pursuit.core.traits import DisseminationTraits
@@ -26,37 +26,6 @@ from desim.scenario.scenario import Scenario
 
 DRAWS = 4000
 """Number of draws from which the share of frames that overlap is estimated."""
-MANY = 0.5
-"""Share of lost frames from which a warning is given."""
-
-
-class Channel(NamedTuple):
-    """How frames that are created at one instant overlap on a channel."""
-
-    vulnerable: float
-    """Time between the starts of two frames, s, up to which they overlap, whoever hears whom."""
-    hidden: float
-    """The same for two senders that do not hear each other, s."""
-    chance: float = 1.0
-    """Probability that two frames that could overlap do."""
-
-
-def channel_of(medium: Medium, airtime: float) -> Channel | None:
-    """Return how frames of an airtime (s) overlap on a medium; None if they do not."""
-    if not isinstance(medium, Radio):
-        return None
-    access = medium.access
-    if isinstance(access, Ideal):
-        return Channel(airtime, airtime) if medium.half_duplex and not medium.shared else None
-    if isinstance(access, Aloha):
-        return Channel(airtime, airtime)
-    if isinstance(access, SlottedAloha):
-        longest = max(access.slot, airtime)
-        return Channel(longest, longest, access.p / (2.0 - access.p))
-    if isinstance(access, CarrierSensing):
-        p = access.p if isinstance(access, Csma) and access.persistence == "p_persistent" else 1.0
-        return Channel(access.sensing_delay, airtime, p / (2.0 - p))
-    return None
 
 
 def simultaneous_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:

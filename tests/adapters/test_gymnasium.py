@@ -90,6 +90,14 @@ def test_a_robot_out_of_range_goes_on_with_its_last_command():
     assert got["observation"].tolist() == [2.0, 2.0]
 
 
+def test_a_channel_on_which_robot_and_operator_are_deaf_to_each_other_is_warned_of():
+    links = {"medium": {"kind": "bitrate", "bitrate": 1e5, "access": "csma_ca"}}
+    with pytest.warns(UserWarning, match="100 % of their frames overlap on this channel"):
+        env = desim.wrap(Counter(), links)
+    env.reset(seed=0)
+    assert [env.step(np.ones(1, np.float32))[0]["age"].item() for _ in range(3)] == pytest.approx([0.1, 0.2, 0.3])
+
+
 def test_a_robot_behind_a_wall_is_never_reached():
     places = {"positions": lambda _: [(0.0, 0.0), (4.0, 0.0)], "walls": [{"line": [[2.0, -1.0], [2.0, 1.0]]}]}
     env = desim.wrap(Counter(), {"range": 50.0}, **places)

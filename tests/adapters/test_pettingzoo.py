@@ -213,6 +213,46 @@ def test_a_message_has_the_numbers_that_were_said_or_is_refused(space, said, hea
         assert env.step(actions)[0]["ann"]["messages"][1].tolist() == heard
 
 
+def test_nobody_speaks_in_a_step_that_is_refused():
+    env = desim.wrap(Line(), message=NUMBERS)
+    env.reset(seed=0)
+    actions = {name: {"action": 0, "message": [1.0]} for name in NAMES}
+    with pytest.raises(ValueError, match="the message of 'eve' should be in Box"):
+        env.step(actions | {"eve": {"action": 0, "message": [-1.0]}})
+    assert env.network.counts().sent == 0
+    env.step(actions)
+    assert env.network.counts().sent == 6
+
+
+@pytest.mark.parametrize(
+    ("medium", "overlaps"),
+    [
+        ({"access": "csma"}, True),
+        ({"access": "aloha"}, True),
+        ({"half_duplex": True}, True),
+        ({"access": {"kind": "slotted_aloha", "slot": 0.001, "p": 0.2}}, False),
+        ({"access": {"kind": "tdma", "slot": 0.005}}, False),
+        ({"shared": True}, False),
+    ],
+)
+def test_a_channel_on_which_agents_that_speak_at_once_are_not_heard_is_warned_of(medium, overlaps):
+    """Random delays of their hosts separate them, as turns do."""
+    links = {"medium": {"kind": "bitrate", "bitrate": 1e5} | medium}
+    separated = links | {"processing": {"sender": {"kind": "uniform", "low": 0.0, "high": 0.09}}}
+    told = "all agents speak at the same instant of a step, and 100 % of their frames overlap"
+    heard = []
+    for one in (links, separated):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            env = desim.wrap(Line(), one, message=NUMBERS)
+        assert [told in str(warning.message) for warning in caught] == [True] * (overlaps and one is links)
+        talk(env, 20)
+        heard.append(env.network.counts().delivered / 120)
+    assert (heard[0] == 0.0) == overlaps
+    assert heard[1] > 0.5
+    desim.wrap(Turns(), links)  # a warning is an error
+
+
 def test_an_agent_that_is_gone_is_heard_no_more_and_keeps_its_place():
     env = desim.wrap(Line(steps=99), {"range": 50.0}, positions=lambda env: env.places(), message=NUMBERS)
     env.reset(seed=0)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from math import ceil, inf
-from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeGuard
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeGuard
 
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
@@ -14,7 +14,17 @@ from desim.config.errors import KeyedError, Problem
 from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
 from desim.config.python_numbers import as_real
 from desim.config.traits import inherits, is_ours
-from desim.kernel.models.access import ACCESSES, Access, Ideal, Owner, Tdma
+from desim.kernel.models.access import (
+    ACCESSES,
+    Access,
+    Aloha,
+    CarrierSensing,
+    Csma,
+    Ideal,
+    Owner,
+    SlottedAloha,
+    Tdma,
+)
 from desim.kernel.models.interference import INTERFERENCES, Collision, Interference, LoRaInterference, LoRaSignal
 from desim.kernel.models.traits import MediumTraits
 
@@ -23,6 +33,8 @@ TUNING = 0.25
 4.1.5)."""
 MAX_BYTES = 255
 """Maximum payload of a LoRa frame, whose length field is one byte."""
+MANY = 0.5
+"""The share of frames of one instant that overlap, from which a warning is given."""
 Overhead = Annotated[int, Field(ge=0, le=1_000_000, strict=True)]
 SpreadingFactor = Annotated[int, Field(ge=7, le=12, strict=True)]
 
@@ -136,6 +148,35 @@ class Radio(Value):
 def contends(medium: Medium) -> TypeGuard[Radio]:
     """Return whether nodes contend for the channel of a medium; in that of a user they do not, unless it is a Radio."""
     return isinstance(medium, Radio) and medium.contends
+
+
+class Channel(NamedTuple):
+    """How frames that are created at one instant overlap on a channel."""
+
+    vulnerable: float
+    """Time between the starts of two frames, s, up to which they overlap, whoever hears whom."""
+    hidden: float
+    """The same for two senders that do not hear each other, s."""
+    chance: float = 1.0
+    """Probability that two frames that could overlap do."""
+
+
+def channel_of(medium: Medium, airtime: float) -> Channel | None:
+    """Return how frames of an airtime (s) overlap on a medium; None if they do not."""
+    if not isinstance(medium, Radio):
+        return None
+    access = medium.access
+    if isinstance(access, Ideal):
+        return Channel(airtime, airtime) if medium.half_duplex and not medium.shared else None
+    if isinstance(access, Aloha):
+        return Channel(airtime, airtime)
+    if isinstance(access, SlottedAloha):
+        longest = max(access.slot, airtime)
+        return Channel(longest, longest, access.p / (2.0 - access.p))
+    if isinstance(access, CarrierSensing):
+        p = access.p if isinstance(access, Csma) and access.persistence == "p_persistent" else 1.0
+        return Channel(access.sensing_delay, airtime, p / (2.0 - p))
+    return None
 
 
 class Unlimited(Value):
