@@ -2,8 +2,8 @@
 
 import asyncio
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from threading import Thread
+from contextlib import contextmanager, suppress
+from threading import Event, Thread
 from typing import Any, Literal, get_args
 
 from desim.config.arguments import naming_arguments, scenario_argument
@@ -156,12 +156,20 @@ def _places(scenario: Scenario, links: LinkKind, hosts: Sequence[str] | None) ->
 def _run(play: Callable[[], Any]) -> Any:
     """Run a coroutine to its end, also where an event loop is running, as in a notebook.
 
-    The exception of a task is raised as it is.
+    The exception of a task is raised as it is. Ctrl-C cancels the coroutine, and waits until it has ended.
     """
+    running: list[Any] = []
+    is_cancelled, is_over = Event(), Event()
+
+    async def play_here() -> Any:
+        running.append((asyncio.get_running_loop(), asyncio.current_task()))
+        if is_cancelled.is_set():
+            raise asyncio.CancelledError
+        return await play()
 
     def run_here() -> Any:
         try:
-            return asyncio.run(play())
+            return asyncio.run(play_here())
         except BaseExceptionGroup as error:
             raise error.exceptions[0] from None
 
@@ -176,10 +184,20 @@ def _run(play: Callable[[], Any]) -> Any:
             outcome.append(run_here())
         except BaseException as error:
             outcome.append(error)
+        is_over.set()
 
     thread = Thread(target=run_there)
-    thread.start()
-    thread.join()
+    try:
+        thread.start()
+        is_over.wait()  # after an interrupt, `join` would take a thread for ended
+    except BaseException:
+        is_cancelled.set()
+        for loop, task in running:
+            with suppress(RuntimeError):  # it has just ended
+                loop.call_soon_threadsafe(task.cancel)
+        if thread.is_alive():
+            is_over.wait()
+        raise
     if isinstance(outcome[0], BaseException):
         raise outcome[0]
     return outcome[0]

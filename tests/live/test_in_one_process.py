@@ -1,6 +1,8 @@
 """Live runs whose pursuers are tasks of this process: how they join, speak, fail and leave."""
 
 import asyncio
+import os
+import signal
 from types import SimpleNamespace
 
 import pytest
@@ -482,3 +484,30 @@ def test_sockets_are_made_in_the_namespace_and_the_process_returns(monkeypatch, 
     with namespaces.within_namespace(""):
         pass
     assert entered == [there, home, there]
+
+
+def test_an_interrupt_in_a_notebook_ends_the_run_before_it_is_raised():
+    """A notebook has a loop already, so the run has a thread of its own. Another signal stands for Ctrl-C."""
+    ended = []
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    async def play():
+        try:
+            os.kill(os.getpid(), signal.SIGUSR1)
+            await asyncio.sleep(30.0)
+        finally:
+            await asyncio.sleep(0.01)
+            ended.append(True)
+
+    async def cell():
+        with pytest.raises(KeyboardInterrupt):
+            runs_module._run(play)
+        return [*ended]
+
+    before = signal.signal(signal.SIGUSR1, interrupt)
+    try:
+        assert asyncio.new_event_loop().run_until_complete(cell()) == [True]
+    finally:
+        signal.signal(signal.SIGUSR1, before)
