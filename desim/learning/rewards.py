@@ -1,8 +1,9 @@
 """Rewards: functions of a step, the time between two turns of an environment.
 
-The utility of a pursuer, or of the team, is integrated over the step and divided by the horizon. So rewards are in
-seconds, as utilities are, those between two turns of a pursuer add up, and those of a whole episode are the mean
-utility over the horizon.
+The utility of a pursuer, or of the team, at the start of the step is multiplied by the duration and divided by the
+horizon. So rewards are in seconds, as utilities are, those between two turns of a pursuer add up, and those of a whole
+episode are the mean utility over the horizon, from the first turn on: nothing that anybody decides changes what happens
+before it, and no step has it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,6 +21,7 @@ from desim.pursuit.game.game import gain, welfare
 class Step(NamedTuple):
     """The time between two turns, during which the pursuers keep the actions that they have at its start.
 
+    The first step of an episode begins at the first turn, and the last one ends with the episode.
     What happens in a step without a decision, as a capture or a crash, changes the actions of the next one.
     """
 
