@@ -506,8 +506,9 @@ def test_an_interrupt_in_a_notebook_ends_the_run_before_it_is_raised():
             runs_module._run(play)
         return [*ended]
 
-    before = signal.signal(signal.SIGUSR1, interrupt)
+    before, loop = signal.signal(signal.SIGUSR1, interrupt), asyncio.new_event_loop()
     try:
-        assert asyncio.new_event_loop().run_until_complete(cell()) == [True]
+        assert loop.run_until_complete(cell()) == [True]
     finally:
+        loop.close()
         signal.signal(signal.SIGUSR1, before)
