@@ -89,7 +89,7 @@ class Timing:
 
     def _check_phase(self, phase: Any) -> None:
         """Raise TypeError if a phase is none: for example a time-out."""
-        if type(phase) is not Phase:
+        if not isinstance(phase, Phase):
             raise TypeError(
                 f"pursuer {self.id}: a phase should be one of desim.kernel.core.clock.Phase (got {phase!r})"
             )
