@@ -29,7 +29,7 @@ from desim.kernel.core.ports import ReservedPort
 from desim.kernel.core.records import Record
 from desim.kernel.models.transport import Coded, Depth, Reliable, SendWindow, Transport
 from desim.kernel.state.inbox import Message
-from desim.pursuit.team.agent import Agent, Process
+from desim.pursuit.team.agent import Agent, Process, merge_relayed
 from desim.pursuit.team.announcements import Forwarded
 
 PORT = ReservedPort("announcements", __name__)
@@ -142,7 +142,7 @@ class Gossip(Value):
 
     def __call__(self, me: Agent) -> Process:
         """Merge the records that arrive."""
-        yield from merge_all(me)
+        yield from merge_relayed(me, PORT)
 
 
 class SentByTransport:
@@ -161,7 +161,7 @@ class SentByTransport:
 
     def __call__(self, me: Agent) -> Process:
         """Merge the records that arrive."""
-        yield from merge_all(me)
+        yield from merge_relayed(me, PORT)
 
 
 class ReliableOneHop(SentByTransport, Reliable):
@@ -200,11 +200,3 @@ def send_record(me: Agent, announcement: Any, transport: Transport) -> None:
     """Send an announcement to all neighbours as a record; its bytes are those of the announcement and the transport."""
     record = me.record(announcement)  # of a liar, not with this announcement
     me.send(None, Forwarded((record,)), PORT, transport=transport, size=size_of(record.body))
-
-
-def merge_all(me: Agent) -> Process:
-    """Merge the records in all messages that arrive."""
-    while True:
-        yield me.arrival(PORT, Phase.RELAY)
-        for message in me.mail(PORT):
-            me.merge_records(message.body.records)

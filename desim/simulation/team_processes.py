@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Protocol
 from desim.kernel.core.clock import Clock, Phase
 from desim.kernel.models.faults import Crash
 from desim.kernel.models.medium import contends
+from desim.pursuit.byzantine.lying import PORT as FORGED
 from desim.pursuit.byzantine.lying import LyingTeam
 from desim.pursuit.sensing.noisy_sensing import Sensor
-from desim.pursuit.team.agent import Agent, repeat
+from desim.pursuit.team.agent import Agent, merge_relayed, repeat
 from desim.pursuit.team.judges import Judge
 from desim.scenario.scenario import Scenario
 from desim.simulation.restartable import RestartableProcess
@@ -81,7 +82,7 @@ class TeamProcesses:
                 report = view.report if self._liars is None else self._liars.unless_silent(pursuer, view.report)
                 env.process(repeat(agent, report, period, "sightings"))
             if self._liars is not None:
-                env.process(self._liars.receive(agent))
+                env.process(merge_relayed(agent, FORGED))
             judge, interval = self._judges[pursuer], announce.trust.period
             if judge is not None and interval is not None:
                 accuse = judge.report if self._liars is None else self._liars.accusing(pursuer, judge.report)

@@ -81,7 +81,7 @@ def test_a_legend_between_marks_and_beside_a_line_stays(look):
 
 def test_a_moved_legend_is_golden():
     """It keeps its title, the size of its texts and the looks of its lines, in at most three columns."""
-    with styled(figsize=(4.0, 2.0)) as figure:
+    with styled(figsize=(4.0, 2.0), font=9.0) as figure:
         axes = figure.add_subplot()
         for k in range(4):
             axes.errorbar([0.0, 1.0], [0.5 + k / 10, 0.9], yerr=0.4, marker="os"[k % 2], label=f"line {k}")

@@ -111,19 +111,27 @@ def figure_of(ax: object, *, panels: Sequence[str] = ("",), size: str | None = N
 
 
 @contextmanager
-def styled(figsize: tuple[float, float], *, font: float = 9.0, style: Style = None) -> Iterator[Figure]:
+def styled(
+    figsize: tuple[float, float], size: str | None = None, *, font: float | None = None, style: Style = None
+) -> Iterator[Figure]:
     """Yield an empty figure in the common style.
 
     Its layout is computed at the end of the block, and again at each drawing if its size or a text has changed.
 
     Args:
-        figsize: width and height, inches.
-        font: size of text, points.
+        figsize: the usual width and height, inches.
+        size: another size, see `size_of`; if it is a width alone, the figure has its usual shape. None: the usual one.
+        font: size of text, points; None: 9, and 8 in a narrow figure.
         style: a style on top of the common one.
 
     Raises:
-        ValueError: if there is no such style.
+        ValueError: if there is no such style, or the size is invalid.
     """
+    if size is not None:
+        width, height = size_of(size)
+        figsize = width, height or width * figsize[1] / figsize[0]
+    if font is None:
+        font = 9.0 if figsize[0] >= NARROW else 8.0
     small = {} if font >= STYLE["font.size"] else {"axes.titlesize": font, "axes.linewidth": 0.6}
     with mpl.rc_context(STYLE | small | {"font.size": font}), in_style(style):
         figure = _StyledFigure(figsize=figsize, layout=(layout := _SettledLayout()))

@@ -17,7 +17,7 @@ from desim.analysis.drawing.palette import (
     INACTIVE,
     PURSUER_MARK,
 )
-from desim.analysis.drawing.plots import NARROW, Style, as_it_is, figure_of, in_style, size_of, styled
+from desim.analysis.drawing.plots import NARROW, Style, as_it_is, figure_of, in_style, styled
 from desim.analysis.drawing.walls import draw_walls
 from desim.analysis.trace_index import captures, sampled
 from desim.config.escaping import escaped
@@ -50,12 +50,11 @@ def trajectory(result: Result, size: str | None = None, *, style: Style = None, 
             draw_trajectory(ax, result)
             ax.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.16), frameon=False)
         return figure
-    width, height = (5.2, None) if size is None else size_of(size)
-    with styled(figsize=(width, height or width), font=9.0 if width >= NARROW else 8.0, style=style) as figure:
+    with styled((5.2, 5.2), size, style=style) as figure:
         axes = figure.add_subplot()
         draw_trajectory(axes, result)
         axes.set_title(escaped(f"{result.scenario.name}, seed {result.seed}"), **as_it_is(result.scenario.name))
-        figure.legend(loc="outside lower center", ncols=2 if width >= NARROW else 1, fontsize=8)
+        figure.legend(loc="outside lower center", ncols=2 if figure.get_figwidth() >= NARROW else 1, fontsize=8)
     return figure
 
 

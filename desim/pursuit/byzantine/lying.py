@@ -31,7 +31,6 @@ from desim.kernel.network import Network
 from desim.pursuit.byzantine.lies import ByzantineFault, Lie
 from desim.pursuit.byzantine.speaker import Speaker
 from desim.pursuit.sensing.views import View
-from desim.pursuit.team.agent import Agent, Process
 from desim.pursuit.team.announcements import Forwarded, relayed_records, with_records
 from desim.pursuit.team.judges import PORT as ACCUSATIONS
 from desim.pursuit.team.judges import Accusation
@@ -149,13 +148,6 @@ class LyingTeam:
                 report()
 
         return act
-
-    def receive(self, agent: Agent) -> Process:
-        """Merge the records in forged announcements that an agent receives."""
-        while True:
-            yield agent.arrival(PORT, Phase.RELAY)
-            for message in agent.mail(PORT):
-                agent.merge_records(message.body.records)
 
     # What becomes of a message.
 

@@ -344,5 +344,13 @@ def repeat(me: Agent, act: Callable[[], object], period: float, name: str, jitte
         due = due + period * rng.uniform(1.0 - jitter, 1.0 + jitter) if jitter else first + k * period
 
 
+def merge_relayed(me: Agent, port: str) -> Process:
+    """Return a process that merges the records in all messages that arrive at a port."""
+    while True:
+        yield me.arrival(port, Phase.RELAY)
+        for message in me.mail(port):
+            me.merge_records(message.body.records)
+
+
 Behaviour = Callable[[Agent], Process]
 """A protocol: a function that returns the process of a pursuer, given its agent."""

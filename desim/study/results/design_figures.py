@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
-from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, as_it_is, figure_of, in_style, size_of, styled
+from desim.analysis.drawing.plots import Axes, Figure, Style, as_it_is, figure_of, in_style, styled
 from desim.analysis.statistics import Estimate
 from desim.config.escaping import escaped
 from desim.study.plan.configurations import in_words
@@ -77,9 +77,7 @@ def scatter(
     rows = -(-len(keys) // columns)
     usual = (4.8 if columns == 1 else 0.6 + 2.6 * columns, 0.5 + 2.6 * rows)
     usual = usual[0], usual[1] + height_of_legend(list(lines), usual[0])
-    width, height = usual if size is None else size_of(size)
-    font = 9.0 if width >= NARROW else 8.0
-    with styled(figsize=(width, height or width * usual[1] / usual[0]), font=font, style=style) as figure:
+    with styled(usual, size, style=style) as figure:
         panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
         for axes, key in zip(panels.flat, keys, strict=False):
             draw(axes, key)

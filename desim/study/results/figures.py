@@ -8,7 +8,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from desim.analysis.drawing.palette import GREY, SERIES
-from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, as_it_is, figure_of, in_style, size_of, styled
+from desim.analysis.drawing.plots import Axes, Figure, Style, as_it_is, figure_of, in_style, size_of, styled
 from desim.analysis.statistics import Estimate
 from desim.config.escaping import escaped
 from desim.study.plan.configurations import in_words
@@ -103,7 +103,7 @@ def means(
     width, height = _inches(size, rows, columns, None if abscissa else len(result.groups))
     if size is None:
         height += height_of_legend(names, width)
-    with styled(figsize=(width, height), font=9.0 if width >= NARROW else 8.0, style=style) as figure:
+    with styled((width, height), style=style) as figure:
         shared = figure.subplots(rows, columns, squeeze=False, sharex=abscissa is not None, sharey=True)
         for axes, (name, points) in zip(shared.flat, panels.items(), strict=False):
             draw(axes, points)

@@ -10,7 +10,7 @@ from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from desim.analysis.drawing.plots import Axes, Figure, Style, figure_of, in_style, size_of, styled
+from desim.analysis.drawing.plots import Axes, Figure, Style, figure_of, in_style, styled
 from desim.config.escaping import escaped
 from desim.study.results.figure_labels import (
     LETTER,
@@ -130,8 +130,7 @@ def draw_panels(
             add_colour_bar(figure, colours, [ax], title)
         return figure
     rows = -(-len(panels) // columns)
-    width, height = usual if size is None else size_of(size)
-    with styled(figsize=(width, height or width * usual[1] / usual[0]), font=8.0, style=style) as figure:
+    with styled(usual, size, font=8.0, style=style) as figure:
         shared = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
         for axes, (settings, panel) in zip(shared.flat, panels.items(), strict=False):
             draw(axes, panel)

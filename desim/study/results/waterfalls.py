@@ -1,7 +1,7 @@
 """Waterfall charts of explanations: what each imperfection costs."""
 
 from desim.analysis.drawing.palette import BLUE, GREEN, GREY, ORANGE, SKY, VERMILION
-from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, figure_of, in_style, size_of, styled
+from desim.analysis.drawing.plots import Axes, Figure, Style, figure_of, in_style, size_of, styled
 from desim.analysis.statistics import Estimate
 from desim.config.escaping import escaped
 from desim.kernel.core.portable_math import portable_sum
@@ -32,7 +32,7 @@ def waterfall(
         return figure
     usual = portable_sum(max(4.4, BAR * _bars(cost)) for cost in explanation.costs.values())
     width, height = (usual, None) if size is None else size_of(size)
-    with styled(figsize=(width, height or 4.0), font=9.0 if width >= NARROW else 8.0, style=style) as figure:
+    with styled((width, height or 4.0), style=style) as figure:
         for axes, cost in zip(
             figure.subplots(1, len(explanation.costs), squeeze=False)[0], explanation.costs.values(), strict=True
         ):

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from desim.analysis.drawing.palette import GREY
-from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, as_it_is, figure_of, in_style, size_of, styled
+from desim.analysis.drawing.plots import Axes, Figure, Style, as_it_is, figure_of, in_style, styled
 from desim.analysis.metrics import words
 from desim.config.escaping import escaped
 from desim.study.results.figure_labels import (
@@ -66,9 +66,7 @@ def draw_race(
             add_legend_above(ax, None)
         return figure
     usual = (6.4, 4.4 + height_of_legend(names[:NAMED], 6.4))
-    width, height = usual if size is None else size_of(size)
-    font = 9.0 if width >= NARROW else 8.0
-    with styled(figsize=(width, height or width * usual[1] / usual[0]), font=font, style=style) as figure:
+    with styled(usual, size, style=style) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
         _draw_means(upper, selection, order, names, first)
         upper.set_ylabel(label)

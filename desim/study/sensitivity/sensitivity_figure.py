@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from math import isnan
 
 from desim.analysis.drawing.palette import BLUE, GREY, SKY
-from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, as_it_is, size_of, styled
+from desim.analysis.drawing.plots import Axes, Figure, Style, as_it_is, styled
 from desim.analysis.metrics import words
 from desim.config.escaping import escaped
 from desim.study.results.figure_labels import axis_label, columns_of, literal
@@ -50,9 +50,7 @@ def draw_sensitivity(
     columns = columns_of(len(panels), size, beside=1.6)
     rows = len(panels) // columns
     usual = (1.6 + 3.2 * columns, 1.3 * rows + 0.42 * rows * len(keys))
-    width, height = usual if size is None else size_of(size)
-    font = 9.0 if width >= NARROW else 8.0
-    with styled(figsize=(width, height or width * usual[1] / usual[0]), font=font, style=style) as figure:
+    with styled(usual, size, style=style) as figure:
         shared = figure.subplots(rows, columns, squeeze=False, sharey=True)
         for axes, panel in zip(shared.flat, panels, strict=True):
             if panel == "effects" and effects is not None:
