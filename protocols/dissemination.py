@@ -1,7 +1,8 @@
 """Dissemination: how the announcements of a pursuer spread to its teammates.
 
 A dissemination has a method `broadcast`, which sends an announcement of the agent. Called with an agent, the
-dissemination returns a process that handles the announcements of teammates. In flooding, the process forwards them.
+dissemination returns a process that handles the announcements of teammates. In flooding, the process forwards them. If
+`broadcast` uses `Agent.publish`, announcements are received without this process, which then does nothing.
 
 Paper: Flooding: in the paper, each receiver of a new announcement rebroadcasts it once, after a random delay (Ni,
     Tseng, Chen & Sheu 1999, "The Broadcast Storm Problem"). Gossip: each broadcast carries all known records
@@ -18,7 +19,7 @@ Robust to loss: yes, with heartbeats; flooding also without them where there are
 
 from functools import partial
 from math import inf
-from typing import Annotated, Any, ClassVar, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -34,21 +35,6 @@ from desim.pursuit.team.announcements import Forwarded
 
 PORT = ReservedPort("announcements", __name__)
 """The port at which announcements arrive that are sent as messages: all but those of `OneHop`."""
-
-
-class Dissemination(Protocol):
-    """How announcements spread."""
-
-    def broadcast(self, me: Agent, announcement: Any) -> None:
-        """Send one of the agent's own announcements."""
-        ...
-
-    def __call__(self, me: Agent) -> Process:
-        """Handle received announcements, for example forward them.
-
-        If `broadcast` uses `Agent.publish`, announcements are received without this process, which then does nothing.
-        """
-        ...
 
 
 class OneHop(Value):

@@ -16,7 +16,6 @@ from desim.kernel.walls.crossings import (
     are_inside,
     crossings,
     first_contact,
-    first_crossings,
     gaps,
     segments_of,
 )
@@ -318,15 +317,6 @@ def test_a_ray_that_leaves_a_polygon_crosses_its_edges_an_odd_number_of_times(co
     odd = crossings(ends[:1], ends[1:], edges).sum() % 2 == 1
     first, second = are_inside(ends, [ring])
     assert odd == (first != second)
-
-
-def test_the_first_wall_on_the_way_is_found():
-    walls = segments(((5, -1), (5, 1)), ((2, -1), (2, 1)), ((8, 4), (8, 6)))
-    starts, ends = np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 9.0]]), np.array([[10.0, 0.0], [0.0, 0.0], [9.0, 9.0]])
-    shares, which = first_crossings(starts, ends, walls)
-    assert shares.tolist() == [0.2, 0.5, inf]
-    assert which.tolist() == [1, 0, -1]
-    assert first_crossings(starts[2:], ends[2:], walls)[0].tolist() == [inf]
 
 
 def test_the_gap_is_the_distance_from_the_nearest_wall():

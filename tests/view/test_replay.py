@@ -44,7 +44,7 @@ from desim.scenario.scenario import Motion, Recording
 from desim.view.data.headings import Headings
 from desim.view.pages.headline import conditions
 from desim.view.pages.replay import missing_recordings, replay, replay_page, size_warning, with_recordings
-from desim.view.pages.replay_columns import DIFFERENCES, MAX_REPLAY_TIME, RUNS, Ticks, packed_column, unpacked_column
+from desim.view.pages.replay_columns import DIFFERENCES, MAX_REPLAY_TIME, RUNS, Ticks, packed_column
 from desim.view.pages.replay_data import replay_data
 from desim.view.pages.replay_plane import FLOW_MARGIN, FLOW_TIMES, all_places, flow_data
 from protocols.sap import SpatialAdaptivePlay
@@ -117,6 +117,21 @@ SEEING = Scenario(
     horizon=0.1,
     announce=Announcements(trigger="never"),
 )
+
+
+def unpacked_column(column, kind):
+    """Return the integers of a column, as the page decodes them."""
+    content = np.frombuffer(b64decode(column), "u1")
+    form, groups = int(content[0]), content[1:].astype(np.int64)
+    last = groups < 128
+    number = np.cumsum(last) - last  # to which each byte belongs
+    first = np.flatnonzero(np.append(True, last[:-1]))[: last.sum()]
+    codes = np.zeros(len(first), np.int64)
+    np.add.at(codes, number, (groups & 127) << 7 * (np.arange(len(groups)) - first[number]))
+    if form & RUNS:
+        codes = np.repeat(codes[::2], codes[1::2])
+    signed = (codes >> 1) ^ -(codes & 1)
+    return (np.cumsum(signed) if form & DIFFERENCES else signed).astype(kind)
 
 
 def column(text, kind):

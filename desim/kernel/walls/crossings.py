@@ -113,22 +113,6 @@ def crossed_by(starts: Floats, ends: Floats, corners: Floats) -> Bools:
     return crossed
 
 
-def first_crossings(starts: Floats, ends: Floats, segments: Segments, margin: float = 0.0) -> tuple[Floats, Integers]:
-    """Return where each of m rays first crosses a wall: (m,) shares of the way, and (m,) indices of the segments.
-
-    The share is inf, and the index -1, where no wall is crossed. The arguments are those of `crossings`.
-    """
-    crossed = crossings(starts, ends, segments, margin)
-    if not crossed.any():
-        return np.full(len(crossed), np.inf), np.full(len(crossed), -1, dtype=np.intp)
-    _, _, begin, end = _sides(starts, ends, segments)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        shares = np.where(crossed, begin / (begin - end), np.inf)
-    nearest = shares.argmin(axis=1)
-    first = shares[np.arange(len(shares)), nearest]
-    return first, np.where(np.isfinite(first), nearest, -1)
-
-
 def _sides(starts: Floats, ends: Floats, segments: Segments) -> tuple[Floats, Floats, Floats, Floats]:
     """Return on which side, positive on the left, the ends of walls lie of rays, and those of rays of walls, (m, s).
 

@@ -114,11 +114,6 @@ class Sensing(Value):
         """Whether estimates have covariances."""
         return isinstance(self.estimator, Kalman)
 
-    @property
-    def is_perfect(self) -> bool:
-        """Whether all pursuers see all evaders exactly."""
-        return not (self.limited or self.is_noisy)
-
 
 class Sighting(NamedTuple):
     """A past observation of an evader."""

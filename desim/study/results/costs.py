@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import inf
 from typing import Any, Literal, Protocol, Self
 
 from desim.analysis.statistics import Estimate, mean
@@ -68,14 +67,6 @@ class Bounds:
         """Return the bounds, given the metric in each run of both, paired by seed."""
         difference = [late - early for late, early in zip(silent, perfect, strict=True)]
         return cls(mean(perfect), mean(silent), Saving.of(difference))
-
-    @property
-    def standard_errors(self) -> float:
-        """The distance of the bounds in standard errors; inf if it is the same, not 0, for all seeds."""
-        if not self.difference.differing:
-            return 0.0
-        error = self.difference.mean.standard_error
-        return abs(self.difference.mean.mean) / error if error else inf
 
     def document(self) -> dict[str, Any]:
         """Return the bounds as JSON-compatible values."""

@@ -1,6 +1,6 @@
 """Numbers in the data of a replay: times in whole ticks, and columns in base64."""
 
-from base64 import b64decode, b64encode
+from base64 import b64encode
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ MAX_REPLAY_TIME = 2**32 - 1
 ReplayData = dict[str, Any]
 """A JSON object."""
 DIFFERENCES, RUNS = 1, 2
-"""The bits of the first byte of a column; see `unpacked_column`."""
+"""The bits of the first byte of a column; see `packed_column`."""
 
 
 class Ticks(NamedTuple):
@@ -55,7 +55,11 @@ def raw(values: ArrayLike, kind: str) -> str:
 
 
 def packed_column(values: ArrayLike, kind: str) -> str:
-    """Return integers as a column in base64, short where neighbours are alike; see `unpacked_column` for the format.
+    """Return integers as a column in base64, short where neighbours are alike.
+
+    The first byte is the sum of `DIFFERENCES`, if each number is the difference from the one before, and of `RUNS`, if
+    each number is followed by how often it is repeated. Then come the numbers, each in groups of 7 bits, the lowest
+    first; the highest bit of a byte says whether another one follows. Even codes are 0, 1, 2, ..., odd ones -1, -2, ...
 
     Args:
         values: the integers, of any shape.
@@ -79,26 +83,6 @@ def packed_column(values: ArrayLike, kind: str) -> str:
         candidates += [(form, codes), (form | RUNS, np.column_stack([codes[starts], lengths]).ravel())]
     form, codes = min(candidates, key=lambda candidate: int(_widths(candidate[1]).sum()))
     return b64encode(bytes([form]) + _varints(codes)).decode()
-
-
-def unpacked_column(column: str, kind: str) -> Integers:
-    """Return the integers of a column that `packed_column` has made, as the page decodes them.
-
-    The first byte is the sum of `DIFFERENCES`, if each number is the difference from the one before, and of `RUNS`, if
-    each number is followed by how often it is repeated. Then come the numbers, each in groups of 7 bits, the lowest
-    first; the highest bit of a byte says whether another one follows. Even codes are 0, 1, 2, ..., odd ones -1, -2, ...
-    """
-    content = np.frombuffer(b64decode(column), "u1")
-    form, groups = int(content[0]), content[1:].astype(np.int64)
-    last = groups < 128
-    number: Integers = np.cumsum(last) - last  # to which each byte belongs
-    first = np.flatnonzero(np.append(True, last[:-1]))[: last.sum()]
-    codes = np.zeros(len(first), np.int64)
-    np.add.at(codes, number, (groups & 127) << 7 * (np.arange(len(groups)) - first[number]))
-    if form & RUNS:
-        codes = np.repeat(codes[::2], codes[1::2])
-    signed = (codes >> 1) ^ -(codes & 1)
-    return (np.cumsum(signed) if form & DIFFERENCES else signed).astype(kind)
 
 
 def _widths(codes: Integers) -> Integers:
