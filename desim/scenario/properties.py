@@ -314,14 +314,13 @@ class _One(Value):
     one: PropertyField
 
 
-def property_of(value: Any, *, allow_import: bool = True, folder: Any = None) -> Property:
-    """Return the property that a text or a table states; return a property unchanged.
+def property_of(value: Any, *, folder: Any = None) -> Property:
+    """Return the property that a text or a table states, which may name functions; return a property unchanged.
 
         property_of("idle never longer than 2 against centralised")
 
     Args:
         value: the text, the table or the property.
-        allow_import: whether it may name a function to be imported.
         folder: the folder in which modules are looked up.
 
     Raises:
@@ -330,9 +329,7 @@ def property_of(value: Any, *, allow_import: bool = True, folder: Any = None) ->
     if value is None or isinstance(value, int | float):
         raise ValueError(f"a property should be a text, such as 'idle at most 2 in total' (got {value!r})")
     try:
-        made: Property = _One.model_validate(
-            {"one": value}, context={"allow_import": allow_import, "folder": folder}
-        ).one
+        made: Property = _One.model_validate({"one": value}, context={"allow_import": True, "folder": folder}).one
     except ValidationError as error:
         raise ArgumentError("property", f"{value!r}: {'; '.join(map(text_of, error.errors()))}") from None
     return made

@@ -1,6 +1,5 @@
 """Evidence: what a pursuer observes of its teammates, and whether it refutes what they announce."""
 
-from collections.abc import Callable
 from math import inf
 from typing import Any
 
@@ -72,11 +71,7 @@ class Witness:
             return False
         if abs(state.position(j) - state.position(self._id)) > radius:
             return False
-        return any(check(record) for check in self._checks)
-
-    @property
-    def _checks(self) -> tuple[Callable[[Record], bool], ...]:
-        return self._refutes_action, self._refutes_time, self._refutes_position
+        return self._refutes_action(record) or self._refutes_time(record) or self._refutes_position(record)
 
     def _refutes_action(self, record: Record) -> bool:
         """Return whether the sender had done otherwise for a motion step when it announced its action."""

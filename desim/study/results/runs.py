@@ -157,7 +157,7 @@ class SweepRuns:
         if isinstance(reference, int):
             return [reference] * len(self.groups)
         if reference is None:
-            return self._first_references
+            return self.first_along(self.compared_by)
         if not isinstance(reference, Mapping):
             raise ValueError(f'a reference should be a mapping, such as {{"protocol": "sap"}} (got {reference!r})')
         wanted = {key: self.setting(key, value) for key, value in reference.items()}
@@ -224,11 +224,6 @@ class SweepRuns:
             return len(pairs) <= 1.01 * max(counts[key], counts[other])
 
         return [key for key in numeric if any(is_of_points(key, other) for other in numeric if other != key)]
-
-    @property
-    def _first_references(self) -> list[int]:
-        """The position in `groups` of the default reference of each configuration; see `differences`."""
-        return self.first_along(self.compared_by)
 
     def first_along(self, key: str | None) -> list[int]:
         """Return for each configuration the position in `groups` of the first that equals it in all keys but `key`."""
