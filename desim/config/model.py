@@ -12,6 +12,7 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Discriminator,
     FailFast,
     Field,
     GetCoreSchemaHandler,
@@ -68,6 +69,20 @@ MIN_PERIOD = 1e-6
 """Shortest period of recurring events, s. With a shorter one a run would take too long."""
 Unsigned = AfterValidator(lambda number: number + 0.0)
 """Replaces -0 by 0, because numpy rejects -0 as a negative scale."""
+
+
+def in_forms(*forms: str) -> Discriminator:
+    """Return what chooses the member of a union by the form of a value, which is its tag: a text, a list or a table.
+
+    A value that has none of the other forms has the last one.
+    """
+    types: dict[str, Any] = {"text": str, "list": list | tuple, "table": dict | BaseModel}
+
+    def form_of(value: Any) -> str:
+        value = from_json(value) if isinstance(value, str) else value  # in JSON, infinity is a text
+        return next((form for form in forms[:-1] if isinstance(value, types[form])), forms[-1])
+
+    return Discriminator(form_of)
 
 
 class FirstError(FailFast):

@@ -8,7 +8,6 @@ from typing import Annotated, Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import (
-    Discriminator,
     Field,
     ModelWrapValidatorHandler,
     Tag,
@@ -18,7 +17,7 @@ from pydantic import (
 )
 
 from desim.config.choice import OneOf
-from desim.config.model import MAX_COORDINATE, Box, FirstError, Limit, Probability, Speed, Time, Value
+from desim.config.model import MAX_COORDINATE, Box, FirstError, Limit, Probability, Speed, Time, Value, in_forms
 from desim.config.python_numbers import as_python
 from desim.kernel.core.seeds import stream
 from desim.pursuit.core.state import complex_points
@@ -40,21 +39,11 @@ class Speeds(Value):
     """Speed of the last pursuer, m/s."""
 
 
-def _form_of_speeds(value: Any) -> str:
-    if isinstance(value, dict | Speeds):
-        return "table"
-    return "list" if isinstance(value, list | tuple) else "number"
-
-
 def _speeds_in(speeds: Any) -> tuple[float, ...]:
     """Return the different speeds, m/s, that `team.speeds` contains."""
     if isinstance(speeds, Speeds):
         return speeds.default, speeds.last
     return speeds if isinstance(speeds, tuple) else (speeds,)
-
-
-def _form_of_positions(value: Any) -> str:
-    return "table" if isinstance(value, dict | RecordedPositions) else "list"
 
 
 class Team(Value):
@@ -65,7 +54,7 @@ class Team(Value):
     positions: (
         Annotated[
             Annotated[tuple[Point, ...], FirstError(), Tag("list")] | Annotated[RecordedPositions, Tag("table")],
-            Discriminator(_form_of_positions),
+            in_forms("table", "list"),
         ]
         | None
     ) = None
@@ -77,7 +66,7 @@ class Team(Value):
         Annotated[Speed, Tag("number")]
         | Annotated[tuple[Speed, ...], FirstError(), Tag("list")]
         | Annotated[Speeds, Tag("table")],
-        Discriminator(_form_of_speeds),
+        in_forms("table", "list", "number"),
     ] = Speeds()
     """Speeds, m/s: one number, one per pursuer, or a table { default, last }."""
     active_at_start: Probability = 1.0

@@ -3,14 +3,14 @@
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
 from desim.config.arguments import naming_arguments
 from desim.config.choice import OneOf
 from desim.config.html import html_properties
 from desim.config.key_index import all_keys
-from desim.config.model import MIN_PERIOD, RESOLUTION, Flag, Horizon, Length, Period, Recurring, Time, Value
+from desim.config.model import MIN_PERIOD, RESOLUTION, Flag, Horizon, Length, Period, Recurring, Time, Value, in_forms
 from desim.config.packages import ENVIRONMENTS
 from desim.config.traits import kind_of
 from desim.kernel.clock_sync import CLOCK_SYNCS, ClockSync, Unsynchronised
@@ -55,10 +55,6 @@ def _not_empty(evaders: tuple[Evader, ...]) -> tuple[Evader, ...]:
     if not evaders:  # `min_length` would count valid items only
         raise ValueError("should have at least one table")
     return evaders
-
-
-def _form_of_evaders(value: Any) -> str:
-    return "list" if isinstance(value, list | tuple) else "table"
 
 
 class Capture(Value):
@@ -152,7 +148,7 @@ class Scenario(Value):
     team: Team = Team()
     evader: Annotated[
         Annotated[Evader, Tag("table")] | Annotated[tuple[Evader, ...], AfterValidator(_not_empty), Tag("list")],
-        Discriminator(_form_of_evaders),
+        in_forms("list", "table"),
     ] = Evader()
     """The evaders: a table or, for evaders with different parameters, a list of tables."""
     sensing: Sensing = Sensing()

@@ -9,10 +9,10 @@ from collections.abc import Collection, Iterable
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, ValidationInfo, model_validator
+from pydantic import Field, Tag, ValidationInfo, model_validator
 
 from desim.config.arrays import Floats
-from desim.config.model import Flag, Time, Value
+from desim.config.model import Flag, Time, Value, in_forms
 from desim.config.traits import is_ours, positions
 from desim.config.trust import resolve_path
 from desim.kernel.core.units import SECOND
@@ -32,10 +32,6 @@ def unit_of_column(column: str) -> str:
     """Return the unit that the name of a column ends in, "" if it has none."""
     match = UNIT_AT_END.fullmatch(column.strip())
     return {"sec": "s", "pct": "%", "percent": "%"}.get(match[1].lower(), match[1].lower()) if match else ""
-
-
-def _form_of_start(value: Any) -> str:
-    return "text" if isinstance(value, str) else "number"
 
 
 class LinkTrace(Value):
@@ -70,7 +66,7 @@ class LinkTrace(Value):
     """Continuation after the last measurement. repeat: the first one, so that the trace is periodic; hold: its value;
     error: a message that is sent then ends the run with an error."""
     start: Annotated[
-        Annotated[Time, Tag("number")] | Annotated[Literal["random"], Tag("text")], Discriminator(_form_of_start)
+        Annotated[Time, Tag("number")] | Annotated[Literal["random"], Tag("text")], in_forms("text", "number")
     ] = 0.0
     """Time in the trace at which the simulation starts, s; "random": drawn once per seed for all links, which requires
     after = "repeat"."""

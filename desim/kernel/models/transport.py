@@ -15,11 +15,11 @@ For a probability p that a message is lost, independently of all others, and at 
 from math import inf
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, Tag, model_validator
 
 from desim.config.choice import OneOf
 from desim.config.json_numbers import from_json
-from desim.config.model import MIN_PERIOD, Counted, Duration, Flag, Limit, Time, Timeout, Value
+from desim.config.model import MIN_PERIOD, Counted, Duration, Flag, Limit, Time, Timeout, Value, in_forms
 
 MAX_WINDOW = 1024
 """Largest window of a reliable transport."""
@@ -37,10 +37,6 @@ def _whole(number: float) -> float:
     if number != inf and number % 1.0:
         raise ValueError(f"should be a whole number or inf (got {number:g})")
     return number
-
-
-def _form_of_timeout(value: object) -> str:
-    return "text" if isinstance(from_json(value), str) else "number"
 
 
 class Quality(Value):
@@ -101,7 +97,7 @@ class Reliable(Quality):
     kind: Literal["reliable"] = "reliable"
     needed: ClassVar[int] = 1
     timeout: Annotated[
-        Annotated[Duration, Tag("number")] | Annotated[Literal["auto"], Tag("text")], Discriminator(_form_of_timeout)
+        Annotated[Duration, Tag("number")] | Annotated[Literal["auto"], Tag("text")], in_forms("text", "number")
     ] = "auto"
     """Time after which an unacknowledged message is transmitted again, s; "auto" is 5/4 of a round trip: two typical
     latencies, the airtime of the message, and that of one acknowledgement for each receiver.

@@ -7,11 +7,10 @@ from math import inf
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, get_args
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag
+from pydantic import Field, Tag
 
 from desim.config.choice import OneOf
-from desim.config.json_numbers import from_json
-from desim.config.model import Period, Timeout, Value
+from desim.config.model import Period, Timeout, Value, in_forms
 from desim.kernel.core.events import Broadcast, Delivered, Sent
 from desim.kernel.core.message_size import HEADER, NUMBER
 from desim.kernel.core.records import Record
@@ -242,10 +241,6 @@ def one_hop() -> Any:
     return made()
 
 
-def _form_of_timeout(value: Any) -> str:
-    return "text" if isinstance(from_json(value), str) else "number"
-
-
 class Announcements(Value):
     """The content of announcements, when they are sent, and how long they are believed."""
 
@@ -286,7 +281,7 @@ class Announcements(Value):
     """
     belief_timeout: Annotated[
         Annotated[Timeout, Tag("number")] | Annotated[Literal["auto", "affordable"], Tag("text")],
-        Discriminator(_form_of_timeout),
+        in_forms("text", "number"),
     ] = "auto"
     """Time for which an announcement is believed after its arrival, s; "auto" is 3 * heartbeat + 2 * (typical
     latency + airtime of an announcement), or inf without heartbeats. It is longer if a duty cycle or the slots of a
