@@ -32,7 +32,7 @@ def played(path):
 
 def staged(result, *times):
     """Return the stage as text, and then what moves at each (time, that of the frame before), in order of drawing."""
-    with styled((4.0, 4.0)) as figure:
+    with styled((4.0, 4.0), font=9.0) as figure:
         stage = _Scene(figure, result)
         told = [described(figure)]
         for t, before in times:
