@@ -193,7 +193,7 @@ class Obstacles:
         x, y = targets.real - source.real, targets.imag - source.imag
         corner_x, corner_y = self._places.real - source.real, self._places.imag - source.imag
         length = np.hypot(x, y)
-        across = np.outer(x, corner_y) - np.outer(y, corner_x)  # times the length
+        across = x[:, None] * corner_y - y[:, None] * corner_x  # times the length
         turns = _signs(across, self._touch * length[:, None])
         source_sides = self._sides(np.array([source]))[0]
         crossed = (source_sides * sides < 0) & (turns[:, self._begin] * turns[:, self._end] < 0)
@@ -206,7 +206,7 @@ class Obstacles:
         elif not sides.all():
             clear &= ~self._leaves(targets, source_sides, sides)
         if on.any():
-            along = np.outer(x, corner_x) + np.outer(y, corner_y)
+            along = x[:, None] * corner_x + y[:, None] * corner_y
             reach = self._touch * length[:, None]
             on &= (along >= -reach) & (along <= (length**2)[:, None] + reach)
             for k in (on.any(axis=1) & clear).nonzero()[0].tolist():

@@ -4,6 +4,7 @@ A shortest path is a chain of straight pieces that bends at corners of walls onl
 distances between corners are computed once; a query looks for the corners in sight of both ends.
 """
 
+from functools import lru_cache
 from math import inf
 from typing import NamedTuple
 
@@ -13,8 +14,10 @@ from desim.config.arrays import Floats, Integers, Points
 from desim.pursuit.core.state import lengths
 from desim.pursuit.paths.obstacles import Obstacles
 
-MAX_KEPT = 4096
+MAX_SIGHTS = 4096
 """Maximum number of places of which the corners in sight are kept."""
+MAX_ROUTES = 64
+"""Maximum number of paths that are kept: at one instant, a path is asked for by options, utilities and beliefs."""
 
 
 class Sight(NamedTuple):
@@ -66,10 +69,14 @@ class ShortestPaths:
         if count:
             self._apart, self._before = dijkstra(graph, directed=False, return_predecessors=True)
         """(C, C) the distance of each two corners, m, and the corner before the second on the path from the first."""
-        self._sights: dict[complex, Sight] = {}
+        self._sight = lru_cache(MAX_SIGHTS)(self._sight_at)
+        self._kept_route = lru_cache(MAX_ROUTES)(self._route)
 
     def route(self, source: complex, target: complex) -> Route:
         """Return the shortest path between two places, without the corners between the first and the last."""
+        return self._kept_route(source, target)
+
+    def _route(self, source: complex, target: complex) -> Route:
         if self.obstacles.clear(source, np.array([target]))[0]:
             return Route(abs(target - source))
         return self._bent(source, target)
@@ -97,7 +104,7 @@ class ShortestPaths:
 
     def _bent(self, source: complex, target: complex) -> Route:
         """Return the shortest path over corners."""
-        here, there = self.sight(source), self.sight(target)
+        here, there = self._sight(source), self._sight(target)
         if not len(here.bends) or not len(there.bends):
             return Route(inf)
         total = here.distances + there.beyond[here.bends]
@@ -108,13 +115,7 @@ class ShortestPaths:
         last = int(there.bends[(self._apart[first, there.bends] + there.distances).argmin()])
         return Route(float(total[best]), first, last)
 
-    def sight(self, place: complex) -> Sight:
-        """Return the corners in sight of a place; the last places are kept."""
-        sight = self._sights.get(place)
-        if sight is None:
-            bends, distances = self.obstacles.bends_in_sight(place)
-            beyond = (self._apart[:, bends] + distances).min(axis=1) if len(bends) else np.full(len(self._apart), inf)
-            sight = self._sights[place] = Sight(bends, distances, beyond)
-            if len(self._sights) > MAX_KEPT:
-                self._sights.pop(next(iter(self._sights)), None)
-        return sight
+    def _sight_at(self, place: complex) -> Sight:
+        bends, distances = self.obstacles.bends_in_sight(place)
+        beyond = (self._apart[:, bends] + distances).min(axis=1) if len(bends) else np.full(len(self._apart), inf)
+        return Sight(bends, distances, beyond)

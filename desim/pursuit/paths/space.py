@@ -6,6 +6,7 @@ distance of two players is the length of the shortest path between them.
 
 from cmath import rect
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from itertools import pairwise
 from math import ceil, inf, pi
 from typing import ClassVar
@@ -21,6 +22,8 @@ from desim.pursuit.core.state import complex_points, coordinates, lengths
 from desim.pursuit.paths.obstacles import Obstacles
 from desim.pursuit.paths.shortest_paths import ShortestPaths
 
+MAX_FREE_PLACES = 16
+"""Maximum number of free places that are kept: all who ask at one instant ask about the same few estimates."""
 MAX_STEPS = 1_000
 """Maximum number of steps towards a contact around a corner."""
 ROUNDING = 1e-12
@@ -136,6 +139,7 @@ class Walled(Plane):
         super().__init__(sight, starts)
         self.obstacles = Obstacles([wall.shapes for wall in walls])
         self.paths = ShortestPaths(self.obstacles)
+        self._free_places = lru_cache(MAX_FREE_PLACES)(self.obstacles.free_place)
 
     @property
     def walled(self) -> "Walled":
@@ -165,7 +169,7 @@ class Walled(Plane):
 
     def free_place(self, place: complex) -> complex:
         """Return a place itself if a player may have it, else a close one that it may have, m."""
-        return self.obstacles.free_place(place)
+        return self._free_places(place)
 
     def arrivals(self, target: complex, sources: Points) -> Points:
         """Return (k,) vectors, m, as long as the shortest paths, in the directions of arrival; inf without a path."""
