@@ -202,10 +202,9 @@ class Server(Value):
         for evader in range(1, me.evader_count + 1):
             beliefs = me.beliefs(self.period, evader, orders)
             times = {me.id: me.capture_time(evader)}
-            for j, belief in beliefs.items():
+            for j, (active, capture_time, _) in beliefs.items():
                 if j in orders:
-                    lost = idle(belief.active, orders[j], evader, now, effect)
-                    times[j] = belief.capture_time + seconds(lost)
+                    times[j] = capture_time + seconds(idle(active, orders[j], evader, now, effect))
             phi.append(times)
         # Trust judges a claim per evader, so a pursuer may be known for one evader and not for another.
         ids = sorted(set().union(*phi))

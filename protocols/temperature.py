@@ -163,7 +163,7 @@ def inverse_temperatures(tau: Temperature, me: Agent, slot: float) -> Iterator[f
     """
     for eta in slots_seen(tau, me, slot):
         answer: Any = tau(eta)
-        inverse = as_real(answer)
+        inverse = answer if type(answer) is float else as_real(answer)
         if not inverse >= 0.0:
             raise wrong_answer("a temperature should return 1/tau, a number >= 0 in 1/s", answer, tau)
         yield inverse

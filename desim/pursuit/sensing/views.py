@@ -89,6 +89,7 @@ class View:
 
     def __init__(self, state: WorldState, prune: Prune):
         self.state, self._prune = state, prune
+        self._has_flow = not state.environment.is_still
         keeps = state.environment.keeps_distances and state.space.is_open
         self._knows_slow = prune == "inf" and keeps  # whether the speeds alone decide who may chase
         self._options_last = self.unlimited and prune != "infeasible" and keeps  # until the next capture
@@ -237,7 +238,7 @@ class View:
     def stands(self, motion: MotionState) -> bool:
         """Return whether a pursuer with this motion stays where it is while it is inactive."""
         state = self.state
-        return state.static or (motion.course is None and state.environment.is_still)
+        return state.static or (motion.course is None and not self._has_flow)
 
     def idle(self, motion: MotionState, age: int, until: int = 0) -> MotionState:
         """Return the motion of a pursuer that was inactive from `age` to `until` (both in ns) ago.
@@ -251,7 +252,7 @@ class View:
         if course is not None:
             piece, duration = piece_with(state.dynamics, place, course, 0j), seconds(age - until)
             place, course = piece.at(duration), piece.course_at(duration)
-        if not state.environment.is_still:
+        if self._has_flow:
             place = state.environment.carried(place, now - age, now - until)
         return MotionState(place, course)
 

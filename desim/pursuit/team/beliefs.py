@@ -182,8 +182,8 @@ class Beliefs(Knowledge):
         for j in records.keys() - times.keys():
             times[j] = self._capture_time(records[j], evader)
         beliefs = {
-            j: _new(Belief, (record.body.active, times[j], (now - record.stamp) / SECOND))
-            for j, record in records.items()
+            j: _new(Belief, (body.active, times[j], (now - stamp) / SECOND))
+            for j, (_, _, stamp, body) in records.items()
         }
         if self._judge is None:
             return beliefs
