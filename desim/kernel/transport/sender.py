@@ -6,7 +6,7 @@ whatever the number of its messages.
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from heapq import heappop, heappush
 from math import inf
 from typing import NamedTuple
@@ -30,6 +30,8 @@ from desim.kernel.transport.log import MessageFlow, TransportLog
 _new = tuple.__new__  # creates a named tuple in a third of the time
 MAX_GROWTH = 100
 """Number of attempts after which a time-out stops growing."""
+MAX_TIMEOUTS = 64
+"""Maximum number of time-outs that a sender keeps; as a rule, few differ."""
 
 
 def first_timeout(latency: float, sending_time: float, min_timeout: float) -> float:
@@ -110,7 +112,7 @@ class ReliableSender:
         self._acknowledged: dict[int, int] = {}
         """The time stamp, ns, of the newest acknowledgement of each receiver."""
         self._timer = Timer(endpoint.env, Phase.RELAY + flow.src, self.advance)
-        self._timeout = cache(self._timeout_after)  # few of them differ
+        self._timeout = lru_cache(MAX_TIMEOUTS)(self._timeout_after)
 
     def send(self, message: Message, size: int, receivers: Iterable[int]) -> None:
         """Accept a message for some receivers, and transmit it if the window allows."""
