@@ -251,6 +251,18 @@ def test_the_first_of_two_events_happens_as_their_condition_does(alarm, interrup
     assert list(parts_of(FirstOf(one, other))) == [one, other]
 
 
+def test_the_first_of_two_events_is_a_part_of_the_one_that_happens():
+    """It takes no event of its own, and who waits for it goes on before those that began to wait for it later."""
+    clock, seen = Clock(), []
+    once, other = Instant(clock, 1, Phase.DECISION), Instant(clock, 2, Phase.DECISION)
+    FirstOf(once, other).callbacks.append(lambda event: seen.append(("first", event.processed, event.ok)))
+    once.callbacks.append(lambda _: seen.append("later"))
+    clock.step()
+    assert seen == [("first", True, True), "later"]
+    clock.run()
+    assert len(seen) == 2
+
+
 def test_a_correction_is_a_step_of_the_clock_and_replaces_the_last():
     """2 + 1.5 t at 1 s: 3.5 s, then 3 s with -0.5 s, 3.75 s with 0.25 s, and exact again where all is undone."""
     env = Clock()
