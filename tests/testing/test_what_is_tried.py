@@ -1,0 +1,126 @@
+"""What the checks of users' models try: the situations, their scenarios and limits, and what is required in them.
+
+A situation that is left out, or is another one, lets a wrong model pass; the tests of wrong models meet some of them.
+"""
+
+import re
+from contextlib import contextmanager
+
+import pytest
+
+from desim.kernel.models.faults import Crash
+from desim.kernel.models.latency import Uniform
+from desim.kernel.models.latency_by_link import PerPair
+from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.byzantine.lies import Liar
+from desim.pursuit.evaders.evasion import ConstantHeading
+from desim.pursuit.motion.dynamics import Acceleration
+from desim.pursuit.motion.flow import HarmonicFlow
+from desim.pursuit.team.trust import Plausible
+from desim.testing import (
+    check_body,
+    check_evader,
+    check_exporter,
+    check_fault,
+    check_flow,
+    check_latency,
+    check_loss,
+    check_metric,
+    check_protocol,
+    check_schedule,
+    check_trust,
+    decisions,
+    exporters,
+    metrics,
+    pursuits,
+)
+from desim.testing.judging import Subject
+from tests.golden import golden
+
+
+def count(result):
+    return len(result.trace)
+
+
+def write_length(result, path):
+    path.write_text(str(len(list(result.trace))))
+
+
+def chase(me):
+    me.assign(me.id == 0)
+    me.announce()
+    yield me.sleep(0.1)
+
+
+CHECKS = {
+    "loss": lambda: check_loss(Bernoulli(p=0.5), nodes=3, draws=40, share=0.5),
+    "latency": lambda: check_latency(Uniform(low=0.01, high=0.02), draws=4),
+    "latency of pairs": lambda: check_latency(PerPair(), nodes=3, draws=4),
+    "body": lambda: check_body(Acceleration()),
+    "evader": lambda: check_evader(ConstantHeading()),
+    "flow": lambda: check_flow(HarmonicFlow(amplitude=(0.1, 0.0), period=2.0)),
+    "fault": lambda: check_fault(Crash(node=0, start=0.1, end=0.2)),
+    "fault of a pursuer": lambda: check_fault(Liar(node=0, start=0.1)),
+    "metric": lambda: check_metric(count),
+    "exporter": lambda: check_exporter(write_length),
+    "trust": lambda: check_trust(Plausible()),
+    "protocol": lambda: check_protocol(chase),
+    "schedule": lambda: check_schedule("poisson"),
+}
+
+
+NUMBER = r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?"
+VALUE = rf"\(?{NUMBER}[-+]{NUMBER}j\)?|[-+]?\d+\.\d+(e[-+]?\d+)?j?|\b0j|\bnan\b|True|False"
+DRAWN = re.compile(rf"\[({VALUE})(, ({VALUE}))*\]|{VALUE}")
+"""Matches the numbers that a check has drawn, or that a model returns."""
+
+
+class Tried:
+    """The situations of a check with their scenarios, and the requirements of each, with how often they are judged."""
+
+    def __init__(self, patch):
+        self.situations, self.required = {}, {}
+        judged, require = Subject.judged, Subject.require
+
+        @contextmanager
+        def judging(subject, where, limit=10.0):
+            self.scenarios = self.situations.setdefault(f"{where}, at most {limit:g} s", [])
+            with judged(subject, where, limit):
+                yield
+
+        def requiring(subject, truth, text):
+            sentence = DRAWN.sub("#", text)
+            if "draws from the global generator" not in sentence:  # which each situation requires
+                self.required[sentence] = self.required.get(sentence, 0) + 1
+            require(subject, truth, text)
+
+        patch.setattr(Subject, "judged", judging)
+        patch.setattr(Subject, "require", requiring)
+        for module in (decisions, exporters, metrics, pursuits):
+            patch.setattr(module, "run", self.running(module.run))
+
+    def running(self, run):
+        """Return a function that notes the scenario that it runs, and what watches the run."""
+
+        def noting(scenario, seed, *watchers):
+            given = ", ".join(f"{key} = {value}" for key, value in scenario.model_dump(exclude_defaults=True).items())
+            watched = [type(watcher).__name__ for watcher in watchers]
+            self.scenarios.append(f"{given}, seed {seed}, watched by {', '.join(watched) or 'none'}")
+            return run(scenario, seed, *watchers)
+
+        return noting
+
+    def text(self):
+        """Return both as text."""
+        lines = []
+        for where, scenarios in self.situations.items():
+            lines += [where, *(f"    {scenario}" for scenario in scenarios)]
+        return "\n".join([*lines, "", *(f"{times} x {sentence}" for sentence, times in self.required.items()), ""])
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("name", CHECKS)
+def test_what_a_check_tries_is_golden(name, monkeypatch):
+    tried = Tried(monkeypatch)
+    CHECKS[name]()
+    golden(f"checks/{name}.txt", tried.text())
