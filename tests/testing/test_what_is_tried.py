@@ -70,7 +70,7 @@ CHECKS = {
 
 
 NUMBER = r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?"
-VALUE = rf"\(?{NUMBER}[-+]{NUMBER}j\)?|[-+]?\d+\.\d+(e[-+]?\d+)?j?|\b0j|\bnan\b|True|False"
+VALUE = rf"\(?{NUMBER}[-+]{NUMBER}j\)?|[-+]?\d+\.\d+(e[-+]?\d+)?j?|\b0j|\bnan\b|True|False|<[\w.]+ object at \w+>"
 DRAWN = re.compile(rf"\[({VALUE})(, ({VALUE}))*\]|{VALUE}")
 """Matches the numbers that a check has drawn, or that a model returns."""
 
