@@ -15,10 +15,14 @@ from tests.study.by_hand import LATENCY, RULES, TIMES
 SHORT = Scenario(horizon=0.01, team=Team(count=2))
 GIVEN = {
     "desim": desim,
+    "CBBA": {"protocol": "cbba"},
     "GRID": {"network.loss.p": [0.0, 0.5]},
     "LATENCY": LATENCY,
     "RANGES": {"network.loss.p": "0:0.5", "team.count": "2:4"},
+    "RULES": RULES,
+    "SAP": {"protocol": "sap"},
     "SHORT": SHORT,
+    "TIMES": TIMES,
     "inf": inf,
     "made": made,
     "nan": nan,
@@ -50,6 +54,9 @@ CALLS = {
         swept.table(against={"team.count": 3})
         swept.differences("active_time", {"protocol": "nope"})
         apart.differences("active_time")
+        swept.differences("active_time", "sap")
+        made.swept({LATENCY: TIMES[:1]}).threshold("active_time", LATENCY, 0.1)
+        made.swept({"protocol": RULES, LATENCY: TIMES[:1]}).crossover("active_time", LATENCY, SAP, CBBA)
         swept.setting(LATENCY, 7)
         swept.values("nope")
         swept.write("x.doc")
