@@ -4,17 +4,18 @@ import random
 from functools import cache
 from itertools import pairwise
 from math import inf
+from operator import eq, ge, gt, le, lt, ne
 
 import pytest
 
-from desim import Scenario, judge, load, run, summary
+from desim import Evader, Scenario, Team, judge, load, run, summary
 from desim.analysis.properties import PropertyWatcher, stated, worst_of
 from desim.analysis.quantities import pieces_of
 from desim.kernel.core.trace_file import line_of
 from desim.kernel.core.units import SECOND
 from desim.pursuit.core.events import Ended
 from desim.scenario.checks import warnings
-from desim.scenario.conditions import JUST_BELOW_0, QUANTITIES
+from desim.scenario.conditions import JUST_BELOW_0, QUANTITIES, QuantityComparison
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.properties import PropertyPiece, property_of
 from desim.scenario.toml import dump
@@ -325,3 +326,26 @@ def test_in_a_run_that_ends_as_it_begins_no_time_has_passed(text):
     assert result.trace.of(Ended)[0].t == 0
     assert judge(text, result).margin == 0.0
     assert judge("always active <= 2", result).margin == inf
+
+
+LARGEST = {
+    # with 3 pursuers and 2 evaders; a duration has no bound
+    "active": 3, "idle": 2, "crowded": 2, "captured": 2, "down": 3, "waiting": inf, "misassigned": 1,
+    "wrong_beliefs": 6, "disagreements": 3, "age": inf, "active[2]": 3, "idle[2]": 1, "crowded[1]": 1, "captured[1]": 1,
+}  # fmt: skip
+SIGNS = {"<": lt, "<=": le, "==": eq, "!=": ne, ">=": ge, ">": gt}
+
+
+def test_whether_a_comparison_can_hold_or_be_violated_is_that_of_the_values_of_its_quantity():
+    """Quantities are integers; of times, which have no bound, halves up to 9.5 s are tried."""
+    scenario = Scenario(team=Team(count=3), evader=Evader(count=2))
+    assert {name.partition("[")[0] for name in LARGEST} == set(QUANTITIES)
+    for name, largest in LARGEST.items():
+        quantity, _, evader = name.rstrip("]").partition("[")
+        values = [k / 2 for k in range(20)] if largest == inf else range(largest + 1)
+        for sign, compare in SIGNS.items():
+            for number in range(8):
+                comparison = QuantityComparison(quantity, int(evader) if evader else None, sign, float(number))
+                for hold in (True, False):
+                    possible = any(compare(value, number) == hold for value in values)
+                    assert comparison.can(scenario, hold=hold) == possible, (name, sign, number, hold)
