@@ -306,6 +306,35 @@ def test_the_classes_of_a_protocol_are_known_where_its_module_is_not_imported(na
     assert sender.unpack(receiver.pack("x", there["Bid"](2.0))) == ("x", here["Bid"](2.0))
 
 
+NO_BODIES = {
+    "a port that is no text": [1, 2],
+    "one part": ["x"],
+    "three parts": ["x", 1, 2],
+    "no list": 7,
+    "an empty list": ["x", []],
+    "an unknown tag": ["x", ["z", 1]],
+    "no class": ["x", ["o"]],
+    "a class of another protocol": ["x", ["o", "Nothing", 1]],
+    "a class that is no text": ["x", ["o", 1, 1]],
+    "too many fields": ["x", ["o", "Load", 1.0, ["d"], 2]],
+    "too few fields": ["x", ["o", "Plan", 1, ["t"]]],
+    "a key without a value": ["x", ["d", [1]]],
+    "a key that has no hash": ["x", ["d", [["l"], 1]]],
+    "a complex number of texts": ["x", ["c", "1", "2"]],
+}
+
+
+@pytest.mark.parametrize("content", NO_BODIES.values(), ids=NO_BODIES)
+def test_a_datagram_that_holds_no_body_is_malformed(content):
+    msgpack = pytest.importorskip("msgspec").msgpack
+    bodies = OwnBodies(protocol)
+    right = msgpack.encode(["x", ["o", "Load", 1.0, ["d"]]])
+    assert bodies.unpack(len(right).to_bytes(4, "big") + right + b"rest") == ("x", Load(1.0, {}))
+    data = msgpack.encode(content)
+    with pytest.raises(ValueError, match=r"."):
+        bodies.unpack(len(data).to_bytes(4, "big") + data)
+
+
 @pytest.mark.parametrize("depth", [500, 20_000])
 def test_a_datagram_that_nests_without_end_is_malformed(depth):
     pytest.importorskip("msgspec")
