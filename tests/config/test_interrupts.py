@@ -1,12 +1,13 @@
 """Signals that arrive while a library runs Python code."""
 
 import signal
+from concurrent.futures import ThreadPoolExecutor
 from typing import Annotated
 
 import pytest
 from pydantic import BaseModel, Discriminator, Tag
 
-from desim.config.interrupts import deferred
+from desim.config.interrupts import Terminated, deferred, exit_code, raising
 from desim.config.model import Value
 
 
@@ -44,3 +45,32 @@ def test_the_first_of_several_signals_is_raised_when_the_outermost_block_ends():
         assert seen == [signal.SIGTERM]
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+@pytest.mark.parametrize("block", [deferred, raising])
+def test_a_block_in_another_thread_changes_no_handler(block):
+    """Only the main thread may set handlers, so the control is a block in it."""
+
+    def handlers():
+        with block():
+            return [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(handlers).result() == before
+    assert handlers() != before
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+
+
+def test_a_signal_without_a_handler_raises_while_the_block_runs_and_an_ignored_one_does_not():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with raising():
+            signal.raise_signal(signal.SIGHUP)
+            with pytest.raises(Terminated, match="by SIGTERM") as ended:
+                signal.raise_signal(signal.SIGTERM)
+        assert exit_code(ended.value) == 128 + 15
+        assert exit_code(KeyboardInterrupt()) == 128 + 2
+        assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGHUP, before)
