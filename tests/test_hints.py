@@ -190,3 +190,19 @@ def test_a_package_that_is_not_installed_is_told_with_its_extra():
     for extra, packages in EXTRAS.items():
         for package in packages:
             assert f"desim[{extra}]" in missing(package), package
+
+
+TOML = {
+    "false": ["False"],
+    "true": ["True"],
+    "inf": ["Infinity", "infinity", "math.inf", "np.inf"],
+    "nan": ["NaN"],
+}
+
+
+def test_a_constant_of_another_language_is_told_as_toml_writes_it(tmp_path):
+    for meant, words in TOML.items():
+        for word in words:
+            (tmp_path / "f.toml").write_text(f"horizon = {word}\n")
+            said = refused("check", tmp_path / "f.toml")
+            assert f"f.toml:1: not TOML: horizon should be {meant} instead of {word}" in said
