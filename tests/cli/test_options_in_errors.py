@@ -8,6 +8,7 @@ from desim import Scenario, sweep
 from desim.cli.program import Program
 from desim.cli.usage import options_given, problem, spelled
 from desim.config.errors import ArgumentError, KeyedError, Problem
+from desim.study.results.result import SweepResult
 from tests.command import refused
 
 
@@ -88,3 +89,47 @@ def test_only_the_fields_of_an_error_name_an_argument():
 def test_an_option_is_spelled_as_it_was_typed_last(words, forms):
     lines = CliRunner().invoke(command, words, catch_exceptions=False).stdout.splitlines()
     assert [line[: len(form)] for line, form in zip(lines, forms, strict=True)] == forms
+
+
+OF_PICTURES = {
+    "-y": ("active_time", {"means", "phase", "scatter", "contour"}),
+    "-x": ("team.count", {"means"}),
+    "--by": ("capture.radius", {"means"}),
+    "--against": ("team.count=2", {"means"}),
+    "--label": ("2=two", {"means"}),
+    "--xlabel": ("size", {"means", "phase"}),
+    "--ylabel": ("time", {"means", "phase"}),
+    "--from": ("0.001", {"spacetime", "film"}),
+    "--to": ("0.002", {"spacetime", "film"}),
+    "--pursuers": ("0", {"spacetime"}),
+    "--speed": ("2", {"film"}),
+    "--fps": ("10", {"film"}),
+    "--size": ("8cm", {"trajectory", "spacetime", "film", "means", "phase", "scatter", "contour"}),
+}
+"""The options of `desim plot`, each with a value and the kinds of pictures that take it."""
+KINDS = set().union(*(kinds for _, kinds in OF_PICTURES.values()), {"perfetto"})
+
+
+@pytest.mark.parametrize("option", OF_PICTURES)
+def test_an_option_of_other_kinds_of_pictures_is_refused_with_these(swept, option):
+    value, kinds = OF_PICTURES[option]
+    for kind in KINDS - kinds:
+        source = swept if kind in {"means", "phase", "scatter", "contour"} else "f.toml"
+        told = refused("plot", source, "--kind", kind, option, value)
+        of = set(told.partition(f"{option} is an option of ")[2].partition(";")[0].split(" and "))
+        assert of == kinds
+        assert f"this picture is of the kind {kind}" in told
+
+
+@pytest.mark.parametrize("option", [name for name, (_, kinds) in OF_PICTURES.items() if "means" in kinds])
+def test_an_option_of_means_asks_for_means(swept, option, monkeypatch):
+    """The usual picture of a design is a scatter plot; it takes a metric and a size, too."""
+
+    def plot(result, **options):
+        raise ValueError(f"drawn: {options.pop('kind')}")
+
+    monkeypatch.setattr(SweepResult, "usual_kind", "scatter")
+    monkeypatch.setattr(SweepResult, "plot", plot)
+    value, kinds = OF_PICTURES[option]
+    drawn = "scatter" if "scatter" in kinds else "means"
+    assert refused("plot", swept, option, value) == f"drawn: {drawn}\n"
