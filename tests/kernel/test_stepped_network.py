@@ -146,6 +146,31 @@ def test_a_stepped_network_is_the_network_of_a_process(links, faults):
     assert counts._replace(t=0, utilisation=0, in_flight=0) == same._replace(t=0, utilisation=0, in_flight=0)
 
 
+def ages_of(network):
+    """Return the ages by the states that each node has received."""
+    ages = np.where(np.eye(SIZE, dtype=bool), 0.0, inf)
+    for node in range(SIZE):
+        for src, message in network.latest(node).items():
+            ages[node, src] = network.now - message.sent
+    return ages
+
+
+@CASES
+def test_ages_are_those_of_the_newest_states_whichever_is_read_first(links, faults):
+    """Two equal networks: one is asked for ages, the other for states, and for the counts before them."""
+    asked, other = (SteppedNetwork(SIZE, links, faults=faults, seed=5, positions=START) for _ in range(2))
+    for k in range(4 * ROUNDS):
+        for network in (asked, other):
+            network.publish(k % SIZE, k)
+            network.step(PERIOD / 4, START + VELOCITY * (k + 1) * PERIOD / 4)
+        counts = other.counts()
+        assert asked.ages() == pytest.approx(ages_of(other), abs=1e-9)
+        assert asked.counts() == counts
+    assert np.isfinite(asked.ages()).sum() > SIZE + 2
+    asked.close()
+    other.close()
+
+
 def test_the_comparison_detects_another_seed():
     links = LINKS["lognormal"]
     assert plain(played(links)[0]) != in_its_own_process(links, (), seed=6)[0]
