@@ -8,6 +8,7 @@ import pytest
 
 from desim import Scenario, Team, sweep
 from desim.study.store import lock_file
+from desim.study.store.lock_file import LockFile
 from desim.study.store.store import Store
 from desim.study.sweeps.claims import LARGEST, Claims, carry_out_claimed, lots_of
 from desim.study.sweeps.sweep_plan import SweepPlan
@@ -72,6 +73,22 @@ def test_the_lot_of_a_dead_worker_is_claimed_again_and_that_of_a_living_one_is_n
     os.utime(claims.folder / "1.claim", (time.time() - lock_file.STALE - 1.0,) * 2)
     work(claims, taken)
     assert taken[-1] == 1
+
+
+def test_a_lot_that_another_worker_ends_while_it_is_claimed_is_released(tmp_path, monkeypatch):
+    claims, acquire = Claims(tmp_path, plan()), LockFile.try_acquire
+
+    def too_late(lock):
+        held = acquire(lock)
+        claims.finish(0)
+        return held
+
+    monkeypatch.setattr(LockFile, "try_acquire", too_late)
+    taken = []
+    work(claims, taken)
+    assert taken == list(range(1, len(claims.lots)))
+    assert claims.held() == []
+    assert not (claims.folder / "0.claim").exists()
 
 
 @pytest.mark.slow
