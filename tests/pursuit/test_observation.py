@@ -150,3 +150,12 @@ def test_a_teammate_that_announces_no_capture_time_claims_none():
         claim = env.observation_names.index("pursuer_1.claim")
         assert claims is None or set(rows[:, 0, claim].tolist()) == claims
         assert (rows[-1, 0, claim] > 0.0) == (claims is None)
+
+
+@pytest.mark.parametrize(("offset", "age"), [(-100.0, 20.0), (0.0, 0.5), (100.0, 0.0)])
+def test_an_age_by_clocks_that_differ_is_between_0_and_the_horizon(offset, age):
+    """The clock of the sender is ahead by an offset; its last record is half a second old."""
+    clocks = {"kind": "clock_skew", "node": 1, "offset": offset}
+    env, rows = observed(apart(fault=[clocks], **{"announce.heartbeat": 100.0}), 0, near_action=1, steps=1)
+    numbers = dict(zip(env.observation_names, rows[-1, 0].tolist(), strict=True))
+    assert (numbers["pursuer_1.heard"], numbers["pursuer_1.age"]) == (1.0, pytest.approx(age, abs=1e-6))
