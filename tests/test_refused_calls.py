@@ -188,7 +188,7 @@ CALLS = {
         SteppedNetwork(2).join(0)
         SteppedNetwork(2).reset(-1)
         SteppedNetworks(0, 2)
-        SteppedNetworks(2, 2).publish([1])
+        SteppedNetworks(2, 2).publish([1.0])
         SteppedNetworks(2, 2).step(0.0)
         wrap(3)
     """,
