@@ -96,7 +96,6 @@ WORDS = MappingProxyType(
         "reps": NUMBER_OF_RUNS,
         "runs": NUMBER_OF_RUNS,
         "samples": ("points",),
-        "seeds": ("seed",),
         "window": ("begin",),
         "workers": ("executor", "jobs"),
     }
