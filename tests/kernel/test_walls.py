@@ -184,6 +184,15 @@ def test_a_wall_that_is_none_is_refused_with_what_is_allowed(case):
         ('<svg><path visibility="hidden" d="M0 0H1"/></svg>', "a.svg", "'visibility=\"hidden' hides a part"),
         ('<svg><path style="fill:none; opacity: 0" d="M0 0H1"/></svg>', "a.svg", "'opacity: 0' hides a part"),
         ('<svg><path d="M0 0H1"/><svg x="5"><path d="M0 0H1"/></svg></svg>', "a.svg", "a drawing inside the drawing"),
+        ('<svg><path style="fill:none;stroke:none" d="M0 0H1"/></svg>', "a.svg", "neither a fill nor a stroke"),
+        ('<svg><path fill="none" d="M0 0H1"/></svg>', "a.svg", "neither a fill nor a stroke"),
+        ('<svg><g fill="none" stroke="none"><path d="M0 0H1"/></g></svg>', "a.svg", "neither a fill nor a stroke"),
+        ('<svg><style>.a{fill:none;stroke:none}</style><path class="a" d="M0 0H1"/></svg>', "a.svg", "neither a fill"),
+        ('<svg><path fill="none" stroke="#00000000" d="M0 0H1"/></svg>', "a.svg", "neither a fill nor a stroke"),
+        ('<svg><path fill="none" stroke="rgba(1, 2, 3, 0)" d="M0 0H1"/></svg>', "a.svg", "neither a fill nor a stroke"),
+        ('<svg><path style="fill:none;stroke:red;stroke-width:0px" d="M0 0H1"/></svg>', "a.svg", "neither a fill nor"),
+        ('<svg><path fill-opacity="0" stroke="red" stroke-opacity="0.0" d="M0 0H1"/></svg>', "a.svg", "neither a fill"),
+        ('<svg><switch><path d="M0 0H1"/><g><path d="M0 2H1"/></g></switch></svg>', "a.svg", "one is drawn"),
         ('{"type": "LineString", "coordinates": [[13.4, 52.5], [13.5, 52.5]]}', "a.geojson", "GeoJSON.* in degrees"),
         ("t,x,y\n0,4,0\n", "a.csv", "line 1: a corner should have two numbers, x y .has 3"),
         ("<svg></svg>", "a.svg", "has no <path"),
@@ -195,11 +204,30 @@ def test_a_file_that_is_not_read_is_named(tmp_path, content, name, why):
         Wall.model_validate({"file": name}, context={"folder": tmp_path})
 
 
+DRAWN = [
+    *("opacity:0.5", "opacity:1", "fill-opacity:0;stroke-opacity:1;stroke:red", "fill:none;stroke:red"),
+    *("fill:none;stroke:#ff0000;stroke-width:0.5", "fill:#000000;stroke:none", "stroke-width:0", "stroke:none"),
+    *("fill:none;stroke:red;stroke-opacity:0.01", "fill:none;stroke:#00ff00", "fill:#aabb00;stroke:none", ""),
+]
+
+
 def test_what_is_drawn_faintly_or_unfilled_is_a_wall(tmp_path):
-    styles = ("opacity:0.5", "opacity:1", "fill-opacity:0;stroke-opacity:1")
-    paths = "".join(f'<path style="{style}" d="M0 {k}H1"/>' for k, style in enumerate(styles))
+    paths = "".join(f'<path style="{style}" d="M0 {k}H1"/>' for k, style in enumerate(DRAWN))
     (tmp_path / "a.svg").write_text(f'<svg pageopacity="0">{paths}</svg>')
-    assert len(Wall.model_validate({"file": "a.svg"}, context={"folder": tmp_path}).shapes) == 3
+    assert len(Wall.model_validate({"file": "a.svg"}, context={"folder": tmp_path}).shapes) == len(DRAWN)
+
+
+@pytest.mark.parametrize(
+    "drawing",
+    [
+        '<g stroke="black"><path fill="none" d="M0 0H1"/></g>',
+        "<style>path{stroke:black}</style><path fill='none' d='M0 0H1'/>",
+        "<path class='a' fill='none' d='M0 0H1'/>",
+    ],
+)
+def test_a_path_may_have_the_stroke_of_a_group_or_of_a_style_sheet(tmp_path, drawing):
+    (tmp_path / "a.svg").write_text(f"<svg>{drawing}</svg>")
+    assert len(Wall.model_validate({"file": "a.svg"}, context={"folder": tmp_path}).shapes) == 1
 
 
 def test_a_file_outside_of_the_folder_needs_trust(tmp_path):

@@ -236,6 +236,16 @@ _HIDDEN = re.compile(
     r"""|(?<!-)opacity\s*[:=]\s*["']?\s*0(\.0*)?%?(?![.\d]))""",
     re.IGNORECASE,
 )
+_NO_COLOUR = r"(none|transparent|rgba\([^)]*,\s*0(\.0*)?\s*\)|\#[0-9a-f]{6}00)"
+_ZERO = r"0(\.0*)?(px|mm|cm|pt|%)?(?![.\d\w])"
+_NO_FILL = re.compile(
+    rf"""\bfill\s*[:=]\s*["']?\s*{_NO_COLOUR}|\bfill-opacity\s*[:=]\s*["']?\s*{_ZERO}""", re.IGNORECASE
+)
+_NO_STROKE = re.compile(
+    rf"""\bstroke\s*[:=]\s*["']?\s*{_NO_COLOUR}|\bstroke-(width|opacity)\s*[:=]\s*["']?\s*{_ZERO}""", re.IGNORECASE
+)
+_STYLES = re.compile(r"<\s*(?:path|g|a|svg)\b[^>]*>|\{[^}]*\}", re.IGNORECASE)
+"""Elements and rules of style sheets that say how paths are drawn."""
 _WKT_BEGIN = re.compile(r"[A-Za-z]\w*\s*(Z|M|ZM|EMPTY)?\s*(\(|;|=|$)", re.IGNORECASE)
 _OTHERS = re.compile(r"<\s*(rect|circle|ellipse|line|polyline|polygon|use|image|text)\b", re.IGNORECASE)
 
@@ -285,6 +295,12 @@ def _svg_text(text: str, file: Path) -> str:
         raise ValueError(f"{file}: the attribute transform is not read: apply transformations in the editor")
     if hidden := _HIDDEN.search(text):
         raise ValueError(f"{file}: {hidden[0]!r} hides a part, which would be a wall: delete that part, or show it")
+    if any(_draws_nothing(style[0], text) for style in _STYLES.finditer(text)):
+        raise ValueError(
+            f"{file}: a path has neither a fill nor a stroke, and would be a wall: delete it, or give it a stroke"
+        )
+    if re.search(r"<\s*switch\b", text, re.IGNORECASE):
+        raise ValueError(f"{file}: of the parts of a <switch> one is drawn, and all would be walls: delete the others")
     if len(re.findall(r"<\s*svg\b", text, re.IGNORECASE)) > 1:
         raise ValueError(f"{file}: a drawing inside the drawing (<svg>) is not read: ungroup it in the editor")
     if other := _OTHERS.search(text):
@@ -293,6 +309,21 @@ def _svg_text(text: str, file: Path) -> str:
     if not data:
         raise ValueError(f"{file} has no <path d=...>")
     return " ".join(f"M 0 0 {path}" if path.lstrip().startswith("m") else path for path in data)
+
+
+def _draws_nothing(style: str, text: str) -> bool:
+    """Return whether an element, or a rule of a style sheet, has neither a fill nor a stroke.
+
+    A path that says nothing of its stroke may have that of a group or of a rule.
+    """
+    if not _NO_FILL.search(style):
+        return False
+    if re.search(r"\bstroke\s*[:=]", style, re.IGNORECASE):
+        return bool(_NO_STROKE.search(style))
+    is_path = _PATH.fullmatch(style) is not None
+    return is_path and not re.search(
+        r"\b(stroke\s*[:=]|class\s*=|id\s*=.*<\s*style)", _PATH.sub("", text) + style, re.DOTALL
+    )
 
 
 def _wkt_of_numbers(lines: list[str], file: Path) -> str:
