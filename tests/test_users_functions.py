@@ -593,3 +593,30 @@ def test_an_unknown_cause_is_read_from_a_folder_and_drawn(tmp_path):
     assert {event.cause for event in again.trace.of(Lost)} == {"fog"}
     assert "fog" in str(summary(again))
     assert '"fog"' in replay_page(again)
+
+
+@pytest.mark.parametrize("started", [None, 0.1, "self", {}])
+@pytest.mark.parametrize("key", ["latency", "loss", "duplicate"])
+def test_a_start_of_a_run_that_returns_no_model_is_refused(key, started):
+    class Forgetful:
+        def start_run(self, size):
+            self.size = size
+            return started
+
+        def __call__(self, context, rng):
+            return np.zeros(len(context.dst), dtype=bool if key != "latency" else float)
+
+    with pytest.raises(ValueError, match=r"start_run\(size\) should return the model .*, got .* from .*Forgetful"):
+        run(Scenario(horizon=0.1, team=Team(count=2), network=Links(**{key: Forgetful()})))
+
+
+def test_a_model_that_returns_that_its_links_are_wrong_is_told_to_raise():
+    class Polite(Lognormal):
+        def __call__(self, context, rng):
+            return np.zeros(len(context.dst))
+
+        def check_links(self, size, links):
+            return False
+
+    with pytest.raises(ValueError, match="check_links of Polite returned False: it should raise ValueError"):
+        Scenario(team=Team(count=2), network=Links(latency=Polite()))

@@ -119,6 +119,8 @@ class _Site:
         return end
 
     def begin(self, fault: Fault) -> Undo:
+        if not isinstance(fault, Fault):
+            raise ValueError(f"begin(fault) should be given a fault, such as Crash(start=1.0, node=0) (got {fault!r})")
         part = _Site(self._env, self._network, self._trace, fault, self._crashed, self._recovered, self.targets)
         part.record(FaultStarted)
         undo = part.apply()
@@ -140,7 +142,12 @@ class _Site:
         return recover
 
     def partition(self, groups: Iterable[Iterable[int]]) -> Undo:
-        state, part = self._network.fault_state, Partition(start=0.0, groups=tuple(map(tuple, groups)))
+        try:
+            parts = tuple(map(tuple, groups))
+        except TypeError:
+            example = "[[0, 1], [2, 3]] for instance"
+            raise ValueError(f"partition(groups) should be given lists of nodes, {example} (got {groups!r})") from None
+        state, part = self._network.fault_state, Partition(start=0.0, groups=parts)
         _require_nodes(part.named()["groups"], self.size, "partition: ")
         return partial(state.rejoin, state.partition(part.groups, self._cause))
 

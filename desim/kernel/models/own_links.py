@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from desim.config.traits import name_of
 from desim.kernel.graph_files.node_names import shortened
 from desim.kernel.models.graphs import edge_model, links_with_attributes
 from desim.kernel.models.links import Links
@@ -60,8 +61,11 @@ def link_misfits(links: Links, graph: "nx.Graph[int]") -> Iterator[tuple[Place, 
         for place, model, ways in uses:
             check = link_trait(model, "check_links")
             try:
-                if check is not None:
-                    check(len(graph), ways)
+                if check is not None and check(len(graph), ways) is False:
+                    yield (
+                        place,
+                        f"check_links of {name_of(model)} returned False: it should raise ValueError with the reason",
+                    )
             except ValueError as error:
                 yield place, str(error)
 

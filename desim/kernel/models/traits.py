@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from desim.config.answers import wrong_answer
 from desim.config.arrays import Floats
 from desim.config.model import Flag, Limit
 from desim.config.traits import Follows, Traits, attributes, is_ours, name_of, positions
@@ -93,7 +94,10 @@ def model_of_run(model: Any, size: int) -> Any:
     """
     start_run = LinkTraits.of(model).start_run
     if start_run is not None:
-        return start_run(size)
+        started = start_run(size)
+        if not callable(started):
+            raise wrong_answer("start_run(size) should return the model of a run (itself if it can)", started, model)
+        return started
     kind: type = type(model)
     if "start_run" in LinkTraits.outdated(kind) and isinstance(made := model.start_run(size), kind):
         return made
