@@ -5,7 +5,7 @@ from functools import wraps
 from inspect import Parameter, signature
 from os import PathLike
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar, get_origin
+from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar, get_args, get_origin
 
 from desim.config.suggestion import did_you_mean
 
@@ -116,8 +116,8 @@ EXAMPLES = MappingProxyType(
 def naming_arguments(function: Callable[Taken, Returned]) -> Callable[Taken, Returned]:
     """Let a call with wrong arguments name those that the function takes; a decorator.
 
-    Python's message names only the wrong one. A flag or a function of another type is refused, too: the text "no" would
-    be true.
+    Python's message names only the wrong one. A flag, a table or a function of another type is refused, too: the text
+    "no" would be true.
     """
     checks = _checks(function)
     names = list(signature(function).parameters)
@@ -150,12 +150,26 @@ def _check_function(name: str, value: Any) -> None:
         raise ValueError(f"{name} should be a function (got {_shown(value)})")
 
 
+def _check_table(name: str, value: Any) -> None:
+    if value is not None and not isinstance(value, Mapping):
+        raise ValueError(
+            f"{name} should be a dict, {{'network.latency.value': 0.5}} for instance (got {_shown(value)})"
+        )
+
+
+CHECKED_THERE = frozenset({"changes", "grid", "links", "metrics", "vary"})
+"""The tables that each function checks itself, with an example of its own."""
+
+
 def _checks(function: Callable[..., object]) -> Mapping[str, Callable[[str, Any], None]]:
-    """Return the check of each argument of a function that is a flag or a function, by name."""
+    """Return the check of each argument of a function that is a flag, a function or a table, by name."""
     checks = {}
     for name, parameter in signature(function).parameters.items():
+        kinds = {get_origin(kind) for kind in (parameter.annotation, *get_args(parameter.annotation))}
         if parameter.annotation is bool:
             checks[name] = _check_flag
+        elif Mapping in kinds and name not in CHECKED_THERE:
+            checks[name] = _check_table
         elif get_origin(parameter.annotation) is Callable and parameter.kind is not Parameter.VAR_POSITIONAL:
             checks[name] = _check_function
     return MappingProxyType(checks)

@@ -567,7 +567,7 @@ def test_a_figure_of_another_kind_than_means_has_no_options_of_means(kind, monke
     monkeypatch.setattr(f"desim.study.results.design_figures.{kind}", lambda *given, **options: drawn.append(options))
     for name in ("x", "by", "against", "labels", "xlabel", "ylabel"):
         with pytest.raises(ValueError, match=f"a figure of {kind} has no option '{name}': it is one of means"):
-            PLAIN.plot(kind=kind, **{name: "network.range"})
+            PLAIN.plot(kind=kind, **{name: {"network.range": 3} if name in {"against", "labels"} else "network.range"})
     PLAIN.plot(kind=kind, size="8.5cm")
     assert drawn == [{"size": "8.5cm", "style": None, "ax": None}]
 

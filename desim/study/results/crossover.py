@@ -23,6 +23,7 @@ from desim.analysis.statistics import t_quantile
 from desim.config.arrays import Floats
 from desim.config.json_numbers import json_number
 from desim.config.key_index import unit_of_key
+from desim.config.python_numbers import real
 from desim.kernel.core.portable_math import portable_sum
 from desim.scenario.scenario import Scenario
 from desim.study.plan.configurations import in_words
@@ -185,7 +186,7 @@ def interval_around(at: float, x: Sequence[float], undecided: Sequence[Crossover
 def check_paired(result: SweepRuns, metric: str, confidence: float) -> None:
     """Raise ValueError if a metric of a sweep cannot be compared by pairs of runs with intervals of a confidence."""
     check_numeric(metric, result.units)
-    if not 0.0 < confidence < 1.0:
+    if not 0.0 < real(confidence, "the confidence") < 1.0:
         raise ValueError(f"the confidence should be between 0 and 1, got {confidence:g}")
     if not result.common:
         raise ValueError("runs with independent seeds cannot be paired: the sweep needs sweep.seeds = common")

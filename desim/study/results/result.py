@@ -193,6 +193,7 @@ class SweepResult(SweepRuns, HintedAttributes):
             ValueError: if the sweep has no such metric, there is no such format, or a label or a column to be left out
                 belongs to nothing in the tables.
         """
+        without = names_of_metrics(without)
         notes = sweep_tables.notes(self, names_of_metrics(metrics))
         tables = self.tables(metrics, against=against)
         if labels or without:
@@ -200,6 +201,7 @@ class SweepResult(SweepRuns, HintedAttributes):
         kept = len(self.keys) - sum(key in without for key in self.keys)
         return formatted(tables, notes, format, right_from=kept)
 
+    @naming_arguments
     def tables(
         self, metrics: Sequence[str] = SHOWN, *, against: Mapping[str, Any] | None = None
     ) -> list[tuple[str, list[tuple[str, ...]]]]:

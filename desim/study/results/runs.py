@@ -154,7 +154,9 @@ class SweepRuns:
         Raises:
             ValueError: if a configuration has no reference.
         """
-        if isinstance(reference, int):
+        if isinstance(reference, int) and not isinstance(reference, bool):
+            if not -len(self.groups) <= reference < len(self.groups):
+                raise ValueError(f"there is no configuration {reference}: they are 0 .. {len(self.groups) - 1}")
             return [reference] * len(self.groups)
         if reference is None:
             return self.first_along(self.compared_by)
@@ -174,6 +176,8 @@ class SweepRuns:
         Raises:
             ValueError: if the grid has no such key.
         """
+        if not isinstance(key, str):
+            raise ValueError(f"a key of the grid should be a text, 'network.latency.value' for instance (got {key!r})")
         if key not in self.keys:
             near = [name for name in self.keys if f"{name}.".startswith(f"{key}.")] or close_to(key, self.keys)
             hint = f", did you mean {near[0]}?" if near else f": its keys are {', '.join(self.keys) or 'none'}"
@@ -322,8 +326,15 @@ def is_number(value: Any) -> TypeGuard[float]:
 
 
 def names_of_metrics(metrics: Sequence[str]) -> Sequence[str]:
-    """Return the names of metrics; one name may be given as it is."""
-    return [metrics] if isinstance(metrics, str) else metrics
+    """Return the names of metrics, or of columns; one name may be given as it is.
+
+    Raises:
+        ValueError: if they are no names.
+    """
+    names = [metrics] if isinstance(metrics, str) else metrics
+    if not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
+        raise ValueError(f"names of metrics or columns should be a list of texts, ['active_time'] (got {metrics!r})")
+    return names
 
 
 def text(value: Any) -> str:

@@ -19,6 +19,7 @@ from desim.config.arrays import Floats
 from desim.config.errors import ArgumentError
 from desim.config.json_numbers import json_number
 from desim.config.key_index import unit_of_key
+from desim.config.python_numbers import real
 from desim.scenario.scenario import Scenario
 from desim.study.results.crossover import (
     CrossoverInterval,
@@ -129,6 +130,7 @@ class Threshold:
     ) -> Self:
         """Return from where on a metric exceeds its baseline; see `SweepResult.threshold`."""
         check_paired(result, metric, confidence)
+        over = real(over, "over")
         if not over or not -1.0 < over < inf:
             raise ArgumentError("over", f"should be a share, 0.1 for 10 %, above -1 and not 0, got {over:g}")
         reference, x, values, bases = _beside_baseline(result, metric, key, baseline, where or {})
