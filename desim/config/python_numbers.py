@@ -10,7 +10,7 @@ no file can hold is refused, with UnicodeEncodeError: one with half of a surroga
 bytes on a command line have.
 """
 
-from collections.abc import ItemsView, Iterator, KeysView, Sequence, Set, ValuesView
+from collections.abc import ItemsView, Iterator, KeysView, Sequence, Set, Sized, ValuesView
 from decimal import Decimal
 from itertools import chain, count, cycle, islice, repeat
 from math import isinf, nan
@@ -28,7 +28,7 @@ LISTS = (list, tuple, Sequence, Iterator, KeysView, ValuesView, ItemsView)
 """Types with an order: lists, ranges, generators, `zip`, views of dicts, deques. A set has none."""
 TEXTS = (str, bytes, bytearray)
 MAX_ITEMS = 10_000_000
-"""Largest number of items that are taken from an iterator, which may have no end."""
+"""Largest number of items of a list; an iterator may have no end, and a range more than the memory holds."""
 DATES = frozenset("mM")
 """The `kind` of the dtypes of times and dates, which numpy takes for integers of an arbitrary unit."""
 
@@ -138,6 +138,8 @@ def _is_plain(values: list[Any] | tuple[Any, ...]) -> bool:
 
 def _items(values: Any) -> Any:
     """Return the converted items of values in order as a list, or as a tuple if they are one."""
+    if isinstance(values, Sized) and _length(values) > MAX_ITEMS:
+        return _Refused(f"a list of more than {MAX_ITEMS:,} items")
     if isinstance(values, Iterator):
         if _is_endless(values) or len(values := list(islice(values, MAX_ITEMS + 1))) > MAX_ITEMS:
             return _Refused("an iterator without an end: give a list")
@@ -148,6 +150,14 @@ def _items(values: Any) -> Any:
             return _Refused(f"a row: {error}")
     items = [as_python(item) for item in values]
     return tuple(items) if isinstance(values, tuple) else items
+
+
+def _length(values: Sized) -> int:
+    """Return the number of items; that of a long range is no index, and counts as one above all lists."""
+    try:
+        return len(values)
+    except OverflowError:
+        return MAX_ITEMS + 1
 
 
 def _is_endless(values: Iterator[Any]) -> bool:

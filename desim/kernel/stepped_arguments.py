@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     import networkx as nx
 
 
+LARGEST_NETWORK = 1_000_000
+"""The largest number of nodes, which is that of pursuers of a scenario."""
+
+
 class _Tables(Value):
     """Lists of tables as in a scenario file."""
 
@@ -72,8 +76,8 @@ def nodes_argument(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, t
     """
     if not is_networkx(nodes):
         size = whole(nodes, "the number of nodes, if it is not a networkx graph,")
-        if size < 1:
-            raise ValueError(f"a network should have at least 1 node (got {size})")
+        if not 1 <= size <= LARGEST_NETWORK:
+            raise ValueError(f"a network should have at least 1 node and at most {LARGEST_NETWORK:,} (got {size:,})")
         return links, tuple(range(size)), None
     graph: Any = nodes
     if not isinstance(links.graph, Complete):

@@ -8,7 +8,7 @@ import numpy as np
 from desim.config.arrays import Floats, array_of, array_text
 from desim.config.model import MAX_COORDINATE
 from desim.config.python_numbers import whole
-from desim.kernel.core.seeds import run_seed, seed_of
+from desim.kernel.core.seeds import RUNS_PER_SEED, run_seed, seed_of
 from desim.kernel.stepped_network import ReceivedMessage, SteppedNetwork
 
 if TYPE_CHECKING:
@@ -47,8 +47,8 @@ class SteppedNetworks:
         if "trace" in arguments:
             raise ValueError("a trace is of one network: step single ones, each with a trace")
         count = whole(count, "the number of networks")
-        if count < 1:
-            raise ValueError(f"there should be at least 1 network (got {count})")
+        if not 1 <= count <= RUNS_PER_SEED:
+            raise ValueError(f"there should be at least 1 network and at most {RUNS_PER_SEED:,} (got {count:,})")
         root = seed_of(seed)
         self._shape: tuple[int, ...] | None = None
         """Of the bodies of this episode; None before the first."""

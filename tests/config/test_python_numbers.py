@@ -588,3 +588,9 @@ def test_an_iterator_without_an_end_is_refused(endless, monkeypatch):
         with pytest.raises(KeyedError, match=f"{name}.*an iterator without an end: give a list"):
             made(model, {name: endless()})
     assert Team(count=2, speeds=repeat(2.0, 2)).speeds == (2.0, 2.0)
+
+
+@pytest.mark.parametrize("count", [10**8, 10**12, 2**63, 10**30])
+def test_a_range_that_no_memory_holds_is_refused(count):
+    with pytest.raises(KeyedError, match="a list of more than 10,000,000 items"):
+        Team(speeds=range(count))

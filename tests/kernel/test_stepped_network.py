@@ -835,3 +835,11 @@ def test_a_port_that_is_no_text_is_refused(port):
 def test_a_transport_that_is_none_is_refused(transport):
     with pytest.raises(ValueError, match="transport should be BestEffort"):
         SteppedNetwork(2).send(0, 1, "x", transport=transport)
+
+
+@pytest.mark.parametrize("size", [10**7, 10**12, 2**63, 10**30])
+def test_numbers_of_nodes_and_networks_that_no_memory_holds_are_refused(size):
+    with pytest.raises(ValueError, match="at least 1 node and at most 1,000,000"):
+        SteppedNetwork(size)
+    with pytest.raises(ValueError, match="at least 1 network and at most 1,000,000"):
+        SteppedNetworks(size, 2)
