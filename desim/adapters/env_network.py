@@ -6,9 +6,11 @@ from typing import Any
 from warnings import warn
 
 from desim.config.arrays import array_of, array_text
+from desim.config.calls import check_argument
 from desim.config.model import MAX_COORDINATE
 from desim.config.python_numbers import whole
 from desim.kernel.core.seeds import seed_of, stream
+from desim.kernel.models.graphs import is_networkx
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.kernel.models.medium import MANY, channel_of
@@ -57,12 +59,18 @@ class EnvNetwork:
     ):
         if positions is not None and not callable(positions):
             raise ValueError("positions should be a function of the environment, which is called after each step of it")
+        if positions is not None:
+            check_argument(positions, ("env",), "positions")
+        if graph is not None and not is_networkx(graph):
+            raise ValueError(f"graph should be a graph of networkx whose nodes are the agents (got {graph!r})")
+        if (capacity := whole(capacity, "capacity")) < 1:
+            raise ValueError(f"capacity should be at least 1 (got {capacity})")
         self._env, self._dt, self._positions_of, self._has_graph = env, dt, positions, graph is not None
         self._root, links = None if seed is None else seed_of(seed), links_argument(links)
         self._episodes, self._is_open = 0, agents is None
         self.row = {agent: row for row, agent in enumerate(agents or ())}
         """The row of each agent that has appeared."""
-        self.size = whole(capacity, "capacity") if self._is_open else len(self.row)
+        self.size = capacity if self._is_open else len(self.row)
         if graph is not None and set(graph) != set(self.row):
             raise ValueError(f"the nodes of the graph should be the agents {list(self.row)} (got {list(graph)})")
         self.network = SteppedNetwork(self.size if graph is None else graph, links, **arguments)
@@ -125,6 +133,9 @@ class EnvNetwork:
                 expected = "be a dict by agent" if self._is_open else f"have {len(self.row)} rows, one per agent"
                 raise ValueError(f"positions should {expected} (got {array_text(rows)})")
             places = dict(zip(self.row, rows, strict=True))
+        unknown = [] if self._is_open else [agent for agent in places if agent not in self.row]
+        if unknown:
+            raise ValueError(f"positions has {unknown[0]!r}, which is no agent: they are {list(self.row)}")
         self._places |= {self.node(agent): place for agent, place in places.items()}
         return self._places
 

@@ -45,7 +45,7 @@ Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow
 def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
     if bounds[0] > bounds[1]:
         raise ValueError(f"should be [lower, upper] (got {bounds[0]:g} and {bounds[1]:g})")
-    return bounds
+    return bounds[0] + 0.0, bounds[1] + 0.0  # numpy draws none between 0 and -0
 
 
 Box = Annotated[tuple[Coordinate, Coordinate], AfterValidator(_ordered)]

@@ -380,6 +380,11 @@ def test_a_wrapped_environment_is_copied_and_pickled_before_and_after_reset():
         ({"message": spaces.Text(5)}, "the elements of a Text have no zero"),
         ({"dt": 0.0}, "dt should be a time"),
         ({"positions": np.zeros((3, 2))}, "positions should be a function of the environment"),
+        ({"positions": lambda: np.zeros((3, 2))}, r"positions should accept a call with \(env\)"),
+        ({"graph": 3}, "graph should be a graph of networkx whose nodes are the agents .got 3"),
+        ({"graph": [("ann", "bob")]}, "graph should be a graph of networkx"),
+        ({"capacity": 0}, "capacity should be at least 1"),
+        ({"capacity": "many"}, "capacity should be an integer"),
         ({"graph": nx.path_graph(3)}, "the nodes of the graph should be the agents"),
         ({"seed": -1}, "the seed should be at least 0"),
         ({"idle": 0}, "wrap takes no idle= for an environment of PettingZoo, but message, graph, capacity, dt"),
@@ -407,6 +412,7 @@ def test_a_wrong_environment_action_message_or_place_is_refused():
         env.step({name: {"action": 0, "message": [float("nan")]} for name in NAMES})
     for places, why in (
         ({"ann": (0.0, 0.0)}, "there is none for 1"),
+        (dict.fromkeys([*NAMES, "eve"], (0.0, 0.0)), "positions has 'eve', which is no agent: they are"),
         (np.zeros((2, 2)), "3 rows"),
         (np.zeros((3, 3)), r"shape \(3, 2\)"),
     ):

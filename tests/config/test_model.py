@@ -12,7 +12,7 @@ import pytest
 from pydantic import BaseModel, Field, PydanticUserError, TypeAdapter
 
 import protocols
-from desim import Lognormal, Scenario
+from desim import Lognormal, Scenario, Team, run
 from desim.config import named_code
 from desim.config.choice import OneOf, kind_of
 from desim.config.errors import KeyedError
@@ -384,3 +384,8 @@ def test_a_property_or_method_in_the_place_of_a_key_is_refused_with_what_to_writ
         mean: float = 3.0
 
     assert Named().mean_latency() == Lognormal(mean=3.0).mean_latency()
+
+
+def test_a_box_of_no_size_at_zero_has_no_sign():
+    """numpy refuses to draw between 0 and -0."""
+    assert run(Scenario(horizon=0.01, team=Team(count=2, box=(0.0, -0.0)))).trace
