@@ -412,7 +412,7 @@ def test_a_wrong_environment_action_message_or_place_is_refused():
         env.step({name: {"action": 0, "message": [float("nan")]} for name in NAMES})
     for places, why in (
         ({"ann": (0.0, 0.0)}, "there is none for 1"),
-        (dict.fromkeys([*NAMES, "eve"], (0.0, 0.0)), "positions has 'eve', which is no agent: they are"),
+        (dict.fromkeys([*NAMES, "zoe"], (0.0, 0.0)), "positions has 'zoe', which is no agent: they are"),
         (np.zeros((2, 2)), "3 rows"),
         (np.zeros((3, 3)), r"shape \(3, 2\)"),
     ):
