@@ -12,6 +12,7 @@ from pettingzoo.utils.env import AECIterable
 
 from desim.learning.episode import rule_of, with_protocol
 from desim.learning.pursuit import NO_EPISODE, RENDER_MODES, Pursuit
+from desim.learning.steps import without_unasked
 from desim.scenario.scenario import Scenario
 from protocols.schedules.periodic import Rounds
 
@@ -172,12 +173,14 @@ class ParallelPursuit(Pursuit, ParallelEnv[str, Any, Any]):
             raise ValueError(f"{missing[0]} has no action: a step takes the actions of all agents")
         chosen = {self._number_of(name): self._checked(name, actions[name]) for name in self.agents}
         self._rounds += 1
-        instant = self._world.now
-        asked = chosen if episode.turn is not None else {}
-        step = self._begun(asked)
+        instant, before, asked = self._world.now, self._world.profile, set[int]()
+        step = self._begun(chosen if episode.turn is not None else {}, may_keep=True)
         while episode.turn is not None and self._world.now == instant:
             me = episode.turn
+            asked.add(me.id)
             episode.act(chosen.get(me.id, me.action))
+        if len(asked) < len(before):  # the clocks of others show another time
+            step = without_unasked(step, asked, before)
         is_late = episode.turn is not None and self.max_cycles is not None and self._rounds >= self.max_cycles
         if is_late:
             episode.close()

@@ -220,9 +220,10 @@ class Pursuit:
             raise ValueError(f"{agent}: an action should be from 0 to {len(self.scenario.evaders)} (got {action!r})")
         return int(number)
 
-    def _begun(self, actions: Mapping[int, int]) -> StepStart:
-        """Return the start of the step that begins now with some actions, by pursuer."""
-        start = step_begun(self._running.simulation, actions, self._start, of_all=not self._is_of_game)
+    def _begun(self, actions: Mapping[int, int], *, may_keep: bool = False) -> StepStart:
+        """Return the start of the step that begins now with some actions, by pursuer; see `step_begun`."""
+        of_all = not self._is_of_game
+        start = step_begun(self._running.simulation, actions, self._start, of_all=of_all, may_keep=may_keep)
         self._start = start
         return start
 

@@ -261,6 +261,37 @@ def test_rewards_add_up_between_turns(schedule):
     assert list(played_out(second, choose).values()) == pytest.approx([total] * 5, abs=1e-12)
 
 
+@pytest.mark.parametrize("offset", [0.0, 0.01])
+def test_rewards_of_rounds_count_the_actions_of_those_that_are_asked(offset):
+    """With wrong clocks each pursuer decides at an instant of its own, and the actions of others do not count yet."""
+    skews = [{"kind": "clock_skew", "node": k, "offset": offset * k} for k in range(5)]
+    scenario = small(
+        **{"motion.static": True, "capture.radius": 0.01, "protocol.schedule": Rounds(period=0.1), "fault": skews}
+    )
+    rng = np.random.default_rng(4)
+    steps = []
+    shown = desim.parallel_env(scenario, 3, reward=lambda step: steps.append(step) or 0.0)
+    utilities = desim.parallel_env(scenario, 3)
+    utilities.reset()
+    shown.reset()
+    begin, phi = utilities._world.now / 1e9, np.array(utilities.pursuer("pursuer_0").global_state.capture_times(1))
+    sums = np.zeros(5)
+    while utilities.agents:
+        actions = {name: int(rng.integers(2)) for name in utilities.agents}
+        sums += [*utilities.step(actions)[1].values()]
+        shown.step(actions)
+        assert steps[-1].is_last or [*steps[-1].profile] == shown._world.profile
+    trace = utilities.result.trace
+    profile, since, expected = list(trace.events[0].active), begin, np.zeros(5)
+    for event in [*trace.of(desim.pursuit.core.events.Decided), trace.of(Ended)[0]]:
+        expected += [(event.t / 1e9 - since) / 2.0 * wonderful_life_utility(phi, profile, 2.0, i) for i in range(5)]
+        since = event.t / 1e9
+        if hasattr(event, "pursuer"):
+            profile[event.pursuer] = event.active
+    assert sums == pytest.approx(expected, abs=1e-12)
+    assert len({step.start for step in steps}) > (60 if offset else 15)
+
+
 def test_a_reward_of_a_user_is_a_function_of_a_step():
     steps = []
     env = desim.env(small(), 3, reward=lambda step: steps.append(step) or -step.duration * len(step.profile))
