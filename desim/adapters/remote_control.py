@@ -80,7 +80,7 @@ class RemoteControl(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], RecordCons
         network.publish(operator, action, size=self._size)
         command = network.latest(robot).get(operator)
         age = UNHEARD if command is None else network.now - command.sent
-        observation, *rest = self.env.step(self._idle if command is None else command.body)
+        observation, *rest = self.env.step(deepcopy(self._idle) if command is None else command.body)
         self._link.step()
         network.publish(robot, (observation, network.now, age), size=self._size)
         if (received := network.latest(operator).get(robot)) is not None:

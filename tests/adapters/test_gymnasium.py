@@ -111,6 +111,26 @@ def test_what_a_learner_does_to_an_observation_changes_no_other():
     assert env.step(np.ones(1, np.float32))[0]["observation"].tolist() == [0.0, 0.0]
 
 
+@pytest.mark.parametrize("links", [Links(latency=1.0), Links(loss=0.7)])
+def test_what_a_world_does_to_a_command_changes_no_other(links):
+    """A world may scale an action in place; its own acts are 1 and, once a command has arrived, those of the operator."""
+
+    class Scaling(Counter):
+        def step(self, action):
+            acted.append(action.item())
+            action *= 0.5
+            return super().step(action)
+
+    acted = []
+    env = desim.wrap(Scaling(), links, idle=np.ones(1, np.float32))
+    for _ in range(2):
+        env.reset(seed=1)
+        for _ in range(8):
+            env.step(np.full(1, -1.0, np.float32))
+    assert {*acted} <= {1.0, -1.0}
+    assert (-1.0 in acted) == (links.latency == Links().latency)
+
+
 def test_equal_seeds_give_equal_episodes_and_copies():
     def ages(env, seed):
         env.reset(seed=seed)
