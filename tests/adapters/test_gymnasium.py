@@ -113,7 +113,7 @@ def test_what_a_learner_does_to_an_observation_changes_no_other():
 
 @pytest.mark.parametrize("links", [Links(latency=1.0), Links(loss=0.7)])
 def test_what_a_world_does_to_a_command_changes_no_other(links):
-    """A world may scale an action in place; its own acts are 1 and, once a command has arrived, those of the operator."""
+    """A world may scale an action in place: it idles by 1, and acts by -1 once a command has arrived."""
 
     class Scaling(Counter):
         def step(self, action):
