@@ -28,6 +28,7 @@ from desim.config.model import MAX_TIME
 from desim.config.python_numbers import real, whole
 from desim.kernel.core.clock import RARE_COLLECTION, Clock, Instant, Phase
 from desim.kernel.core.events import Cause, MessageCounts, Trace, TransportCounts
+from desim.kernel.core.message_body import own_copy
 from desim.kernel.core.message_size import HEADER, size_of
 from desim.kernel.core.ports import ReservedPort, check_port
 from desim.kernel.core.seeds import seed_of
@@ -322,7 +323,7 @@ class SteppedNetwork:
         They are in the order in which they were sent. The frames of a transport are not listed, since it repeats them.
         """
         self._live(self._nodes[0])
-        return self._lost.copy()
+        return [lost._replace(body=own_copy(lost.body)) for lost in self._lost]
 
     def counts(self) -> MessageCounts:
         """Return the counts of messages up to now: sent = delivered + lost + in flight, per receiver."""

@@ -495,6 +495,18 @@ def test_a_receiver_may_change_what_it_gets():
     assert second.body == {"path": [1]}
 
 
+@pytest.mark.parametrize("call", ["send", "publish"])
+def test_what_is_done_to_a_lost_message_changes_none_that_arrives(call):
+    network = SteppedNetwork(6, Links(loss=0.5, latency=1.0), seed=1)
+    getattr(network, call)(0, *([None] * (call == "send")), [1])
+    network.step(0.1)
+    for lost in (*network.lost(), *network.lost()):
+        assert lost.body == [1]
+        lost.body.append(2)
+    arrived = [*network.step(1.0), *(network.latest(node)[0] for node in range(1, 6) if network.latest(node))]
+    assert [message.body for message in arrived] == [[1], [1]]
+
+
 def test_nodes_leave_and_join():
     trace = Trace([Conservation()])
     network = SteppedNetwork(3, Links(latency=0.1), can_leave=True, trace=trace, faults=[Crash(start=0.5, node=0)])
