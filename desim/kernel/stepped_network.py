@@ -60,7 +60,9 @@ from desim.kernel.stepped_arguments import (
 
 SHOWN = 10
 """Number of nodes listed in an error message."""
-STEPPING = "a step is under way, or has failed: a network belongs to one thread; after a failure, call reset(seed)"
+STEPPING = (
+    "a step is under way, or a call has failed: a network belongs to one thread; after a failure, call reset(seed)"
+)
 CLOSED = "the network is closed: create another one"
 _new = tuple.__new__  # creates a named tuple in a third of the time
 
@@ -224,7 +226,13 @@ class SteppedNetwork:
             check_transport(transport)
         if size is None and self._is_unlimited:
             size = _size_of(body)
-        self._network.send(src, dst, body, port=port, size=size, transport=transport)  # type: ignore[arg-type]
+        try:
+            self._network.send(src, dst, body, port=port, size=size, transport=transport)  # type: ignore[arg-type]
+        except ValueError:  # of a wrong argument: nothing has happened
+            raise
+        except BaseException:  # of a watcher, for instance: the message is counted, and may be on no way
+            self._problem = STEPPING
+            raise
 
     def publish(self, src: Hashable, body: Any, *, size: int | None = None) -> None:
         """Broadcast the state of a node now: each neighbour has it as `latest` from its arrival on.
@@ -236,7 +244,14 @@ class SteppedNetwork:
         self._is_unused = False
         if size is None and self._is_unlimited:
             size = _size_of(body)
-        self._network.publish(src if self._numbers is None else self._number(src), body, size)  # type: ignore[arg-type]
+        number: Any = src if self._numbers is None else self._number(src)
+        try:
+            self._network.publish(number, body, size)
+        except ValueError:
+            raise
+        except BaseException:
+            self._problem = STEPPING
+            raise
 
     def step(self, dt: float, positions: Any = None) -> list[ReceivedMessage]:
         """Let time pass, and return the messages of `send` that have arrived, in the order of their arrival.

@@ -807,6 +807,28 @@ def test_a_network_belongs_to_one_thread_and_a_failed_step_is_not_continued():
     assert network.step(0.1) == []
 
 
+@pytest.mark.parametrize("call", ["send", "publish"])
+def test_a_message_whose_sending_failed_is_not_counted_as_delivered(call):
+    def watch(event):
+        if isinstance(event, Sent | Broadcast):
+            raise ArithmeticError("of a watcher")
+
+    network = SteppedNetwork(2, trace=Trace([watch]))
+    arguments = [1] if call == "publish" else [None, 1]
+    with pytest.raises(ValueError, match="there is no node 5"):
+        getattr(network, call)(5, *arguments)
+    network.step(0.1)  # a wrong argument has changed nothing
+    with pytest.raises(ArithmeticError):
+        getattr(network, call)(0, *arguments)
+    for after in (network.counts, lambda: network.step(0.1), lambda: getattr(network, call)(0, *arguments)):
+        with pytest.raises(RuntimeError, match="has failed"):
+            after()
+    network.reset(0)
+    getattr(network, call)(0, *arguments)
+    network.step(0.1)
+    assert network.counts().delivered == 1
+
+
 def test_a_table_of_a_scenario_file_is_enough(tmp_path):
     file = tmp_path / "net.toml"
     file.write_text('[network]\nlatency = 0.1\nloss = 0.2\n\n[[fault]]\nkind = "crash"\nnode = 1\nstart = 0.5\n')
