@@ -37,7 +37,7 @@ class Lines(asyncio.Protocol):
         for line in lines:
             try:
                 word, *values = json.loads(line)
-            except (ValueError, TypeError):
+            except (ValueError, TypeError, RecursionError):  # brackets may nest without end
                 self.close()
                 return
             self.hear(word, *values)

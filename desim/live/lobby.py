@@ -178,7 +178,7 @@ class Lobby:
 
     def _refusal(self, pursuer: int, token: str, scenario: str) -> str:
         """Return why a process cannot join as a pursuer; "" if it can."""
-        if not hmac.compare_digest(token.encode(), self._token.encode()):
+        if not hmac.compare_digest(token.encode(errors="replace"), self._token.encode()):
             return "the referee does not know this process"
         if pursuer not in range(len(self._hosts)) or pursuer in self._joined:
             return f"the run has no pursuer {pursuer}, or has it already"

@@ -68,7 +68,10 @@ class _Pursuer:
         while True:
             match await heard.get():
                 case "start", addresses, shares_clock:
-                    self._offset = 0 if shares_clock else await self._measured_offset(heard)
+                    try:
+                        self._offset = 0 if shares_clock else await self._measured_offset(heard)
+                    except ConnectionError:
+                        return LOST_REFEREE
                     peers, mailboxes = zip(*addresses, strict=True)
                     # Before others may send.
                     self._node.connect([*map(tuple, peers)], [box and tuple(box) for box in mailboxes])
@@ -86,13 +89,20 @@ class _Pursuer:
         print(f"pursuer {self._start.pursuer}: {text}", file=sys.stderr)
 
     async def _measured_offset(self, heard: "asyncio.Queue[Any]") -> int:
-        """Return by how much the clock of the referee is ahead, ns: that of the fastest of several exchanges."""
+        """Return by how much the clock of the referee is ahead, ns: that of the fastest of several exchanges.
+
+        Raises:
+            ConnectionError: if the connection ends, or something else comes in between.
+        """
         best = (1 << 62, 0)
         for _ in range(EXCHANGES):
             sent = monotonic_ns()
             self._lines.tell("ping")
-            _, there = await heard.get()
+            answer = await heard.get()
             back = monotonic_ns()
+            if answer[0] != "pong":
+                raise ConnectionError
+            there = answer[1]
             best = min(best, (back - sent, there - (sent + back) // 2))
         return best[1]
 

@@ -246,6 +246,7 @@ def test_strangers_are_refused_with_a_reason(capsys):
         here = [["127.0.0.1", 1], None]
         heard["garbage"] = await refused(at, "good day")
         heard["token"] = await refused(at, "hello", 0, "wrong", "", here)
+        heard["letter"] = await refused(at, "hello", 0, "\ud800", "", here)
         heard["pursuer"] = await refused(at, "hello", 2, token, "", here)
         heard["scenario"] = await refused(at, "hello", 0, token, "other", here)
         other = PursuerStart(at, token, 0, 4, "127.0.0.1", scenario="other")
@@ -261,6 +262,7 @@ def test_strangers_are_refused_with_a_reason(capsys):
     assert heard == {
         "garbage": [("refused", "it does not speak as a pursuer does")],
         "token": [("refused", "the referee does not know this process")],
+        "letter": [("refused", "the referee does not know this process")],
         "pursuer": [("refused", "the run has no pursuer 2, or has it already")],
         "scenario": [("refused", "the scenario of the run is another one")],
         "exit code": ALONE,
@@ -270,6 +272,32 @@ def test_strangers_are_refused_with_a_reason(capsys):
     told_lines = capsys.readouterr().err.splitlines()
     assert told_lines[0] == "pursuer 0: the scenario of the run is another one"
     assert told_lines[1].startswith("pursuer 0: no referee at 127.0.0.1, port ")
+
+
+@pytest.mark.parametrize("data", [b"[" * 100_000 + b"\n", b"7\n", b"[]\n", b"\xff\n"])
+def test_what_is_no_line_closes_the_connection(data):
+    async def play():
+        closed, heard = [], []
+        lines = Lines(lambda *words: heard.append(words))
+        lines.connection_made(SimpleNamespace(close=lambda: closed.append(True)))
+        lines.data_received(b'["ready"]\n' + data)
+        return heard, closed
+
+    assert asyncio.run(play()) == ([("ready",)], [True])
+
+
+def test_a_pursuer_of_another_host_that_loses_the_referee_while_it_compares_clocks_ends():
+    async def play():
+        heard, told = asyncio.Queue(), []
+        player = object.__new__(_Pursuer)
+        player._lines = SimpleNamespace(tell=told.append)
+        for answer in (("pong", 5), ("pong", 6), ("gone",)):
+            heard.put_nowait(answer)
+        with pytest.raises(ConnectionError):
+            await player._measured_offset(heard)
+        return told
+
+    assert asyncio.run(play()) == ["ping"] * 3
 
 
 def test_a_pursuer_tells_that_the_referee_is_silent_and_ends(monkeypatch, capsys):
