@@ -217,17 +217,13 @@ class SteppedNetwork:
         """
         if self._problem:
             raise RuntimeError(self._problem)
-        if not isinstance(port, str):
-            raise ValueError(f"a port should be a name, which is a text (got {port!r})")
-        if transport is not None and not isinstance(transport, Transport):
-            raise ValueError(f"transport should be one of desim.kernel.models.transport, or None (got {transport!r})")
-        self._is_unused = False
-        if self._numbers is not None:
-            src, dst = self._number(src), None if dst is None else self._number(dst)
         if type(port) is not str:
             check_port(port, "send")
         if transport is not None:
             check_transport(transport)
+        self._is_unused = False
+        if self._numbers is not None:
+            src, dst = self._number(src), None if dst is None else self._number(dst)
         if size is None and self._is_unlimited:
             size = _size_of(body)
         try:
