@@ -1,6 +1,6 @@
 """The options that commands share, and their types."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from functools import wraps
 from pathlib import Path
@@ -149,6 +149,19 @@ AGAINST = click.option(
 def is_import_allowed() -> bool:
     """Return whether the current command was given --allow-import."""
     return bool(click.get_current_context().meta.get(ALLOWED))
+
+
+def words_of(options: Mapping[str, Any]) -> list[str]:
+    """Return the words of options and their values, by option, for a command that a message or a script has.
+
+    None and False stand for an option that is left out, True for a flag, and a tuple for one that is repeated.
+    """
+    words: list[str] = []
+    for option, values in options.items():
+        for value in values if isinstance(values, tuple) else (values,):
+            if value is not None and value is not False:
+                words += [option] if value is True else [option, str(value)]
+    return words
 
 
 def _limit(_ctx: click.Context, _param: click.Parameter, limit: float | None) -> float | None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from desim.cli.options import ALLOW_IMPORT, COUNT, JOBS, JSON, METRIC, SEED, SET, TIMEOUT, is_import_allowed
+from desim.cli.options import ALLOW_IMPORT, COUNT, JOBS, JSON, METRIC, SEED, SET, TIMEOUT, is_import_allowed, words_of
 from desim.cli.output import echo, fail, make_folder
 from desim.cli.sources import add_metrics, shown_metrics, source_of, valid
 
@@ -190,13 +190,17 @@ def _how_to_keep(file: Path | None, scenario: "Scenario", count: int) -> str:
     if file is None:
         return ""
     typed = click.get_current_context().params
-    words = [str(file), "-g", f"horizon={scenario.horizon}", "-n", str(count)]
-    words += [] if typed["seed"] is None else ["-s", str(typed["seed"])]
-    words += [] if typed["jobs"] == 1 else ["-j", str(typed["jobs"])]
-    repeated = {"--set": typed["overrides"], "--metric": typed["metrics"]}
-    words += [word for option, values in repeated.items() for value in values for word in (option, value)]
-    words += ["--allow-import"] if is_import_allowed() else []
-    return f"; to keep each run and resume, make a sweep: desim sweep {shlex.join(words)}"
+    options = {
+        "-g": f"horizon={scenario.horizon}",
+        "-n": count,
+        "-s": typed["seed"],
+        "-j": None if typed["jobs"] == 1 else typed["jobs"],
+        "--timeout": typed["timeout"],
+        "--set": typed["overrides"],
+        "--metric": typed["metrics"],
+        "--allow-import": is_import_allowed(),
+    }
+    return f"; to keep each run and resume, make a sweep: desim sweep {shlex.join([str(file), *words_of(options)])}"
 
 
 def _scenario_to_run(

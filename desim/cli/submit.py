@@ -22,6 +22,7 @@ from desim.cli.options import (
     SET,
     TIMEOUT,
     is_import_allowed,
+    words_of,
 )
 from desim.cli.output import echo, fail, folder_for, storing
 from desim.cli.sources import shown_metrics, source_of
@@ -126,13 +127,22 @@ def submit(
         missing = _missing(job, plan, folder, shown_metrics(scenario, metrics, SHOWN))
         live = array_job.states(job.jobs)
         numbers = [part for part in missing if part not in live]
-        merge = [*DESIM, "merge", *(["--mix-versions"] if mix_versions else [])]
+        merge = [*DESIM, "merge", *words_of({"--mix-versions": mix_versions})]
         if not numbers:
             _tell_nothing_to_do(bool(missing), folder, merge)
             return
-        words = _words(file, grid, runs, seed, metrics, timeout, overrides, mix_versions=mix_versions)
+        options = {
+            "-n": runs,
+            "--seed": seed,
+            "--timeout": timeout,
+            "--grid": grid,
+            "--metric": metrics,
+            "--set": overrides,
+            "--mix-versions": mix_versions,
+            "--allow-import": is_import_allowed(),
+        }
         resources = array_job.Resources(time=time, cpus=cpus, memory=memory, options=sbatch)
-        _write_scripts(job, folder, words, merge, numbers, resources)
+        _write_scripts(job, folder, ["sweep", str(file), *words_of(options)], merge, numbers, resources)
         which = f"{counted(len(numbers), 'part')} of {parts}"
         if is_run:
             _submit_scripts(job, folder, which)
@@ -239,27 +249,6 @@ def _tell_nothing_to_do(is_live: bool, folder: Path, merge: Sequence[str]) -> No
     else:
         where = shlex.quote(str(folder))
         echo(f"all parts are done; to merge them: desim {shlex.join(merge[len(DESIM) :])} {where}/part-* -o {where}")
-
-
-def _words(
-    file: Path,
-    grid: Sequence[str],
-    runs: int | None,
-    seed: int | None,
-    metrics: Sequence[str],
-    timeout: float | None,
-    overrides: Sequence[str],
-    *,
-    mix_versions: bool,
-) -> list[str]:
-    """Return the words of `desim sweep` with the options of `desim submit` that concern it."""
-    words = ["sweep", str(file)]
-    for option, value in (("-n", runs), ("--seed", seed), ("--timeout", timeout)):
-        words += [] if value is None else [option, str(value)]
-    for option, values in (("--grid", grid), ("--metric", metrics), ("--set", overrides)):
-        words += [word for value in values for word in (option, value)]
-    words += ["--mix-versions"] if mix_versions else []
-    return words + (["--allow-import"] if is_import_allowed() else [])
 
 
 @click.command()

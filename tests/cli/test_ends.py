@@ -386,3 +386,20 @@ def test_a_run_out_of_memory_lets_go_of_what_its_calls_hold_before_it_says_so():
         released(error)
         assert all(reference() is None for reference in kept)
     assert len(kept) == 2
+
+
+def test_interrupted_runs_tell_the_sweep_that_keeps_them(file, monkeypatch, capsys):
+    """The sweep has all options of the command that concern it, and none that was not given."""
+
+    def interrupted(*_args):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("desim.study.workers.batch.run_many", interrupted)
+    for options, more in (
+        ((), ""),
+        (("-s", "0", "--timeout", "9", "--allow-import"), "-s 0 --timeout 9.0 --allow-import"),
+    ):
+        with pytest.raises(SystemExit):
+            main(["run", str(file()), "-n", "3", *options])
+        words = ["desim sweep", str(file()), "-g horizon=0.2 -n 3", *([more] if more else [])]
+        assert capsys.readouterr().err.rstrip().endswith(f"make a sweep: {' '.join(words)}")
