@@ -8,6 +8,8 @@ import re
 import zlib
 from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable
+from gzip import BadGzipFile, GzipFile
+from io import BytesIO
 from itertools import takewhile
 from pathlib import Path
 from typing import TypeVar
@@ -142,19 +144,16 @@ def content_of(file: Path) -> bytes:
         raise ValueError(f"{file} cannot be read: {error.strerror or error}") from error
     if not content.startswith(GZIP):
         return content
-    unpacked = bytearray()
     try:
-        while content:  # gzip files may be concatenated
-            member = zlib.decompressobj(zlib.MAX_WBITS | 16)
-            unpacked += member.decompress(content, MAX_UNPACKED + 1 - len(unpacked))
-            if len(unpacked) > MAX_UNPACKED:
-                raise ValueError(f"{file} is larger than {MAX_UNPACKED >> 20} MiB when it is decompressed")
-            if not member.eof:
-                raise ValueError(f"{file} cannot be read: it is compressed by gzip, and its end is missing")
-            content = member.unused_data.lstrip(b"\0")
-    except zlib.error as error:
+        with GzipFile(fileobj=BytesIO(content)) as compressed:
+            unpacked = compressed.read(MAX_UNPACKED + 1)
+    except EOFError as error:
+        raise ValueError(f"{file} cannot be read: it is compressed by gzip, and its end is missing") from error
+    except (BadGzipFile, zlib.error) as error:
         raise ValueError(f"{file} cannot be read: it is not valid gzip: {error}") from error
-    return bytes(unpacked)
+    if len(unpacked) > MAX_UNPACKED:
+        raise ValueError(f"{file} is larger than {MAX_UNPACKED >> 20} MiB when it is decompressed")
+    return unpacked
 
 
 def text_of_file(file: Path) -> str:
