@@ -90,11 +90,12 @@ class Flooding(Value):
         """Rebroadcast each new announcement after a random delay."""
         rng = me.stream("flooding")
         merged: dict[int, float] = {me.id: inf}  # by source: the greatest sequence number of a record received
-        passed_on: dict[int, tuple[int, int]] = {}  # by source: sequence number and hops of the last copy rebroadcast
+        # By source: sequence number and hops of the last copy rebroadcast; its own records never go on.
+        passed_on: dict[int, tuple[float, int]] = {me.id: (inf, 0)}
 
         def goes_on(record: Record, hops: int) -> bool:
             # As a pair: a newer record always goes on, and a copy of the same one only if it can travel farther.
-            return hops > 1 and record.src != me.id and (record.seq, hops) > passed_on.get(record.src, (0, 0))
+            return hops > 1 and (record.seq, hops) > passed_on.get(record.src, (0, 0))
 
         def wanted(message: Message) -> bool:
             (record,), hops = message.body
