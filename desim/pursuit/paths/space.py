@@ -36,6 +36,9 @@ class Plane:
     Args:
         sight: walls that block sight.
         starts: walls on which no random start is, if others than those that block motion are among them.
+
+    Attributes:
+        blocks_sight: whether some walls block sight.
     """
 
     is_open: ClassVar[bool] = True
@@ -43,6 +46,7 @@ class Plane:
 
     def __init__(self, sight: Sequence[Wall] = (), starts: Sequence[Wall] = ()):
         self._sight = blocking(sight, "sight")
+        self.blocks_sight = bool(self._sight)
         self._starts = Obstacles([wall.shapes for wall in starts]) if starts else None
         self._hiding_places: dict[float, Points] = {}
 
@@ -50,11 +54,6 @@ class Plane:
     def walled(self) -> "Walled | None":
         """The space itself if there are walls, else None."""
         return None
-
-    @property
-    def blocks_sight(self) -> bool:
-        """Whether some walls block sight."""
-        return bool(self._sight)
 
     def visible(self, places: Points, watcher: complex) -> Bools:
         """Return which of (k,) places are seen from a place, or see it: no wall is between them, (k,)."""
