@@ -30,6 +30,7 @@ from desim.testing import (
     check_schedule,
     check_trust,
     decisions,
+    evaders,
     exporters,
     metrics,
     pursuits,
@@ -124,3 +125,31 @@ def test_what_a_check_tries_is_golden(name, monkeypatch):
     tried = Tried(monkeypatch)
     CHECKS[name]()
     golden(f"checks/{name}.txt", tried.text())
+
+
+@pytest.mark.slow
+def test_a_strategy_is_asked_about_each_number_of_pursuers_heading_and_handover(monkeypatch):
+    """The time since the last choice is 0 while there is none; a pursuer may be where the evader is."""
+    seen, observation = [], evaders._Case.observation
+
+    def noting(case):
+        seen.append(observation(case))
+        return seen[-1]
+
+    monkeypatch.setattr(evaders._Case, "observation", noting)
+    monkeypatch.setattr(evaders, "_SITUATIONS", ())
+    check_evader(ConstantHeading())
+    asked = {
+        (len(state.pursuers), round(abs(state.heading), 9), state.elapsed, state.handover, 0.0 in state.distances)
+        for state in seen
+    }
+    chosen = ((0.0, 0.0), (1.0, 0.01))
+    reached = ((0, False), *((count, is_reached) for count in (1, 2, 5) for is_reached in (False, True)))
+    assert asked == {
+        (count, *choice, handover, is_reached)
+        for count, is_reached in reached
+        for choice in chosen
+        for handover in (False, True)
+    }
+    assert all(len(state.speeds) == len(state.active) == len(state.pursuers) for state in seen)
+    assert {(state.stamp, state.speed, state.radius) for state in seen} == {(300_000_000, 0.9, 0.1)}
