@@ -155,6 +155,25 @@ network.loss = { kind = "bernoulli", p = 0.0 }
 """
 
 
+def test_two_folders_differ_by_what_all_their_runs_share(tmp_path):
+    """Values of the first come first, and then keys that only the second has; a swept key and the seed are none."""
+    base = desim.Scenario(name="short", horizon=0.01, team={"count": 2})
+    changed = {"network.latency": {"kind": "uniform", "high": 0.5}, "horizon": 0.02, "seed": 7}
+    for name, scenario in (("a", base), ("b", base.with_(changed))):
+        desim.sweep(scenario, {"network.loss.p": [0.0, 0.5]}, 1, store=tmp_path / name / "sweep.sqlite")
+    changes = compare(tmp_path / "a", tmp_path / "b").changes
+    assert changes == {
+        "horizon": ("0.01", "0.02"),
+        "network.latency.kind": ('"constant"', '"uniform"'),
+        "network.latency.value": ("0.0", "not there"),
+        "network.latency.low": ("not there", "0.0"),
+        "network.latency.high": ("not there", "0.5"),
+    }
+    assert list(changes)[-2:] == ["network.latency.low", "network.latency.high"]
+    assert compare(tmp_path / "b", tmp_path / "a").changes["horizon"] == ("0.02", "0.01")
+    assert compare(tmp_path / "a", tmp_path / "a").changes == {}
+
+
 @pytest.mark.whole
 def test_the_command_compares_two_folders_and_says_what_differs(tmp_path):
     file = tmp_path / "relay.toml"
