@@ -155,6 +155,7 @@ network.loss = { kind = "bernoulli", p = 0.0 }
 """
 
 
+@pytest.mark.slow
 def test_two_folders_differ_by_what_all_their_runs_share(tmp_path):
     """Values of the first come first, and then keys that only the second has; a swept key and the seed are none."""
     base = desim.Scenario(name="short", horizon=0.01, team={"count": 2})
