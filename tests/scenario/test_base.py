@@ -226,3 +226,46 @@ def test_keys_and_the_schema_have_the_key():
     assert "\n    base: Path of another scenario file" in accepted("keys").stdout
     assert strict_json(accepted("schema").stdout)["properties"]["base"]["type"] == "string"
     assert "base" not in Scenario.model_fields
+
+
+BELOW = """\
+network.loss = 0.1
+[network.latency]
+kind = "constant"
+value = 0.1
+[protocol]
+kind = "sap"
+[protocol.schedule]
+kind = "poisson"
+rate = 3.0
+[team]
+count = 3
+speeds = [1.0, 2.0, 3.0]
+"""
+WRONG_ABOVE = [
+    # a line of the file, the file and the line that are named, and the key
+    ("network.latency = -1.0", "f.toml:3: network.latency.value"),
+    ("network.latency.value = -1.0", "f.toml:3: network.latency.value"),
+    ('network.latency = { kind = "constant", value = -1.0 }', "f.toml:3: network.latency.value"),
+    ('network.latency = { kind = "uniform", value = 1.0 }', "f.toml:3: network.latency.value"),
+    ('network.latency = { kind = "uniform", low = 2.0, high = 1.0 }', "f.toml:3: network.latency"),
+    ("network.loss = 2.0", "f.toml:3: network.loss.p"),
+    ('network.loss = { kind = "bernoulli", p = 2.0 }', "f.toml:3: network.loss.p"),
+    ('protocol = "nope"', "f.toml:3: protocol.kind"),
+    ('protocol.schedule = { kind = "rounds", rate = 2.0 }', "f.toml:3: protocol.schedule.rate"),
+    ("protocol.schedule.rate = -3.0", "f.toml:3: protocol.schedule.rate"),
+    ("team.speeds = [1.0, -2.0, 3.0]", "f.toml:3: team.speeds.1"),
+    ("team.speeds = -1.0", "f.toml:3: team.speeds"),
+    ("team = { count = 3, speeds = [1.0, 2.0] }", "f.toml:3: team.speeds"),
+    ("team.count = 2", "base.toml:12: team.speeds"),
+    ("team.cuont = 2", "f.toml:3: team.cuont"),
+]
+
+
+@pytest.mark.parametrize(("line", "place"), WRONG_ABOVE)
+def test_an_error_names_the_file_and_the_line_of_its_value(tmp_path, line, place):
+    (tmp_path / "base.toml").write_text(BELOW)
+    (tmp_path / "f.toml").write_text(f'base = "base.toml"\n\n{line}\n')
+    with pytest.raises(ScenarioError) as refused:
+        load(tmp_path / "f.toml")
+    assert str(refused.value).replace(f"{tmp_path}/", "").startswith(f"{place}:")
