@@ -90,5 +90,13 @@ def current_action(me: Agent, actions: Collection[int]) -> int:
 
 
 def argmax(utilities: dict[int, float]) -> int:
-    """Return the action of highest utility; ties go to the first, so inactivity is preferred to a chase of gain 0."""
+    """Return the action of highest utility; ties go to the first, so inactivity is preferred to a chase of gain 0.
+
+    Raises:
+        ValueError: if they are no utilities by action.
+    """
+    if not isinstance(utilities, dict):
+        raise ValueError(
+            f"argmax takes the utility of each action, {{0: 0.0, 1: 2.5}} for instance (got {utilities!r})"
+        )
     return max(utilities, key=utilities.__getitem__)

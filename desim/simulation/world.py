@@ -6,7 +6,7 @@ from itertools import count
 import numpy as np
 import simpy
 
-from desim.config.python_numbers import as_python
+from desim.config.python_numbers import as_python, whole
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.events import Trace
 from desim.kernel.core.seeds import stream
@@ -107,6 +107,8 @@ class World:
             ValueError: if there is no such pursuer or evader.
         """
         state = self.state
+        if type(pursuer) is not int:
+            pursuer = whole(pursuer, "a pursuer")
         if not 0 <= pursuer < state.size:
             raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {state.size - 1}")
         action = possible_action(self._views[pursuer], pursuer, action)

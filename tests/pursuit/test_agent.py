@@ -36,6 +36,7 @@ from desim.scenario.scenario import Motion, Recording
 from protocols.best_response import BestResponse
 from protocols.dissemination import Flooding, Gossip, OneHop
 from protocols.geometric import Voronoi
+from protocols.rule import argmax
 from protocols.schedules.periodic import Poisson
 from protocols.server import Server
 
@@ -635,6 +636,17 @@ WRONG_ARGUMENTS = {
     "the name of a random stream should be a text": [
         (call, value) for value in (*TIMEOUTS, ["a"], object()) for call in (Agent.stream, Agent.shared_stream)
     ],
+    "there is no pursuer -1": [(lambda me, j: me.global_state.action(j), -1)],
+    "a pursuer should be an integer": [
+        (call, value)
+        for value in ("1", None, [1], 1.0)
+        for call in (lambda me, j: me.global_state.action(j), lambda me, j: me.global_state.set_action(j, 1))
+    ],
+    "a scope should be 'heard'": [(Agent.counted_teammates, value) for value in ("neighbors", "all", None, 1)],
+    r"gain\(utility\) takes a utility": [(Agent.gain, value) for value in ("mean", None, 1, {})],
+    "argmax takes the utility of each action": [
+        (lambda me, values: argmax(values), value) for value in ([0.1], 1, None)
+    ],
     "merge_records takes": [(Agent.merge_records, value) for value in (None, 1, ["x"], "x")],
     "after: the second argument should be a function": [
         (lambda me, act: me.after(0.1, act), value) for value in (None, 0.5, "x")
@@ -681,6 +693,15 @@ def test_numbers_of_numpy_and_texts_of_any_class_are_taken_by_an_agent():
     taken = []
     run(Scenario(horizon=0.1, team=Team(count=2), protocol=protocol))
     assert taken == [[], [0], 0.1]
+
+
+def test_an_action_is_not_set_as_an_attribute():
+    def protocol(me):
+        me.action = 1
+        yield from ()
+
+    with pytest.raises(AttributeError, match=r"set by a call: me\.assign\(1\)"):
+        run(Scenario(horizon=0.1, team=Team(count=2), protocol=protocol))
 
 
 class Path:

@@ -411,3 +411,22 @@ def test_a_strategy_cannot_change_what_it_sees(name, settings):
     scenario = Scenario(horizon=0.1, team=Team(count=3), evader=Evader(strategy=meddler, **settings))
     with pytest.raises(ValueError, match="read-only"):
         run(scenario)
+
+
+@pytest.mark.parametrize(
+    "who", [[True, False, True], np.array([1, 0, 1]), np.array([0, 2]), 5.0, None, np.array([True])]
+)
+def test_only_takes_a_mask_and_within_a_space(who):
+    """Integers would be the numbers of pursuers, also 1 and 0."""
+
+    def strategy(state, rng):
+        with pytest.raises(ValueError, match=r"only\(who\) takes an array of 3 booleans"):
+            state.only(who)
+        with pytest.raises(ValueError, match=r"within\(space\) takes a space; .* write only\(state.distances <= 5.0\)"):
+            state.within(5.0)
+        asked.append(len(state.only(np.array([True, False, True])).pursuers))
+        return 0j
+
+    asked = []
+    run(Scenario(horizon=0.1, team=Team(count=3), evader=Evader(strategy=strategy)))
+    assert set(asked) == {2}

@@ -1,5 +1,7 @@
 """The observation that an evader has of the pursuit, from which its strategy chooses a heading."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,7 +50,16 @@ class EvaderObservation(State):
         self.space: Plane = PLANE
 
     def within(self, space: Plane) -> "EvaderObservation":
-        """Return this observation with the paths from the pursuers in a space."""
+        """Return this observation with the paths from the pursuers in a space.
+
+        Raises:
+            ValueError: if it is no space: for example a distance, see `only`.
+        """
+        if not hasattr(space, "arrivals"):
+            raise ValueError(
+                f"within(space) takes a space; for the pursuers within 5 m write only(state.distances <= 5.0) (got"
+                f" {space!r})"
+            )
         offsets = space.arrivals(self.evader, self.pursuers)
         reaches = np.isfinite(offsets)
         seen = self.only(reaches)
@@ -67,7 +78,14 @@ class EvaderObservation(State):
             array.setflags(write=False)
 
     def only(self, who: NDArray[np.bool_]) -> "EvaderObservation":
-        """Return this observation restricted to the pursuers in an (N,) mask."""
+        """Return this observation restricted to the pursuers in an (N,) mask.
+
+        Raises:
+            ValueError: if it is no mask: for example the numbers of pursuers.
+        """
+        mask: Any = who
+        if getattr(getattr(mask, "dtype", None), "kind", "") != "b" or mask.shape != self.speeds.shape:
+            raise ValueError(f"only(who) takes an array of {len(self.speeds)} booleans (got {mask!r})")
         if who.all():
             return self
         seen = EvaderObservation(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from desim.config.arrays import Floats, Points
+from desim.config.python_numbers import whole
 from desim.kernel.core.units import seconds
 from desim.pursuit.evaders.evader import MAX_SCALAR_SIZE
 from desim.pursuit.motion.dead_reckoning import MotionState
@@ -272,7 +273,13 @@ class GlobalState(View):
         self.set_action = set_action
 
     def action(self, pursuer: int) -> int:
-        """Return the evader that a pursuer chases, or 0."""
+        """Return the evader that a pursuer chases, or 0.
+
+        Raises:
+            ValueError: if there is no such pursuer.
+        """
+        if not 0 <= (pursuer := whole(pursuer, "a pursuer")) < self.state.size:
+            raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {self.state.size - 1}")
         return self.state.profile[pursuer]
 
     def profile(self) -> list[int]:

@@ -196,6 +196,10 @@ class Agent(Beliefs, Timing, HintedItems):
         """The evader that it chases, 1 .. M, or 0 if it is inactive."""
         return self._state.profile[self.id]
 
+    @action.setter
+    def action(self, action: int) -> None:
+        raise AttributeError(f"the action of an agent is set by a call: me.assign({action!r})")
+
     def assign(self, action: int) -> None:
         """Chase an evader (its number) or be inactive (0) from now on.
 

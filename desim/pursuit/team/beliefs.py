@@ -245,8 +245,12 @@ class Beliefs(Knowledge):
         """Return its believed gain, s, from chasing an evader rather than being inactive; see `Utility`.
 
         Raises:
-            ValueError: if a user's utility returns no number, or nan.
+            ValueError: if it is no utility, or a user's utility returns no number, or nan.
         """
+        if not hasattr(utility, "scope"):
+            raise ValueError(
+                f"gain(utility) takes a utility, such as desim.pursuit.game.utility.Mean() (got {utility!r})"
+            )
         own_time, rivals, times = self._rivals(evader)
         if utility.scope != "heard":
             counted = self.counted_teammates(utility.scope)
@@ -264,9 +268,14 @@ class Beliefs(Knowledge):
         They are all pursuers ("heard"), the pursuers that it now hears directly ("neighbours"), or its component
         ("component"). The component contains all pursuers whose messages can reach it now over any number of hops. If
         this pursuer does not sense the positions of teammates, the scope is ignored and all pursuers count.
+
+        Raises:
+            ValueError: if there is no such scope.
         """
         if scope == "heard" or not self.senses_others:
             return range(self.team_size)
+        if scope not in {"neighbours", "component"}:
+            raise ValueError(f"a scope should be 'heard', 'neighbours' or 'component' (got {scope!r})")
         topology = self._network.topology
         return topology.audible(self.id) if scope == "neighbours" else topology.component(self.id)
 
