@@ -114,6 +114,7 @@ def sensitivity(*, screened=True, indices=True, varied=True, runs_at_point=2):
         3.0,
         1.0 if runs_at_point > 1 else nan,
         varied,
+        IndexEstimate(0.5, 0.125, 0.75) if varied else none,
     )
     ranges = {LATENCY: "log:0.01:1", LOSS: "0:0.5", "file$": "a, b"}
     return SensitivityResult(

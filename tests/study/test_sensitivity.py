@@ -45,6 +45,20 @@ def test_the_indices_of_a_known_function():
     assert not any(index.has_0 for index in indices.total[:3])
 
 
+def test_what_is_left_of_the_variance_is_called_interaction_if_it_is_told_apart():
+    """Of the variance of the product 0.4 is interaction, of that of the sum nothing; few points cannot tell."""
+    told = {}
+    for size in (8, 1024):
+        x, y = saltelli_points(size, 2).transpose(2, 0, 1)
+        for name, values in (("product", (x - 0.25) * (y - 0.25)), ("sum", x + y)):
+            alone = sobol_indices(values[..., None], resamples=200).alone
+            told[name, size] = alone.high < 1.0
+            if size == 1024:
+                assert alone.value == pytest.approx(1.0 if name == "sum" else 0.6, abs=0.02)
+                assert alone.low <= (1.0 if name == "sum" else 0.6) <= alone.high
+    assert told == {("product", 8): False, ("sum", 8): False, ("product", 1024): True, ("sum", 1024): False}
+
+
 def test_the_estimators_are_those_of_scipy():
     values = ishigami(saltelli_points(64, 3))
     ours = sobol_indices(values[..., None], resamples=2)
@@ -294,5 +308,5 @@ def test_an_index_is_told_with_its_interval_and_none_by_a_dash():
 )
 def test_the_share_of_chance_is_that_of_the_variance_of_a_run(variance, of_chance, share):
     """A variance that is estimated below 0 counts as 0."""
-    indices = SobolIndices((), (), variance, of_chance, is_varied=True)
+    indices = SobolIndices((), (), variance, of_chance, is_varied=True, alone=IndexEstimate(nan, nan, nan))
     assert SensitivityResult.chance.fget(SimpleNamespace(indices=indices)) == pytest.approx(share, nan_ok=True)

@@ -12,7 +12,6 @@ from desim.analysis.tables import counted
 from desim.config.extras import naming_extras
 from desim.config.html import html_table
 from desim.config.json_numbers import json_number
-from desim.kernel.core.portable_math import portable_sum
 from desim.study.sensitivity.morris import ElementaryEffects
 from desim.study.sensitivity.sobol_indices import IndexEstimate, SobolIndices
 
@@ -85,11 +84,11 @@ class SensitivityResult:
                 + ("; each keeps the middle of its range" if self.indices is not None else "")
             )
         if self.indices is not None and self.indices.is_varied:
-            alone = portable_sum(index.value for index in self.first.values())
-            if alone < 1.0:
-                sentences.append(
-                    f"alone the keys cause {100 * max(alone, 0.0):.0f} %; the rest is interaction among them"
-                )
+            alone = self.indices.alone
+            share, low, high = (round(100 * value) for value in (alone.value, alone.low, alone.high))
+            is_rest = alone.high < 1.0
+            rest = "the rest is interaction among them" if is_rest else "no interaction among them is told apart from 0"
+            sentences.append(f"alone the keys cause {share} % ({low} to {high} %); {rest}")
         if self.runs_at_point == 1:
             sentences.append("one run at each point: chance counts as an effect of the keys; take several")
         elif not isnan(self.chance):
@@ -190,6 +189,7 @@ class SensitivityResult:
             "runs_at_point": self.runs_at_point,
             "variance": None if self.indices is None else json_number(self.indices.variance),
             "chance": json_number(self.chance),
+            "alone": None if self.indices is None else _as_json(self.indices.alone),
             "sentences": self.sentences(),
             "keys": keys,
         }

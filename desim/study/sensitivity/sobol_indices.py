@@ -13,12 +13,14 @@ values with different seeds. The estimators therefore do not count chance as an 
 luck of a run has the indices 0. With one seed the model is taken as one without chance.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import nan
 
 import numpy as np
 
 from desim.config.arrays import Floats
+from desim.kernel.core.portable_math import portable_sum
 from desim.scenario.sweep_table import Design
 from desim.study.plan.designs import unit_points
 
@@ -49,6 +51,8 @@ class SobolIndices:
     """The mean variance of values with different seeds at one point; nan with one seed."""
     is_varied: bool
     """Whether the variance is told apart from 0; if not, indices are nan."""
+    alone: IndexEstimate
+    """The sum of the first-order indices: what the inputs cause without interaction."""
 
 
 def saltelli_points(size: int, inputs: int, seed: int = 0) -> Floats:
@@ -90,13 +94,20 @@ def sobol_indices(
             for value, low, high in zip(of_all.tolist(), *intervals.tolist(), strict=True)
         )
 
+    (alone,) = with_interval(_sums([first]), _sums([sample[0] for sample in samples])[:, np.newaxis])
     return SobolIndices(
         with_interval(first, np.array([sample[0] for sample in samples])),
         with_interval(total, np.array([sample[1] for sample in samples])),
         variance,
         chance,
         is_varied,
+        alone,
     )
+
+
+def _sums(rows: Sequence[Floats]) -> Floats:
+    """Return the sums of some rows."""
+    return np.array([portable_sum(row.tolist()) for row in rows])
 
 
 def _estimates(values: Floats) -> tuple[Floats, Floats, float]:
