@@ -53,11 +53,11 @@ class KeyRange:
             return high if share else low
         return min(max(rounded(number), low), high)
 
-    def share_of(self, number: float) -> float:
-        """Return where a number of the range lies: 0 for `low`, 1 for `high`."""
+    def share_between(self, first: float, second: float) -> float:
+        """Return the share of the range that lies between two numbers of it."""
         if self.is_log:
-            return (log(number) - log(self.low)) / (log(self.high) - log(self.low))
-        return (number - self.low) / (self.high - self.low)
+            return abs(log(second) - log(first)) / (log(self.high) - log(self.low))
+        return abs(second - first) / (self.high - self.low)
 
     def __str__(self) -> str:
         return f"{'log:' if self.is_log else ''}{self.low:.15g}:{self.high:.15g}"

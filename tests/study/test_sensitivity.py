@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from desim import Scenario, sensitivity
-from desim.scenario.value_ranges import setting_at
+from desim.scenario.value_ranges import KeyRange, setting_at
 from desim.study.sensitivity.morris import LEVELS, STEP, among_items, elementary_effects, morris_points
 from desim.study.sensitivity.sensitivity_result import SensitivityResult, _with_interval
 from desim.study.sensitivity.sobol_indices import IndexEstimate, SobolIndices, saltelli_points, sobol_indices
@@ -179,6 +179,16 @@ def test_the_effect_of_a_few_values_is_that_of_a_change_to_another_one():
     assert changed == pytest.approx(2.0 * 2 / 3, abs=4 * 2.0 * sqrt(2 / 9 / 60))  # two of three steps are to or from it
     assert nothing == 0.0
     assert result.kept == (0, 1, 2)
+
+
+def test_a_step_that_leads_to_the_same_number_has_no_effect():
+    """Of the two numbers of a range of ratios, half of the shares lead to the first."""
+    interval = KeyRange(1, 2, is_log=True, is_whole=True)
+    assert [interval.at(share) for share in (0.1, 0.6, 0.7)] == [1, 1, 2]
+    assert [interval.share_between(*pair) for pair in ((1, 1), (1, 2), (2, 1))] == [0.0, 1.0, 1.0]
+    points = morris_points(2, 1, np.random.default_rng(0))
+    effects = elementary_effects(points, np.array([[3.0, 3.0], [3.0, 5.0]]), np.array([[0.0], [1.0]]))
+    assert effects.mean_absolute[0].value == 1.0
 
 
 SHORT = Scenario(horizon=0.01, team={"count": 2}, record={"trajectory": 0}, network={"latency": 0.1, "loss": 0.1})

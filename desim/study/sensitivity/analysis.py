@@ -229,8 +229,8 @@ class Analysis:
             if not isinstance(first, KeyRange):
                 spans[:, k] = 1.0
             elif first.is_whole:
-                begin, end = ([first.share_of(first.at(share)) for share in points[:, e, k].tolist()] for e in (0, -1))
-                spans[:, k] = np.abs(np.array(end) - begin)
+                ends = zip(*(map(first.at, points[:, e, k].tolist()) for e in (0, -1)), strict=True)
+                spans[:, k] = [first.share_between(*pair) for pair in ends]
         return spans
 
     def _settings(self, shares: Sequence[float]) -> dict[str, Any]:
