@@ -89,7 +89,8 @@ def nodes_argument(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, t
         warn(note, UserWarning, stacklevel=3)
     labels = tuple(sorted(numbers, key=numbers.__getitem__))
     links = links.model_copy(update={"graph": edges}).numbered(edges.names)
-    return links, labels, None if labels == tuple(range(len(labels))) else numbers
+    are_numbers = labels == tuple(range(len(labels))) and not any(isinstance(label, bool | float) for label in labels)
+    return links, labels, None if are_numbers else numbers
 
 
 def horizon_argument(horizon: float | None, faults: Iterable[Any]) -> int:

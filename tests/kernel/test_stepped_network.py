@@ -20,6 +20,7 @@ from desim import (
     Bitrate,
     Crash,
     CsmaCa,
+    Edges,
     GilbertElliott,
     Jamming,
     Links,
@@ -877,3 +878,32 @@ def test_numbers_of_nodes_and_networks_that_no_memory_holds_are_refused(size):
         SteppedNetwork(size)
     with pytest.raises(ValueError, match="at least 1 network and at most 1,000,000"):
         SteppedNetworks(size, 2)
+
+
+@pytest.mark.parametrize("labels", [[0.0, 1.0, 2.0], [False, True, 2], np.arange(3), [2.0, 0.0, 1.0]])
+def test_nodes_that_are_equal_to_numbers_are_named_by_their_labels(labels):
+    graph = nx.Graph()
+    graph.add_edge(labels[0], labels[1], latency=0.25)
+    graph.add_node(labels[2])
+    network = SteppedNetwork(graph)
+    network.send(labels[0], labels[1], "x")
+    assert [(message.src, message.dst, message.arrived) for message in network.step(1.0)] == [(*labels[:2], 0.25)]
+
+
+class Robot:
+    """A robot of another program."""
+
+
+def test_objects_may_be_nodes_and_have_names_without_addresses():
+    first, second = Robot(), Robot()
+    network = SteppedNetwork(nx.Graph([(first, second)]))
+    network.send(first, second, "x")
+    assert [message.dst is second for message in network.step(1.0)] == [True]
+    assert Edges.of(nx.Graph([(first, second)])).names == ("Robot 0", "Robot 1")
+
+
+def test_the_class_of_graphs_is_no_graph():
+    with pytest.raises(ValueError, match="the number of nodes, if it is not a networkx graph"):
+        SteppedNetwork(nx.Graph)
+    with pytest.raises(ValueError, match="graph: should"):
+        Links(graph=nx.Graph)

@@ -54,11 +54,18 @@ def numbered(graph: "nx.Graph[Any]") -> Numbering:
         numbers = [0] * len(nodes)
         for number, k in enumerate(order):
             numbers[k] = number
-    shown = [str(node) for node in (nodes if labels is None else labels)]
+    shown = [_name(*pair) for pair in zip(nodes if labels is None else labels, numbers, strict=True)]
     names = tuple(name for _, name in sorted(zip(numbers, shown, strict=True)))
     is_plain = names == tuple(map(str, range(len(nodes))))
     is_shifted = not (is_name or is_label) and (by_name if labels is None else by_label) is not None
     return Numbering(dict(zip(nodes, numbers, strict=True)), () if is_plain else names, is_shifted)
+
+
+def _name(node: Any, number: int) -> str:
+    """Return the name of a node; that of an object without a text of its own has no address, which differs by run."""
+    kind = type(node)
+    is_default = kind.__repr__ is object.__repr__ and kind.__str__ is object.__str__
+    return f"{kind.__name__} {number}" if is_default else str(node)
 
 
 def shortened(names: Sequence[str]) -> str:

@@ -224,7 +224,7 @@ class Edges(Value):
 
 def is_networkx(value: Any) -> bool:
     """Return whether a value is a networkx graph, without importing networkx, which is slow."""
-    return hasattr(value, "is_multigraph") and hasattr(value, "adjacency")
+    return hasattr(value, "is_multigraph") and hasattr(value, "adjacency") and not isinstance(value, type)
 
 
 def _fields(graph: "nx.Graph[Any]") -> tuple[dict[str, Any], tuple[str, ...]]:
