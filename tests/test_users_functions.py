@@ -8,7 +8,7 @@ from fractions import Fraction
 from functools import partial
 from math import inf, nan
 from multiprocessing.pool import ThreadPool
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import networkx as nx
 import numpy as np
@@ -620,3 +620,39 @@ def test_a_model_that_returns_that_its_links_are_wrong_is_told_to_raise():
 
     with pytest.raises(ValueError, match="check_links of Polite returned False: it should raise ValueError"):
         Scenario(team=Team(count=2), network=Links(latency=Polite()))
+
+
+class Tuple(NamedTuple):
+    """A latency that is a named tuple."""
+
+    mean: float = 0.1
+
+    def __call__(self, context, rng):
+        return np.full(len(context.dst), self.mean)
+
+
+class Lists(list):
+    """A latency that is a list, and so is no table of latencies."""
+
+    def __call__(self, context, rng):
+        return np.full(len(context.dst), self[0])
+
+
+class Table(dict):
+    """A latency that is a dict."""
+
+    def __call__(self, context, rng):
+        return np.full(len(context.dst), self["mean"])
+
+
+@pytest.mark.parametrize("model", [Tuple(0.1), Lists([0.1]), Table(mean=0.1)], ids=repr)
+def test_a_model_may_be_a_tuple_a_list_or_a_dict_that_can_be_called(model):
+    plain = Scenario(team=Team(count=2), horizon=0.25, network=Links(latency=0.1))
+    own = plain.model_copy(update={"network": Links(latency=model)})
+    expected = [summary(run(plain.with_({"horizon": horizon}), 1)).messages_delivered for horizon in (0.15, 0.25)]
+    assert [summary(run(own.with_({"horizon": horizon}), 1)).messages_delivered for horizon in (0.15, 0.25)] == expected
+    swept = sweep(own, {"horizon": [0.15, 0.25]}, reps=1)
+    assert len(swept.to_frame()) == 2
+    if isinstance(model, Tuple):
+        compared = sweep(own, {"network.latency": [model, Tuple(0.2)]}, reps=1)
+        assert "Tuple(mean=0.2)" in compared.table()

@@ -268,7 +268,7 @@ def _tables(model: Value) -> dict[str, Any]:
 
 def _table(value: Any, info: FieldInfo) -> Any:
     """Return the value of a field, with its models as tables and its tuples as lists."""
-    if isinstance(value, tuple):
+    if isinstance(value, tuple) and not callable(value):  # a model of a user may be a named tuple
         return [_table(item, info) for item in value]
     choices = choices_of(info)
     known = not choices or any(choice.holds(value) for choice in choices)
@@ -296,7 +296,9 @@ def _replaced(model: Any, parts: list[str], value: Any) -> Any:
 
 
 def _copied(tables: Any) -> Any:
-    """Return a copy of nested tables and lists; all other values are shared with the original."""
+    """Return a copy of nested tables and lists; all other values, such as models, are shared with the original."""
+    if callable(tables):
+        return tables
     if isinstance(tables, dict):
         return {key: _copied(value) for key, value in tables.items()}
     return [_copied(item) for item in tables] if isinstance(tables, list) else tables

@@ -144,6 +144,8 @@ def _as_json(value: Any) -> Any:
     """Return a value in a form that JSON can represent; of a function or an object, only the import name is kept."""
     if isinstance(value, Value):
         return value.model_dump()
+    if callable(value):
+        return {"kind": import_name(definition_of(value))}
     if isinstance(value, dict):
         return {key: _as_json(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):

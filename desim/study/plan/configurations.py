@@ -352,11 +352,14 @@ def label(value: Any) -> str:
     """Return a value of a grid as a short text; a model as its kind and the fields that were set."""
     if isinstance(value, BaseModel):
         value = {"kind": kind_of(value)} | {k: getattr(value, k) for k in sorted(value.model_fields_set)}
-    if isinstance(value, dict):
+    is_model = callable(value)  # one of a user may be a named tuple, or a dict
+    if is_model and isinstance(value, tuple) and hasattr(value, "_asdict"):
+        return label({"kind": type(value).__name__} | value._asdict())
+    if isinstance(value, dict) and not is_model:
         inner = ", ".join(f"{key}={label(member)}" for key, member in value.items() if key != "kind")
         kind = str(value.get("kind", ""))
         return f"{kind}({inner})" if inner or not kind else kind
-    if isinstance(value, list | tuple):
+    if isinstance(value, list | tuple) and not is_model:
         return f"[{', '.join(map(label, value))}]"
     if isinstance(value, bool):
         return str(value).lower()
