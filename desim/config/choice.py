@@ -22,6 +22,7 @@ from pydantic_core import CoreSchema, PydanticCustomError, SchemaValidator, core
 
 from desim.config.answers import name_and_place
 from desim.config.calls import check_at_once, check_call, check_method
+from desim.config.error_texts import text_of
 from desim.config.model import markers_of
 from desim.config.named_code import (
     IMPORTED,
@@ -328,7 +329,7 @@ def _parameters_of(model: type) -> list[str] | None:
 
 
 def _model_error(model: type, kind: str, errors: Sequence[Mapping[str, Any]]) -> PydanticCustomError:
-    problems = "; ".join(f"{'.'.join(map(str, problem['loc']))}: {problem['msg']}" for problem in errors)
+    problems = "; ".join(f"{'.'.join(map(str, problem['loc']))}: {text_of(problem)}" for problem in errors)
     return PydanticCustomError(
         "user_model", "{why}", {"why": f"{kind!r}: {problems}", "model": model, "errors": errors}
     )

@@ -21,6 +21,11 @@ def text_of(error: Mapping[str, Any]) -> str:
     text = str(error["msg"])
     if error["type"] in OF_EXCEPTIONS:
         return text.partition(", ")[2]
+    if error["type"] == "union_tag_invalid":
+        context = error["ctx"]
+        return f"there is no {context['tag']!r}; allowed: {context['expected_tags'].replace(chr(39), '')}"
+    if error["type"] == "union_tag_not_found" and "ctx" in error:
+        return f"should be a table with the key {error['ctx']['discriminator'].strip(chr(39))}"
     for machine, human in BEGINNINGS.items():
         if text.startswith(machine):
             return human + text.removeprefix(machine)

@@ -19,10 +19,14 @@ def whole_trace(trace: Iterable[Event]) -> Iterator[Event]:
     """Yield the events of a trace.
 
     Raises:
-        ValueError: if an event has too many or too few arrivals, or the trace does not end as that of a whole run.
+        ValueError: if an event is earlier than the one before, or has too many or too few arrivals, or the trace does
+            not end as that of a whole run.
     """
-    before, last = None, None
+    before, last, t = None, None, 0
     for number, event in enumerate(trace, start=1):
+        if event.t < t:
+            raise ValueError(f"line {number} is earlier than the line before")
+        t = event.t
         if isinstance(event, Broadcast) and len(event.arrival) not in {1, len(event.dst)}:
             raise ValueError(f"line {number} has {len(event.dst)} receivers and {len(event.arrival)} arrivals")
         before, last = last, type(event)
@@ -62,15 +66,12 @@ def field_limits(start: Any) -> Limits:
 
 def inconsistencies(trace: Sequence[Event]) -> Iterator[tuple[int, str]]:
     """Yield (line, error) for each line of a trace that is inconsistent with the lines before."""
-    size, t, once = len(trace[0].pursuers) if isinstance(trace[0], Started) else 0, 0, set[type[Event]]()
+    size, once = len(trace[0].pursuers) if isinstance(trace[0], Started) else 0, set[type[Event]]()
     receivers, broken = dict[int, tuple[int, ...]](), list[TracedFault]()
     lost = defaultdict[tuple[int, int], list[int]](
         list
     )  # by transmission and receiver, the lines of those without Lost
     for number, event in enumerate(trace, start=1):
-        if event.t < t:
-            yield number, "is earlier than the line before"
-        t = event.t
         if isinstance(event, Started | MessageCounts | TransportCounts | Ended):
             if type(event) in once:
                 yield number, f"is a second {type(event).__name__}"

@@ -563,12 +563,12 @@ EDITS = {
     "UPDATE runs SET summary = '{'": f"{FIRST_RUN}summary: Invalid JSON",
     "UPDATE runs SET summary = json_set(summary, '$.new', 1)": f"{FIRST_RUN}summary.new: is no metric of this store",
     "UPDATE metrics SET name = 'x' WHERE name = 'energy'": f"{FIRST_RUN}summary.energy: is no metric of this store",
-    "UPDATE runs SET summary = json_set(summary, '$.active_time', 'x')": f"{FIRST_RUN}summary.active_time: Input",
+    "UPDATE runs SET summary = json_set(summary, '$.active_time', 'x')": f"{FIRST_RUN}summary.active_time: should be a number",
     "UPDATE runs SET seed = 'x'": "runs: .*, seed x: seed: String should match pattern",
-    "UPDATE configurations SET settings = '[1]'": "configurations: configuration .*: settings: Input",
+    "UPDATE configurations SET settings = '[1]'": "configurations: configuration .*: settings: should be a table",
     "UPDATE configurations SET settings = '{}'": "configuration .*: should have the settings network.loss.p",
     "UPDATE about SET value = '{' WHERE name = 'grid'": "about: name grid: value: Invalid JSON",
-    "UPDATE about SET value = '7' WHERE name = 'grid'": "about: name grid: value: Input should be a valid list",
+    "UPDATE about SET value = '7' WHERE name = 'grid'": "about: name grid: value: should be a list",
     "DELETE FROM about WHERE name = 'seeds'": "is damaged: seeds is missing in about",
 }
 

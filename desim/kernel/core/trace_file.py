@@ -21,6 +21,7 @@ from unicodedata import is_normalized
 from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 from pydantic_core import to_json
 
+from desim.config.error_texts import text_of
 from desim.config.json_numbers import field_names, has_plain
 from desim.kernel.core.body_content import JSON_ATOMS, Fields, content, converts_itself, in_json_types
 from desim.kernel.core.events import LOST, ArrivalTime, Body, Broadcast, Count, Event, Nanoseconds, NodeId
@@ -255,7 +256,7 @@ def _reason(error: Exception) -> str:
     if not isinstance(error, ValidationError):
         return str(error)
     fault = error.errors(include_url=False, include_input=False)[0]
-    return f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}"
+    return f"{'.'.join(map(str, fault['loc']))}: {text_of(fault)}"
 
 
 def _with_named_tuples(value: Any) -> Any:

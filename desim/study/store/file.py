@@ -15,6 +15,7 @@ from typing import Any, ParamSpec, Self, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
+from desim.config.error_texts import text_of
 from desim.config.file_names import STORE
 from desim.config.interrupts import deferred
 from desim.config.suggestion import close_to
@@ -266,7 +267,7 @@ class StoreFile:
             first = error.errors(include_url=False)[0]
             number, *inner = first["loc"] if column is None else (column, *first["loc"])
             place = ".".join(map(str, (self._columns(table)[int(number)], *inner)))
-            raise self.error(table, row, f"{place}: {first['msg']}") from error
+            raise self.error(table, row, f"{place}: {text_of(first)}") from error
 
     @naming_the_file
     def check(self) -> str:
