@@ -648,9 +648,7 @@ WRONG_ARGUMENTS = {
         (lambda me, values: argmax(values), value) for value in ([0.1], 1, None)
     ],
     "merge_records takes": [(Agent.merge_records, value) for value in (None, 1, ["x"], "x")],
-    "after: the second argument should be a function": [
-        (lambda me, act: me.after(0.1, act), value) for value in (None, 0.5, "x")
-    ],
+    "after: act should be a function": [(lambda me, act: me.after(0.1, act), value) for value in (None, 0.5, "x")],
 }
 """By the beginning of a sentence: calls of an agent, each with an argument that it refuses with this sentence."""
 

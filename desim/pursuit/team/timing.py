@@ -124,7 +124,7 @@ class Timing:
             ValueError: if the duration is negative, infinite, nan or not a number, or there is no function.
         """
         if not callable(act):
-            raise ValueError(f"pursuer {self.id}: after: the second argument should be a function (got {act!r})")
+            raise ValueError(f"pursuer {self.id}: after: act should be a function (got {act!r})")
         restarts_before = self.restarts
 
         def happen(_: simpy.Event) -> None:
