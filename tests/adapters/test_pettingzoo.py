@@ -95,6 +95,9 @@ def test_each_agent_that_appears_has_a_row_up_to_the_capacity():
     env, seen = played(12, positions=positions, links={"range": 50.0})
     assert len(env.rows) > 5  # at the start
     assert sorted(env.rows.values()) == list(range(len(env.rows)))
+    env.reset(seed=3)
+    assert [*env.rows] == env.agents[:5]  # each episode has rows of its own
+    env, seen = played(12, positions=positions, links={"range": 50.0})
     first, *others = env.agents[:5]
     assert all(seen[first]["ages"][env.rows[agent]] == pytest.approx(0.1) for agent in others)
     assert seen[first]["messages"].sum() == 5.0 * sum(seen[first]["ages"] >= 0.0) > 0.0

@@ -43,6 +43,15 @@ def test_a_value_that_its_control_explains_has_the_uncertainty_of_the_control_on
     assert made.worth == pytest.approx(4.0 * made.plain.standard_error**2 * 0.75)
 
 
+def test_the_degrees_of_freedom_are_those_of_satterthwaite():
+    """Of two variances: that of n corrected values with n - 2, since a slope was fitted, and that of m others."""
+    y, x, z = [4.0, 7.0, 8.0, 15.0, 11.0], [1.0, 2.0, 3.0, 5.0, 4.0], [4.0, 5.0, 7.0]
+    made = control_variate(y, x, z)
+    of_control = (made.slope * estimate(z).standard_error) ** 2
+    of_values = made.standard_error**2 - of_control
+    assert made.freedom == pytest.approx(made.standard_error**4 / (of_values**2 / 3 + of_control**2 / 2))
+
+
 def test_if_all_runs_but_one_have_the_same_control_that_run_is_not_corrected():
     """The slope of the others is not defined, and 0 instead; each of the others is corrected by the slope to it."""
     made = control_variate([1.0, 2.0, 3.0, 10.0], [0.0, 0.0, 0.0, 1.0], [0.0, 1.0])

@@ -514,6 +514,8 @@ def test_nodes_leave_and_join():
     network.send(0, None, "in flight")
     network.publish(0, "state")
     network.leave(2)
+    with pytest.raises(ValueError, match="node 2 is away already"):
+        network.leave(2)
     assert [message.dst for message in network.step(0.15)] == [1]
     assert {(lost.dst, lost.cause) for lost in network.lost()} == {(2, "crash")}
     network.send(2, None, "from nowhere")

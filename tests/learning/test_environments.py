@@ -232,6 +232,13 @@ def test_agents_live_to_the_end_unless_they_may_leave():
         *_, terminations, _, _ = leaving.step(dict.fromkeys(leaving.agents, 1))
     assert [agent for agent, ended in terminations.items() if ended] == ["pursuer_1"]
     assert leaving.pursuer("pursuer_0").now == pytest.approx(0.5, abs=0.11)
+    late = desim.parallel_env(scenario, 3, agents_leave=True, max_cycles=int(leaving._rounds))
+    late.reset()
+    while late.agents:
+        *_, terminations, truncations, _ = late.step(dict.fromkeys(late.agents, 1))
+    assert [name for name, ended in terminations.items() if ended] == ["pursuer_1"]
+    assert [truncated for name, truncated in truncations.items() if name != "pursuer_1"] == [True] * 4
+    assert not truncations["pursuer_1"]  # one that has left is not truncated, too
 
 
 @pytest.mark.parametrize("schedule", ["shared_seed", "rounds"])
@@ -300,6 +307,7 @@ def test_a_reward_of_a_user_is_a_function_of_a_step():
     sums = played_out(env)
     assert [step.is_last for step in steps] == [False] * (len(steps) - 1) + [True]
     assert steps[0].profile == (1, 1, 1, 1, 1)
+    assert [step.time_left for step in steps] == pytest.approx([2.0 - step.start for step in steps], abs=1e-9)
     end = env.result.trace.of(Ended)[0].t / 1e9
     assert list(sums.values()) == pytest.approx([-5 * (end - begin)] * 5)
     for wrong in (lambda step: "much", lambda step: [1.0], lambda step: float("nan"), lambda step: np.complex64(1)):
@@ -346,6 +354,19 @@ def test_an_action_that_a_mask_excludes_has_the_effect_of_none():
     assert env.infos["pursuer_0"]["action_mask"].tolist() == [1, 0]
     env.step(1)
     assert env.pursuer("pursuer_0").action == 0
+    steps = []
+    parallel = desim.parallel_env(scenario, 3, reward=lambda step: steps.append(step) or 0.0)
+    parallel.reset()
+    parallel.step(dict.fromkeys(parallel.agents, 1))
+    assert steps[0].profile == (0, 1, 1, 1, 1)
+
+
+def test_a_mask_that_a_learner_changes_is_that_of_no_other():
+    env = desim.env(small(), 3)
+    env.reset()
+    for name in env.agents:
+        env.infos[name]["action_mask"][:] = 0
+    assert env._info(env.pursuer("pursuer_0"))["action_mask"].tolist() == [1, 1]
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from random import Random
 from types import SimpleNamespace
 from typing import ClassVar
 
+import numpy as np
 import pytest
 
 import desim
@@ -20,7 +21,7 @@ from desim.kernel.state.inbox import Message
 from desim.kernel.transport.frames import Segment
 from desim.kernel.transport.layer import PORT as FRAMES
 from desim.live import Node, NotLiveError, compare, sockets
-from desim.live.frames import _segment_of, segment_list
+from desim.live.frames import _segment_of, frame_of, hex_digits, segment_list
 from desim.live.node import _Body
 from desim.live.own_bodies import OwnBodies
 from desim.live.pursuer import _Pursuer
@@ -116,6 +117,24 @@ def test_foreign_replayed_and_malformed_datagrams_are_dropped_and_counted():
     node.link.receive(late, 0)  # from the future
     assert node.link.drops == (2, 3, 1)
     assert len(node.link.outcomes) == 1
+
+
+def test_a_stamp_that_is_ahead_delays_a_message_by_the_latency_only():
+    """The clock of another host may be ahead; the latency is 0.1 s."""
+    node = node_with(loss=Bernoulli())
+    node._env.advance(200_000_000)
+    early = WIRE.encode(Message(0, 1_200_000_000, None), "", 16, to_one=True)
+    node.link.receive(early, 0)
+    assert [outcome.arrival for outcome in node.link.outcomes] == [300_000_000]
+
+
+def test_a_frame_that_another_has_overtaken_changes_nothing():
+    node = Node(scenario(), 1, 5)
+    frame = frame_of(node._state, [0] * 3)
+    places = [hex_digits(np.full(4, k + 0j)) for k in (1.0, 2.0)]
+    for when, digits in zip((20, 10), places, strict=True):
+        node.show(frame._replace(t=when, places=digits))
+    assert node._state.position(1) == 1.0
 
 
 def test_a_record_that_another_has_overtaken_does_not_cross_a_partition():

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 import desim
-from desim import Constant, Evader, Scenario, Team, load
+from desim import Constant, Evader, Scenario, Team, load, summary
 from desim.analysis.statistics import mean, paired
 from desim.config.model import Value
 from desim.kernel.core.events import LOST, Broadcast, ClockCorrected, Delivered, Lost, MessageCounts, Sent
 from desim.kernel.models.traced_faults import FaultStarted
-from desim.live.agreement import ERRORS, GATE, Row, compare
+from desim.live.agreement import ERRORS, GATE, SHOWN, Row, _row, compare
 from desim.live.live_runs import run, run_all, runs
 from desim.live.lobby import LiveError
 from desim.live.namespaces import NamespaceError
@@ -366,6 +366,12 @@ def test_a_difference_is_told_in_standard_errors_beyond_the_margin(others, margi
     row = Row("end_time", "s", mean(values), mean(others), paired(values, others), margin)
     assert row.errors == pytest.approx(errors)
     assert row.agrees == (abs(errors) <= ERRORS)
+
+
+def test_late_actions_explain_differences_of_times_only():
+    runs = [summary(desim.run(game("sap"), seed)) for seed in (1, 2)]
+    margins = {name: _row(name, runs, runs, 0.5).margin for name in SHOWN}
+    assert {name for name, margin in margins.items() if margin} == {name for name in SHOWN if name.endswith("_time")}
 
 
 def test_one_run_is_no_comparison():

@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy import stats
 
 from desim import Links, Motion, Recording, Scenario, Team, bench, run
 from desim.analysis.drawing.palette import BLUE
@@ -132,6 +133,17 @@ def test_the_figure_has_the_totals_and_the_scores():
     assert {drawn[0].get_markerfacecolor() for drawn in totals.containers} == {"white", BLUE}
     assert [text.get_text() for text in scores.texts] == ["1.00", "0.75"]
     assert [text.get_text().partition(":")[0] for text in totals.get_legend().get_texts()] == ["quality", "score"]
+
+
+@pytest.mark.parametrize(("factor", "is_behind"), [(0.99, False), (1.01, True)])
+def test_a_protocol_is_behind_from_a_bound_for_all_ordered_pairs_on(factor, is_behind):
+    """Of 16 pairs, t at 1 - 0.05 / 6 with 15 degrees of freedom: three protocols have six ordered pairs."""
+    noise = np.array([1.0, -1.0] * 8)
+    least = factor * stats.t.ppf(1.0 - 0.05 / 6, 15) * noise.std(ddof=1) / 4.0
+    behind = 10.0 + least + noise
+    made = benchmark_of(perfect=[10.0] * 16, silent=[50.0] * 16, worse=(behind, behind), bad=([40.0] * 16, [40.0] * 16))
+    assert made.best == REFERENCE
+    assert (made.is_behind("worse"), made.is_behind("bad")) == (is_behind, True)
 
 
 @pytest.mark.slow
