@@ -312,7 +312,7 @@ def test_a_trace_names_no_code(mark, ran, monkeypatch):
             line["fault"] = {"kind": "evil:late"}
     (ran / "trace.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     for words in ("replay", ran), ("replay", "--allow-import", ran):
-        assert "fault: Input tag 'evil:late' found using 'kind' does not match" in refused(*words)
+        assert "line 7 is not an event: fault: there is no 'evil:late'; allowed: crash, partition" in refused(*words)
     with pytest.raises(ValueError, match="Input tag 'evil:late'"):
         list(run_folder.events(ran))
     assert not mark.exists()
