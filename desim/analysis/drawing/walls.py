@@ -9,9 +9,9 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 
 from desim.analysis.drawing.palette import GREY
-from desim.config.arrays import Floats
-from desim.kernel.walls.crossings import WallShape, are_inside
+from desim.kernel.walls.crossings import WallShape
 from desim.kernel.walls.wall import Wall
+from desim.pursuit.paths.corners import solid_side
 
 SOLID = "#333333"
 """A wall that blocks motion."""
@@ -35,14 +35,5 @@ def draw_walls(axes: Axes, walls: Sequence[Wall]) -> None:
 
 def _oriented(ring: WallShape, rings: Sequence[WallShape]) -> Path:
     """Return a ring that runs to the left, or to the right around a hole, so that holes are not filled."""
-    others = [other for other in rings if other is not ring]
-    is_hole = bool(others) and bool(are_inside(ring.corners[:1], others)[0])
-    is_left = _turn(ring.corners) > 0.0
-    corners = ring.corners if is_left != is_hole else ring.corners[::-1]
+    corners = ring.corners if solid_side(ring, rings) == "left" else ring.corners[::-1]
     return Path(np.vstack([corners, corners[:1]]), closed=True)
-
-
-def _turn(corners: Floats) -> float:
-    """Return a number that is positive if a ring runs to the left: twice its area, m^2."""
-    x, y = corners.T
-    return float(np.add.reduce(x * np.roll(y, -1) - y * np.roll(x, -1)))

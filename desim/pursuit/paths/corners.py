@@ -128,7 +128,7 @@ class Arrangement:
             rings = set[int]()
             for shape, chain in zip(wall, numbers, strict=True):
                 divided = self._divided(chain)
-                self._add_pieces(divided, _solid_side(shape, wall) if shape.closed else None)
+                self._add_pieces(divided, solid_side(shape, wall) if shape.closed else None)
                 if shape.closed:
                     rings |= set(divided)
             within = is_within(coordinates(self.places), wall)
@@ -194,7 +194,7 @@ def _mirrored(sides: frozenset[Side]) -> frozenset[Side]:
     return frozenset({"left": "right", "right": "left"}[side] for side in sides)  # type: ignore[misc]
 
 
-def _solid_side(shape: WallShape, wall: Sequence[WallShape]) -> Side:
+def solid_side(shape: WallShape, wall: Sequence[WallShape]) -> Side:
     """Return the side of a polygon, in the order of its corners, on which its wall is solid; of a hole, the outside."""
     x, y = shape.corners.T
     area = float(np.add.reduce(x * np.roll(y, -1) - y * np.roll(x, -1)))
