@@ -1,5 +1,6 @@
 """Legends that lie on data: they are moved out of the axes."""
 
+from collections.abc import Iterable
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -23,8 +24,7 @@ def uncover_data(figure: Figure) -> bool:
         assert legend is not None
         texts, title = [text.get_text() for text in legend.get_texts()], legend.get_title().get_text()
         size = legend.get_texts()[0].get_fontsize()
-        drawn, labels = axes.get_legend_handles_labels()
-        of_label: dict[str, Any] = dict(zip(labels, drawn, strict=True))  # with marks, which the handles may lack
+        of_label = handles_of([axes])  # with marks, which the handles may lack
         handles: list[Any] = [
             of_label.get(text, handle) for text, handle in zip(texts, legend.legend_handles, strict=True)
         ]
@@ -32,6 +32,11 @@ def uncover_data(figure: Figure) -> bool:
         columns = min(len(texts), MAX_COLUMNS)
         figure.legend(handles, texts, title=title, loc="outside lower center", ncols=columns, fontsize=size)
     return bool(covering)
+
+
+def handles_of(panels: Iterable[Axes]) -> dict[str, Any]:
+    """Return what a legend shows of the lines of several panels, by name."""
+    return {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
 
 
 def _legend_box(axes: Axes) -> Bbox | None:

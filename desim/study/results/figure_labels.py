@@ -6,6 +6,7 @@ from textwrap import fill
 from types import MappingProxyType
 from typing import Any
 
+from desim.analysis.drawing.legends import handles_of
 from desim.analysis.drawing.palette import MARKERS, SERIES
 from desim.analysis.drawing.plots import Axes, Figure, size_of
 from desim.analysis.metrics import unit_of as unit_of_metric
@@ -131,7 +132,7 @@ def title_of_legend(by: Sequence[str]) -> str | None:
 def add_legend(figure: Figure, title: str | None) -> None:
     """Add a legend below all panels, outside of their axes, if the lines have names; a single line is named, too."""
     width = figure.get_figwidth()
-    if handles := _handles(figure.axes):
+    if handles := handles_of(figure.axes):
         names = [_wrapped(name, width) for name in handles]
         look: dict[str, Any] = {"fontsize": 7, "title": title, "title_fontsize": 7}
         figure.legend(list(handles.values()), names, loc="outside lower center", ncols=_abreast(names, width), **look)
@@ -139,16 +140,11 @@ def add_legend(figure: Figure, title: str | None) -> None:
 
 def add_legend_above(axes: Axes, title: str | None) -> None:
     """Add a legend above axes of a figure that is not ours: only there it lies neither on data nor on labels."""
-    if handles := _handles([axes]):
+    if handles := handles_of([axes]):
         place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.01), "borderaxespad": 0.0}
         columns = _abreast(list(handles), axes.get_window_extent().width / axes.figure.dpi)
         look: dict[str, Any] = {"fontsize": 7, "title": title, "title_fontsize": 7, "frameon": False}
         axes.legend(list(handles.values()), list(handles), ncols=columns, **place, **look)
-
-
-def _handles(panels: Sequence[Axes]) -> dict[str, Any]:
-    """Return the marks of the lines of several panels by name."""
-    return {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
 
 
 def _wrapped(name: str, width: float) -> str:

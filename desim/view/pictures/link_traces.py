@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from desim.analysis.drawing.legends import handles_of
 from desim.analysis.drawing.palette import BLUE, GREY, LOST, LOST_MARK, SERIES
 from desim.analysis.drawing.plots import Axes, Figure, as_it_is, styled
 from desim.config.arrays import Bools, Floats
@@ -60,9 +61,7 @@ def link_traces(scenario: Scenario) -> Figure:
             _draw(axes, trace)
             axes.set_title(escaped(f"{key}: {trace.name}, column {trace.value}"), fontsize=9, **as_it_is(trace.name))
             axes.set(xlabel="time of the measurements (s)", ylabel=_y_label(trace))
-        handles = {
-            label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-        }
+        handles = handles_of(panels)
         columns = 5 if max(map(len, handles)) <= SHORT else 3
         figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns, fontsize=8)
     return figure
