@@ -302,6 +302,8 @@ def test_a_waterfall_has_a_bar_and_a_name_for_each_step_between_both_ends():
     """The steps go from the ideal 2 to 3.5; the last bar stands beside the last step."""
     ideal, loss, near, both, whole = (estimate([v - 0.1, v, v + 0.1]) for v in (2.0, 1.0, 0.25, 0.25, 3.5))
     cost: Any = SimpleNamespace(
+        label="idle time",
+        unit="s",
         ideal=ideal,
         as_it_is=whole,
         parts={"loss": SimpleNamespace(mean=loss), "range": SimpleNamespace(mean=near)},
@@ -314,6 +316,7 @@ def test_a_waterfall_has_a_bar_and_a_name_for_each_step_between_both_ends():
     assert [bar.get_x() + bar.get_width() / 2 for bar in axes.patches] == pytest.approx([0.0, 4.0, 1.0, 2.0, 3.0])
     assert [text.get_text() for text in axes.get_xticklabels()] == [IDEAL, "loss", "range", "interaction", AS_IT_IS]
     assert axes.get_xticks().tolist() == [0, 1, 2, 3, 4]
+    assert axes.get_ylabel() == "idle time (s)"
     assert [bar.get_y() for bar in axes.patches] == pytest.approx([0.0, 0.0, 2.0, 3.0, 3.25])
 
 

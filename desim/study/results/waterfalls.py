@@ -28,7 +28,6 @@ def waterfall(
         with in_style(style):
             (cost,) = explanation.costs.values()
             draw_waterfall(ax, cost)
-            ax.set_ylabel(literal(f"{cost.label} ({cost.unit})" if cost.unit else cost.label))
         return figure
     usual = portable_sum(max(4.4, BAR * _bars(cost)) for cost in explanation.costs.values())
     width, height = (usual, None) if size is None else size_of(size)
@@ -37,7 +36,6 @@ def waterfall(
             figure.subplots(1, len(explanation.costs), squeeze=False)[0], explanation.costs.values(), strict=True
         ):
             draw_waterfall(axes, cost)
-            axes.set_ylabel(literal(f"{cost.label} ({cost.unit})" if cost.unit else cost.label))
         title = f"{escaped(explanation.name)}: what imperfections cost, {explanation.runs} runs of equal seeds"
         if size is None:
             figure.suptitle(title, fontsize=9, parse_math=False)
@@ -80,6 +78,7 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
             names.append(name)
     axes.set_xticks(places, list(map(literal, names)), fontsize=8, rotation=35, ha="right", rotation_mode="anchor")
     axes.margins(y=0.08)
+    axes.set_ylabel(literal(f"{cost.label} ({cost.unit})" if cost.unit else cost.label))
 
 
 def _mark(axes: Axes, at: int, base: float, estimate: Estimate, form: str) -> None:
