@@ -94,10 +94,7 @@ class Crossover:
                 f"{words(self.metric)}: no crossing for {self.key} from {low:g} to {high:g}{unit}: {relation}"
                 f" throughout{doubt} ({tail})"
             )
-        ends = (
-            f"below {low:g}" if self.low == -inf else f"{self.low:.3g}",
-            (f"beyond {high:g}" if self.high == inf else f"{self.high:.3g}"),
-        )
+        interval = interval_text((self.low, self.high), self.span, self.confidence)
         crossings = len(self.crossings)
         several = f"; the means cross {crossings} times, and this is the last" * (crossings > 1)
         start = f"{self.at:.3g}{unit} on"
@@ -107,8 +104,7 @@ class Crossover:
             several = f"; the means cross{f' {crossings} times,' * (crossings > 1)} {last}at {self.at:.3g}{unit}"
             relation += "" if self.low == -inf else " any more"
         return (
-            f"{words(self.metric)}: {relation} from {self.key} = {start} ({100 * self.confidence:g} %"
-            f" interval {ends[0]} to {ends[1]}{unit}, Fieller, {tail}{several})"
+            f"{words(self.metric)}: {relation} from {self.key} = {start} ({interval}{unit}, Fieller, {tail}{several})"
         )
 
     def document(self) -> dict[str, Any]:
@@ -181,6 +177,13 @@ def interval_around(at: float, x: Sequence[float], undecided: Sequence[Crossover
     near = 1e-9 * (x[-1] - x[0])  # rounding may leave a crossing without scatter outside
     low, high = next((ends for ends in undecided if ends[0] - near <= at <= ends[1] + near), (at, at))
     return -inf if low <= x[0] else low, inf if high >= x[-1] else high
+
+
+def interval_text(ends: CrossoverInterval, span: CrossoverInterval, confidence: float) -> str:
+    """Return an interval with a confidence as text; an infinite end is beyond that of the values of the key."""
+    low = f"below {span[0]:g}" if ends[0] == -inf else f"{ends[0]:.3g}"
+    high = f"beyond {span[1]:g}" if ends[1] == inf else f"{ends[1]:.3g}"
+    return f"{100 * confidence:g} % interval {low} to {high}"
 
 
 def check_paired(result: SweepRuns, metric: str, confidence: float) -> None:

@@ -27,6 +27,7 @@ from desim.study.results.crossover import (
     covariance,
     curve,
     interval_around,
+    interval_text,
     paired_values,
     sign_changes,
     undecided_parts,
@@ -73,11 +74,7 @@ class Threshold:
         side = "over" if self.over > 0 else "under"
         subject = f"{words(self.metric)}: {{}} {amount} {side} its mean at {self.key} = {text(self.baseline)}{unit}"
         low, high = self.span
-        ends = (
-            f"below {low:g}" if self.low == -inf else f"{self.low:.3g}",
-            f"beyond {high:g}" if self.high == inf else f"{self.high:.3g}",
-        )
-        interval = f" ({100 * self.confidence:g} % interval {ends[0]} to {ends[1]}{unit})"
+        interval = f" ({interval_text((self.low, self.high), self.span, self.confidence)}{unit})"
         if self.is_beyond is None:
             where = f" is not decided at {self.key} = {high:g}{unit}"
             sentence = subject.format("whether it is more than") + where
