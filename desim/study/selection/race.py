@@ -196,13 +196,7 @@ class _Samples:
         self._plan, self._store, self._workers = plan, store, workers
         self._metric, self._first, self._timeout, self._bar = rules.metric, rules.first, timeout, bar
         self._places = {configuration.key: k for k, configuration in enumerate(plan.configurations)}
-        needed = {rules.metric, *dict(plan.metrics)}
-        self._rows: dict[tuple[int, int], Row] = {
-            (k, row.replication): row
-            for k, configuration in enumerate(plan.configurations)
-            for row in store.runs(configuration.key, plan.root)
-            if row.summary is not None and needed <= row.summary.keys()
-        }
+        self._rows = {(k, row.replication): row for k, row in plan.rows_done(store, {rules.metric})}
 
     def __call__(self, systems: Sequence[int], replication: int) -> list[float]:
         if any((system, replication) not in self._rows for system in systems):

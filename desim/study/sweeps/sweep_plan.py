@@ -21,6 +21,7 @@ from desim.study.plan.configurations import Configuration, SweepGrid, configurat
 from desim.study.plan.metric_code import units_and_codes
 from desim.study.results.runs import Group, SweepRuns
 from desim.study.store.properties import flat
+from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 
 Job = tuple[Configuration, int]
@@ -153,17 +154,19 @@ class SweepPlan:
         store.register_metrics(units_and_codes(self.metrics))
 
     def done(self, store: Store, metrics: Collection[str] = ()) -> set[tuple[str, int]]:
-        """Return the runs that are done, as pairs (hash of the configuration, replication).
+        """Return the runs that are done, as pairs (hash of the configuration, replication); see `rows_done`."""
+        return {(self.configurations[k].key, row.replication) for k, row in self.rows_done(store, metrics)}
+
+    def rows_done(self, store: Store, metrics: Collection[str] = ()) -> Iterator[tuple[int, Row]]:
+        """Yield the position of the configuration of each run that is done, and the run.
 
         A run is done if it is in the store, did not fail, and has the given metrics and those of the plan.
         """
         needed = {*metrics, *dict(self.metrics)}
-        return {
-            (configuration.key, row.replication)
-            for configuration in self.configurations
-            for row in store.runs(configuration.key, self.root)
-            if row.summary is not None and needed <= row.summary.keys()
-        }
+        for k, configuration in enumerate(self.configurations):
+            for row in store.runs(configuration.key, self.root):
+                if row.summary is not None and needed <= row.summary.keys():
+                    yield k, row
 
     def _properties_as_json(self) -> dict[str, str]:
         return {name: json.dumps(property_) for name, property_ in self.about.items()}
