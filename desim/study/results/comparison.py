@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from desim.analysis.measuring import check_numeric
-from desim.analysis.metrics import METRICS, title, words
+from desim.analysis.metrics import title, unit_of, words
 from desim.analysis.statistics import Estimate, independent, mean, paired
 from desim.analysis.table_formats import Table, TableFormat, formatted
 from desim.analysis.tables import as_json, counted, digits_of, with_half_width
@@ -117,7 +117,7 @@ class Comparison:
         at_once = f" at a level of 5 % for all {count} comparisons together (Bonferroni)" if count > 1 else ""
         significant = [pair for pair in judged if abs(pair[1].mean) > pair[1].half_width_at(1.0 - 0.05 / count)]
         compared, estimate = max(significant or judged, key=lambda pair: abs(pair[1].mean))
-        unit = METRICS[metric].unit if metric in METRICS else self.units[metric]
+        unit = unit_of(metric, self.units)
         runs = f"{compared.pairs} pairs of runs with the same seed" if compared.pairs else "independent runs"
         alone = " of it alone" * (count > 1)
         size = f"{with_half_width(estimate, estimate.count, '+', unit)} (95 % interval{alone}, {runs})"

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 from xml.etree import ElementTree
 
 from desim.analysis.drawing.palette import ON_DARK
-from desim.analysis.metrics import METRICS, words
+from desim.analysis.metrics import METRICS, unit_of, words
 from desim.analysis.statistics import Estimate
 from desim.analysis.tables import with_half_width
 from desim.config.file_names import STORE
@@ -222,7 +222,7 @@ def _greatest_difference(study: Study) -> Iterator[str]:
     value, first = (text(result.groups[group].settings[key]) for group in (k, other))
     other_settings = result.groups[k].in_words(without=[key])
     change = f"{value} instead of {first}{f' (with {other_settings})' if other_settings else ''}"
-    size = _size(estimate, METRICS[metric].unit if metric in METRICS else result.units[metric], count)
+    size = _size(estimate, unit_of(metric, result.units), count)
     if _excludes_0(estimate, count):
         among = (
             f" Of {count} paired differences, this is the greatest that is distinguishable from 0{_corrected(count)}."
