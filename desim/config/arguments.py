@@ -38,7 +38,7 @@ class Argument(NamedTuple):
         name, shown = type(value).__name__, repr(str(value) if is_path else value)
         code = self.instead.get("path" if is_path else name)
         if code is None:
-            return f"not a {name} (got {shown if len(shown) < MAX_SHOWN else shown[: MAX_SHOWN - 3] + '...'})"
+            return f"not a {name} (got {abridged(shown)})"
         what = "a path" if is_path else with_article(name)
         return f"not {what}: {code.format(function=function, value=shown)}"
 
@@ -46,6 +46,11 @@ class Argument(NamedTuple):
 RESULTS = Argument("the path of a folder with results", (str, PathLike), MappingProxyType({}))
 MAX_SHOWN = 60
 """The largest number of characters of a value that a message shows."""
+
+
+def abridged(text: str) -> str:
+    """Return a value as text, cut to what a message shows."""
+    return text if len(text) < MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."
 
 
 def scenario_argument(kind: type) -> Argument:

@@ -14,7 +14,7 @@ from pydantic import BaseModel, Tag, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from desim.config.arguments import with_article
+from desim.config.arguments import abridged, with_article
 from desim.config.choice import OneOf, choices_of
 from desim.config.error_texts import OF_EXCEPTIONS, text_of
 from desim.config.errors import KeyedError, KeyPath, Problem
@@ -25,9 +25,6 @@ from desim.config.model import Value, markers_of, models_in
 from desim.config.number_texts import why_no_number
 from desim.config.python_numbers import as_python
 from desim.config.tables import holds, value_at
-
-MAX_SHOWN = 60
-"""The largest number of characters of a value that an error message shows."""
 
 
 def problems_of_call(error: ValidationError, model: type[BaseModel], values: Mapping[str, Any]) -> tuple[Problem, ...]:
@@ -169,8 +166,7 @@ class Wording:
         is_text = error["type"] in NUMBERS and isinstance(error["input"], str)
         if is_text and (INFINITE.fullmatch(error["input"]) or why_no_number(error["input"])):
             return ""
-        text = self.written(error["input"])
-        return f" (got {text if len(text) < MAX_SHOWN else text[: MAX_SHOWN - 3] + '...'})"
+        return f" (got {abridged(self.written(error['input']))})"
 
 
 NUMBERS = {"float_type", "int_type"}

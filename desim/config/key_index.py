@@ -72,7 +72,12 @@ def homes_of(name: str, whole: type[BaseModel]) -> list[Key]:
     """
     names = {key.place[-1] for key in all_keys(whole)}
     wanted = name if name in names else next(iter(close_to(name, names, cutoff=0.8)), None)
-    matches = [key for key in all_keys(whole) if key.place[-1] == wanted]
+    return outermost(wanted, whole)
+
+
+def outermost(name: str | None, whole: type[BaseModel]) -> list[Key]:
+    """Return the outermost keys of the files of a model whose last part is `name`."""
+    matches = [key for key in all_keys(whole) if key.place[-1] == name]
     return [key for key in matches if len(key.place) == len(matches[0].place)]
 
 

@@ -9,7 +9,7 @@ from pydantic_core import PydanticCustomError
 from desim.config.arguments import naming_arguments
 from desim.config.choice import OneOf
 from desim.config.html import html_properties
-from desim.config.key_index import all_keys
+from desim.config.key_index import outermost
 from desim.config.model import MIN_PERIOD, RESOLUTION, Flag, Horizon, Length, Period, Recurring, Time, Value, in_forms
 from desim.config.packages import ENVIRONMENTS
 from desim.config.traits import kind_of
@@ -201,9 +201,7 @@ class Scenario(Value):
 
     def _instead_of(self, name: str) -> str:
         """Return what to write instead of an attribute that a scenario does not have: a key, or a function."""
-        places = [key for key in all_keys(Scenario) if key.place[-1] == name]
-        nearest = [key.dotted for key in places if len(key.place) == len(places[0].place)]
-        if nearest:
+        if nearest := [key.dotted for key in outermost(name, Scenario)]:
             return " or ".join(f"scenario.{key}" for key in dict.fromkeys(nearest[:2]))
         of_run = {"plot", "replay", "summary", "export"}
         others = ["plot(run(scenario))", "sweep(scenario, grid)", "play(scenario)", "scenario.with_({key: value})"]
