@@ -113,7 +113,7 @@ def _base(path: Path, sweep: SweepResult) -> dict[str, str]:
 
 
 def _changes(first: dict[str, str], second: dict[str, str]) -> dict[str, tuple[str, str]]:
-    keys = [*first, *(key for key in second if key not in first)]
+    keys = dict.fromkeys([*first, *second])
     pairs = {key: (first.get(key, "not there"), second.get(key, "not there")) for key in keys}
     return {key: pair for key, pair in pairs.items() if pair[0] != pair[1]}
 

@@ -77,8 +77,7 @@ def _differences(key: str, first: Any, second: Any) -> Iterator[Difference]:
     if first == second:
         return
     if _is_alike(first, second):
-        names = [*first, *(name for name in second if name not in first)]
-        for name in names:
+        for name in dict.fromkeys([*first, *second]):
             yield from _differences(f"{key}.{name}".lstrip("."), first.get(name), second.get(name))
     elif isinstance(first, list) and isinstance(second, list) and _pairs_up(first, second):
         for k, (first_entry, other_entry) in enumerate(zip(first, second, strict=True)):
