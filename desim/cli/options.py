@@ -151,7 +151,7 @@ def is_import_allowed() -> bool:
     return bool(click.get_current_context().meta.get(ALLOWED))
 
 
-def option_words(options: Mapping[str, Any]) -> list[str]:
+def as_words(options: Mapping[str, Any]) -> list[str]:
     """Return the words of options and their values, by option, for a command that a message or a script has.
 
     None and False stand for an option that is left out, True for a flag, and a tuple for one that is repeated.

@@ -9,18 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from desim.cli.options import (
-    ALLOW_IMPORT,
-    COUNT,
-    JOBS,
-    JSON,
-    METRIC,
-    SEED,
-    SET,
-    TIMEOUT,
-    is_import_allowed,
-    option_words,
-)
+from desim.cli.options import ALLOW_IMPORT, COUNT, JOBS, JSON, METRIC, SEED, SET, TIMEOUT, as_words, is_import_allowed
 from desim.cli.output import echo, fail, make_folder
 from desim.cli.sources import add_metrics, shown_metrics, source_of, valid
 
@@ -211,7 +200,7 @@ def _how_to_keep(file: Path | None, scenario: "Scenario", count: int) -> str:
         "--metric": typed["metrics"],
         "--allow-import": is_import_allowed(),
     }
-    return f"; to keep each run and resume, make a sweep: desim sweep {shlex.join([str(file), *option_words(options)])}"
+    return f"; to keep each run and resume, make a sweep: desim sweep {shlex.join([str(file), *as_words(options)])}"
 
 
 def _scenario_to_run(

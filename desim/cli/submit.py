@@ -21,8 +21,8 @@ from desim.cli.options import (
     SEED,
     SET,
     TIMEOUT,
+    as_words,
     is_import_allowed,
-    option_words,
 )
 from desim.cli.output import echo, fail, folder_for, storing
 from desim.cli.sources import shown_metrics, source_of
@@ -127,7 +127,7 @@ def submit(
         missing = _missing(job, plan, folder, shown_metrics(scenario, metrics, SHOWN))
         live = array_job.states(job.jobs)
         numbers = [part for part in missing if part not in live]
-        merge = [*DESIM, "merge", *option_words({"--mix-versions": mix_versions})]
+        merge = [*DESIM, "merge", *as_words({"--mix-versions": mix_versions})]
         if not numbers:
             _tell_nothing_to_do(bool(missing), folder, merge)
             return
@@ -142,7 +142,7 @@ def submit(
             "--allow-import": is_import_allowed(),
         }
         resources = array_job.Resources(time=time, cpus=cpus, memory=memory, options=sbatch)
-        _write_scripts(job, folder, ["sweep", str(file), *option_words(options)], merge, numbers, resources)
+        _write_scripts(job, folder, ["sweep", str(file), *as_words(options)], merge, numbers, resources)
         which = f"{counted(len(numbers), 'part')} of {parts}"
         if is_run:
             _submit_scripts(job, folder, which)
