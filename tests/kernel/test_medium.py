@@ -16,7 +16,7 @@ from desim.kernel.models.access import Aloha, CsmaCa, Tdma
 from desim.kernel.models.interference import LoRaInterference
 from desim.kernel.models.latency import Constant, Gamma, Propagation, ShiftedExponential, Uniform
 from desim.kernel.models.links import Links
-from desim.kernel.models.medium import Bitrate, LoRa, Unlimited
+from desim.kernel.models.medium import Bitrate, LoRa, Unlimited, airtime_of
 from desim.kernel.models.presets import PRESETS
 from tests.golden import golden
 
@@ -144,6 +144,20 @@ def test_the_airtime_of_a_message_is_that_of_the_slowest_node():
     medium = LoRa(access=Aloha(), spreading_factors=(7, 12, 9))
     assert medium(24) == medium.airtime(24, 1) == LoRa(spreading_factor=12)(24)
     assert medium.airtime(24, 0) == LoRa()(24)
+
+
+class SlowerByNode(LoRa):
+    """A medium of a user: each node takes a tenth of a second longer than the one before."""
+
+    def airtime(self, size, node):
+        return 0.1 * (node + 1)
+
+
+def test_a_medium_of_a_user_is_asked_for_the_airtime_of_each_node():
+    medium = SlowerByNode(access=Aloha(), spreading_factors=(7, 8, 9))
+    assert airtime_of(medium, 24, 3) == pytest.approx(0.3)
+    with pytest.raises(ValueError, match=r"should have one for each of 4 nodes \(got 3\)"):
+        airtime_of(medium, 24, 4)
 
 
 # Presets.

@@ -40,7 +40,11 @@ def test_the_range_is_inclusive_and_follows_the_positions():
 @pytest.mark.parametrize(
     ("graph", "reach", "why"),
     [
-        (nx.Graph([(1, 2), (2, 3)]), inf, r"0 \.\. 2"),
+        (nx.Graph([(1, 2), (2, 3)]), inf, r"0 \.\. 2, got \[1, 2, 3\]$"),
+        (nx.path_graph(["b", "a"]), inf, r"0 \.\. 1, got \['a', 'b'\]$"),
+        (nx.path_graph(["x" * 30, "y"]), inf, r"got \['x{19}, 'y'\]$"),
+        (nx.path_graph(range(10, 21)), inf, r"got \[10, 11, 12, 13, 14, 15, 16, 17, 18, 19, \.\.\.\]$"),
+        (nx.path_graph(range(10, 20)), inf, r"got \[10, 11, 12, 13, 14, 15, 16, 17, 18, 19\]$"),
         (nx.Graph([(0, 1), (1, 1)]), inf, r"linked to itself, got \[1\]"),
         (nx.complete_graph(2), 1.0, "needs positions"),
     ],
