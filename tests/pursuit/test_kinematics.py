@@ -16,7 +16,7 @@ from desim.pursuit.core.events import Ended
 from desim.pursuit.core.state import lengths
 from desim.pursuit.evaders import evader
 from desim.pursuit.evaders.evasion import Still
-from desim.pursuit.motion.dynamics import Acceleration, TurnRate
+from desim.pursuit.motion.dynamics import Acceleration, Courses, TurnRate
 from desim.pursuit.motion.guidance import ConstantBearing, PurePursuit
 from desim.pursuit.motion.inertia import InertialKinematics
 from desim.pursuit.motion.kinematics import Kinematics
@@ -233,3 +233,21 @@ def test_positions_at_times_of_the_present_piece_are_those_of_these_times():
         there = players.positions_at(np.full(4, player), np.array(times))
         assert there.tolist() == [positions[player] for positions in seen]
     assert told == [(SECOND // 3, [0, 0, 0]), (SECOND, [1 / 3, 2j, -1 + 0.1j])]
+
+
+@pytest.mark.parametrize("drifts", [None, np.array([0.5j, 1 + 0j])])
+@pytest.mark.parametrize("inertial", [False, True])
+def test_what_is_observed_elsewhere_replaces_the_motions_after_a_call_that_sees_the_old_ones(inertial, drifts):
+    """Half a second after the observation, players are half a second farther; those with inertia have none to lose."""
+    env, told, start = Clock(), [], np.array([0j, 1 + 1j])
+    kinds = [Acceleration(limit=1.0)] * 2
+    players = InertialKinematics(env, start, kinds, np.ones(2, complex)) if inertial else Kinematics(env, start)
+    players.before_change(lambda: told.append(players.positions().tolist()))
+    env.run(until=SECOND)
+    places, commands = np.array([4 + 0j, 2j]), np.array([1j, -2 + 0j])
+    players.observe(SECOND // 2, places, Courses(commands, commands), commands, drifts)
+    assert told == [start.tolist()]
+    expected = places + (commands + (0 if drifts is None else drifts)) / 2
+    assert players.positions().tolist() == pytest.approx(expected.tolist())
+    assert players.positions_of([1]).tolist() == pytest.approx(expected[1:].tolist())
+    assert not places.flags.writeable
