@@ -206,3 +206,26 @@ def test_a_constant_of_another_language_is_told_as_toml_writes_it(tmp_path):
             (tmp_path / "f.toml").write_text(f"horizon = {word}\n")
             said = refused("check", tmp_path / "f.toml")
             assert f"f.toml:1: not TOML: horizon should be {meant} instead of {word}" in said
+
+
+UNITS = {
+    # what is meant by six of each unit, by the unit of the key
+    "horizon": {"s": "6", "sec": "6", "ms": "0.006", "us": "6e-06", "ns": "6e-09", "min": "360", "MS": "0.006"},
+    "capture.radius": {"m": "6", "km": "6000", "cm": "0.06", "mm": "0.006"},
+    "network.loss.p": {"%": "0.06"},
+}
+FORMS = {"horizon": "a number, in s", "capture.radius": "a number, in m", "network.loss.p": "a number from 0 to 1"}
+
+
+@pytest.mark.parametrize("key", UNITS)
+def test_a_number_with_a_unit_is_told_in_that_of_its_key(key):
+    for unit in {unit for units in UNITS.values() for unit in units} | {"h", "mi"}:
+        for text in (f"6{unit}", f"6 {unit}", f"6.0 {unit}"):
+            with pytest.raises(ValueError, match=re.escape(key)) as refusal:
+                SHORT.with_({key: text})
+            said = (
+                f"should be {FORMS[key]}: {UNITS[key][unit]} instead of the text {text!r}"
+                if unit in UNITS[key]
+                else f"should be a number without a unit (got {text!r})"
+            )
+            assert f"{key}: {said}" in str(refusal.value)
