@@ -206,6 +206,65 @@ def test_an_attribute_that_is_not_read_is_named(tmp_path, kind, name):
     assert told(plain(tmp_path, kind, latency=0.01)) == []
 
 
+NAMES_OF_ATTRIBUTES = {
+    "latency, in s": "delay linkdelay propagationdelay lat ping LATENCY Link_Delay latency_ms delay(us) ping[ns]",
+    "twice the latency, in s": "rtt roundtriptime round-trip-time rtt_s",
+    "loss, from 0 to 1": "packetloss packetlossrate packetlossratio lossrate lossratio lossprobability plr per droprate"
+    " dropprobability packeterrorrate errorrate loss_percent packet-loss[%] loss_pct",
+    "1 - loss": "prr pdr reliability deliveryratio receptionratio PRR_%",
+    "a latency with a kind, such as uniform": "jitter delayvariation jitter_sec",
+    "network.medium, one for all links": "bandwidth bitrate datarate capacity throughput rate rate_bps bitrate_kbps"
+    " bandwidth(Mbps) rate[Gbps]",
+}
+DRAWINGS = "id key label name color colour shape shape_type size viz graphics style description url pid parents Color"
+DRAWINGS += " thickness interaction selected weight_label"
+PLACES = "pos position x y z lat latitude lon lng long longitude coordinates X"
+
+
+def notes_of(name, *, of_node=False):
+    """Return the notes about a graph of which a node or an edge has an attribute of a name."""
+    graph = nx.path_graph(2)
+    (graph.nodes[0] if of_node else graph.edges[0, 1])[name] = 0.5
+    return Edges.of(graph).notes
+
+
+@pytest.mark.parametrize("meaning", NAMES_OF_ATTRIBUTES)
+def test_what_an_attribute_of_an_edge_may_mean_is_told(meaning):
+    for name in NAMES_OF_ATTRIBUTES[meaning].split():
+        (note,) = notes_of(name)
+        assert note.startswith(f"edges have attributes that are not read: {name} (did you mean {meaning}?);")
+
+
+def test_attributes_that_draw_a_graph_are_not_told_and_places_are():
+    for name in DRAWINGS.split():
+        assert notes_of(name) == notes_of(name, of_node=True) == ()
+    for name in PLACES.split():
+        (note,) = notes_of(name, of_node=True)
+        assert f"not read: {name} (team.positions has initial positions, in m);" in note
+
+
+OTHER_FORMATS = {
+    "dot": "nx.nx_pydot.read_dot",
+    "gv": "nx.nx_pydot.read_dot",
+    "mtx": "scipy.io.mmread and nx.from_scipy_sparse_array",
+    "g6": "nx.read_graph6",
+    "s6": "nx.read_sparse6",
+    "leda": "nx.read_leda",
+    "npy": "nx.from_numpy_array",
+    "lgl": "igraph.Graph.Read_Lgl(...).to_networkx",
+    "gdf": "a script of yours",
+}
+
+
+@pytest.mark.parametrize("ending", OTHER_FORMATS)
+def test_what_reads_another_format_is_told(tmp_path, ending):
+    (tmp_path / f"net.{ending}").write_text("0 1\n")
+    with pytest.raises(
+        ValueError, match=rf"\.{ending} is not read; in Python, {re.escape(OTHER_FORMATS[ending])} reads it"
+    ):
+        read(tmp_path / f"net.{ending}")
+
+
 @pytest.mark.parametrize("kind", ATTRIBUTED)
 def test_milliseconds_are_noticed_and_texts_are_refused(tmp_path, kind):
     """50 as a latency in s is longer than the horizon; 10 ms and 0.2 as texts are no numbers."""
