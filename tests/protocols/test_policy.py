@@ -39,6 +39,14 @@ def test_a_network_is_its_formula(activation):
     assert network(layers, activation)(x.tolist()) == pytest.approx((second @ hidden + bias[1]).tolist())
 
 
+@pytest.mark.parametrize("lead", [-3.0, -1e-6, 0.0, 1e-6, 0.5, 3.0])
+@pytest.mark.parametrize("late", [-2.0, -1e-6, 0.0, 1e-6, 0.25, 2.0])
+def test_the_score_without_weights_is_positive_for_who_is_first_and_in_time(lead, late):
+    (score,) = network(Policy().layers, Policy().activation)([lead, late])
+    assert score == pytest.approx(1.0 - 1e9 * max(lead, 0.0) - 1e9 * max(late, 0.0))
+    assert (score > 0.0) == (lead <= 0.0 and late <= 0.0)
+
+
 def test_without_weights_it_is_local_min():
     """On a complete graph and with one evader, local_min asks no more than who is first and in time."""
     assert lines(small(Policy())) == lines(small(LocalMin()))
