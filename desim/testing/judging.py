@@ -120,11 +120,12 @@ def subject(model: Any, family: OneOf, noun: str) -> Subject:
     """
     name = model if isinstance(model, str) else model.__name__ if isinstance(model, type) else name_of(model)
     chosen: Any = create_model("Given", __base__=Value, model=(Annotated[Any, family], ...))
-    made = model
+    made: Any = model
     try:
         made = model() if isinstance(model, type) else model
         context = {"allow_import": True, "folder": Path.cwd()}
-        made = chosen.model_validate({"model": made}, context=context).model
+        checked: Any = chosen.model_validate({"model": made}, context=context)
+        made = checked.model
     except ValidationError as error:
         texts = (_problem(problem) for problem in WORDINGS["call"](error, chosen, {"model": made}))
         raise ContractError(f"{name} is not {with_article(noun)}: {'; '.join(texts)}") from error

@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Iterable
+from typing import Any
 
 from desim.analysis.properties import Stated, judge, stated
 from desim.config.arguments import naming_arguments, scenario_argument
@@ -32,7 +33,8 @@ def assert_holds(scenario: Scenario, prop: Stated, seeds: Iterable[int] = range(
     if not prop.can_fail(scenario):
         raise ValueError(f"property {prop.text!r} says nothing: {CANNOT_FAIL}")
     recorded = recording(scenario, [prop])
-    if isinstance(seeds, str) or not isinstance(seeds, Iterable):
+    numbers: Any = seeds
+    if isinstance(numbers, str) or not isinstance(numbers, Iterable):
         raise ValueError(f"seeds should be a list of integers (got {seeds!r})")
     seeds = [*seeds]
     if not seeds:

@@ -53,7 +53,8 @@ class TraceFile:
     """
 
     def __init__(self, path: str | Path):
-        if not isinstance(path, str | PathLike) or not Path(path).name:
+        place: Any = path
+        if not isinstance(place, str | PathLike) or not Path(place).name:
             raise ValueError(f"TraceFile takes the path of a file (got {path!r})")
         self._path = Path(path)
         self._part = self._path.with_name(self._path.name + ".part")

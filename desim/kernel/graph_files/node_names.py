@@ -63,7 +63,7 @@ def numbered(graph: "nx.Graph[Any]") -> Numbering:
 
 def _name(node: Any, number: int) -> str:
     """Return the name of a node; that of an object without a text of its own has no address, which differs by run."""
-    kind = type(node)
+    kind: Any = type(node)
     is_default = kind.__repr__ is object.__repr__ and kind.__str__ is object.__str__
     return f"{kind.__name__} {number}" if is_default else str(node)
 

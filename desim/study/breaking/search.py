@@ -241,9 +241,10 @@ def features_of(
     Raises:
         ValueError: if there is no feature of a name, there are none at all, or the scenario takes no such value.
     """
-    names = [*FEATURES] if names is None else [names] if isinstance(names, str) else names
-    if not isinstance(names, Collection) or not all(isinstance(name, str) for name in names):
+    listed: Any = [*FEATURES] if names is None else [names] if isinstance(names, str) else names
+    if not isinstance(listed, Collection) or not all(isinstance(name, str) for name in listed):
         raise ValueError(f"features should be a list of names (got {names!r}); there are {', '.join(FEATURES)}")
+    names = list(listed)
     if not isinstance(vary, Mapping):
         raise ValueError(f"vary should be lists of values by key, {{'team.count': [3, 5]}} for instance (got {vary!r})")
     if unknown := [name for name in names if name not in FEATURES]:

@@ -331,7 +331,7 @@ def names_of_metrics(metrics: Sequence[str]) -> Sequence[str]:
     Raises:
         ValueError: if they are no names.
     """
-    names = [metrics] if isinstance(metrics, str) else metrics
+    names: Any = [metrics] if isinstance(metrics, str) else metrics
     if not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
         raise ValueError(f"names of metrics or columns should be a list of texts, ['active_time'] (got {metrics!r})")
     return names
