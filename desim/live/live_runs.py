@@ -81,7 +81,7 @@ def runs(
         raise ValueError(f"at_once should be at least 1 (got {at_once})")
     if links not in get_args(LinkKind):
         raise ValueError(f"links should be {', '.join(map(repr, get_args(LinkKind)))} (got {links!r})")
-    told: tuple[Any, ...] = (tell, finished or tell)
+    told: tuple[Any, ...] = (tell, tell if finished is None else finished)
     if not all(map(callable, told)):
         raise ValueError(f"tell and finished should be functions (got {tell!r} and {finished!r})")
     if hosts is not None:

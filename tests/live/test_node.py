@@ -526,7 +526,7 @@ WRONG_RUNS = {
     "the seed should be": [{"seeds": [1.5]}, {"seeds": [-1]}],
     "at_once should be": [{"at_once": 0}, {"at_once": "1"}, {"at_once": 1.5}, {"at_once": nan}],
     "links should be 'drawn', 'namespaces', 'netem'": [{"links": "real"}, {"links": None}, {"links": 1}],
-    "tell and finished should be functions": [{"tell": None}, {"finished": 3}],
+    "tell and finished should be functions": [{"tell": None}, {"finished": 3}, {"finished": 0}],
     "hosts should be a list of names": [{"hosts": "abc"}, {"hosts": 3}, {"hosts": [1, 2, 3]}, {"hosts": [None] * 3}],
     "a host should have a name": [{"hosts": [""] * 3}],
     "hosts should be one for each of the 3": [{"hosts": ["127.0.0.1"]}],
