@@ -153,6 +153,8 @@ class SteppedNetwork:
         """Create the network of an episode, at time 0; nothing has changed if an argument is wrong."""
         if not isinstance(trace, Trace | None):
             raise ValueError(f"trace should be a desim.kernel.core.events.Trace (got {trace!r})")
+        if trace is not None and trace.events:
+            raise ValueError(f"trace has {len(trace):,} events of another episode: give a new Trace()")
         seed, size, clock = seed_of(seed), len(self._nodes), Clock()
         places = SteppedPositions(clock, self._nodes)
         if positions is not None:

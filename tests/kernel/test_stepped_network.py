@@ -909,3 +909,12 @@ def test_the_class_of_graphs_is_no_graph():
         SteppedNetwork(nx.Graph)
     with pytest.raises(ValueError, match="graph: should"):
         Links(graph=nx.Graph)
+
+
+def test_a_trace_of_an_episode_is_not_taken_for_the_next():
+    trace = Trace()
+    network = SteppedNetwork(2, trace=trace)
+    network.send(0, 1, "x")
+    network.step(0.1)
+    with pytest.raises(ValueError, match=r"trace has \d+ events of another episode: give a new Trace"):
+        network.reset(1, trace=trace)

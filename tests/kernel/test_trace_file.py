@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
+from desim import Scenario, Team, run
 from desim.kernel.core.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
 from desim.kernel.core.records import Record
 from desim.kernel.core.trace_file import BLOCK, LONG, TraceFile, events_of, line_of
@@ -246,8 +247,25 @@ def written(path, events):
 @pytest.mark.parametrize("count", [0, 1, BLOCK - 1, BLOCK, 2 * BLOCK + 3])
 @pytest.mark.parametrize("receivers", [2, LONG, LONG + 1])
 def test_a_file_has_all_events_in_order_whatever_is_written_together(tmp_path, count, receivers):
-    events = [*beating(count), broadcast(receivers), *beating(2)]
+    last = [event._replace(t=event.t + count) for event in beating(2)]
+    events = [*beating(count), broadcast(receivers)._replace(t=count), *last]
     assert written(tmp_path / "trace.jsonl", events) == "".join(map(line_of, events)).encode()
+
+
+def test_a_trace_file_is_of_one_run_and_is_written_in_its_block(tmp_path):
+    scenario = Scenario(team=Team(count=2), horizon=0.1)
+    with pytest.raises(ValueError, match=r"a TraceFile is written in a with block: with TraceFile\(.*\) as file: run"):
+        run(scenario, 1, TraceFile(tmp_path / "trace.jsonl"))
+    file = TraceFile(tmp_path / "trace.jsonl")
+    with pytest.raises(ValueError, match=r"an event at 0 s comes after one at 0\.1 s: a TraceFile is of one run"), file:
+        for seed in (1, 2):
+            run(scenario, seed, file)
+    assert not (tmp_path / "trace.jsonl").exists()
+    with file:
+        run(scenario, 1, file)
+    assert (tmp_path / "trace.jsonl").exists()
+    with pytest.raises(ValueError, match="a TraceFile is written in a with block"):
+        run(scenario, 1, file)
 
 
 KILLED = """

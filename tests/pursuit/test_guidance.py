@@ -215,3 +215,15 @@ def test_simultaneous_moves_work_with_sampled_capture_and_a_user_guidance_law():
 
     found = capture(lead, v_e=0.0, capture=Capture(test="sample"), step=0.25)
     assert found == 1.5  # 2.9 / 2 = 1.45 s, at the next sample
+
+
+@pytest.mark.parametrize("count", [1, 30])
+def test_a_law_cannot_change_the_speeds_of_the_team(count):
+    """`speeds *= 2` would let it exceed them."""
+
+    def fast(gaps, aims, evader_velocity, speeds):
+        speeds *= 2.0
+        return speeds + 0j
+
+    with pytest.raises(ValueError, match="read-only"):
+        run(Scenario(team=Team(count=count, guidance=fast, active_at_start=1.0), horizon=1.0), 1)

@@ -59,14 +59,26 @@ class TraceFile:
         self._path = Path(path)
         self._part = self._path.with_name(self._path.name + ".part")
         self._block: list[Event] = []
+        self._file: Any = None
+        """The file that is written; None outside of the `with` block."""
+        self._last = 0
+        """The time of the last event, ns."""
 
     def __enter__(self) -> Self:
-        self._file = self._part.open("w", encoding="utf-8", newline="\n")
+        self._file, self._last = self._part.open("w", encoding="utf-8", newline="\n"), 0
         return self
 
     def __call__(self, event: Event) -> None:
-        """Write an event."""
-        block = self._block
+        """Write an event.
+
+        Raises:
+            ValueError: outside of the `with` block, or if an event is earlier than the one before, as that of another
+                run.
+        """
+        block, t = self._block, event.t
+        if t < self._last or self._file is None:
+            raise self._misused(t)
+        self._last = t
         block.append(event)
         if len(block) >= BLOCK or (type(event) is Broadcast and len(event.dst) > LONG):
             self._write()
@@ -76,8 +88,19 @@ class TraceFile:
             self._write()
         finally:
             self._file.close()
+            self._file = None
         if error is None:
             self._part.replace(self._path)
+
+    def _misused(self, t: int) -> ValueError:
+        """Return the error about an event at a time, ns, that cannot be written."""
+        if self._file is None:
+            how = f"with TraceFile({str(self._path)!r}) as file: run(scenario, seed, file)"
+            return ValueError(f"a TraceFile is written in a with block: {how}")
+        return ValueError(
+            f"{self._path}: an event at {t / SECOND:g} s comes after one at {self._last / SECOND:g} s: a TraceFile is"
+            " of one run, so each run needs its own"
+        )
 
     def _write(self) -> None:
         """Write the events of the block; after an error, those before it are written, and those after it are not."""

@@ -8,7 +8,7 @@ and velocities are complex numbers, as in `desim.pursuit.core.state`.
 from collections.abc import Mapping
 from math import sqrt
 from types import MappingProxyType
-from typing import ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
@@ -138,9 +138,9 @@ def guided_velocities(
     Raises:
         ValueError: if a user's law returns anything else than N velocities, or exceeds the speed of a pursuer.
     """
-    velocities = law(gaps, aims, evader_velocity, speeds)
     if is_ours(type(law)):
-        return velocities
+        return law(gaps, aims, evader_velocity, speeds)
+    velocities = law(_read_only(gaps), _read_only(aims), evader_velocity, _read_only(speeds))
     checked = array_of(velocities)
     if checked.dtype.kind not in "iufc" or checked.shape != speeds.shape:
         expected = f"an array of {len(speeds)} velocities, complex numbers in m/s, one for each pursuer in the call"
@@ -149,6 +149,13 @@ def guided_velocities(
     if not (lengths(checked) <= speeds * (1.0 + 1e-9)).all():
         raise wrong_answer(f"velocities should be within the speeds {speeds} m/s", velocities, law)
     return checked
+
+
+def _read_only(array: Any) -> Any:
+    """Return a view of an array that a user's law cannot change: it would change the speeds of the team."""
+    view = array.view()
+    view.setflags(write=False)
+    return view
 
 
 def guided_velocity(law: Guidance, gap: complex, aim: complex, evader_velocity: complex, speed: float) -> complex:
