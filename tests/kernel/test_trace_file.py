@@ -258,8 +258,7 @@ def test_a_trace_file_is_of_one_run_and_is_written_in_its_block(tmp_path):
         run(scenario, 1, TraceFile(tmp_path / "trace.jsonl"))
     file = TraceFile(tmp_path / "trace.jsonl")
     with pytest.raises(ValueError, match=r"an event at 0 s comes after one at 0\.1 s: a TraceFile is of one run"), file:
-        for seed in (1, 2):
-            run(scenario, seed, file)
+        _ = [run(scenario, seed, file) for seed in (1, 2)]
     assert not (tmp_path / "trace.jsonl").exists()
     with file:
         run(scenario, 1, file)
