@@ -12,6 +12,8 @@ from struct import Struct
 from types import FunctionType
 from typing import Any
 
+import numpy as np
+
 from desim.config.extras import naming_extras
 from desim.config.traits import is_ours, module_of
 from desim.kernel.core.records import Record
@@ -66,6 +68,8 @@ class OwnBodies:
         """Return a value of plain types, in which each collection has its tag."""
         if type(value) in PLAIN:
             return value
+        if isinstance(value, np.generic) and type(plain := value.item()) in PLAIN:
+            return plain  # a number of numpy arrives as one of Python
         if type(value) in self._names:
             return ["o", self._names[type(value)], *map(self._tagged, self._parts(value))]
         if type(value) in {tuple, list}:

@@ -8,6 +8,7 @@ from math import inf
 from random import Random
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -263,6 +264,21 @@ def test_a_body_that_would_not_arrive_as_it_is_is_refused_when_it_is_sent(body, 
     pytest.importorskip("msgspec")
     with pytest.raises(WireError, match=f"a body of type {why}"):
         OwnBodies(protocol).pack("", body)
+
+
+@pytest.mark.parametrize(
+    ("number", "plain"),
+    [
+        *[(np.float64(0.1), 0.1), (np.float32(0.5), 0.5), (np.int64(-3), -3), (np.uint8(7), 7), (np.True_, True)],
+        *[(np.str_("a"), "a"), (np.array([0.5, 1.5])[1], 1.5), ([np.float64(0.5), {"a": np.int8(1)}], [0.5, {"a": 1}])],
+    ],
+)
+def test_numbers_of_numpy_are_sent_as_those_of_python(number, plain):
+    """A protocol that computes with numpy runs live as it runs simulated."""
+    bodies = OwnBodies(None)
+    port, body = bodies.unpack(bodies.pack("port", number))
+    assert (port, body) == ("port", plain)
+    assert type(body) is type(plain)
 
 
 def test_the_classes_of_a_protocol_with_parameters_are_those_of_its_function():
