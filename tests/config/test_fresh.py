@@ -938,6 +938,7 @@ def test_a_metric_that_reads_a_list_of_its_earlier_values_is_warned_of():
 
 
 def test_state_that_metrics_change_between_runs_is_warned_of():
+    Counting.calls.clear()  # as other tests of this process may have left it
     scenario = Scenario(team=Team(count=2), network=Links(latency=Counting()), horizon=0.3)
     result = run(scenario, 1)
     calls = len(Counting.calls)
