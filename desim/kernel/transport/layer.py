@@ -191,10 +191,8 @@ class TransportLayer:
 
         A frame of a sender that has lost its memory since is ignored.
         """
-        flow, receivers = (
-            _new(MessageFlow, (src, None if frame.to_all else node, frame.port)),
-            self._nodes[node].receivers,
-        )
+        flow = _new(MessageFlow, (src, None if frame.to_all else node, frame.port))
+        receivers = self._nodes[node].receivers
         receiver = receivers.get(flow)
         if receiver is not None and receiver.session > frame.session:
             return
@@ -204,8 +202,8 @@ class TransportLayer:
         for seq, message, attempt in arrived:
             self._deliver(node, flow, seq, message, attempt, transport)
         if isinstance(receiver, ReliableReceiver) and isinstance(transport, Reliable):
-            received = receiver.expected, receiver.beyond()
-            answer = _new(Acknowledgement, (frame.port, frame.to_all, frame.session, *received))
+            received = frame.port, frame.to_all, frame.session, receiver.expected, receiver.beyond()
+            answer = _new(Acknowledgement, received)
             self._log.acknowledgements += 1
             message = _new(Message, (node, self._env.now, answer))
             self._transmit_frame(node, src, message, acknowledgement_size(transport.window))

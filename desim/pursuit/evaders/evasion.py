@@ -338,7 +338,7 @@ def _turns(count: int) -> Points:
 
 def away(state: State) -> complex:
     """Return the heading straight away from the nearest pursuer; 0 at distance 0 or without pursuers."""
-    return unit(complex(state.offsets[state.nearest])) if state.nearest >= 0 else 0j
+    return unit(state.offsets.item(state.nearest)) if state.nearest >= 0 else 0j
 
 
 def first_captures(state: EvaderObservation, headings: Points) -> Floats:
