@@ -229,3 +229,31 @@ def test_a_number_with_a_unit_is_told_in_that_of_its_key(key):
                 else f"should be a number without a unit (got {text!r})"
             )
             assert f"{key}: {said}" in str(refusal.value)
+
+
+RENAMED = {
+    "belief_timeout": ("forget_after", "announce.belief_timeout"),
+    "dissemination": ("spread", "announce.dissemination"),
+    "flees_from": ("heeds", "evader.strategy.flees_from"),
+    "holding_time": ("hold", "protocol.schedule.holding_time"),
+    "loss": ("packet_loss", "network.loss"),
+    "normally": ("otherwise", "evader.strategy.normally"),
+    "on_lost": ("when_lost", "sensing.on_lost"),
+    "participation": ("q", "protocol.schedule.participation"),
+    "reaction_delay": ("reaction", "evader.reaction_delay"),
+    "reception": ("reach", "network.reception"),
+    "reheat_on": ("surprises", "protocol.tau.reheat_on"),
+    "schedule": ("of", "protocol.schedule"),
+    "sensing_range": ("sight", "evader.sensing_range"),
+    "static": ("frozen", "motion.static"),
+    "track_timeout": ("lost_after", "sensing.track_timeout"),
+    "winner_timeout": ("patience", "protocol.winner_timeout"),
+}
+
+
+@pytest.mark.parametrize("key", RENAMED)
+def test_a_renamed_key_is_suggested_where_it_is_now(key):
+    """Also if another key at the top is similar to its old name, as seed is to heeds."""
+    word, place = RENAMED[key]
+    with pytest.raises(ValueError, match=rf"^Scenario: {word}: unknown key, did you mean {re.escape(place)}\?;"):
+        Scenario(**{word: 1})

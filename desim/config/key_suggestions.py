@@ -90,12 +90,16 @@ def other_key(place: KeyPath, allowed: Sequence[str], whole: type[BaseModel]) ->
     """Return a hint for an unknown key: a similar key of its table, or the same key in another table or kind."""
     word = str(place[-1]).split(".")[-1]
     close = _similar(word, allowed)
-    homes = homes_of(word, whole) or homes_of(RENAMED.get(word, word), whole)
+    homes, renamed = homes_of(word, whole), RENAMED.get(word)
+    if renamed and not any(key.place[-1] == word for key in homes):
+        homes = homes_of(renamed, whole) or homes
     is_loose = close == close_to(word, allowed) and not close_to(word, allowed, cutoff=0.8)
     if is_loose and any(key.place[-1] == word for key in homes):
         close = []
+    if renamed not in close and any(key.place[-1] == renamed for key in homes):
+        close = []  # the new name in another table is surer than a similar one in this
     if close:  # then suggest other tables only for a key of exactly this name, and none for a renamed key
-        homes = [key for key in homes if key.place[-1] == word and close != [RENAMED.get(word)]]
+        homes = [key for key in homes if key.place[-1] == word and close != [renamed]]
     here = [part for part in place if isinstance(part, str)]
     same = [key for key in homes if [part for part in key.place if part != "0"] == here]
     if kinds := list(dict.fromkeys(key.owner for key in same if key.owner)):
