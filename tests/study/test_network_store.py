@@ -120,6 +120,30 @@ def test_a_link_is_followed_and_a_machine_without_the_table_recognises_nothing(t
     assert network_file_system(link) == ""
 
 
+TYPES = {
+    "NFS": "nfs nfs4",
+    "SMB": "cifs smb2 smb3 smbfs ncpfs",
+    "Lustre": "lustre",
+    "GPFS": "gpfs",
+    "BeeGFS": "beegfs fhgfs",
+    "Ceph": "ceph",
+    "AFS": "afs auristorfs",
+    "9P": "9p",
+    "virtiofs": "virtiofs",
+    "a cluster file system": "gfs2 ocfs2 panfs orangefs pvfs2 wekafs glusterfs coda dvs cvfs",
+    "a folder of the host": "drvfs vboxsf vmhgfs prl_fs",
+    "FUSE": "fuse fuseblk fuse.sshfs fuse.other",
+    "": "ext4 xfs btrfs zfs tmpfs overlay apfs ntfs3 nfsd squashfs autofs",
+}
+
+
+@pytest.mark.parametrize("name", TYPES)
+def test_each_type_of_file_system_has_the_name_that_users_know(tmp_path, mounts, name):
+    for kind in TYPES[name].split():
+        mounts(f"/dev/vda / ext4 rw 0 0\nserver:/ {tmp_path} {kind} rw 0 0\n")
+        assert network_file_system(tmp_path / "sweep.sqlite") == name, kind
+
+
 def test_a_store_on_a_network_file_system_has_a_rollback_journal_and_one_writer_and_says_so_once(on_nfs):
     path = on_nfs / "sweep.sqlite"
     with made(path) as it:
