@@ -190,6 +190,13 @@ else:
                 problems = WORDINGS["call"](error, cls, values)
             raise KeyedError(*problems)
 
+        def __setattr__(cls, name: str, value: Any) -> None:
+            """Raise KeyedError for a key: its default is part of the schema, and a new one would have no effect."""
+            if name[:1] != "_" and name in cls.__dict__.get("__pydantic_fields__", ()):
+                call = f"{cls.__name__}({name}=...)"
+                raise KeyedError(Problem(f"the default of a key cannot be set: give the value, {call}", name))
+            super().__setattr__(name, value)
+
         def __dir__(cls) -> list[str]:
             """Return the names of the attributes without pydantic's deprecated methods, for tab completion."""
             return [name for name in super().__dir__() if name not in DEPRECATED]
@@ -307,7 +314,9 @@ class Value(BaseModel, metaclass=_ValueType):
         fields, held = type(self).model_fields, self.__dict__
         if held.keys() == fields.keys():
             return
-        if unknown := [name for name in held if name not in fields and not hasattr(type(self), name)]:
+        if unknown := [
+            name for name in held if name not in fields and name[0] != "_" and not hasattr(type(self), name)
+        ]:
             raise ValueError(
                 f"{with_article(type(self).__name__)} cannot be unpickled: it has no key {unknown[0]} any more, so the"
                 " pickle is of another version of desim; keep scenarios as files, or as run.json"

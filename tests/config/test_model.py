@@ -1,6 +1,7 @@
 """Values: what their types take and refuse, what is frozen, and how one of several models is chosen."""
 
 import json
+import pickle
 import re
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -389,3 +390,16 @@ def test_a_property_or_method_in_the_place_of_a_key_is_refused_with_what_to_writ
 def test_a_box_of_no_size_at_zero_has_no_sign():
     """numpy refuses to draw between 0 and -0."""
     assert run(Scenario(horizon=0.01, team=Team(count=2, box=(0.0, -0.0)))).trace
+
+
+@pytest.mark.parametrize(("model", "key"), [(Team, "count"), (Lognormal, "mean"), (Scenario, "horizon")])
+def test_the_default_of_a_key_is_not_set_on_a_class(model, key):
+    """pydantic has taken it into its schema, so that it would have no effect."""
+    with pytest.raises(KeyedError, match=rf"{key}: the default of a key cannot be set: .* {model.__name__}\({key}="):
+        setattr(model, key, 7)
+
+
+def test_a_value_with_a_private_attribute_is_pickled():
+    scenario = Scenario()
+    scenario._note = "mine"
+    assert pickle.loads(pickle.dumps(scenario)) == scenario

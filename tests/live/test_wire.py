@@ -275,6 +275,7 @@ def test_a_body_that_would_not_arrive_as_it_is_is_refused_when_it_is_sent(body, 
 )
 def test_numbers_of_numpy_are_sent_as_those_of_python(number, plain):
     """A protocol that computes with numpy runs live as it runs simulated."""
+    pytest.importorskip("msgspec")
     bodies = OwnBodies(None)
     port, body = bodies.unpack(bodies.pack("port", number))
     assert (port, body) == ("port", plain)
