@@ -225,6 +225,8 @@ CALLS: dict[str, tuple[Any, ...]] = {
     "SWEPT.table(against='sap')": ("against should be a dict", "got 'sap'"),
     "SWEPT.tables(against=True)": ("against should be a dict", "got True"),
     "SWEPT.table(labels=['a'])": ("labels should be a dict", "got ['a']"),
+    "SWEPT.table(labels={'team.count': 2})": ("the label of team.count should be a text (got 2)",),
+    "SWEPT.crossover('active_time', 'team.count', None, {})": ("a should be a dict", "got None"),
     "SWEPT.table(without=3)": ("names of metrics or columns should be a list of texts", "got 3"),
     "SWEPT.table(without='captred')": ("captred",),
     "SWEPT.setting(3, 2)": ("a key of the grid should be a text", "got 3"),

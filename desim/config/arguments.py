@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from functools import wraps
 from inspect import Parameter, signature
 from os import PathLike
-from types import MappingProxyType
+from types import MappingProxyType, NoneType
 from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar, get_args, get_origin
 
 from desim.config.suggestion import did_you_mean
@@ -156,10 +156,15 @@ def _check_function(name: str, value: Any) -> None:
 
 
 def _check_table(name: str, value: Any) -> None:
-    if value is not None and not isinstance(value, Mapping):
+    if not isinstance(value, Mapping):
         raise ValueError(
             f"{name} should be a dict, {{'network.latency.value': 0.5}} for instance (got {_shown(value)})"
         )
+
+
+def _check_table_or_none(name: str, value: Any) -> None:
+    if value is not None:
+        _check_table(name, value)
 
 
 CHECKED_THERE = frozenset({"changes", "grid", "links", "metrics", "vary"})
@@ -174,7 +179,7 @@ def _checks(function: Callable[..., object]) -> Mapping[str, Callable[[str, Any]
         if parameter.annotation is bool:
             checks[name] = _check_flag
         elif Mapping in kinds and name not in CHECKED_THERE:
-            checks[name] = _check_table
+            checks[name] = _check_table_or_none if NoneType in get_args(parameter.annotation) else _check_table
         elif get_origin(parameter.annotation) is Callable and parameter.kind is not Parameter.VAR_POSITIONAL:
             checks[name] = _check_function
     return MappingProxyType(checks)

@@ -24,6 +24,7 @@ from desim.config.arguments import scenario_argument
 from desim.config.arrays import Points, array_of
 from desim.config.calls import check_argument
 from desim.config.fresh import fresh_copy
+from desim.config.model import MAX_COORDINATE
 from desim.config.python_numbers import whole
 from desim.kernel.clock_sync import Synchroniser, TwoWay
 from desim.kernel.core.clock import Clock, Instant, Phase
@@ -261,6 +262,7 @@ class Node:
             at: the time of its last events, ns, also if it is late and has yet to perform them; None: it performs none.
         """
         if at is not None:
+            at = whole(at, "the time of the end, ns,")
             Instant(self._env, max(at, self._env.now), Phase.SAMPLE + 1).callbacks.append(lambda _: self.stop())
         elif not self._over.triggered:
             self._over.succeed()
@@ -420,6 +422,8 @@ def _check_time(now: Any) -> None:
 def _points(name: str, pairs: Any, *shape: int) -> Any:
     """Return positions or velocities of a shape, (2,) or (k, 2), as complex numbers."""
     array = array_of(pairs)
-    if array.shape != shape or array.dtype.kind not in "iuf" or not np.isfinite(array).all():
-        raise ValueError(f"{name} should be finite numbers of shape {shape} (got {pairs!r})")
+    is_wrong = array.shape != shape or array.dtype.kind not in "iuf"
+    if is_wrong or not (np.abs(array) <= MAX_COORDINATE).all():
+        allowed = f"numbers of shape {shape}, at most {MAX_COORDINATE:g} from 0"
+        raise ValueError(f"{name} should be finite {allowed} (got {pairs!r})")
     return array.astype(float).view(complex).ravel()

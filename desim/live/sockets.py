@@ -33,7 +33,7 @@ def checked_address(value: Any) -> Address:
         ValueError: if it is not a host and a port.
     """
     match value:
-        case [str(host), int(port)] if 0 <= port < 1 << 16:
+        case [str(host), int(port)] if 0 <= port < 1 << 16 and port is not True and port is not False:
             return host, port
     raise ValueError(f"an address should be a host and a port (got {value!r})")
 

@@ -256,9 +256,15 @@ def test_a_program_of_ones_own_puts_positions_in_and_gets_commands_out():
             assert nodes[1].velocity() == [0.0, 0.0]
             nodes[0].captured(1)
             assert nodes[0].action == 0
-            with pytest.raises(ValueError, match=r"position should be finite numbers of shape \(2,\) \(got \[1.0\]\)"):
+            with pytest.raises(
+                ValueError,
+                match=r"position should be finite numbers of shape \(2,\), at most 1e\+09 from 0 \(got \[1.0\]\)",
+            ):
                 nodes[0].sense([1.0], [[1.0, 0.0]])
-            with pytest.raises(ValueError, match=r"evaders should be finite numbers of shape \(1, 2\) \(got 'far'\)"):
+            with pytest.raises(
+                ValueError,
+                match=r"evaders should be finite numbers of shape \(1, 2\), at most 1e\+09 from 0 \(got 'far'\)",
+            ):
                 nodes[0].sense([1.0, 0.0], "far")
         assert all(node.is_over for node in nodes)
         assert nodes[0].lateness().number > 0
@@ -572,3 +578,19 @@ def test_only_scenarios_are_compared():
             compare(**wrong)
     with pytest.raises(ValueError, match="a comparison needs at least 2 runs"):
         compare(scenario(), 0)
+
+
+@pytest.mark.parametrize("place", [1e300, 2e9, nan])
+def test_places_and_velocities_beyond_those_of_a_scenario_are_refused(place):
+    node = Node(scenario(), 0, 1)
+    for wrong in (([place, 0.0], [[1.0, 1.0]]), ([0.0, 0.0], [[place, 1.0]])):
+        with pytest.raises(ValueError, match="should be finite numbers"):
+            node.sense(*wrong)
+    with pytest.raises(ValueError, match="velocities should be finite numbers"):
+        node.sense([0.0, 0.0], [[1.0, 1.0]], velocities=[[place, 0.0]])
+
+
+@pytest.mark.parametrize("address", [(LOCAL, True), (LOCAL, 0.0), (LOCAL, "0"), LOCAL])
+def test_an_address_whose_port_is_no_number_is_refused(address):
+    with pytest.raises(ValueError, match="an address should be a host and a port"):
+        sockets.checked_address(address)

@@ -642,7 +642,9 @@ WRONG_ARGUMENTS = {
         for value in ("1", None, [1], 1.0)
         for call in (lambda me, j: me.global_state.action(j), lambda me, j: me.global_state.set_action(j, 1))
     ],
-    "a scope should be 'heard'": [(Agent.counted_teammates, value) for value in ("neighbors", "all", None, 1)],
+    "a scope should be 'heard'": [
+        (Agent.counted_teammates, value) for value in ("neighbors", "all", None, 1, ["heard"])
+    ],
     r"gain\(utility\) takes a utility": [(Agent.gain, value) for value in ("mean", None, 1, {})],
     "argmax takes the utility of each action": [
         (lambda me, values: argmax(values), value) for value in ([0.1], 1, None)

@@ -274,7 +274,7 @@ class Beliefs(Knowledge):
         """
         if scope == "heard" or not self.senses_others:
             return range(self.team_size)
-        if scope not in {"neighbours", "component"}:
+        if scope not in ("neighbours", "component"):
             raise ValueError(f"a scope should be 'heard', 'neighbours' or 'component' (got {scope!r})")
         topology = self._network.topology
         return topology.audible(self.id) if scope == "neighbours" else topology.component(self.id)
