@@ -286,6 +286,23 @@ def test_what_is_no_line_closes_the_connection(data):
     assert asyncio.run(play()) == ([("ready",)], [True])
 
 
+def test_the_fastest_exchange_decides_by_how_much_a_clock_is_behind(monkeypatch):
+    """Sent and received at these times of the own clock, ns; the third exchange takes 2 ns, and others are slowed."""
+    own = [0, 90, 100, 150, 200, 202, 300, 380, 400, 490, 500, 590, 600, 690, 700, 790]
+    there = [85, 1140, 1201, 1375, 1485, 1585, 1685, 1785]
+
+    async def play():
+        heard, times = asyncio.Queue(), iter(own)
+        monkeypatch.setattr(pursuer, "monotonic_ns", lambda: next(times))
+        player = object.__new__(_Pursuer)
+        player._lines = SimpleNamespace(tell=lambda _: None)
+        for time in there:
+            heard.put_nowait(("pong", time))
+        return await player._measured_offset(heard)
+
+    assert asyncio.run(play()) == 1000
+
+
 def test_a_pursuer_of_another_host_that_loses_the_referee_while_it_compares_clocks_ends():
     async def play():
         heard, told = asyncio.Queue(), []

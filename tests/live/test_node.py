@@ -128,6 +128,33 @@ def test_a_stamp_that_is_ahead_delays_a_message_by_the_latency_only():
     assert [outcome.arrival for outcome in node.link.outcomes] == [300_000_000]
 
 
+def test_a_pursuer_keeps_its_action_until_its_order_is_obeyed_or_it_is_down():
+    node = Node(scenario(), 1, 5)
+    before = frame_of(node._state, [0] * 3)._replace(profile=[0, 0, 0])
+    node.show(before)
+    node._set_action(1, 1)
+    for frame, profile in (
+        (before, [0, 1, 0]),  # the referee does not know of the order yet
+        (before._replace(broken=[1]), [0, 0, 0]),
+        (before._replace(obeyed=[0, 1, 0], profile=[1, 1, 1]), [1, 1, 1]),
+        (before._replace(obeyed=[0, 1, 0]), [0, 0, 0]),  # the evader was captured, for instance
+    ):
+        node.show(frame)
+        assert node._state.profile == profile
+
+
+def test_messages_of_a_sender_keep_their_order_if_its_link_does():
+    """Latencies are drawn between 0 and 2 s."""
+    arrivals = {}
+    for order in ("overtaking", "fifo"):
+        node = node_with(loss=Bernoulli(), latency=Uniform(low=0.0, high=2.0), order=order)
+        for seq in range(1, 41):
+            node.link.receive(announcement(seq), 0)
+        arrivals[order] = [outcome.arrival for outcome in node.link.outcomes]
+    assert arrivals["fifo"] == sorted(arrivals["fifo"])
+    assert arrivals["overtaking"] != sorted(arrivals["overtaking"])
+
+
 def test_a_frame_that_another_has_overtaken_changes_nothing():
     node = Node(scenario(), 1, 5)
     frame = frame_of(node._state, [0] * 3)

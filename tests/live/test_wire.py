@@ -4,7 +4,7 @@ import contextlib
 from dataclasses import dataclass, field
 from functools import cached_property, partial, reduce
 from inspect import getmembers, isclass
-from math import inf
+from math import inf, nan
 from random import Random
 from typing import NamedTuple
 
@@ -109,6 +109,13 @@ def test_any_announcement_arrives_as_it_was_sent(active, phi, src, seq, stamp):
     wire = Wire(NODES, EVADERS, OwnBodies(None))
     sent = Record(src, seq, stamp, TimedAssignment(active, phi))
     assert wire.decode(wire.encode(sent, "", 32, to_one=False)).content == sent
+
+
+def test_a_body_with_nan_is_malformed_where_it_arrives():
+    wire = Wire(NODES, EVADERS, OwnBodies(None))
+    datagram = wire.encode(Record(0, 1, 0, TimedAssignment(1, nan)), "", 32, to_one=False)
+    with pytest.raises(WireError, match="not a number"):
+        wire.decode(datagram)
 
 
 FRAME_EXAMPLES = [
