@@ -8,7 +8,7 @@ from typing import NamedTuple
 import pandas as pd
 import pytest
 
-from desim import Crash, Links, Reliable, fates
+from desim import Crash, Links, Lognormal, Reliable, SteppedNetwork, fates
 from tests.command import accepted, refused
 
 SCENARIO = (
@@ -36,6 +36,17 @@ def test_a_log_goes_in_and_a_table_of_fates_comes_out(files):
     ]
     accepted("fates", files / "log.csv", files / "net.toml", "-o", files / "fates.csv")
     assert (files / "fates.csv").read_text() == printed
+
+
+def test_a_message_that_is_transmitted_twice_has_its_first_arrival():
+    links = Links(latency=Lognormal(mean=1.0, cv=1.0), duplicate=1.0)
+    with SteppedNetwork(2, links, seed=3) as network:
+        for row in range(5):
+            network.send(0, 1, row, size=10)
+        arrived = network.step(60.0)
+    first = {row: min(message.arrived for message in arrived if message.body == row) for row in range(5)}
+    assert len(arrived) == 10
+    assert [fate.arrived for fate in fates([(0.0, 0, 1, 10)] * 5, 2, links, seed=3)] == list(first.values())
 
 
 @pytest.mark.parametrize(

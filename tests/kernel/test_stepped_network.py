@@ -358,6 +358,14 @@ def test_losses_are_listed_once_with_their_causes():
     assert len(causes) >= 4
 
 
+def test_frames_that_a_transport_repeats_are_not_among_the_lost():
+    network = SteppedNetwork(2, Links(loss=0.8, transport=Reliable()), seed=1)
+    network.send(0, 1, "x")
+    assert [message.body for message in network.step(10.0)] == ["x"]
+    assert network.counts().lost > 0
+    assert network.lost() == []
+
+
 def test_any_labels_name_the_nodes():
     graph = nx.Graph([("base", ("drone", 1)), (("drone", 1), 7)])
     graph.add_edge("base", 7, latency=0.5)
@@ -582,6 +590,10 @@ def test_a_network_is_copied_and_pickled_before_it_is_used():
     assert [episode(other) for other in copies] == [episode(network)] * 2
     with pytest.raises(TypeError, match="before its first message and step"):
         pickle.dumps(network)
+    left = SteppedNetwork(2, can_leave=True)
+    left.leave(0)
+    with pytest.raises(TypeError, match="before its first message and step"):
+        copy.copy(left)
     network.reset(3)
     assert episode(pickle.loads(pickle.dumps(network))) == episode(network)
 

@@ -1,5 +1,6 @@
 """Sensitivity: the estimators against known indices, and the analysis that performs runs for them."""
 
+from dataclasses import replace
 from math import nan, pi, sqrt
 from types import SimpleNamespace
 
@@ -9,11 +10,19 @@ from scipy import stats
 
 from desim import Scenario, sensitivity
 from desim.scenario.value_ranges import KeyRange, setting_at
-from desim.study.sensitivity.morris import LEVELS, STEP, among_items, elementary_effects, morris_points
+from desim.study.sensitivity.morris import (
+    LEVELS,
+    STEP,
+    ElementaryEffects,
+    among_items,
+    elementary_effects,
+    morris_points,
+)
 from desim.study.sensitivity.sensitivity_result import SensitivityResult, _with_interval
 from desim.study.sensitivity.sobol_indices import IndexEstimate, SobolIndices, saltelli_points, sobol_indices
 from desim.study.store.store import Store
 from tests.golden import golden
+from tests.study import by_hand
 
 FIRST = (0.313905, 0.442411, 0.0)
 """The first-order indices of the function of Ishigami & Homma for a = 7 and b = 0.1."""
@@ -114,6 +123,19 @@ def test_a_model_that_does_not_vary_has_no_indices(values):
     indices = sobol_indices(values, resamples=100)
     assert not indices.is_varied
     assert all(np.isnan(index.value) for index in (*indices.first, *indices.total))
+
+
+def test_the_variance_of_chance_alone_is_not_told_apart_from_0():
+    """Some of eight models without any input that matters have a variance above 0, by chance."""
+    noise = np.random.default_rng(2).standard_normal((8, 4, 32, 4))
+    indices = [sobol_indices(values, resamples=50) for values in noise]
+    assert any(one.variance > 0.0 for one in indices)
+    assert not any(one.is_varied for one in indices)
+
+
+def test_an_input_matters_if_its_effect_may_be_a_tenth_of_the_greatest():
+    estimates = IndexEstimate(2.0, 1.0, 3.0), IndexEstimate(0.1, 0.0, 0.21), IndexEstimate(0.19, 0.1, 0.199)
+    assert ElementaryEffects(estimates, (0.0,) * 3, (0.0,) * 3).matters(0.1) == [0, 1]
 
 
 def test_a_trajectory_changes_each_input_once_and_visits_all_levels():
@@ -242,6 +264,8 @@ def test_an_analysis_of_a_known_function_is_golden(monkeypatch):
 
     def values(self, shares, *_):
         asked.append(len(shares))
+        if len(asked) > 1:
+            assert (shares[:, 2] == 0.5).all()  # the team was screened out
         x, y, _, z = shares.T
         together = 4.0 * x**2 + np.where(z < 0.5, -1.0, 1.0) * y * (1.0 + x)
         return together[:, None] + np.array([0.0, 0.5]) * (1.0 + x[:, None])
@@ -306,6 +330,13 @@ def endless(_):
 def test_what_is_no_analysis_is_refused(options, why):
     with pytest.raises(ValueError, match=why):
         analysed(**({"points": 8, "trajectories": 2} | options))
+
+
+@pytest.mark.parametrize(("total", "decides"), [((0.06, 0.01, 0.1), True), ((0.04, 0.01, 0.1), False)])
+def test_a_key_decides_from_a_twentieth_of_the_variance_on(total, decides):
+    made = by_hand.sensitivity()
+    indices = replace(made.indices, total=(made.indices.total[0], IndexEstimate(*total)))
+    assert ("network.loss.p (" in replace(made, indices=indices).sentences()[0]) == decides
 
 
 def test_an_index_is_told_with_its_interval_and_none_by_a_dash():
