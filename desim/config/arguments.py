@@ -147,18 +147,18 @@ def naming_arguments(function: Callable[Taken, Returned]) -> Callable[Taken, Ret
 
 def _check_flag(name: str, value: Any) -> None:
     if not isinstance(value, bool) and type(value).__name__ not in {"bool", "bool_"}:  # the latter are numpy's
-        raise ValueError(f"{name} should be True or False (got {_shown(value)})")
+        raise ValueError(f"{name} should be True or False (got {abridged(repr(value))})")
 
 
 def _check_function(name: str, value: Any) -> None:
     if not callable(value):
-        raise ValueError(f"{name} should be a function (got {_shown(value)})")
+        raise ValueError(f"{name} should be a function (got {abridged(repr(value))})")
 
 
 def _check_table(name: str, value: Any) -> None:
     if not isinstance(value, Mapping):
         raise ValueError(
-            f"{name} should be a dict, {{'network.latency.value': 0.5}} for instance (got {_shown(value)})"
+            f"{name} should be a dict, {{'network.latency.value': 0.5}} for instance (got {abridged(repr(value))})"
         )
 
 
@@ -183,12 +183,6 @@ def _checks(function: Callable[..., object]) -> Mapping[str, Callable[[str, Any]
         elif get_origin(parameter.annotation) is Callable and parameter.kind is not Parameter.VAR_POSITIONAL:
             checks[name] = _check_function
     return MappingProxyType(checks)
-
-
-def _shown(value: Any) -> str:
-    """Return the text of a value, or its beginning."""
-    text = repr(value)
-    return text if len(text) < MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."
 
 
 def _meant(function: Callable[..., object], named: Mapping[str, object]) -> str:
