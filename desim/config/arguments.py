@@ -1,6 +1,6 @@
 """Arguments of functions, and attributes of objects: what does not exist is refused with what to write instead."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import wraps
 from inspect import Parameter, signature
 from os import PathLike
@@ -167,12 +167,19 @@ def _check_table_or_none(name: str, value: Any) -> None:
         _check_table(name, value)
 
 
+def _check_texts(name: str, value: Any) -> None:
+    """Raise ValueError if a value is no collection of texts; an iterator is let through, as it can be read once."""
+    is_iterable = isinstance(value, Iterable)
+    if not is_iterable or not (isinstance(value, Iterator) or all(isinstance(text, str) for text in value)):
+        raise ValueError(f"{name} should be a list of texts (got {_shown(value)})")
+
+
 CHECKED_THERE = frozenset({"changes", "grid", "links", "metrics", "vary"})
 """The tables that each function checks itself, with an example of its own."""
 
 
 def _checks(function: Callable[..., object]) -> Mapping[str, Callable[[str, Any], None]]:
-    """Return the check of each argument of a function that is a flag, a function or a table, by name."""
+    """Return the check of each argument of a function that is a flag, a function, a table or texts, by name."""
     checks = {}
     for name, parameter in signature(function).parameters.items():
         kinds = {get_origin(kind) for kind in (parameter.annotation, *get_args(parameter.annotation))}
@@ -180,6 +187,8 @@ def _checks(function: Callable[..., object]) -> Mapping[str, Callable[[str, Any]
             checks[name] = _check_flag
         elif Mapping in kinds and name not in CHECKED_THERE:
             checks[name] = _check_table_or_none if NoneType in get_args(parameter.annotation) else _check_table
+        elif parameter.annotation == Sequence[str] and name not in CHECKED_THERE:
+            checks[name] = _check_texts
         elif get_origin(parameter.annotation) is Callable and parameter.kind is not Parameter.VAR_POSITIONAL:
             checks[name] = _check_function
     return MappingProxyType(checks)

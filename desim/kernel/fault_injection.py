@@ -132,6 +132,8 @@ class _Site:
         return end
 
     def crash(self, crash: Crash) -> Undo:
+        if not isinstance(crash, Crash):
+            raise ValueError(f"crash(crash) should be given a Crash, such as Crash(start=1.0, node=0) (got {crash!r})")
         self._network.crash(crash.node)
         self._crashed(crash)
 

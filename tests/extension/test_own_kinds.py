@@ -274,6 +274,7 @@ def test_a_node_that_does_not_exist_is_reported_at_the_key_of_the_fault(own):
         ({"begin": lambda self, site: site.partition([0, 1])}, r"partition\(groups\) should be given lists of nodes"),
         ({"begin": lambda self, site: site.partition(None)}, r"partition\(groups\) should be given lists of nodes"),
         ({"begin": lambda self, site: site.begin(desim.Crash)}, r"begin\(fault\) should be given a fault"),
+        ({"begin": lambda self, site: site.crash(0)}, r"crash\(crash\) should be given a Crash.*got 0"),
         ({"begin": lambda self, site: site.begin({"kind": "crash", "node": 0})}, "should be given a fault"),
         ({"begin": lambda self, site: site.jam((0.0, 0.0), float("nan"))}, "radius: should be a finite number"),
         ({"begin": lambda self, site: print, "sketch": lambda self: 3}, r"sketch\(\) of a fault should return a dict"),

@@ -74,8 +74,7 @@ def explain(
         RunError: if no seed completes in all variants.
     """
     scenario_argument(Scenario).check(scenario, "explain")
-    if isinstance(shown, str):
-        shown = [shown]
+    shown = [shown] if isinstance(shown, str) else list(shown)
     variants = Variants.of(scenario, runs, seed, metrics)
     variants.check_shown(shown)
     with Store(path_of_store(store)) as kept, workers_for(executor, variants.plan.runs) as workers:
@@ -101,7 +100,10 @@ class Variants:
         """
         if (runs := whole(runs, "runs")) < 2:
             raise ValueError(f"an interval needs at least 2 runs, got {runs}")
-        added, scenario = users_metrics(scenario.record.metrics, metrics or {}), without_metrics(scenario)
+        added, scenario = (
+            users_metrics(scenario.record.metrics, {} if metrics is None else metrics),
+            without_metrics(scenario),
+        )
         ideal = reduce(lambda so_far, remove: remove(so_far), IMPERFECTIONS.values(), scenario)
         removed = {name: remove(scenario) for name, remove in IMPERFECTIONS.items()}
         bounds = {PERFECT: with_perfect_network(scenario), SILENT: without_messages(scenario)}

@@ -194,8 +194,8 @@ class SweepResult(SweepRuns, HintedAttributes):
                 belongs to nothing in the tables.
         """
         without = names_of_metrics(without)
-        given: Mapping[Any, Any] = labels
-        if no_text := [name for name, text in given.items() if not isinstance(text, str)]:
+        names: Mapping[Any, Any] = labels
+        if no_text := [name for name, text in names.items() if not isinstance(text, str)]:
             raise ValueError(f"the label of {no_text[0]} should be a text (got {labels[no_text[0]]!r})")
         notes = sweep_tables.notes(self, names_of_metrics(metrics))
         tables = self.tables(metrics, against=against)

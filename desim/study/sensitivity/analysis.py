@@ -145,7 +145,7 @@ class Analysis:
             (key,) = chosen
             raise ValueError(f"{key}: with one key there is nothing to divide: give ranges of two keys or more")
         ranges = checked_ranges(source, chosen)
-        added = users_metrics(base.record.metrics, metrics or {})
+        added = users_metrics(base.record.metrics, {} if metrics is None else metrics)
         check_numeric(metric, dict(added))
         points, trajectories = whole(points, "points"), whole(trajectories, "trajectories")
         if points < 0 or points & (points - 1) or 0 < points < 8:

@@ -98,7 +98,7 @@ def sweep(
     """
     if timeout is not None:
         checked_limit(timeout)
-    plan = SweepPlan.of(scenario, grid, MAX_RUNS if until and reps is None else reps, seed, metrics, design)
+    plan = SweepPlan.of(scenario, grid, MAX_RUNS if until is not None and reps is None else reps, seed, metrics, design)
     if until is not None:
         pair: Any = until
         if not isinstance(pair, list | tuple) or len(pair) != 2:

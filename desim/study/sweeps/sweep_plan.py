@@ -74,7 +74,10 @@ class SweepPlan:
         base = validate(source)
         reps = whole(base.sweep.reps if reps is None else reps, "reps")
         root = base.seed if seed is None else seed_of(seed)
-        added, chosen = users_metrics(base.record.metrics, metrics or {}), tuple(configurations(source, grid, design))
+        added, chosen = (
+            users_metrics(base.record.metrics, {} if metrics is None else metrics),
+            tuple(configurations(source, grid, design)),
+        )
         return cls(without_metrics(base), chosen, reps, root, base.sweep.seeds == "common", added)
 
     def __post_init__(self) -> None:
