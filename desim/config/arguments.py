@@ -171,7 +171,7 @@ def _check_texts(name: str, value: Any) -> None:
     """Raise ValueError if a value is no collection of texts; an iterator is let through, as it can be read once."""
     is_iterable = isinstance(value, Iterable)
     if not is_iterable or not (isinstance(value, Iterator) or all(isinstance(text, str) for text in value)):
-        raise ValueError(f"{name} should be a list of texts (got {_shown(value)})")
+        raise ValueError(f"{name} should be a list of texts (got {abridged(repr(value))})")
 
 
 CHECKED_THERE = frozenset({"changes", "grid", "links", "metrics", "vary"})

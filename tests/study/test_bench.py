@@ -292,6 +292,12 @@ def test_what_is_no_protocol_is_told(protocols, why):
         bench(protocols, runs=2)
 
 
+@pytest.mark.parametrize("timeout", ["soon", 0.0, -1.0])
+def test_a_time_limit_that_is_none_is_told_even_if_nothing_runs(timeout):
+    with pytest.raises(ValueError, match="a time limit"):
+        bench(timeout=timeout)
+
+
 def test_names_that_are_there_already_get_a_number():
     made = Entrants(SUITE, {})
     assert made.runs(16) == 1

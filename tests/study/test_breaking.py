@@ -275,6 +275,7 @@ def test_a_table_that_would_be_too_long_is_refused():
     ("choices", "message"),
     [
         ({"most": 0}, "most should be at least 1"),
+        ({"seeds": []}, "seeds should not be empty"),
         ({"delay": 0.0}, "delay should be positive"),
         ({"delay": -1.0}, "delay should be positive"),
         ({"delay": nan}, "delay should be positive"),

@@ -98,6 +98,8 @@ def fatal_losses(
     fates = _checked_fates(fates, delay)
     prop = checked_property(prop, scenario)
     table = LossTable(most, (scenario.seed,) if seeds is None else tuple(seeds), fates, delay)
+    if not table.seeds:
+        raise ArgumentError("seeds", "should not be empty")
     skips = prune and hides_old_news(scenario, prop)
     observed = recording(scenario, [prop]).with_({"record.messages": True})
     with workers_for(jobs, GENERATION) as workers, progress(0, "losses", "run") as bar:

@@ -15,6 +15,7 @@ from desim.config.python_numbers import whole
 from desim.config.traits import kind_of
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
+from desim.simulation.watchdog import checked_limit
 from desim.study.ablation.imperfections import with_perfect_network, without_messages
 from desim.study.comparing.scores import Benchmark, NoPart
 from desim.study.comparing.suite import (
@@ -78,6 +79,8 @@ def bench(
     count = suite.runs if runs is None else whole(runs, "runs")
     if not 2 <= count <= suite.runs:
         raise ArgumentError("runs", f"should be 2 to {suite.runs}, those of version {version} (got {count})")
+    if timeout is not None:
+        timeout = checked_limit(timeout)
     entrants = Entrants(suite, _by_name(protocols, suite), again=again)
     with workers_for(executor, entrants.runs(count)) as workers:
         return entrants.carry_out(
