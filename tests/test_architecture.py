@@ -371,7 +371,9 @@ def test_a_private_part_would_be_detected(line):
 
 POSITIONS = {
     "desim.kernel.core.events:Broadcast": "t transmission src seq dst arrival created size body",
+    "desim.kernel.core.events:Delivered": "t src dst port to_all seq created attempt body",
     "desim.kernel.core.events:Lost": "t transmission src dst cause",
+    "desim.kernel.core.events:Retransmitted": "t src dst port to_all seq attempt",
     "desim.kernel.core.events:Sent": "t transmission src dst arrival created size body",
     "desim.kernel.transport.frames:Acknowledgement": "port to_all session expected received",
     "desim.kernel.transport.frames:Segment": "port to_all session seq base attempt body",
@@ -380,6 +382,7 @@ POSITIONS = {
     "desim.kernel.core.records:Record": "src seq stamp body",
     "desim.live.link:DatagramFate": "number src dst arrival cause is_copy",
     "desim.live.wire:Parcel": "number src start content port to_one",
+    "desim.pursuit.core.events:Decided": "t pursuer active",
     "desim.pursuit.team.beliefs:Belief": "active capture_time age",
     "desim.kernel.state.transmission:Flight": "transmission airtime",
     "desim.kernel.state.transmission:Transmission": "number src created size receivers content port reachable to_one",

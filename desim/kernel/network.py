@@ -17,6 +17,7 @@ from desim.config.python_numbers import whole
 from desim.kernel.core.clock import Clock, NodeClock
 from desim.kernel.core.events import MessageCounts, Trace, TransportCounts
 from desim.kernel.core.message_body import as_sent, own_copy
+from desim.kernel.core.ports import check_port
 from desim.kernel.core.positions import PositionFunction, as_position_source
 from desim.kernel.core.records import Predicate, Record, Table
 from desim.kernel.core.seeds import seed_of
@@ -26,7 +27,7 @@ from desim.kernel.link_layer.estimates import Estimates
 from desim.kernel.link_layer.link_layer import LinkLayer, TransmissionListener
 from desim.kernel.link_layer.propagation import LinkSampler
 from desim.kernel.models.links import Links
-from desim.kernel.models.transport import Transport
+from desim.kernel.models.transport import Transport, check_transport
 from desim.kernel.state.fault_state import FaultState
 from desim.kernel.state.inbox import Inbox, Inboxes, Message
 from desim.kernel.state.network_state import NetworkState
@@ -117,6 +118,8 @@ class ReceivingNodes:
         """Return the inbox of a node at a port."""
         if not 0 <= node < self._size:
             raise self._unknown(node)
+        if type(port) is not str:
+            check_port(port, "inbox")
         return self._inboxes.at(port)[node]
 
     def _own(self, body: Any) -> Any:
@@ -279,13 +282,17 @@ class Network(ReceivingNodes):
 
         Raises:
             ValueError: if the receiver is the sender, the size is not an integer of at least 0, the body has no size or
-                cannot be copied, or messages at the port have another transport.
+                cannot be copied, the port is no text, the transport is none, or messages at the port have another one.
         """
         src = self._node(src)
         if dst is not None:
             dst = self._node(dst)
         if dst == src:
             raise ValueError(f"node {src} should not send messages to itself")
+        if type(port) is not str:
+            check_port(port, "send")
+        if transport is not None:
+            check_transport(transport)
         sent = as_sent(body)
         self._inboxes.has_mutable |= sent is not body
         message = _new(Message, (src, self._env.now, sent))

@@ -30,7 +30,7 @@ from desim.kernel.core.clock import RARE_COLLECTION, Clock, Instant, Phase
 from desim.kernel.core.events import Cause, MessageCounts, Trace, TransportCounts
 from desim.kernel.core.message_body import own_copy
 from desim.kernel.core.message_size import HEADER, size_of
-from desim.kernel.core.ports import ReservedPort, check_port
+from desim.kernel.core.ports import ReservedPort
 from desim.kernel.core.seeds import seed_of
 from desim.kernel.core.units import SECOND, nanoseconds
 from desim.kernel.fault_injection import inject
@@ -40,7 +40,7 @@ from desim.kernel.models.faults import Crash
 from desim.kernel.models.links import Links
 from desim.kernel.models.medium import Unlimited
 from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
-from desim.kernel.models.transport import Transport, check_transport
+from desim.kernel.models.transport import Transport
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.kernel.state.message_queue import MessageQueue
@@ -219,10 +219,6 @@ class SteppedNetwork:
         """
         if self._problem:
             raise RuntimeError(self._problem)
-        if type(port) is not str:
-            check_port(port, "send")
-        if transport is not None:
-            check_transport(transport)
         self._is_unused = False
         if self._numbers is not None:
             src, dst = self._number(src), None if dst is None else self._number(dst)

@@ -20,7 +20,7 @@ from desim.kernel.core.message_body import as_sent, differs
 from desim.kernel.core.ports import check_port
 from desim.kernel.core.records import Record
 from desim.kernel.core.seeds import stream
-from desim.kernel.models.transport import Transport, check_transport
+from desim.kernel.models.transport import Transport
 from desim.kernel.network import Network
 from desim.kernel.state.inbox import Message
 from desim.pursuit.sensing.views import GlobalState, View
@@ -323,8 +323,6 @@ class Agent(Beliefs, Timing, HintedItems):
         """
         if type(port) is not str:
             check_port(port, f"pursuer {self.id}: send")
-        if transport is not None:
-            check_transport(transport)
         self._voice.send(self.id, dst, body, port=port, size=size, transport=transport)
 
     def mail(self, port: str = "") -> list[Message]:
