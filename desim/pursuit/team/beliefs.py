@@ -247,13 +247,15 @@ class Beliefs(Knowledge):
         Raises:
             ValueError: if it is no utility, or a user's utility returns no number, or nan.
         """
-        if not hasattr(utility, "scope"):
+        try:
+            scope = utility.scope
+        except AttributeError as error:
             raise ValueError(
                 f"gain(utility) takes a utility, such as desim.pursuit.game.utility.Mean() (got {utility!r})"
-            )
+            ) from error
         own_time, rivals, times = self._rivals(evader)
-        if utility.scope != "heard":
-            counted = self.counted_teammates(utility.scope)
+        if scope != "heard":
+            counted = self.counted_teammates(scope)
             times = [phi for j, phi in zip(rivals, times, strict=True) if j in counted]
         other_times = [phi for phi in times if phi < inf]
         answer: Any = utility(own_time, other_times, self._state.time_left(self._clock.stamp))
