@@ -27,6 +27,9 @@ ALLOWED = {
         "desim.testing.faults": "ByzantineFault ClockSkew Fault Window",
         "desim.testing.flows": "UniformFlow",
     },
+    "what is no fault is refused, by the bases that users derive from": {
+        "desim.kernel.fault_injection": "Crash Fault",
+    },
     "a contention, an airtime by node, or a tuned radio needs the fields of the base of the built-in media": {
         "desim.kernel.channel.air": "LoRa",
         "desim.kernel.stepped_arguments": "ClockSkew Complete Fault",

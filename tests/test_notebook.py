@@ -91,7 +91,7 @@ def test_a_run_with_several_evaders_shows_their_number():
     both = run(Scenario(team=team, **two))
     assert ["ended", "captured 2 of 2, the last by 0 after 0.00 s"] in Table(both._repr_html_()).rows
     none = run(NEVER.model_copy(update={"evader": Evader(count=2, speed=0.9)}))
-    assert ["ended", "0 of 2 captured within 0.1 s"] in Table(none._repr_html_()).rows
+    assert ["ended", "captured 0 of 2 within 0.1 s"] in Table(none._repr_html_()).rows
 
 
 @pytest.mark.slow

@@ -199,9 +199,9 @@ def test_a_line_equals_the_fields_of_its_event(events):
     assert list(map(line_of, events)) == list(map(straightforward, events))
 
 
-def beating(count):
-    """Yield so many messages, no two alike."""
-    return (Sent(k, k, 0, 1, k + 5, k, 24, Payload(True, (k / 7,))) for k in range(count))
+def beating(count, begin=0):
+    """Yield so many messages, no two alike, from a time on."""
+    return (Sent(k, k, 0, 1, k + 5, k, 24, Payload(True, (k / 7,))) for k in range(begin, begin + count))
 
 
 def test_a_file_has_the_lines_of_a_trace_and_the_events_come_back_one_by_one(tmp_path):
@@ -335,9 +335,9 @@ def test_a_file_bears_its_name_only_when_it_is_complete(tmp_path):
 def test_a_file_keeps_nothing_in_memory(tmp_path):
     """Eight times as many messages take no more of it, where a trace takes eight times as much."""
 
-    def peak(watch, count):
+    def peak(watch, count, begin=0):
         tracemalloc.start()
-        for event in beating(count):
+        for event in beating(count, begin):
             watch(event)
         size = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
@@ -345,7 +345,7 @@ def test_a_file_keeps_nothing_in_memory(tmp_path):
 
     with TraceFile(tmp_path / "trace.jsonl") as file:
         peak(file, 2 * BLOCK)  # a block, the buffer, and how such events are written
-        few, many = peak(file, 2 * BLOCK), peak(file, 16 * BLOCK)
+        few, many = peak(file, 2 * BLOCK, 2 * BLOCK), peak(file, 16 * BLOCK, 4 * BLOCK)
         assert many < 1.1 * few + 10_000
     few, many = (peak(Trace().append, count) for count in (300, 2400))
     assert many > 6 * few

@@ -542,7 +542,7 @@ def test_a_kind_that_one_value_has_names_it_and_a_key_can_be_renamed():
             means(both, "active_time", **options)
     with pytest.raises(ValueError, match="a reference should be a mapping"):
         both.differences("active_time", "protocol=sap")
-    with pytest.raises(ValueError, match="a reference should be a mapping"):
+    with pytest.raises(ValueError, match="against should be a dict"):
         both.plot(against=["protocol=sap"])
     with pytest.raises(ValueError, match="size should be a width"):
         both.plot(size=(8.5, 6.0))
