@@ -36,7 +36,7 @@ ALLOWED = {
         "desim.kernel.link_layer.estimates": "Radio",
         "desim.kernel.models.medium": "LoRaInterference",
         "desim.scenario.misfits": "Radio",
-        "desim.scenario.simultaneous": "Radio Reliable Crash",
+        "desim.scenario.simultaneous": "Reliable Crash",
         "desim.study.ablation.imperfections": "LoRa",
     },
     "a transport is of a closed family; a dissemination derives from two of its kinds": {
