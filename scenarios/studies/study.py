@@ -95,7 +95,8 @@ def expected_time(seconds: float, runs: int, jobs: int, once: float = 0.0) -> st
     workers = jobs or os.cpu_count() or 1
     minutes = (seconds * runs + once) / 60.0
     cores = "1 idle core" if workers == 1 else f"{workers} idle cores"
-    return f"takes about {minutes:.2g} min of CPU time, {minutes / workers:.2g} min on {cores}"
+    unit, length = ("min", 1.0) if minutes < 120.0 else ("h", 60.0)
+    return f"takes about {minutes / length:.2g} {unit} of CPU time, {minutes / length / workers:.2g} {unit} on {cores}"
 
 
 def study(

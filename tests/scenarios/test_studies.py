@@ -82,6 +82,7 @@ def test_each_study_tells_first_how_long_it_takes():
     """From the time of one run of each cell, and of what is done once."""
     assert expected_time(2.0, 30, 2, once=60.0) == "takes about 2 min of CPU time, 1 min on 2 idle cores"
     assert expected_time(6.0, 10, 1) == "takes about 1 min of CPU time, 1 min on 1 idle core"
+    assert expected_time(6.0, 1800, 2) == "takes about 3 h of CPU time, 1.5 h on 2 idle cores"
     texts = [file.read_text(encoding="utf-8") for file in SCENARIOS.glob("*.py")]
     studies = [text.partition("@study(")[2].partition("def main")[0] for text in texts if "@study(" in text]
     assert len(studies) > 15
