@@ -20,6 +20,7 @@ from desim.config.errors import KeyedError, Problem
 from desim.config.model import FirstError, Value
 from desim.config.number_files import text_of_file
 from desim.config.suggestion import did_you_mean
+from desim.config.tables import object_once
 from desim.config.trust import resolve_path
 from desim.config.whole_files import write_whole
 from desim.pursuit.team.agent import Agent
@@ -287,7 +288,7 @@ def _content(path: Path) -> dict[str, Any]:
         ValueError: if the file cannot be read, is not JSON, or has no valid weights; the text begins with the file.
     """
     try:
-        content = json.loads(text_of_file(path), parse_constant=_refuse_constant)
+        content = json.loads(text_of_file(path), parse_constant=_refuse_constant, object_pairs_hook=object_once)
     except (ValueError, RecursionError) as error:
         reason = str(error)
         raise ValueError(reason if reason.startswith(str(path)) else f"{path} is not JSON: {reason}") from error

@@ -1,6 +1,6 @@
 """Nested tables and lists, as TOML and JSON have them, and the places in them."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import reduce
 from operator import getitem
 from typing import Any
@@ -24,3 +24,18 @@ def nested(node: Any, place: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
     for key, value in inner:
         yield (*place, key), value
         yield from nested(value, (*place, key))
+
+
+def check_once(names: Iterable[str | None], owner: str) -> None:
+    """Raise ValueError if a name is given twice: a reader would take one of the values."""
+    seen = set[str | None]()
+    for name in names:
+        if name is not None and name in seen:
+            raise ValueError(f"{owner} has {name!r} twice")
+        seen.add(name)
+
+
+def object_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object of JSON (`object_pairs_hook`); raise ValueError if it has a key twice."""
+    check_once((name for name, _ in pairs), "an object")
+    return dict(pairs)

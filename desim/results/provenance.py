@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from desim.config.errors import KeyPath
 from desim.config.json_numbers import from_json, to_json
-from desim.config.tables import nested
+from desim.config.tables import nested, object_once
 from desim.config.trust import regular_or_missing
 from desim.config.whole_files import write_whole
 from desim.results.environment import environment
@@ -131,7 +131,7 @@ def read(path: Path) -> Document:
     """
     content = regular_or_missing(path).read_bytes()
     try:
-        made = json.loads(content)
+        made = json.loads(content, object_pairs_hook=object_once)
     except json.JSONDecodeError as error:
         instead = f"; a scenario file is run without --from: desim run {path}" if path.suffix == ".toml" else ""
         raise ProvenanceError(f"{path}:{error.lineno}: not JSON: {error.msg}{instead}") from error

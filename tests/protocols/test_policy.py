@@ -126,6 +126,7 @@ GOOD = {"features": ["own.x"], "layers": [{"weights": [[1.0]], "bias": [0.0]}]}
     ("content", "why"),
     [
         ("no json", "is not JSON"),
+        ('{"features": ["own.x"], "features": ["own.y"], "layers": []}', "an object has 'features' twice"),
         ("[1]", "should have an object with the keys features, layers, activation"),
         ('{"features": ["own.x"]}', "has no layers"),
         (json.dumps(GOOD | {"layer": []}), "has an unknown key 'layer', did you mean 'layers'"),

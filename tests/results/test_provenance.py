@@ -229,6 +229,11 @@ def test_invalid_json_is_refused_with_its_line(kept):
     assert said.startswith(f"{path}:3: not JSON: ")
 
 
+def test_a_key_that_is_given_twice_is_refused(kept):
+    (said,) = errors(kept(b'{"seed": 1, "scenario": {"horizon": 1, "horizon": 2}, "seed": 2}'))
+    assert said.endswith("run.json: not JSON: an object has 'horizon' twice")
+
+
 @pytest.mark.parametrize("content", [b"\xff", b"[" * 200_000, b'{"seed": ' + b"1" * 5000 + b"}", b""])
 def test_binary_too_deep_or_too_long_files_are_no_json(kept, content):
     (said,) = errors(kept(content))

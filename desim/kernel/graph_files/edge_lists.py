@@ -9,11 +9,12 @@ possibly attributes, named in a header or as Python writes a dict. A line with o
 
 import csv
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from desim.config.number_files import number_of
+from desim.config.tables import check_once
 from desim.kernel.measured.csv_tables import separator_in, with_points
 
 if TYPE_CHECKING:
@@ -262,15 +263,6 @@ def _dict(text: str, place: str) -> dict[str, Any]:
     entries = [(pair[2], pair[4], pair[5]) for pair in pairs if pair is not None]
     check_once((name for name, *_ in entries), f"{place}:")
     return {name: _attribute("", word, place) if quoted is None else quoted for name, quoted, word in entries}
-
-
-def check_once(names: Iterable[str | None], owner: str) -> None:
-    """Raise ValueError if a name is given twice: a reader would take one of the values."""
-    seen = set[str | None]()
-    for name in names:
-        if name is not None and name in seen:
-            raise ValueError(f"{owner} has {name!r} twice")
-        seen.add(name)
 
 
 def _names_ends(cells: Sequence[str]) -> bool:

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from desim.config.number_files import check_comments, content_of, text_of_file
+from desim.config.tables import check_once, object_once
 from desim.kernel.graph_files.edge_lists import (
-    check_once,
     read_adjacency_list,
     read_edge_list,
     read_metis,
@@ -142,7 +142,7 @@ def _from_json(text: str) -> "nx.Graph[Any]":
     """Return the graph in JSON in a form that networkx writes."""
     import networkx as nx
 
-    data = json.loads(text, object_pairs_hook=_object)
+    data = json.loads(text, object_pairs_hook=object_once)
     if not isinstance(data, dict):
         raise ValueError("it should be an object with nodes and edges")
     if "elements" in data:
@@ -165,12 +165,6 @@ def _from_json(text: str) -> "nx.Graph[Any]":
     _check_ends(set(names), (_hashable(edge[end]) for edge in data[key] for end in ("source", "target")))
     graph: nx.Graph[Any] = nx.node_link_graph({**data, "multigraph": True}, edges=key)  # keeps parallel edges
     return graph
-
-
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return an object of JSON; raise ValueError if it has a key twice."""
-    check_once((name for name, _ in pairs), "an object")
-    return dict(pairs)
 
 
 def _from_cytoscape(data: dict[str, Any]) -> "nx.Graph[Any]":
