@@ -606,12 +606,13 @@ CLAIMS = (
         "breaking",
         BREAKING,
         "the chaser crashes at {0.7} s, and 6.8 s are left ([file](../_static/broken/jsfp.toml), "
-        '<a href="broken/jsfp.html#t=0.7">film</a>) | {6.8} | it takes over {0.9} s after the crash, too late for 7.5'
-        " s; with 9 s it is idle for {0.9} s in all. `sap` needs {0.6} s",
+        '<a href="broken/jsfp.html#t=0.7">film</a>) | {6.8} | they take over {0.9} s after the crash, too late for'
+        " 7.5 s; with 9 s they are idle for {0.9} s in all. `sap` needs {0.6} s",
         (
             crash_time("jsfp"),
             alone("jsfp"),
-            *[alone("jsfp", {"horizon": 9.0})] * 2,
+            alone("jsfp", {"horizon": 9.0}),
+            alone("jsfp", {"horizon": 9.0, "protocol": "regret_matching"}),
             alone("jsfp", {"protocol": "sap"}),
         ),
     ),
@@ -631,6 +632,13 @@ CLAIMS = (
         (crash_time("server"), alone("server")),
     ),
     Claim("breaking", BREAKING, '-trimmed.html#t=4">film</a>) | {11.0} |', [alone("local_min-trimmed")]),
+    Claim(
+        "breaking",
+        BREAKING,
+        "number 2 crashes at {9} s ([file](../_static/broken/cbba.toml), "
+        '<a href="broken/cbba.html#t=9">film</a>) | {8.1} |',
+        (crash_time("cbba"), alone("cbba")),
+    ),
     Claim(
         "bench",
         BENCH,
