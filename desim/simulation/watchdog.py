@@ -3,6 +3,7 @@
 import ctypes
 import signal
 import sys
+import weakref
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from linecache import getline
@@ -114,6 +115,10 @@ class _Limit(AbstractContextManager[None]):
         ) from error
 
 
+QUIET = frozenset({__file__, weakref.__file__})
+"""The files in whose code an alarm raises nothing."""
+
+
 class _Alarm(_Limit):
     """The time limit of a block of the main thread, which a signal interrupts."""
 
@@ -126,7 +131,8 @@ class _Alarm(_Limit):
     def _ring(self, number: int, frame: FrameType | None) -> None:
         """Raise the exception if it is time, and call the handler of the timer before, if it is its time.
 
-        In the code of this module nothing is raised: it looks at `is_late` itself.
+        In the code of this module nothing is raised: it looks at `is_late` itself. Nor is it in a callback of a weak
+        reference, where Python would only print the exception; the timer rings again.
         """
         elapsed = monotonic() - self._begin
         if self._left and elapsed >= self._left and callable(self._handler):
@@ -134,7 +140,7 @@ class _Alarm(_Limit):
         if self.is_over or elapsed < self._limit:
             return
         self.is_late = True
-        if not (_is_in(sys.exception(), self._raised) or (frame and frame.f_code.co_filename == __file__)):
+        if not (_is_in(sys.exception(), self._raised) or (frame and frame.f_code.co_filename in QUIET)):
             raise self._raised
 
     def _stop(self) -> None:

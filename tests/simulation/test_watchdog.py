@@ -9,10 +9,11 @@ import subprocess
 import sys
 import time
 import warnings
+import weakref
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from threading import Barrier, Event, Thread
-from types import FunctionType
+from types import FunctionType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -429,3 +430,13 @@ def test_the_command_refuses_what_is_no_time(tmp_path, text):
 def test_a_run_of_a_sweep_that_takes_too_long_has_failed_and_the_others_go_on():
     swept = sweep(scenario(endless), {"horizon": [1e-9, 1.0]}, reps=1, timeout=0.1)
     assert len(swept.failed) == 2
+
+
+def test_an_alarm_waits_for_the_end_of_a_callback_of_a_weak_reference():
+    """There Python would print the exception and go on."""
+    alarm = watchdog._Alarm(0.001)
+    alarm._begin, alarm._left, alarm._handler = time.monotonic() - 1.0, 0.0, None
+    alarm._ring(signal.SIGALRM, SimpleNamespace(f_code=weakref.WeakKeyDictionary()._remove.__code__))
+    assert alarm.is_late
+    with pytest.raises(TimedOut):
+        alarm._ring(signal.SIGALRM, None)
