@@ -21,7 +21,6 @@ LEVELS = 4
 """The number of levels of an input: 0, 1/3, 2/3, 1."""
 STEP = LEVELS / (2.0 * (LEVELS - 1))
 """The change of an input, 2/3: every level is then as probable as another."""
-
 ROUNDING = 1e-9
 """The spread of effects, relative to their size, that rounding can make; points are rounded to 12 digits."""
 
@@ -85,8 +84,8 @@ def elementary_effects(
         values: the (trajectories, inputs + 1) values of the model there; of a model with chance, means over the same
             seeds at all points.
         spans: the (trajectories, inputs) shares of the ranges over which the steps go, and 1 for lists, whose effects
-            are not scaled; None: the differences of the points. Where one is 0, the
-            value is the same after the step, and the effect is 0.
+            are not scaled; None: the differences of the points. Where a share is 0, the step changes nothing, and the
+            effect is 0.
         confidence: the confidence of the intervals.
         resamples: the number of bootstrap samples, which draw trajectories.
         rng: draws them; None = one with the seed 0.
