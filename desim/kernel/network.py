@@ -17,6 +17,7 @@ from desim.config.python_numbers import whole
 from desim.kernel.core.clock import Clock, NodeClock
 from desim.kernel.core.events import MessageCounts, Trace, TransportCounts
 from desim.kernel.core.message_body import as_sent, own_copy
+from desim.kernel.core.message_size import checked_size, size_of
 from desim.kernel.core.ports import check_port
 from desim.kernel.core.positions import PositionFunction, as_position_source
 from desim.kernel.core.records import Predicate, Record, Table
@@ -183,6 +184,9 @@ class Network(ReceivingNodes):
     Attributes:
         topology: the links of the graph, and which of them are within range.
         estimates: estimates of its delays and its density, for time-outs.
+        accepted: number of calls of `publish` and `send` whose arguments were valid. A call that is not accepted raises
+            ValueError and changes nothing. An exception of one that is accepted comes from a watcher or a model: the
+            message may then be counted and not sent, and the network should not be used any more.
     """
 
     def __init__(
@@ -231,6 +235,7 @@ class Network(ReceivingNodes):
         self._transport, self._is_plain = links.transport, links.transport.is_plain
         self._transport_layer = TransportLayer(state, self.estimates, trace, self._transmit)
         self._seq = [0] * topology.size
+        self.accepted = 0
 
     # Sending.
 
@@ -253,8 +258,10 @@ class Network(ReceivingNodes):
         Raises:
             ValueError: if the size is not an integer of at least 0, or the body has none, or the body cannot be copied.
         """
-        record = self.next_record(src, body, stamp)
-        self._transmit(record.src, None, record, size)
+        src, kept = self._node(src), self._own(body)
+        size = size_of(kept) if size is None else checked_size(size)
+        self.accepted += 1
+        self._transmit(src, None, self._next_record(src, kept, stamp), size)
 
     def send(
         self,
@@ -294,9 +301,14 @@ class Network(ReceivingNodes):
         if transport is not None:
             check_transport(transport)
         sent = as_sent(body)
+        size = size_of(sent) if size is None else checked_size(size)
+        is_plain = self._is_plain if transport is None else transport.is_plain
+        if not is_plain:
+            self._transport_layer.choose(port, transport or self._transport)
+        self.accepted += 1
         self._inboxes.has_mutable |= sent is not body
         message = _new(Message, (src, self._env.now, sent))
-        if self._is_plain if transport is None else transport.is_plain:
+        if is_plain:
             self._transmit(src, dst, message, size, port, only)
             return
         receivers: Sequence[int | None] = [dst]
@@ -315,9 +327,12 @@ class Network(ReceivingNodes):
 
     def next_record(self, src: int, body: Any, stamp: int | None = None) -> Record:
         """Return a new record of a node, for a protocol that spreads records by other means than `publish`."""
-        src = self._node(src)
+        return self._next_record(self._node(src), self._own(body), stamp)
+
+    def _next_record(self, src: int, kept: Any, stamp: int | None) -> Record:
+        """Return a new record of a node, given its body as it is kept."""
         self._seq[src] = seq = self._seq[src] + 1
-        return _new(Record, (src, seq, self._env.now if stamp is None else stamp, self._own(body)))
+        return _new(Record, (src, seq, self._env.now if stamp is None else stamp, kept))
 
     def overhear(self, listener: TransmissionListener) -> None:
         """Register a function to call whenever a transmission starts; see `link_layer.TransmissionListener`."""

@@ -16,8 +16,10 @@ while simulating:
 only `step` moves, and runs the same network: the same links, faults and draws.
 """
 
-from collections.abc import Hashable, Iterable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from copy import deepcopy
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 
@@ -65,6 +67,7 @@ STEPPING = (
 )
 CLOSED = "the network is closed: create another one"
 _new = tuple.__new__  # creates a named tuple in a third of the time
+Result = TypeVar("Result")
 
 
 class ReceivedMessage(NamedTuple):
@@ -155,6 +158,8 @@ class SteppedNetwork:
             raise ValueError(f"trace should be a desim.kernel.core.events.Trace (got {trace!r})")
         if trace is not None and trace.events:
             raise ValueError(f"trace has {len(trace):,} events of another episode: give a new Trace()")
+        if trace is not None and trace.is_taken:
+            raise ValueError("trace belongs to another network, or to another episode of this one: give a new Trace()")
         seed, size, clock = seed_of(seed), len(self._nodes), Clock()
         places = SteppedPositions(clock, self._nodes)
         if positions is not None:
@@ -189,6 +194,9 @@ class SteppedNetwork:
         self._away: dict[int, Crash] = {}
         self._is_unused, self._problem = True, ""
         self._is_unlimited = self._links.medium == Unlimited()
+        self._lacks_positions = positions is None and not network.topology.is_static
+        if trace is not None:
+            trace.is_taken = True
 
     # Sending and stepping.
 
@@ -214,42 +222,47 @@ class SteppedNetwork:
             transport: how it is carried, see `desim.kernel.models.transport`; None: that of the links.
 
         Raises:
-            ValueError: as `Network.send`, or if the network needs positions and has none.
-            RuntimeError: if the network is closed, or a step is under way or has failed.
+            ValueError: as `Network.send`, or if a range has no positions; nothing has then changed. An exception of a
+                watcher or a model is raised as it is, and is a failure: the message may be counted and not sent.
+            RuntimeError: if the network is closed, a step is under way, or a call has failed.
         """
-        if self._problem:
-            raise RuntimeError(self._problem)
-        self._is_unused = False
+        self.check_usable()
+        if self._lacks_positions:
+            self._positions()
         if self._numbers is not None:
             src, dst = self._number(src), None if dst is None else self._number(dst)
         if size is None and self._is_unlimited:
             size = _size_of(body)
+        network = self._network
+        accepted = network.accepted
         try:
-            self._network.send(src, dst, body, port=port, size=size, transport=transport)  # type: ignore[arg-type]
-        except ValueError:  # of a wrong argument: nothing has happened
+            network.send(src, dst, body, port=port, size=size, transport=transport)  # type: ignore[arg-type]
+        except BaseException:
+            if network.accepted > accepted:
+                self._problem = STEPPING
             raise
-        except BaseException:  # of a watcher, for instance: the message is counted, and may be on no way
-            self._problem = STEPPING
-            raise
+        self._is_unused = False
 
     def publish(self, src: Hashable, body: Any, *, size: int | None = None) -> None:
         """Broadcast the state of a node now: each neighbour has it as `latest` from its arrival on.
 
         Arguments and errors are as in `send`.
         """
-        if self._problem:
-            raise RuntimeError(self._problem)
-        self._is_unused = False
+        self.check_usable()
+        if self._lacks_positions:
+            self._positions()
         if size is None and self._is_unlimited:
             size = _size_of(body)
         number: Any = src if self._numbers is None else self._number(src)
+        network = self._network
+        accepted = network.accepted
         try:
-            self._network.publish(number, body, size)
-        except ValueError:
-            raise
+            network.publish(number, body, size)
         except BaseException:
-            self._problem = STEPPING
+            if network.accepted > accepted:
+                self._problem = STEPPING
             raise
+        self._is_unused = False
 
     def step(self, dt: float, positions: Any = None) -> list[ReceivedMessage]:
         """Let time pass, and return the messages of `send` that have arrived, in the order of their arrival.
@@ -266,10 +279,10 @@ class SteppedNetwork:
                 the step is then not made.
             RuntimeError: if the network is closed, or a step is under way or has failed.
         """
-        if self._problem:
-            raise RuntimeError(self._problem)
+        self.check_usable()
         clock, end = self._clock, self._end_of_step(dt)
         self._positions.begin_step(end, positions)
+        self._lacks_positions &= self._positions.array is None
         self._is_unused, self._problem = False, STEPPING
         with RARE_COLLECTION:
             clock.run(until=Instant(clock, end, Phase.DECISION))
@@ -310,7 +323,7 @@ class SteppedNetwork:
         dst = self._nodes[number]
         latest = {
             src: new(kind, (src, dst, body, sent / SECOND, when / SECOND, ""))
-            for src, (when, (_, _, sent, body)) in self._network.latest_records(number).items()
+            for src, (when, (_, _, sent, body)) in self._run(self._network.latest_records, number).items()
         }
         if self._numbers is None:
             return latest
@@ -326,7 +339,7 @@ class SteppedNetwork:
         ages, now = np.full((len(self._nodes),) * 2, np.inf), self._clock.now
         np.fill_diagonal(ages, 0.0)
         for node in range(len(self._nodes)):
-            for src, stamp in self._network.stamps(node).items():
+            for src, stamp in self._run(self._network.stamps, node).items():
                 ages[node, src] = (now - stamp) / SECOND
         return ages
 
@@ -341,7 +354,7 @@ class SteppedNetwork:
     def counts(self) -> MessageCounts:
         """Return the counts of messages up to now: sent = delivered + lost + in flight, per receiver."""
         self._live(self._nodes[0])
-        return self._network.message_counts()
+        return self._run(self._network.message_counts)
 
     def transport_counts(self) -> TransportCounts | None:
         """Return the counts of transports up to now; None if no message has needed one."""
@@ -380,9 +393,10 @@ class SteppedNetwork:
         if number in self._away:
             raise ValueError(f"node {node!r} is away already")
         crash = self._away[number] = Crash(start=self.now, node=number, scope="radio", memory=False)
+        self._is_unused = False
         if self._trace is not None:
-            self._trace.append(FaultStarted(self._clock.now, crash))
-        self._network.crash(number)
+            self._run(self._trace.append, FaultStarted(self._clock.now, crash))
+        self._run(self._network.crash, number)
 
     def join(self, node: Hashable) -> None:
         """Let a node that has left join again now; it has received nothing yet.
@@ -393,23 +407,29 @@ class SteppedNetwork:
         number = self._member(node)
         if number not in self._away:
             raise ValueError(f"node {node!r} is not away")
+        crash = self._away.pop(number)
         if self._trace is not None:
-            self._trace.append(FaultEnded(self._clock.now, self._away[number]))
-        del self._away[number]
-        self._network.recover(number, memory=False)
+            self._run(self._trace.append, FaultEnded(self._clock.now, crash))
+        self._run(partial(self._network.recover, number, memory=False))
 
     def _member(self, node: Hashable) -> int:
         """Return the number of a node that may leave."""
         number = self._live(node)
         if not self._can_leave:
             raise ValueError("nodes leave and join only if the network is created with can_leave=True")
-        self._is_unused = False
         return number
+
+    def _run(self, call: Callable[..., Result], *arguments: Any) -> Result:
+        """Call a function in which watchers and models may raise; the episode has then failed."""
+        try:
+            return call(*arguments)
+        except BaseException:
+            self._problem = STEPPING
+            raise
 
     def _live(self, node: Any) -> int:
         """Return the number of a node; raise RuntimeError if the network cannot be asked now."""
-        if self._problem:
-            raise RuntimeError(self._problem)
+        self.check_usable()
         return self._number(node)
 
     def _number(self, node: Any) -> int:
@@ -427,6 +447,11 @@ class SteppedNetwork:
         raise ValueError(f"there is no node {node!r}: the nodes are {names}")
 
     # Time and life.
+
+    def check_usable(self) -> None:
+        """Raise RuntimeError if the network is closed, a step is under way, or a call has failed."""
+        if self._problem:
+            raise RuntimeError(self._problem)
 
     @property
     def now(self) -> float:
@@ -456,16 +481,16 @@ class SteppedNetwork:
         last = None if self._problem else (self._network, self._trace)
         self._start(seed, array, trace)
         if last is not None:
-            _finish(*last)
+            self._run(_finish, *last)
 
     def close(self) -> None:
         """Append the final counts to the trace, and let go of the network; a second call has no effect."""
         if self._problem == CLOSED:
             return
-        if not self._problem:
-            _finish(self._network, self._trace)
-        self._problem = CLOSED
+        has_failed, self._problem, network = bool(self._problem), CLOSED, self._network
         del self._network, self._queue
+        if not has_failed:
+            _finish(network, self._trace)
 
     def __enter__(self) -> Self:
         RARE_COLLECTION.__enter__()
@@ -503,7 +528,10 @@ def _again(configuration: tuple[Any, ...], start: tuple[Any, ...]) -> SteppedNet
         network._can_leave,
         network._walls,
     ) = configuration
-    network._start(*start)
+    seed, positions, trace = deepcopy(start)  # also in a shallow copy: each network has a trace of its own
+    if trace is not None:
+        trace.is_taken = False
+    network._start(seed, positions, trace)
     return network
 
 

@@ -60,7 +60,7 @@ class SteppedNetworks:
 
     def send(self, bodies: Any) -> None:
         """Let every node broadcast a row of an array (E, n) or (E, n, k) as a message; see `SteppedNetwork.send`."""
-        for network, rows in zip(self._networks, self._bodies(bodies), strict=True):
+        for network, rows in zip(self._usable(), self._bodies(bodies), strict=True):
             for node, body in zip(network.nodes, rows, strict=True):
                 network.send(node, None, body)
 
@@ -70,7 +70,7 @@ class SteppedNetworks:
         if self._shape not in {None, shape}:
             raise ValueError(f"the bodies of an episode should have one shape, first {self._shape}, now {shape}")
         self._shape = shape
-        for network, rows in zip(self._networks, rows_of_networks, strict=True):
+        for network, rows in zip(self._usable(), rows_of_networks, strict=True):
             for node, body in zip(network.nodes, rows, strict=True):
                 network.publish(node, body)
 
@@ -82,7 +82,7 @@ class SteppedNetworks:
             positions: (E, n, 2) the positions at the end, m; None: those that the last array then has.
         """
         placed = self._rows(positions)
-        return [network.step(dt, place) for network, place in zip(self._networks, placed, strict=True)]
+        return [network.step(dt, place) for network, place in zip(self._usable(), placed, strict=True)]
 
     def latest(self) -> Floats:
         """Return the newest numbers that have arrived, (E, receivers, sources) or (E, receivers, sources, k).
@@ -130,6 +130,12 @@ class SteppedNetworks:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _usable(self) -> Sequence[SteppedNetwork]:
+        """Return the networks; raise RuntimeError if one is closed or has failed, before any other goes on."""
+        for network in self._networks:
+            network.check_usable()
+        return self._networks
 
     def _rows(self, positions: Any) -> Sequence[Any]:
         """Return the positions for each network, so that all are right or no network steps; None for each if none."""

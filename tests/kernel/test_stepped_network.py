@@ -729,9 +729,9 @@ def test_a_step_takes_a_finite_time(dt):
 
 
 def test_what_a_network_cannot_do_is_said():
-    network = SteppedNetwork(3, Links(range=5.0))
     with pytest.raises(ValueError, match="depends on the positions"):
-        network.send(0, None, 1)
+        SteppedNetwork(3, Links(range=5.0)).send(0, None, 1)
+    network = SteppedNetwork(3)
     for node in (3, -1):
         with pytest.raises(ValueError, match=f"there is no node {node}"):
             network.send(node, None, 1)

@@ -267,6 +267,28 @@ def test_a_trace_file_is_of_one_run_and_is_written_in_its_block(tmp_path):
         run(scenario, 1, file)
 
 
+def test_a_file_is_written_by_one_trace_file_at_a_time(tmp_path, monkeypatch):
+    path, same = tmp_path / "trace.jsonl", tmp_path / ".." / tmp_path.name / "trace.jsonl"
+    monkeypatch.chdir(tmp_path)
+    with TraceFile(path) as file:
+        for other in (file, TraceFile(path), TraceFile(same), TraceFile("trace.jsonl")):
+            with (
+                pytest.raises(ValueError, match=r"trace\.jsonl is written already by a TraceFile: each run needs"),
+                other,
+            ):
+                pass
+        for event in beating(2):
+            file(event)
+        with TraceFile(tmp_path / "other.jsonl"):
+            pass
+    assert path.read_text() == "".join(map(line_of, beating(2)))
+    with pytest.raises(ArithmeticError), file:  # again, once it is written
+        raise ArithmeticError
+    with file:  # also after an error
+        pass
+    assert path.read_text() == ""
+
+
 KILLED = """
 import os, sys
 from desim import TraceFile

@@ -307,6 +307,8 @@ class Trace:
         self._keeps_messages = messages
         self._stop = stop
         self.wants_messages = messages or bool(self._watchers)
+        self.is_taken = False
+        """Whether it belongs to an episode of a network that another program steps."""
 
     def append(self, event: Event) -> None:
         """Store an event and pass it to the watchers."""

@@ -32,6 +32,8 @@ Limits = Mapping[str, Any]
 
 BLOCK = 256
 """Number of events that are written together; a run then takes 0.9 of the time of writing them one by one."""
+_WRITTEN: set[Path] = set()
+"""The files that this process writes now."""
 LONG = 1000
 """Number of receivers above which a broadcast is written at once, to bound the memory of a block."""
 
@@ -49,7 +51,8 @@ class TraceFile:
         path: the path of the file.
 
     Raises:
-        ValueError: if the path is none.
+        ValueError: if the path is none; at the beginning of the block, if another `TraceFile` of this process writes
+            the file.
     """
 
     def __init__(self, path: str | Path):
@@ -57,7 +60,7 @@ class TraceFile:
         if not isinstance(place, str | PathLike) or not Path(place).name:
             raise ValueError(f"TraceFile takes the path of a file (got {path!r})")
         self._path = Path(path)
-        self._part = self._path.with_name(self._path.name + ".part")
+        self._part = self._place = self._path.with_name(self._path.name + ".part")
         self._block: list[Event] = []
         self._file: Any = None
         """The file that is written; None outside of the `with` block."""
@@ -65,7 +68,12 @@ class TraceFile:
         """The time of the last event, ns."""
 
     def __enter__(self) -> Self:
+        place = self._part.resolve()
+        if place in _WRITTEN:
+            raise ValueError(f"{self._path} is written already by a TraceFile: each run needs a file of its own")
         self._file, self._last = self._part.open("w", encoding="utf-8", newline="\n"), 0
+        self._place = place
+        _WRITTEN.add(place)
         return self
 
     def __call__(self, event: Event) -> None:
@@ -89,6 +97,7 @@ class TraceFile:
         finally:
             self._file.close()
             self._file = None
+            _WRITTEN.discard(self._place)
         if error is None:
             self._part.replace(self._path)
 

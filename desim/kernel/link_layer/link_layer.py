@@ -15,7 +15,6 @@ from desim.kernel.channel.hosts import Hosts
 from desim.kernel.channel.transmitter import Transmitter
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import LOST, Broadcast, Cause, Lost, MessageCounts, Queued, Sent, Trace
-from desim.kernel.core.message_size import checked_size, size_of
 from desim.kernel.core.records import Arrival, Record, per_receiver
 from desim.kernel.link_layer.delivery import MessageDelivery
 from desim.kernel.link_layer.departure import Departure
@@ -147,16 +146,13 @@ class LinkLayer:
         src: int,
         dst: int | None,
         content: Record | Message,
-        size: int | None,
+        size: int,
         port: str = "",
         only: Collection[int] | None = None,
     ) -> None:
         """Start a new transmission, at once or after it has waited; do nothing if the sender's radio is down.
 
-        See `Network.send`.
-
-        Raises:
-            ValueError: if the size is not an integer of at least 0, or the body has none.
+        See `Network.send`, which checks the arguments.
         """
         if self._fault_state is not None and self._fault_state.down(src):
             return
@@ -167,7 +163,6 @@ class LinkLayer:
                 receivers = [node for node in receivers if node in only]
         else:
             receivers, reachable = [dst], self._departure.reachable(src, dst, number)
-        size = size_of(content.body) if size is None else checked_size(size)
         transmission = _new(
             Transmission, (number, src, self._env.now, size, receivers, content, port, reachable, dst is not None)
         )

@@ -18,7 +18,6 @@ from typing import Any, Literal
 from desim.config.model import MAX_TIME
 from desim.kernel.core.clock import Phase
 from desim.kernel.core.events import Trace, TransportCounts
-from desim.kernel.core.message_size import checked_size, size_of
 from desim.kernel.core.ports import ReservedPort
 from desim.kernel.link_layer.estimates import Estimates
 from desim.kernel.models.transport import Reliable, Transport
@@ -93,9 +92,17 @@ class TransportLayer:
         """Empty until the first message."""
         self._numbers = count(FIRST_DELIVERY)
 
-    def send(
-        self, src: int, dst: int | None, message: Message, port: str, size: int | None, transport: Transport
-    ) -> None:
+    def choose(self, port: str, transport: Transport) -> None:
+        """Choose the transport of a port; it stays the same for all messages.
+
+        Raises:
+            ValueError: if the port has another one.
+        """
+        chosen = self._transports.setdefault(port, transport)
+        if chosen is not transport and chosen != transport:
+            raise ValueError(f"a port has one transport: {port!r} has {chosen!r} (got {transport!r})")
+
+    def send(self, src: int, dst: int | None, message: Message, port: str, size: int, transport: Transport) -> None:
         """Send a message to a node, or to all neighbours (None), under a transport.
 
         Args:
@@ -103,19 +110,11 @@ class TransportLayer:
             dst: the receiver; None: all neighbours.
             message: the message.
             port: the port of the inbox.
-            size: the size of the message, bytes; computed from its body if None.
-            transport: how it is carried.
-
-        Raises:
-            ValueError: if the size is not an integer of at least 0, the body has none, or messages at this port have
-                another transport.
+            size: the size of the message, bytes.
+            transport: how it is carried, that of the port (`choose`).
         """
-        size = size_of(message.body) if size is None else checked_size(size)
         if not self._nodes:
             self._start()
-        chosen = self._transports.setdefault(port, transport)
-        if chosen is not transport and chosen != transport:
-            raise ValueError(f"a port has one transport: {port!r} has {chosen!r} (got {transport!r})")
         flow, node = MessageFlow(src, dst, port), self._nodes[src]
         sender = node.senders.get(flow)
         if sender is None:
