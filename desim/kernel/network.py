@@ -119,7 +119,7 @@ class ReceivingNodes:
         """Return the inbox of a node at a port."""
         if not 0 <= node < self._size:
             raise self._unknown(node)
-        if type(port) is not str:
+        if not isinstance(port, str):
             check_port(port, "inbox")
         return self._inboxes.at(port)[node]
 
@@ -296,7 +296,7 @@ class Network(ReceivingNodes):
             dst = self._node(dst)
         if dst == src:
             raise ValueError(f"node {src} should not send messages to itself")
-        if type(port) is not str:
+        if not isinstance(port, str):
             check_port(port, "send")
         if transport is not None:
             check_transport(transport)

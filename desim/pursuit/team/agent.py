@@ -321,13 +321,13 @@ class Agent(Beliefs, Timing, HintedItems):
                 0, the body has no size or cannot be copied, the port is no text, the transport is none, or messages at
                 the port have another transport.
         """
-        if type(port) is not str:
+        if not isinstance(port, str):
             check_port(port, f"pursuer {self.id}: send")
         self._voice.send(self.id, dst, body, port=port, size=size, transport=transport)
 
     def mail(self, port: str = "") -> list[Message]:
         """Remove and return the unread messages of a port, without waiting."""
-        if type(port) is not str:
+        if not isinstance(port, str):
             check_port(port, f"pursuer {self.id}: mail")
         return self._network.inbox(self.id, port).drain()
 

@@ -148,7 +148,7 @@ class Timing:
         Raises:
             ValueError: if the port is no text, or `wanted` is not a function.
         """
-        if type(port) is not str:
+        if not isinstance(port, str):
             check_port(port, f"pursuer {self.id}: arrival")
         self._check_phase(phase)
         if wanted is not None and not callable(wanted):
