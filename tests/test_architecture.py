@@ -412,6 +412,55 @@ def test_the_tuples_that_are_created_by_position_are_known():
     assert made <= {place.partition(":")[2] for place in POSITIONS} | by_layout
 
 
+FOREIGN = {"formatter", "os", "Path('/proc/sys/kernel/random/boot_id')", "Path(f'/proc/{pid}/stat')"}
+"""Owners of methods that do something else, or read what is ASCII on each machine."""
+
+
+def is_said(call):
+    """Return whether a call has the keyword without which its result depends on the machine, or hides a mistake."""
+    said = {keyword.arg for keyword in call.keywords}
+    match call.func:
+        case ast.Name("zip"):  # the longer one is cut off
+            return "strict" in said or "repeat(" in ast.unparse(call)
+        case ast.Attribute(attr="argsort"):  # numpy has loops for some processors that leave ties in another order
+            return "kind" in said
+        case ast.Attribute(attr="open" | "read_text" | "write_text" as name):  # in the encoding of the machine
+            is_text = name != "open" or {*map(ast.unparse, call.args)} <= {"'r'", "'w'", "'a'"}
+            is_encoded = "encoding" in said or len(call.args) == {"read_text": 1, "write_text": 2}.get(name)
+            return is_encoded or not is_text or owner_of(call.func) in FOREIGN
+    return True
+
+
+def unsaid(tree):
+    """Return the line of each call that leaves to a default what it should say."""
+    return [node.lineno for node in ast.walk(tree) if isinstance(node, ast.Call) and not is_said(node)]
+
+
+@pytest.mark.slow
+def test_no_order_length_or_encoding_is_left_to_a_default():
+    ours = [path for path in MODULES if not name_of(path).startswith("scenarios.")]
+    lines = {name_of(path): unsaid(tree_of(path)) for path in ours}
+    assert {name: numbers for name, numbers in lines.items() if numbers} == {}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "x.argsort()",
+        "np.argsort(x, axis=0)",
+        "zip(a, b)",
+        "file.open()",
+        "file.open('w', newline='')",
+        "file.read_text()",
+        "file.write_text(text)",
+    ],
+)
+def test_what_is_left_to_a_default_would_be_detected(line):
+    said = "a.argsort(kind='stable'); zip(a, b, strict=False); file.open('rb'); file.read_text('utf-8'); os.open(a, b)"
+    assert unsaid(ast.parse(line))
+    assert not unsaid(ast.parse(said))
+
+
 INTEGERS = {"len", "bool", "int", "isinstance"}
 """Functions whose values are integers or truth values."""
 

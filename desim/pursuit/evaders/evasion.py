@@ -353,7 +353,7 @@ def voronoi_cell(state: State, arena: tuple[float, float]) -> list[complex]:
     """Return the vertices, m, of the evader's Voronoi cell in an arena, relative to the evader."""
     (low, high), evader = arena, state.evader
     cell = [complex(x, y) - evader for x, y in ((low, low), (high, low), (high, high), (low, high))]
-    for pursuer in state.distances.argsort():
+    for pursuer in state.distances.argsort(kind="stable"):
         middle = complex(state.offsets[pursuer]) / -2.0
         if abs(middle) >= max(map(abs, cell)):
             break  # neither this pursuer nor a farther one cuts the cell

@@ -211,7 +211,7 @@ class Obstacles:
             on &= (along >= -reach) & (along <= (length**2)[:, None] + reach)
             for k in (on.any(axis=1) & clear).nonzero()[0].tolist():
                 passed = on[k].nonzero()[0]
-                order = passed[along[k, passed].argsort()].tolist()
+                order = passed[along[k, passed].argsort(kind="stable")].tolist()
                 clear[k] = self._passes(source, complex(targets[k]), order, None if at is None else int(at[k]))
         if at is not None and (neighbours := self._neighbours_of(source, corner_x, corner_y)):
             for k in clear.nonzero()[0].tolist():
