@@ -5,14 +5,20 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
 from typing import NamedTuple
 
+IDENTIFIED = (
+    *("vehicle", "agent", "robot", "uav", "drone", "track", "trajectory", "traj", "pedestrian", "ped", "person"),
+    *("object", "obj", "user", "tag", "target", "node"),
+)
+"""What the numbers in a column may belong to, as in `track_id`."""
 COLUMNS: Mapping[str, tuple[str, ...]] = {
-    "t": ("t", "time", "timestamp", "t_s", "time_s", "sec", "seconds", "date", "datetime"),
-    "x": ("x", "x_m", "pos_x", "posx", "position_x", "east", "easting"),
-    "y": ("y", "y_m", "pos_y", "posy", "position_y", "north", "northing"),
-    "z": ("z", "z_m", "pos_z", "posz", "position_z", "height", "altitude", "alt"),
+    "t": ("t", "time", "timestamp", "sec", "seconds", "date", "datetime"),
+    "x": ("x", "pos_x", "posx", "position_x", "east", "easting", "tx"),
+    "y": ("y", "pos_y", "posy", "position_y", "north", "northing", "ty"),
+    "z": ("z", "pos_z", "posz", "position_z", "height", "altitude", "alt", "tz"),
     "node": (
-        *("node", "name", "node_id", "nodeid", "id"),
-        *(f"{one}{end}" for one in ("vehicle", "agent", "robot", "uav", "drone", "track") for end in ("", "_id", "id")),
+        *("node", "name", "id"),
+        *("vehicle", "agent", "robot", "uav", "drone", "track", "pedestrian", "person"),
+        *(f"{one}{end}" for one in IDENTIFIED for end in ("_id", "id")),
     ),
 }
 """The names that a column of a table may have, in lower case; the first that a table has is read."""
@@ -22,16 +28,19 @@ FRACTIONS = frozenset({"nanosec", "nanosecs", "nanoseconds", "nsec", "nsecs", "u
 LATITUDES, LONGITUDES = frozenset({"lat", "latitude"}), frozenset({"lon", "lng", "long", "longitude"})
 DEGREES = LATITUDES | LONGITUDES
 UNITS = {"t": "s", "x": "m", "y": "m", "z": "m"}
-HEADER_CELL = re.compile(r"\s*(.*?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?\s*")
-"""Matches the name of a column and its unit, for example `x [m]`."""
-
-
+TIME_UNITS = {
+    "s": "s|secs?|seconds?",
+    "ms": "ms|msecs?|milliseconds?",
+    "us": "us|[µμ]s|usecs?|microseconds?",
+    "ns": "ns|nsecs?|nanoseconds?",
+}
+"""Expressions for the names of the units of times that are read."""
 OTHER_UNITS = {
-    "s": "ms|msecs?|milliseconds?|us|[µμ]s|usecs?|microseconds?|ns|nsecs?|nanoseconds?|minutes|hours",
+    "s": "|".join([TIME_UNITS["ms"], TIME_UNITS["us"], TIME_UNITS["ns"], "minutes|hours"]),
     "m": "(?:m|c|k)m|(?:milli|centi|kilo)met(?:er|re)s?|ft|feet|inch(?:es)?|px|pixels?|deg(?:rees)?",
 }
 """Expressions for units that people use instead of a unit."""
-SAME_UNIT = {"s": "s|secs?|seconds?", "m": "m|met(?:er|re)s?"}
+SAME_UNIT = {"s": TIME_UNITS["s"], "m": "m|met(?:er|re)s?"}
 """Expressions for the names of a unit."""
 NAMES_OF_UNITS = {unit: f"{SAME_UNIT[unit]}|{OTHER_UNITS[unit]}" for unit in SAME_UNIT}
 LABEL = re.compile(
@@ -44,19 +53,58 @@ WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?(?:(?![A-Z])[^\W\d_])+|\d+")
 """Matches a word in a label, as in `pose.position.x`, `posX` or `utm_north`."""
 AXES = {"x": re.compile(r"[a-z]?x|east|easting"), "y": re.compile(r"[a-z]?y|north|northing")}
 """Match the word that ends the label of a coordinate."""
+ENDS = {
+    "t": {"t", "time", "timestamp", "stamp"},
+    "x": {"x", "px", "east", "easting"},
+    "y": {"y", "py", "north", "northing"},
+    "z": {"z", "pz", "height", "altitude"},
+}
+"""The words that end the label of a column among others, as in `pose.position.x`."""
+OF_POSITIONS = frozenset(
+    {"p", "pos", "pose", "position", "positions", "translation", "location", "point", "coordinate"}
+)
+OF_OTHERS = frozenset(
+    {
+        *("v", "vel", "velocity", "speed", "twist", "linear", "angular", "acc", "acceleration", "orientation"),
+        *("q", "quat", "quaternion", "rotation", "rot", "gyro", "cov", "covariance", "std", "error", "goal", "target"),
+    }
+)
+"""Words in the labels of vectors that are positions, and of others."""
 
 
 class Header(NamedTuple):
-    """The cells of a header, in lower case without units, and the units."""
+    """The cells of a header."""
 
     names: list[str]
-    units: list[str | None]
+    """In lower case, without units."""
+    units: list[str]
+    """Empty where a cell names none."""
+    words: list[list[str]]
+    """The words of each name, in lower case."""
+
+    def columns(self, key: str) -> list[int]:
+        """Return the indices of the columns that may be t, x, y, z or node; several if it cannot be told which is.
+
+        A column that has one of the `COLUMNS` as its name is preferred to one whose words end like it, and of these one
+        of positions to others.
+        """
+        for name in COLUMNS[key]:
+            if name in self.names:
+                return [k for k, other in enumerate(self.names) if other == name]
+        alike = [
+            k
+            for k, words in enumerate(self.words)
+            if words and words[-1] in ENDS.get(key, ()) and OF_OTHERS.isdisjoint(words)
+        ]
+        return [k for k in alike if not OF_POSITIONS.isdisjoint(self.words[k])] or alike
 
 
 def header_of(cells: Iterable[str]) -> Header:
-    """Return the names and the units in the cells of a header."""
-    parts = [HEADER_CELL.fullmatch(cell.strip().strip('"')) for cell in cells]
-    return Header([part[1].lower() if part else "" for part in parts], [part[2] if part else None for part in parts])
+    """Return the names and the units in the cells of a header; a sign `%` before a name does not count."""
+    parts = [LABEL.fullmatch(cell.strip().strip('"').lstrip("%")) for cell in cells]
+    labels = [part["name"].strip() if part else "" for part in parts]
+    units = [(part["bracketed"] or part["unit"] or "") if part else "" for part in parts]
+    return Header([label.lower() for label in labels], units, [_words(label) for label in labels])
 
 
 def coordinate_columns(labels: Sequence[object]) -> list[int] | None:
@@ -70,7 +118,7 @@ def coordinate_columns(labels: Sequence[object]) -> list[int] | None:
     texts = [" ".join(label) if isinstance(label, tuple) and all(map(_is_text, label)) else label for label in labels]
     if not all(map(_is_text, texts)):
         return None
-    words = [[word.lower() for word in WORD.findall(str(text))] for text in texts]
+    words = [_words(str(text)) for text in texts]
     named = frozenset(chain.from_iterable(words))
     if LATITUDES & named and LONGITUDES & named:
         raise ValueError("positions are in degrees: project them to m")
@@ -91,9 +139,13 @@ def _is_text(label: object) -> bool:
     return isinstance(label, str)
 
 
+def _words(label: str) -> list[str]:
+    return [word.lower() for word in WORD.findall(label)]
+
+
 def _role(name: str) -> str | None:
     """Return which of t, x and y a column is, given its label without a unit; None if it cannot be told."""
     if (role := next((key for key in "txy" if name.strip().lower() in COLUMNS[key]), None)) is not None:
         return role
-    words = [word.lower() for word in WORD.findall(name) if not word.isdecimal()]
+    words = [word for word in _words(name) if not word.isdecimal()]
     return next((key for key, axis in AXES.items() if words and axis.fullmatch(words[-1])), None)

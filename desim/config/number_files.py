@@ -156,6 +156,23 @@ def content_of(file: Path) -> bytes:
     return unpacked
 
 
+NO_TEXT = {
+    b"PK\x03\x04": "a zip archive or a spreadsheet: unpack it, or save its table as CSV",
+    b"\xd0\xcf\x11\xe0": "a spreadsheet: save its table as CSV",
+    b"PAR1": "a Parquet file, whose name should end in .parquet where tables are read",
+    b"SQLite format 3": "a database of SQLite: export a table as CSV",
+    b"\x93NUMPY": "an array of numpy: numpy.savetxt writes it as text",
+    b"\x89HDF": "a file of HDF5: export a table as CSV",
+    b"CDF": "a file of NetCDF: export a table as CSV",
+    b"MATLAB 5.0": "a file of Matlab: writetable exports a table as CSV",
+    b"ULog": "a log of PX4: ulog2csv exports its tables as CSV",
+    b"#ROSBAG": "a bag of ROS: rostopic echo -b FILE -p TOPIC exports a topic as CSV",
+    b"\xd4\xc3\xb2\xa1": "a capture of packets: tshark -T fields exports it as CSV",
+    b"\n\r\r\n": "a capture of packets: tshark -T fields exports it as CSV",
+}
+"""What files are that are no text, by their first bytes, and how to make text of them."""
+
+
 def text_of_file(file: Path) -> str:
     r"""Return the text of a file in UTF-8, or in UTF-16 with a byte order mark; its lines end with \n.
 
@@ -164,14 +181,15 @@ def text_of_file(file: Path) -> str:
     Raises:
         ValueError: if the file cannot be read, or is not text.
     """
+    content, text, reason = content_of(file), "", ""
     try:
-        text = _decoded(content_of(file))
+        text = _decoded(content)
+        reason = ", because it has zero bytes" if "\0" in text else ""
     except UnicodeDecodeError as error:
-        raise ValueError(
-            f"{file} cannot be read: it is not text in UTF-8 ({error.reason} at byte {error.start})"
-        ) from error
-    if "\0" in text:
-        raise ValueError(f"{file} cannot be read: it is not text in UTF-8, because it has zero bytes")
+        reason = f" ({error.reason} at byte {error.start})"
+    if reason:
+        kind = next((kind for begin, kind in NO_TEXT.items() if content.startswith(begin)), None)
+        raise ValueError(f"{file} cannot be read: it is {kind or f'not text in UTF-8{reason}'}")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 

@@ -16,6 +16,7 @@ from tests.kernel.test_mobility_file import interpolated
 
 NAMES = ["uav3", "base", "n0"]
 NAMED = {"csv", "header with units", "commented header", "semicolons", "decimal commas", "tabs", "dates", "since 1970"}
+NAMED |= {"since 1970 in us", "milliseconds", "a line of units", "FCD"}
 """The formats in which nodes have names."""
 
 
@@ -37,6 +38,25 @@ def ns2(tracks, array="$node_({})", start=0.0):
 def table(tracks, mark=",", header="t,node,x,y", names=NAMES, when=repr):
     rows = sorted((t, k, x, y) for k, track in enumerate(tracks) for t, x, y, _ in track)
     return "\n".join([header, *(mark.join([when(t), names[k], repr(x), repr(y)]) for t, k, x, y in rows)]) + "\n"
+
+
+def fcd(tracks):
+    """Each row of SUMO has a time step of its own here; nodes that share a time are in several steps of that time."""
+    rows = sorted((t, k, x, y) for k, track in enumerate(tracks) for t, x, y, _ in track)
+    steps = (
+        f'<timestep time="{t!r}">\n<vehicle id="{NAMES[k]}" x="{x!r}" y="{y!r}" z="0"/></timestep>'
+        for t, k, x, y in rows
+    )
+    return "\n".join(["<?xml version='1.0'?>", "<!-- made --><fcd-export>", *steps, "</fcd-export>"])
+
+
+def ros(tracks):
+    """Rows as `rostopic echo -p` writes them: nanoseconds since 1970, and positions among other vectors."""
+    header = (
+        "%time,id,field.pose.pose.position.x,field.pose.pose.position.y,field.pose.pose.orientation.x,field.twist.x"
+    )
+    lines = table(tracks, header=header, names="012", when=lambda t: str(17 * 10**17 + round(t * 1e9))).splitlines()
+    return "\n".join([lines[0], *(f"{line},0.7,9" for line in lines[1:])])
 
 
 def date(t):
@@ -62,6 +82,11 @@ FORMATS = {
     "tabs": lambda tracks: table(tracks, "\t", "time\tid\tx\ty"),
     "dates": lambda tracks: table(tracks, when=date),
     "since 1970": lambda tracks: table(tracks, when=lambda t: repr(1.7e9 + t)),
+    "since 1970 in us": lambda tracks: table(tracks, when=lambda t: repr(1.7e15 + t * 1e6)),
+    "milliseconds": lambda tracks: table(tracks, header="time_ms,id,X / m,Y / m", when=lambda t: repr(t * 1e3)),
+    "a line of units": lambda tracks: table(tracks, header="time,id,x,y\nus,,m,m", when=lambda t: repr(t * 1e6)),
+    "vectors": ros,
+    "FCD": fcd,
 }
 ENCODINGS = {
     "plain": str.encode,
@@ -179,12 +204,40 @@ REFUSED = {
     "underscore": ("0 1_0 2\n", r"line 1: '1_0' is not a number"),
     "degrees": ("t,lat,lon\n0,48.1,11.5\n", r"has positions in degrees; project them to m"),
     "kilometres": ("t,x [km],y [km]\n0,1,2\n", r"column 'x' is in km, and should be in m; .* set scale"),
-    "milliseconds": ("time [ms],x,y\n0,1,2\n", r"column 'time' is in ms, and should be in s"),
+    "minutes": ("time [min],x,y\n0,1,2\n", r"the times are in min, and should be in s, ms, us, ns, or dates"),
+    "a line of units": ("t,x,y\ns,mm,mm\n0,1,2\n", r"column 'x' is in mm, and should be in m; .* set scale"),
     "decimal commas": ("0 1,5 2,5 3 2,5 3,5\n", r"line 1: '1,5' is not a number; the decimal sign is a point"),
-    "since 1970 in ms": ("t,x,y\n1714564800250,1,2\n", r"line 2: '1714564800250' is too great for a time in s"),
+    "no time in any unit": ("t,x,y\n171456480025,1,2\n", r"line 2: '171456480025' is too great for a time in s"),
     "no header": ("0,1,2\n1,2,3\n", r"line 1: has no column t; the first line should name the columns, t, x and y"),
     "no y": ("t,x,why\n0,1,2\n", r"line 1: has no column y"),
-    "no header in a table": ("0 1 2\n1 2 3\n2 3 4\n", r"the first line of a table should name its columns"),
+    "no header in a table": ("0 1 2\n1 2 3\n2 3 4\n", r"line 1: .* the first line should name its columns"),
+    "no header in a table of two nodes": ("0 1 2\n0 5 6\n1 1 3\n1 5 7\n", r"the first line should name its columns"),
+    "no header in a table with a frame and a node": ("7 1 8 3\n8 1 9 3\n8 2 1 1\n", r"the first line should name its"),
+    "no header in a table of six columns": (
+        "0 1 2 .5 .1 0\n1 1 3 .5 .1 0\n2 1 4 .5 .1 0\n",
+        r"line 2: .*first line should name",
+    ),
+    "several vectors": (
+        "t,a.position.x,b.position.x,y\n0,1,2,3\n",
+        r"columns a\.position\.x and b\.position\.x: which",
+    ),
+    "velocities": ("t,vx,vy\n0,1,2\n", r"has no column x"),
+    "identifiers of rows": ("id;t;x;y\n1;0;1,5;2\n2;9;2,5;3\n3;4;3,5;4\n", r"column 'id' is different in each row"),
+    "two nodes in one": (
+        "t,x,y,mac\n0,1,2,5\n0,5,6,7\n",
+        r"after 0 s comes 0 s; if the file has several nodes, name them",
+    ),
+    "FCD without a position": (
+        '<fcd-export><timestep time="0">\n<vehicle id="a" x="1"/>',
+        r"line 2: <vehicle> has no y",
+    ),
+    "FCD that is cut": ('<fcd-export><timestep time="0">', r"is not valid XML"),
+    "FCD with a document type": ("<!DOCTYPE a>\n<fcd-export/>", r"should declare no document type"),
+    "FCD in degrees": (
+        '<fcd-export><timestep time="0"><vehicle id="a" x="11.5" y="48.1" speed="9"/></timestep>\n'
+        '<timestep time="1"><vehicle id="a" x="11.5001" y="48.1" speed="9"/></timestep></fcd-export>',
+        r"has positions in degrees \(fcd-output\.geo\): vehicles move by 0\.0001 in all, and their speeds say 9 m",
+    ),
     "two columns": ("t,x,X,y\n0,1,2,3\n", r"has several columns 'x'"),
     "cells": ("t,x,y\n0,1\n", r"line 2: has 2 cells, but the header 3"),
     "nodes in a column of another name": (
@@ -201,7 +254,6 @@ REFUSED = {
     "no rows": ("t,x,y\n", r"has no rows below its header"),
     "missing": ("t,x,y\n0,,2\n", r"line 2: '' is not a number"),
     "GPX": ('<?xml version="1.0"?>\n<gpx>', r"GPX has positions in degrees"),
-    "FCD": ('<?xml version="1.0"?>\n<fcd-export>', r"traceExporter\.py --fcd-input"),
     "JSON": ("{}", r"JSON is not read; write it as a table with the columns t, node, x, y"),
 }
 
@@ -275,3 +327,45 @@ def test_a_whole_time_beside_its_parts_is_read(tmp_path):
     file = tmp_path / "walk.csv"
     file.write_text("t,sec,nanosec,x,y\n0.5,0,500000000,1,2\n1.25,1,250000000,2,3\n")
     assert [waypoint[0] for waypoint in RecordedMotion(file=str(file)).waypoints] == [0.5, 1.25]
+
+
+def test_a_date_may_be_written_as_loggers_of_radios_write_it(tmp_path):
+    text = b"t,x,y\n2019.11.25_15.34.34,1,2\n2019/11/25 15:34:36.5,3,4\n"
+    assert [each[:3] for each in read(tmp_path, text).waypoints] == [(0.0, 1.0, 2.0), (2.5, 3.0, 4.0)]
+
+
+def test_poses_without_a_header_are_times_positions_and_quaternions(tmp_path):
+    """As the TUM RGB-D benchmark has them; with another quaternion they are no poses."""
+    text = b"# made by hand\n5.5 1 2 3 0 0 0.6 0.8\n6.5 4 5 6 0 0 0 1\n"
+    track = read(tmp_path, text)
+    assert ([each[:3] for each in track.waypoints], track.has_heights) == ([(5.5, 1.0, 2.0), (6.5, 4.0, 5.0)], True)
+    named = b"# timestamp tx ty tz qx qy qz qw\n" + text
+    assert read(tmp_path, named) == track._replace(
+        waypoints=[each._replace(line=each.line + 1) for each in track.waypoints]
+    )
+    for other in (text.replace(b"0.8", b"0.9"), text.replace(b"6.5", b"5.5")):
+        with pytest.raises(ValueError, match=r"should be t1 x1 y1 .*there are 8"):
+            read(tmp_path, other)
+
+
+def test_nodes_of_bonnmotion_with_as_many_waypoints_are_no_table(tmp_path):
+    """Nodes that stand still from time 0 on, and vehicles that enter a road one after the other."""
+    assert len(read(tmp_path, b"0 1 2\n0 3 4\n0 5 6\n", 2).waypoints) == 1
+    assert len(read(tmp_path, b"0 0 0 9 90 0\n1 0 0 10 90 0\n2 0 0 11 90 0\n", 2).waypoints) == 2
+
+
+def test_statements_of_ns2_about_a_class_are_ignored(tmp_path):
+    text = f"Antenna/OmniAntenna set X_ 0\nAntenna/OmniAntenna set Z_ 1.5\n{START}"
+    assert [each[:3] for each in read(tmp_path, text.encode()).waypoints] == [(0.0, 1.0, 2.0)]
+
+
+@pytest.mark.slow
+def test_a_table_may_be_a_parquet_file(tmp_path):
+    pandas = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    times = pandas.to_datetime(["2024-05-01T12:00:00.0Z", "2024-05-01T12:00:02.5Z"])
+    pandas.DataFrame({"time": times, "track_id": [4, 4], "x": [1.0, 2.0], "y": [3.0, 4.0]}).to_parquet(
+        tmp_path / "a.parquet"
+    )
+    waypoints = read_mobility(tmp_path / "a.parquet").track(4).waypoints
+    assert [each[:3] for each in waypoints] == [(0.0, 1.0, 3.0), (2.5, 2.0, 4.0)]

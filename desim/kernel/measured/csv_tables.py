@@ -90,7 +90,7 @@ def cells_of(table: str, name: str) -> Cells:
     return Cells(name, lines[1:], {column: flat[width + k :: width] for k, column in enumerate(header)})
 
 
-def csv_text(path: Path, columns: Collection[str], *, units: str = "s") -> str:
+def csv_text(path: Path, columns: Collection[str] | None, *, units: str = "s") -> str:
     """Return the text of a CSV file, or a file of another format as CSV.
 
     The other formats are Parquet (*.parquet), with some columns only and the cells of others empty, and the output of
@@ -98,8 +98,8 @@ def csv_text(path: Path, columns: Collection[str], *, units: str = "s") -> str:
 
     Args:
         path: the file.
-        columns: the names of the columns that are read.
-        units: the units, "s", "m" or both, that comments may not contradict; see `check_comments`.
+        columns: the names of the columns that are read; None: all.
+        units: the units, "s", "m", both or none, that comments may not contradict; see `check_comments`.
 
     Raises:
         ValueError: if the file cannot be read, or if it is a Parquet file and pyarrow is not installed.
@@ -113,7 +113,7 @@ def csv_text(path: Path, columns: Collection[str], *, units: str = "s") -> str:
         except ValueError as error:
             raise ValueError(f"{path} {error}") from error
     try:
-        return _csv_of(path.read_bytes(), tuple(columns))
+        return _csv_of(path.read_bytes(), None if columns is None else tuple(columns))
     except ModuleNotFoundError as error:
         raise ValueError(f"{path} needs {error.name}: pip install 'pursuit-desim[parquet]'") from None
     except (OSError, ValueError, NotImplementedError) as error:  # those of pyarrow are of these types, too
@@ -122,13 +122,13 @@ def csv_text(path: Path, columns: Collection[str], *, units: str = "s") -> str:
 
 
 @lru_cache(maxsize=KEPT)
-def _csv_of(parquet: bytes, columns: tuple[str, ...]) -> str:
+def _csv_of(parquet: bytes, columns: tuple[str, ...] | None) -> str:
     from pyarrow import BufferReader
     from pyarrow.parquet import ParquetFile
 
     file = ParquetFile(BufferReader(parquet))
     names = file.schema_arrow.names
-    read = [name for name in names if name in columns]
+    read = [name for name in names if columns is None or name in columns]
     # A few kB can hold as many equal rows as their writer likes, so the bound is on what they say, not on their size.
     if (size := file.metadata.num_rows * len(read)) > MAX_CELLS:
         raise ValueError(

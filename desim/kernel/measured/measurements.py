@@ -14,7 +14,7 @@ from itertools import chain
 from math import isfinite, nan
 from pathlib import Path
 from statistics import median
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, cast
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from desim.kernel.measured.csv_tables import KEPT, Cells, cells_of, csv_text, se
 Unit = Literal["s", "ms", "us", "ns"]
 PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 """The number of each unit in a second."""
-MISSING = frozenset({"", "na", "n/a", "null", "none"})
+MISSING = frozenset({"", "-", "na", "n/a", "null", "none"})
 """The cells, in lower case, that stand for a missing value, besides nan."""
 MAX_NODE = 2**31 - 1
 LIKE_NUMBER = re.compile(r"[+-]?[\d_,' ]*\.?[\d_,' ]*(?:e[+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE)
@@ -40,7 +40,7 @@ FIRST_CLOCK = Decimal(10**9)
 LAST_CLOCK = Decimal(5 * 10**9)
 """A greater time, s, is in a smaller unit: in seconds since 1970, it would be after the year 2128."""
 DATE = re.compile(
-    r"(\d{4})[-/](\d\d)[-/](\d\d)(?:[T ](\d\d):(\d\d)(?::(\d\d)(?:[.,](\d+))?)?"
+    r"(\d{4})[-/.](\d\d)[-/.](\d\d)(?:[T _](\d\d)[:.](\d\d)(?:[:.](\d\d)(?:[.,](\d+))?)?"
     r" ?(?:(Z|UTC)|([+-]\d\d):?(\d\d)?)?)?",
     re.ASCII | re.IGNORECASE,
 )
@@ -152,6 +152,19 @@ def time_of(text: str, unit: Unit = "s") -> Decimal:
     if is_late:
         raise ValueError(f"{text!r} is too great for a time in {unit}; numbers since 1970 may be in ms, us or ns")
     return seconds
+
+
+def clock_unit(text: str) -> Unit:
+    """Return the unit of a number that counts from 1970, which follows from its size; s for any other text.
+
+    Between the years 2001 and 2128, each number is such a time in one of the units at most.
+    """
+    try:
+        number = number_of(text)
+    except ValueError:
+        return "s"
+    units = (unit for unit, count in PER_SECOND.items() if FIRST_CLOCK <= number / count <= LAST_CLOCK)
+    return cast("Unit", next(units, "s"))
 
 
 def _seconds_of_date(text: str) -> Decimal:

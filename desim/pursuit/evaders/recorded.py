@@ -104,11 +104,11 @@ class RecordedMotion(_Record):
     waypoints: Annotated[tuple[Annotated[tuple[Time, Coordinate, Coordinate], FirstError()], ...], FirstError()] = ()
     """Waypoints [t, x, y] (s, m, m), in order of time."""
     file: str | None = None
-    """Instead of waypoints: path of a file of BonnMotion or ns-2, or of a table with the columns t, x and y, relative
-    to the scenario file. The file is read once, when the model is created."""
+    """Instead of waypoints: path of a file of BonnMotion, ns-2 or SUMO, or of a table with the columns t, x and y,
+    relative to the scenario file. The file is read once, when the model is created."""
     node: NodeKey = 0
     """The node of the file: in a file of BonnMotion, the number of its line, from 0; in one of ns-2, its number; in a
-    table, its number or name in the column node, or the index of a name, from 0."""
+    table or a file of SUMO, its number or name, or the index of a name, from 0."""
 
     @model_validator(mode="wrap")
     @classmethod
@@ -251,8 +251,8 @@ class RecordedPositions(_Record):
 
     kind: Literal["recorded"] = "recorded"
     file: str
-    """Path of a file of BonnMotion or ns-2, or of a table with the columns t, node, x and y, relative to the scenario
-    file. The file is read once, when the model is created."""
+    """Path of a file of BonnMotion, ns-2 or SUMO, or of a table with the columns t, node, x and y, relative to the
+    scenario file. The file is read once, when the model is created."""
     nodes: tuple[NodeKey, ...] | None = None
     """The node of each pursuer, see `node` of recorded motion; if absent, all nodes in the order of the file."""
 

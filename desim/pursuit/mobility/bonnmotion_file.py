@@ -38,7 +38,30 @@ class BonnMotionFile(MobilityFile):
         self._is_marked = bool(MARKER_3D.match(lines[0])) if lines else False
         if self._is_marked and dimensions == 2:
             raise ValueError(f"{file}, line 1: {lines[0].strip()} says that dimensions should be 3")
+        self._check_is_no_table(dimensions)
         self._width = dimensions + 1 if dimensions is not None else self._likely_width()
+
+    def _check_is_no_table(self, dimensions: Dimensions | None) -> None:
+        """Raise ValueError if the lines seem to be the rows of a table that lacks a header.
+
+        They are equally long, and in any reading some of them are no waypoints in order of time; or each is one
+        waypoint, and the times differ: nodes that never move have no reason to begin at different times.
+        """
+        rows = [row for _, row in self._rows]
+        length = len(rows[0]) if rows else 0
+        if len(rows) < 3 or any(len(row) != length for row in rows):
+            return
+        possible = [4] if self._is_marked else [3, 4] if dimensions is None else [dimensions + 1]
+        widths = [width for width in possible if not length % width]
+        if length not in widths and any(all(_increase(row[::width]) for row in rows) for width in widths):
+            return
+        if length in widths and len(set(_first_times(self._rows))) < 2:
+            return
+        number = next(
+            (line for line, row in self._rows if not any(_increase(row[::width]) for width in widths)), self._rows[0][0]
+        )
+        hint = "; if each line is one waypoint of a table, the first line should name its columns, t, x and y"
+        raise ValueError(f"{self.file}, line {number}: {SHOULD_BE_TRIPLES}, in order of time{hint}")
 
     def _likely_width(self) -> int:
         """Return the numbers of a waypoint, 3 or 4; raise ValueError if both are possible."""
@@ -72,11 +95,6 @@ class BonnMotionFile(MobilityFile):
             if width == 4:
                 is_high |= coordinate(row[k + 3], place) != 0.0
             append(waypoints, Waypoint(t, x, y, line), place)
-        if len(waypoints) == 1 and _is_table_without_header([row for _, row in self._rows], width):
-            raise ValueError(
-                f"{self.file}: each line has one waypoint, at a time of its own: the first line of a table should name"
-                " its columns, t, x and y"
-            )
         return NodeTrack(waypoints, is_high)
 
 
@@ -104,11 +122,3 @@ def _increase(times: Sequence[str]) -> bool:
         and all(before <= after for before, after in pairwise(numbers))
         and (len(numbers) == 1 or numbers[0] < numbers[-1])
     )
-
-
-def _is_table_without_header(rows: Sequence[Sequence[str]], width: int) -> bool:
-    """Return whether the lines look like a table of the waypoints of one node: their times differ and increase."""
-    if len(rows) < 3 or any(len(row) != width for row in rows):
-        return False
-    times = list(_first_times(enumerate(rows)))
-    return len(times) == len(rows) and all(before < after for before, after in pairwise(times))

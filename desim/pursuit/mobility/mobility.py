@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from decimal import Decimal
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,7 +10,7 @@ from desim.config.model import MAX_COORDINATE, MAX_TIME
 from desim.config.number_files import converted, number_of
 from desim.config.suggestion import did_you_mean
 from desim.kernel.core.units import nanoseconds
-from desim.kernel.measured.measurements import LIKE_NUMBER, time_of
+from desim.kernel.measured.measurements import LIKE_NUMBER, Unit, time_of
 
 MAX_NAMES = 10
 """Maximum number of nodes listed in an error message."""
@@ -92,13 +93,13 @@ def append(waypoints: list[Waypoint], new: Waypoint, place: str) -> None:
     waypoints.append(new)
 
 
-def time(text: str, place: str, start: Decimal = Decimal(0)) -> float:
-    """Return the time of the simulation, s, that a text says; `start` is that of its beginning.
+def time(text: str, place: str, start: Decimal = Decimal(0), unit: Unit = "s") -> float:
+    """Return the time of the simulation, s, that a text says in a unit; `start` is that of its beginning, s.
 
     Raises:
         ValueError: if the text is not a time, or is not from 0 to `MAX_TIME`.
     """
-    elapsed = float(converted(time_of, text, place) - start)
+    elapsed = float(converted(partial(time_of, unit=unit), text, place) - start)
     return _within(elapsed, text, place, "a time", 0.0, MAX_TIME, "s")
 
 

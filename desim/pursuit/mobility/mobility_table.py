@@ -8,17 +8,31 @@ t,node,x,y
 import re
 from collections.abc import Iterator, Sequence
 from decimal import Decimal
-from itertools import pairwise
+from functools import partial
 from pathlib import Path
+from typing import cast
 
-from desim.config.column_names import COLUMNS, DEGREES, FRACTIONS, UNITS, WHOLE_SECONDS, Header, header_of
+from desim.config.column_names import (
+    COLUMNS,
+    DEGREES,
+    FRACTIONS,
+    SAME_UNIT,
+    TIME_UNITS,
+    WHOLE_SECONDS,
+    Header,
+    header_of,
+)
 from desim.config.number_files import converted, number_of
 from desim.kernel.measured.csv_tables import rows_of, separator_in, with_points
-from desim.kernel.measured.measurements import start_of, time_of
+from desim.kernel.measured.measurements import Unit, clock_unit, start_of, time_of
 from desim.pursuit.mobility.mobility import MobilityFile, NodeName, NodeTrack, Waypoint, append, coordinate, time
 
 NUMBER = re.compile(r"[+-]?\d+(?:[.,]\d+)*(?:e[+-]?\d+)?", re.IGNORECASE)
 """Matches a number between spaces, perhaps with commas."""
+UNIT_APART = re.compile(r"\s+(?=[\[(])")
+"""Matches the space before a unit in brackets, which begins no cell."""
+NO_UNIT = "utc|gmt|date|iso ?8601"
+"""What else than a unit may be in brackets behind the name of a time."""
 
 
 def header_in(lines: Sequence[str]) -> tuple[int, str, Header] | None:
@@ -33,9 +47,9 @@ def header_in(lines: Sequence[str]) -> tuple[int, str, Header] | None:
         is_comment = text.startswith("#")
         text = text.lstrip("#").strip()
         delimiter = separator_in(text)
-        header = header_of(text.split(delimiter) if delimiter else text.split())
-        column_names = {name for names in COLUMNS.values() for name in names} | DEGREES
-        if len(column_names & set(header.names)) >= (3 if is_comment else 2):
+        header = header_of(text.split(delimiter) if delimiter else UNIT_APART.sub("", text).split())
+        count = sum(bool(header.columns(key)) for key in COLUMNS) + len(DEGREES & set(header.names))
+        if count >= (3 if is_comment else 2):
             return number, delimiter, header
         if not is_comment:
             is_bonnmotion = len(text.split()) > 2 and all(map(NUMBER.fullmatch, text.split()))  # refused there
@@ -56,10 +70,12 @@ class MobilityTable(MobilityFile):
                 f"{file}, line {first + 1}: has no column {missing[0]}; the first line should name the columns, t, x"
                 f" and y (s, m), and those of several nodes also node; it has {', '.join(filter(None, header.names))}"
             )
-        time_column = header.names[columns["t"] or 0]
+        self._t, self._x, self._y = (columns[key] or 0 for key in "txy")
+        time_column = header.names[self._t]
         if (rest := sorted(FRACTIONS & set(header.names))) and time_column in WHOLE_SECONDS:
             names = f"{time_column} and {rest[0]}"
             raise ValueError(f"{file}, line {first + 1}: columns {names} have the time together: give it in one, in s")
+        units = [header.units[k] for k in (self._t, self._x, self._y)]
         node_columns = [k for k, name in enumerate(header.names) if name in COLUMNS["node"]]
         groups = set[tuple[str, ...]]()
         self._columns, self._rows = columns, dict[str, list[tuple[int, list[str]]]]()
@@ -70,6 +86,9 @@ class MobilityTable(MobilityFile):
         for line, cells in rows:
             if len(cells) != len(header.names):
                 raise ValueError(f"{file}, line {line}: has {len(cells)} cells, but the header {len(header.names)}")
+            if not self._rows and cells[self._t].strip().lower() in TIME_UNITS:  # a second line of units
+                units = [cells[k].strip() for k in (self._t, self._x, self._y)]
+                continue
             groups.add(tuple(cells[k] for k in node_columns))
             node = "0" if columns["node"] is None else cells[columns["node"]].strip()
             self._rows.setdefault(node, []).append((line, cells))
@@ -83,40 +102,54 @@ class MobilityTable(MobilityFile):
                 f"{file}: column {name!r} has several texts: if they name the nodes, call it node, else leave it out"
             )
         super().__init__(file, sorted(map(int, self._rows)) if all(map(_is_number, self._rows)) else self._rows)
-        if len(self._rows) > 1 and all(len(rows) == 1 for rows in self._rows.values()):
-            times = [self._time(rows[0]) for rows in self._rows.values()]
-            if all(before < after for before, after in pairwise(times)):
-                name = header.names[columns["node"] or 0]
-                raise ValueError(f"{file}: column {name!r} is different in each row, so it does not name the nodes")
+        _, cells = next(iter(self._rows.values()))[0]
+        self._unit = self._unit_of(units[0], cells[self._t])
+        for k, unit in zip((self._x, self._y), units[1:], strict=True):
+            if unit and not re.fullmatch(SAME_UNIT["m"], unit, re.IGNORECASE):
+                hint = "name it without its unit, and set scale"
+                raise ValueError(f"{file}: column {header.names[k]!r} is in {unit}, and should be in m; {hint}")
+        is_single = len(self._rows) > 1 and all(len(rows) == 1 for rows in self._rows.values())
+        if is_single and len({self._time(rows[0]) for rows in self._rows.values()}) > 1:
+            name = header.names[columns["node"] or 0]
+            raise ValueError(f"{file}: column {name!r} is different in each row, so it does not name the nodes")
 
     def _column(self, header: Header, key: str) -> int | None:
         """Return the index of a column; None if the table lacks it."""
-        for name in COLUMNS[key]:
-            if header.names.count(name) > 1:
-                raise ValueError(f"{self._file} has several columns {name!r}")
-            if name in header.names:
-                index = header.names.index(name)
-                unit, right = header.units[index], UNITS.get(key)
-                if unit and right and unit != right:
-                    hint = "; name it without its unit, and set scale" if right == "m" else ""
-                    raise ValueError(f"{self._file}: column {name!r} is in {unit}, and should be in {right}{hint}")
-                return index
-        return None
+        found = header.columns(key)
+        if len(found) > 1 and key != "z":
+            names = [header.names[k] for k in found]
+            which = f"several columns {names[0]!r}" if len(set(names)) == 1 else f"columns {' and '.join(names)}"
+            raise ValueError(f"{self._file} has {which}: which of them is {key}? Leave out the others")
+        return found[0] if found else None
+
+    def _unit_of(self, name: str, first: str) -> Unit:
+        """Return the unit of the times, given that of the header, which may have none, and the first time."""
+        for unit, names in TIME_UNITS.items():
+            if re.fullmatch(names, name, re.IGNORECASE):
+                return cast("Unit", unit)
+        if name and not re.fullmatch(NO_UNIT, name, re.IGNORECASE):
+            allowed = f"{', '.join(TIME_UNITS)}, or dates"
+            raise ValueError(f"{self._file}: the times are in {name}, and should be in {allowed}")
+        return clock_unit(first)
 
     def _time(self, row: tuple[int, list[str]]) -> Decimal:
         line, cells = row
-        return converted(time_of, cells[self._columns["t"] or 0], f"{self._file}, line {line}")
+        return converted(partial(time_of, unit=self._unit), cells[self._t], f"{self._file}, line {line}")
 
     def _track(self, node: NodeName) -> NodeTrack:
         start = start_of((self._time(row) for rows in self._rows.values() for row in rows), self._file)
-        t, x, y = (self._columns[key] or 0 for key in "txy")
         z = self._columns["z"]
         waypoints, is_high = list[Waypoint](), False
         for line, cells in self._rows[str(node)]:
             place = f"{self.file}, line {line}"
-            new = Waypoint(time(cells[t], place, start), coordinate(cells[x], place), coordinate(cells[y], place), line)
+            at = time(cells[self._t], place, start, self._unit)
+            new = Waypoint(at, coordinate(cells[self._x], place), coordinate(cells[self._y], place), line)
             is_high |= z is not None and cells[z].strip() != "" and coordinate(cells[z], place) != 0.0
-            append(waypoints, new, place)
+            try:
+                append(waypoints, new, place)
+            except ValueError as error:
+                hint = "; if the file has several nodes, name them in a column node"
+                raise ValueError(f"{error}{hint if self._columns['node'] is None else ''}") from error
         return NodeTrack(waypoints, is_high)
 
 

@@ -25,6 +25,8 @@ START = re.compile(rf"{NODE}\s+set\s+([XYZ])_\s+(\S+)")
 MOVE = re.compile(rf'\$\w+\s+at\s+(\S+)\s+["{{]\s*{NODE}\s+setdest\s+([^"}}]*?)\s*["}}]')
 MOTION = re.compile(r"\bsetdest\b|\bset\s+[XYZ]_(?!\w)")
 """Matches a statement about the motion of a node, of whatever form."""
+OF_CLASS = re.compile(r"\w+(?:/\w+)+\s+set\b")
+"""Matches a statement about all objects of a class, as in `Antenna/OmniAntenna set X_ 0`."""
 STATEMENT = re.compile(r'(?:"[^"]*"|[^;"])+')
 """Matches a statement of a line; a semicolon ends it."""
 FORMS = '$node_(0) set X_ 10.0, or $ns_ at 2.0 "$node_(0) setdest 50.0 20.0 5.0", with numbers only'
@@ -123,7 +125,7 @@ def _statements(lines: Sequence[str]) -> Iterator[tuple[int, str]]:
         for statement in map(str.strip, STATEMENT.findall(line)):
             if statement.startswith("#"):
                 break
-            if MOTION.search(statement):
+            if MOTION.search(statement) and not OF_CLASS.match(statement):
                 yield number, statement
 
 
