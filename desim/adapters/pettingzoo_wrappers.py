@@ -68,8 +68,11 @@ class ParallelMessages(_Talking, BaseParallelWrapper):  # type: ignore[misc]  # 
     def step(self, actions: dict[Any, Any]) -> tuple[Any, ...]:
         """Let all agents speak and act; see `pettingzoo.ParallelEnv.step`."""
         parted = {agent: self._messages.parted(agent, action) for agent, action in actions.items()}
-        for agent, (_, message) in parted.items():  # once all are known to be right
-            self._messages.say(agent, message)
+        # Once all are known to be right, and in the order of the agents: what is drawn for a message depends on the
+        # messages before it, and the order of a dict of actions means nothing.
+        for agent in dict.fromkeys([*self.env.agents, *parted]):
+            if agent in parted:
+                self._messages.say(agent, parted[agent][1])
         observations, *rest = self.env.step({agent: action for agent, (action, _) in parted.items()})
         self._messages.step()
         return self._heard(observations), *rest

@@ -301,6 +301,22 @@ def test_seeds_of_reset_give_equal_episodes_and_others_differ():
     assert free[0] != free[1]
 
 
+def test_the_order_of_a_dict_of_actions_changes_nothing():
+    """What is drawn for a message depends on the messages before it, so all speak in the order of the agents."""
+
+    def ages(names):
+        env = desim.wrap(Line(), LINKS)
+        env.reset(seed=7)
+        heard = []
+        for _ in range(7):
+            acts = {name: {"action": 1, "message": np.zeros(1, np.float32)} for name in names}
+            seen, *_ = env.step(acts)
+            heard.append([seen[name]["ages"].tolist() for name in NAMES])
+        return heard
+
+    assert ages(NAMES) == ages(NAMES[::-1])
+
+
 def test_an_episode_of_turns_begins_with_a_network_of_its_seed():
     def ages(env, seed):
         env.reset(seed=seed)
