@@ -46,13 +46,12 @@ from desim.live.wall_clock import Lateness, WallClock
 from desim.live.wire import Wire, is_record
 from desim.pursuit.core.traits import DisseminationTraits
 from desim.pursuit.motion.dead_reckoning import TrackSegment
-from desim.pursuit.motion.guidance import guided_velocity
 from desim.pursuit.sensing.views import GlobalState, View
 from desim.pursuit.team.agent import Agent
 from desim.scenario.scenario import Scenario
 from desim.simulation.team_processes import TeamProcesses
 from desim.simulation.wiring import make_agents, make_network
-from desim.simulation.world import initial_state, possible_action
+from desim.simulation.world import initial_state, make_steering, possible_action
 from protocols.dissemination import PORT as ANNOUNCEMENTS
 
 MAX_UNREAD = 256
@@ -111,7 +110,7 @@ class Node:
         self._env = env = Clock()
         self._seed = seed = scenario.seed if seed is None else seed_of(seed)
         self._scenario, self._state = scenario, (state := initial_state(env, scenario, seed))
-        self._mirror = Mirror(state, pursuer)
+        self._mirror, self._steering = Mirror(state, pursuer), make_steering(scenario, state)
         self.trace = Trace()
         self._unread: list[tuple[bytes, int | None, int | None]] = []
         """Datagrams with their senders, and when they arrived, ns; None: before the start."""
@@ -332,9 +331,16 @@ class Node:
             velocities: (M, 2) velocities of the evaders, m/s; None: they stand still until the next call.
 
         Raises:
-            ValueError: if an argument has another shape, or is not finite.
+            ValueError: if an argument has another shape, or is not finite, or players of the scenario have inertia: how
+                fast they are and where they head is not told.
         """
-        state = self._state
+        state, scenario = self._state, self._scenario
+        for key, players in (("team", [scenario.team]), ("evader", scenario.evaders)):
+            if any(player.has_inertia for player in players):
+                raise ValueError(
+                    f"{key}.dynamics: capture times with inertia follow from how fast a player is, which a node of your"
+                    ' own is not told; take "simple"'
+                )
         here = _points("position", position, 2).item()
         team = None if teammates is None else _points("teammates", teammates, state.size, 2)
         seen = _points("evaders", evaders, state.evader_count, 2)
@@ -368,16 +374,17 @@ class Node:
             self._meet(partial(self._state.capture, body))
 
     def velocity(self) -> list[float]:
-        """Return the velocity that the pursuer should command now, [vx, vy], m/s, by the guidance of the scenario."""
+        """Return the velocity that the pursuer should command now, [vx, vy], m/s.
+
+        It is that of the guidance of the scenario, along the shortest path among walls, and relative to the flow. A
+        robot that asks for it less often than each `motion.step` may pass the corner of a wall.
+        """
         self._meet()
         state, action = self._state, self.action
         if not action:
             return [0.0, 0.0]
-        body = state.body(action)
-        gap = body.position - state.position(self.pursuer)
-        velocity = guided_velocity(
-            self._scenario.team.guidance, gap, gap, state.velocity(action), state.speed(self.pursuer)
-        )
+        until = state.now + nanoseconds(self._scenario.motion.step)
+        velocity = self._steering.chasing_velocity(self.pursuer, action, state.now, until)
         return [velocity.real, velocity.imag]
 
     def _meet(self, act: Callable[[], object] = lambda: None) -> None:

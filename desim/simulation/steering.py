@@ -122,17 +122,40 @@ class Steering:
             velocities[pursuer] = 0j
         elif self._sensor is not None and not self._sensor.views[pursuer].sees(evader):
             velocities[pursuer] = self._blind_velocity(pursuer, now, until)
-        elif self._walled is not None:
-            velocities[pursuer] = self._course(pursuer, self._targets[evader - 1].path.last.aim, now, until)
         else:
-            here, segment = self._players.position(pursuer), self._targets[evader - 1].path.last
-            geometry = segment.at(now) - here, segment.aim - here, segment.velocity, self._speed[pursuer]
-            velocities[pursuer] = self._command(pursuer, *geometry, now, duration)
+            segment = self._targets[evader - 1].path.last
+            velocities[pursuer] = self._towards(pursuer, segment.at(now), segment.aim, segment.velocity, now, until)
         drifts = self._players.drifts
         if drifts is not None:
             drifts = drifts.copy()
             drifts[pursuer] = self._drift(pursuer, velocities.item(pursuer), now, duration)
         self._players.command(velocities, drifts)
+
+    def chasing_velocity(self, pursuer: int, evader: int, now: int, until: int) -> complex:
+        """Return the velocity relative to the flow, m/s, with which a pursuer chases an evader from where both are now.
+
+        It aims at the present place of the evader, whatever `evader_first` is.
+
+        Args:
+            pursuer: its id.
+            evader: the number of the evader.
+            now: the present, ns.
+            until: the time up to which it keeps the velocity, ns.
+        """
+        target = self._targets[evader - 1]
+        place, velocity = target.position, self._players.velocity(target.player)
+        aim = place + self._drift(target.player, velocity, now, seconds(until - now)) * seconds(until - now)
+        return self._towards(pursuer, place, aim, velocity, now, until)
+
+    def _towards(
+        self, pursuer: int, place: complex, aim: complex, evader_velocity: complex, now: int, until: int
+    ) -> complex:
+        """Return the velocity relative to the flow, m/s, with which a pursuer chases an evader at a place (m)."""
+        if self._walled is not None:
+            return self._course(pursuer, aim, now, until)
+        here = self._players.position(pursuer)
+        geometry = place - here, aim - here, evader_velocity, self._speed[pursuer]
+        return self._command(pursuer, *geometry, now, seconds(until - now))
 
     def _course(self, pursuer: int, aim: complex, now: int, until: int) -> complex:
         """Return the velocity, m/s, with which a pursuer follows the shortest path to where it aims (m)."""

@@ -74,11 +74,7 @@ class World:
         self._step = nanoseconds(scenario.motion.step)
         self._records = [evader.record for evader in scenario.evaders if evader.record] + [*state.relays.values()]
         self._needed = scenario.capture.captures_to_end or state.evader_count
-        first = scenario.motion.order == "evader_first"
-        on_all, evaders = scenario.environment.on == "all", scenario.evaders
-        carried = [pursuer not in state.relays for pursuer in range(state.size)]
-        carried += [on_all and evader.record is None for evader in evaders]
-        self._steering = Steering(state, scenario.team.guidance, sensor, np.array(carried), evader_first=first)
+        self._steering = make_steering(scenario, state, sensor)
         self._turn_ahead: simpy.Event | None = None
         self._forecast = CaptureForecast(env, state, scenario.capture.test, self._capture)
         able = [action and views[j].may_chase(j, action) for j, action in enumerate(state.profile)]
@@ -230,6 +226,15 @@ def possible_action(view: View, pursuer: int, action: int) -> int:
         raise ValueError(f"an action should be 0 or an evader, 1 .. {state.evader_count}, got {action}")
     action = int(number)
     return action if action and not state.broken[pursuer] and view.may_chase(pursuer, action) else 0
+
+
+def make_steering(scenario: Scenario, state: WorldState, sensor: Sensor | None = None) -> Steering:
+    """Return the steering of the players of a scenario; see `Steering`."""
+    on_all = scenario.environment.on == "all"
+    carried = [pursuer not in state.relays for pursuer in range(state.size)]
+    carried += [on_all and evader.record is None for evader in scenario.evaders]
+    first = scenario.motion.order == "evader_first"
+    return Steering(state, scenario.team.guidance, sensor, np.array(carried), evader_first=first)
 
 
 def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:

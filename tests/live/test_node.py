@@ -28,6 +28,7 @@ from desim.live.pursuer import _Pursuer
 from desim.live.refusals import reasons
 from desim.live.sockets import Mailbox, udp_socket
 from desim.live.wire import Wire
+from desim.pursuit.core.events import Sampled
 from desim.pursuit.motion.dead_reckoning import TrackSegment
 from desim.pursuit.team.announcements import Assignment, Forwarded
 from protocols.dissemination import PORT as ANNOUNCEMENTS
@@ -321,6 +322,44 @@ def test_what_a_robot_tells_holds_from_the_time_at_which_it_tells_it():
         await running
 
     asyncio.run(play())
+
+
+@pytest.mark.slow_cases("walls")
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"wall": [{"line": [[2.0, -9.0], [2.0, 4.0]], "blocks": ["motion"]}]},
+        {"environment": {"flow": {"kind": "uniform", "velocity": [0.4, -0.3]}}},
+        {"team.guidance": "constant_bearing", "environment": {"flow": {"kind": "uniform", "velocity": [0.4, -0.3]}}},
+    ],
+    ids=("plane", "walls", "flow", "constant bearing in a flow"),
+)
+def test_a_robot_commands_what_a_pursuer_in_a_simulation_does(changes):
+    experiment = scenario().with_(
+        {
+            **{"team.active_at_start": 1.0, "motion.step": 0.05, "motion.order": "simultaneous"},
+            **{"record.trajectory": 0.05, "protocol.schedule": {"kind": "rounds", "period": 1.0}, **changes},
+        }
+    )
+    flow = complex(*getattr(experiment.environment.flow, "velocity", (0.0, 0.0)))
+    results = [desim.run(experiment, seed) for seed in (1, 2, 3)]
+    for seed, result in enumerate(results, start=1):
+        sampled = result.trace.of(Sampled)[:3]  # no pursuer decides before the third
+        evaders, pursuers = (np.array([getattr(event, name) for event in sampled]) for name in ("evaders", "pursuers"))
+        for pursuer in range(3):
+            node = Node(experiment, pursuer, seed)
+            node.sense(pursuers[1, pursuer], evaders[1], pursuers[1], (evaders[1] - evaders[0]) / 0.05)
+            node._mirror.set_action(1)
+            moved = complex(*(pursuers[2, pursuer] - pursuers[1, pursuer])) / 0.05
+            assert complex(*node.velocity()) == pytest.approx(moved - flow, abs=1e-6)
+
+
+@pytest.mark.parametrize("key", ["team", "evader"])
+def test_a_robot_of_a_scenario_with_inertia_is_told_that_it_cannot_say_how_fast_it_is(key):
+    node = Node(scenario().with_({f"{key}.dynamics": {"kind": "acceleration", "limit": 3.0}}), 1, 5)
+    with pytest.raises(ValueError, match=rf"^{key}.dynamics: capture times with inertia follow from how fast"):
+        node.sense([0.0, 0.0], [[1.0, 0.0]])
 
 
 def test_a_node_runs_once_and_one_that_is_not_opened_keeps_no_socket():
