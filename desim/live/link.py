@@ -17,8 +17,9 @@ from desim.kernel.link_layer.propagation import LinkSampler
 from desim.kernel.models.links import Links
 from desim.kernel.state.network_state import NetworkState
 from desim.kernel.state.transmission import Transmission
+from desim.kernel.transport.layer import PORT as FRAMES
 from desim.live.layouts import WireError
-from desim.live.wire import Parcel, Wire
+from desim.live.wire import CYCLE, Parcel, Wire, number_of
 
 _new = tuple.__new__  # creates a named tuple in a third of the time
 MAX_KEPT = 100_000
@@ -42,7 +43,7 @@ class SentDatagram(NamedTuple):
     @property
     def number(self) -> int:
         """The number of its datagram; see `desim.live.wire.Parcel`."""
-        return int.from_bytes(self.datagram[:8], "big")
+        return number_of(self.datagram)
 
 
 class DatagramFate(NamedTuple):
@@ -156,7 +157,10 @@ class SocketLinkLayer(LinkLayer):
         elif self._is_replay(parcel):
             self.drops = drops._replace(replayed=drops.replayed + 1)
         else:
-            start = min(parcel.start, now) if self.trusts_stamps or not is_record else now
+            start = parcel.start
+            if parcel.port is FRAMES:  # of a message that was sent long ago
+                start += max(now + MAX_AHEAD - start, 0) // CYCLE * CYCLE
+            start = min(start, now) if self.trusts_stamps or not is_record else now
             self._deliver(parcel, len(datagram), start, now)
             if self._copies and self._sampler.duplicates(sender, self._me, start, len(datagram)):
                 self._deliver(parcel, len(datagram), start, now, is_copy=True)

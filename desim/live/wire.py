@@ -13,7 +13,8 @@ own, which begins with a set bit, and so cannot be taken for a number of the lis
 be missing has its place in the upper 16 bits of its number.
 
 A frame repeats a message, whose time it keeps. The 4 bytes of its session, which is always 0 live, therefore hold how
-much later it was transmitted: the receiver adds the latency to that time.
+much later it was transmitted: the receiver adds the latency to that time. They count modulo 2^32 us, 71 min (`CYCLE`);
+the attempt counts modulo 256.
 
 Bodies of users have no such layout (`desim.live.own_bodies`). Nothing of a datagram is executed: it names an entry of
 the tables below, or is malformed.
@@ -77,6 +78,8 @@ MAX_INTEGER = 1 << 62
 LARGEST = 65_507
 """Bytes of the largest datagram."""
 MICROSECOND = 1_000
+CYCLE = MICROSECOND << 32
+"""Time, ns, after which the time between a message and its frame counts from 0 again."""
 MAX_ANSWERED = 4096
 """Number of answers of clock synchronisation whose t3 is remembered until they are delivered."""
 _new = tuple.__new__  # creates a named tuple in a third of the time
@@ -107,10 +110,10 @@ class Parcel(NamedTuple):
     """What a datagram carries."""
 
     number: int
-    """The first eight bytes: unique for the sender, its receiver and the run."""
+    """Unique for the sender, its receiver and the run; see `number_of`."""
     src: int
     start: int
-    """When it was transmitted, ns."""
+    """When it was transmitted, ns; of a frame, that or a multiple of `CYCLE` earlier."""
     content: Record | Message
     port: str
     to_one: bool
@@ -158,8 +161,16 @@ class Wire:
         Only the datagram of a body of a user has another number of bytes.
 
         Raises:
-            WireError: if its body has no layout, or not the layout that was counted.
+            WireError: if its body has no layout, or not the layout that was counted, or its node has sent too many.
         """
+        try:
+            return self._encode(content, port, size, to_one=to_one, now=now)
+        except error as problem:
+            raise WireError(
+                f"a node can number {1 << 32:,} messages live, and {content.src} has sent as many"
+            ) from problem
+
+    def _encode(self, content: Record | Message, port: str, size: int, *, to_one: bool, now: int) -> bytes:
         body, head, attempt = content.body, b"", 0
         if isinstance(content, Record):
             kind, seq = Kind.RECORD, content.seq
@@ -170,7 +181,7 @@ class Wire:
             if frame.session:
                 raise WireError("a node that has lost its memory cannot number its messages anew live")
             kind, seq, attempt, second, body = self._carried(frame, content, size)
-            head = _PAIR.pack((now - content.stamp + MICROSECOND - 1) // MICROSECOND, second)
+            head = _PAIR.pack((now - content.stamp + MICROSECOND - 1) // MICROSECOND % (1 << 32), second)
             if isinstance(frame, Acknowledgement):
                 head += _bits(frame, size - HEADER - NUMBER)
             port, to_one = frame.port, not frame.to_all
@@ -274,6 +285,7 @@ class Wire:
             body = Forwarded((Record(src, seq, stamp, body),))
         numbers = seq, second, word & 0xFF
         frame = _frame_of(kind, port, body, numbers, datagram[at:], to_all=not to_one)
+        unique = unique << 64 | delay << 32 | second
         return Parcel(unique, src, stamp + delay * MICROSECOND, Message(src, stamp, frame), FRAMES, to_one)
 
     def _read(self, number: int, data: bytes, at: int) -> Any:
@@ -306,6 +318,15 @@ class Wire:
             end = HEADER + layout.size
             yield Record(src, seq, stamp, self._read(number, data[:end], HEADER))
             data = data[end:]
+
+
+def number_of(datagram: bytes) -> int:
+    """Return the number of a datagram: its first eight bytes and, of a frame, the eight that a frame adds.
+
+    The latter tell attempts apart whose numbers are equal modulo 256.
+    """
+    is_frame = datagram[2] >> 5 > Kind.MESSAGE
+    return int.from_bytes(datagram[:8] + datagram[HEADER : HEADER + NUMBER] if is_frame else datagram[:8], "big")
 
 
 def is_record(datagram: bytes) -> bool:

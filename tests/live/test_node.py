@@ -204,6 +204,19 @@ def test_a_repetition_arrives_at_its_own_transmission_plus_the_latency():
     assert list(node.link.errors) == [0]
 
 
+@pytest.mark.parametrize("hours", [1, 3, 40])
+def test_a_repetition_hours_after_its_message_arrives_at_its_own_transmission_plus_the_latency(hours):
+    """The time between a message and its frame counts modulo 71 min."""
+    node, now = node_with(loss=Bernoulli()), hours * 3600 * 10**9
+    segment = Segment(ANNOUNCEMENTS, True, 0, 1, 1, 2, Forwarded((Record(0, 1, 0, Assignment(1)),)))
+    repeated = WIRE.encode(Message(0, 0, segment), FRAMES, 32, to_one=False, now=now)
+    node.link.receive(repeated, 0, now + 1000)
+    assert [outcome.arrival for outcome in node.link.outcomes] == [now + 100_000_000]
+    ahead = WIRE.encode(Message(0, 0, segment), FRAMES, 32, to_one=False, now=now + 10**9)  # by a clock that is
+    node.link.receive(ahead, 0, now + 1000)
+    assert node.link.outcomes[-1].arrival == now + 1000 + 100_000_000
+
+
 @pytest.mark.slow
 def test_random_datagrams_do_not_stop_a_node():
     rng, node = Random(3), node_with()

@@ -22,7 +22,7 @@ from desim.kernel.transport.layer import PORT as FRAMES
 from desim.live import wire as wire_module
 from desim.live.layouts import WireError
 from desim.live.own_bodies import OwnBodies
-from desim.live.wire import ADMITTED, ANNOUNCED, BODIES, PORTS, Wire
+from desim.live.wire import ADMITTED, ANNOUNCED, BODIES, PORTS, Wire, number_of
 from desim.pursuit.team import announcements
 from desim.pursuit.team.announcements import Assignment, Forwarded, LocatedAssignment, MovingAssignment, TimedAssignment
 from desim.pursuit.team.judges import Accusation
@@ -144,6 +144,29 @@ def test_two_attempts_are_two_datagrams(wire):
     segments = [Segment(ANNOUNCEMENTS, True, 0, 3, 3, k, Forwarded((Record(4, 3, 77, Assignment(1)),))) for k in (1, 2)]
     first, second = (wire.encode(Message(4, 77, segment), FRAMES, 32, to_one=False) for segment in segments)
     assert wire.decode(first).number != wire.decode(second).number
+
+
+def test_an_attempt_is_not_that_of_256_attempts_before(wire):
+    segments = [
+        Segment(ANNOUNCEMENTS, True, 0, 3, 3, k, Forwarded((Record(4, 3, 77, Assignment(1)),))) for k in (1, 257)
+    ]
+    datagrams = [
+        wire.encode(Message(4, 77, segment), FRAMES, 32, to_one=False, now=77 + 10**9 * k)
+        for k, segment in enumerate(segments)
+    ]
+    assert datagrams[0][:8] == datagrams[1][:8]
+    assert len(set(map(number_of, datagrams))) == 2
+    assert [wire.decode(datagram).number for datagram in datagrams] == [*map(number_of, datagrams)]
+
+
+@pytest.mark.parametrize("frame", [False, True])
+def test_more_messages_than_a_header_can_number_are_refused_in_a_sentence(wire, frame):
+    body = Assignment(1)
+    content, port = Record(4, 1 << 32, 77, body), ""
+    if frame:
+        content, port = Message(4, 77, Segment("", True, 0, 1 << 32, 3, 1, body)), FRAMES
+    with pytest.raises(WireError, match=r"^a node can number 4,294,967,296 messages live, and 4 has sent as many$"):
+        wire.encode(content, port, 32 if frame else 24, to_one=False)
 
 
 @pytest.mark.parametrize(("frame", "size"), FRAME_EXAMPLES, ids=lambda frame: type(frame).__name__)
