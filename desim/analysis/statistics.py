@@ -40,7 +40,7 @@ times the runs.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import ceil, inf, isnan, nan, sqrt
+from math import ceil, comb, inf, isnan, nan, sqrt
 from typing import TypeGuard
 
 import numpy as np
@@ -100,6 +100,22 @@ class Estimate:
     def half_width(self) -> float:
         """Half the width of the 95 % t interval; nan for fewer than 2 runs."""
         return self.half_width_at(0.95)
+
+    def excludes_0(self, confidence: float = 0.95) -> bool:
+        """Return whether a two-sided test at the level 1 - confidence tells the mean apart from 0.
+
+        It is the t test, unless all values are equal: their t interval has no width, even if there are two. They are
+        judged by the probability of a difference as large if there is none; see `_chance_of_equal`.
+        """
+        if not self.count > 1:
+            return False
+        if self.standard_error == 0.0:
+            return self.mean != 0.0 and self._chance_of_equal() <= 1.0 - confidence
+        return abs(self.mean) > self.half_width_at(confidence)
+
+    def _chance_of_equal(self) -> float:
+        """Return the probability that all n values have one sign if both signs are equally probable: 2^(1 - n)."""
+        return 2.0 ** (1 - self.count)
 
     def half_width_at(self, confidence: float) -> float:
         """Return half the width of the t interval with a confidence in (0, 1); nan for fewer than 2 runs."""
@@ -170,6 +186,10 @@ class IndependentDifference(Estimate):
         if self.count < 2:
             return nan
         return t_quantile(self.freedom, confidence) * self.standard_error if self.standard_error else 0.0
+
+    def _chance_of_equal(self) -> float:
+        """Return the probability that chance separates two samples of n values as clearly: 2 in n of 2 n."""
+        return 2.0 / comb(2 * self.count, self.count)
 
 
 def independent(values: Sequence[float] | Floats, others: Sequence[float] | Floats) -> Estimate:

@@ -270,6 +270,48 @@ def test_the_paired_interval_covers_the_difference_and_is_narrow():
     assert np.mean([each.half_width for each in unpaired]) == pytest.approx(sqrt(10.0) * half_width.mean(), rel=0.05)
 
 
+def false_positives(judge, draw, studies=1000):
+    """Return the share of studies without any effect in which a test tells two apart."""
+    rng = np.random.default_rng(5)
+    return np.mean([judge(draw(rng)) for _ in range(studies)])
+
+
+@pytest.mark.parametrize("count", [2, 3, 5, 6, 10])
+def test_differences_that_are_all_equal_are_no_effect_if_there_are_few(count):
+    """Each pair differs by 1 or -1, equally probable: all by the same with probability 2^(1 - n), 0.5 for two pairs.
+
+    1000 studies; at a level of 5 % the share is at most 0.05 by its binomial law, here at most 4 s.e. = 0.028 more.
+    Control: an interval without width excludes 0 at any level.
+    """
+
+    def draw(rng):
+        return estimate(rng.choice([-1.0, 1.0], count))
+
+    assert false_positives(lambda one: one.excludes_0(), draw) <= 0.05 + four_errors(0.05, 1000)
+    by_width = false_positives(lambda one: abs(one.mean) > one.half_width, draw)
+    if count < 5:
+        assert by_width == pytest.approx(2.0 ** (1 - count), abs=four_errors(2.0 ** (1 - count), 1000))
+        assert by_width > 0.05 + four_errors(0.05, 1000)
+    equal = estimate([1.0] * count)
+    assert [equal.excludes_0(level) for level in (0.95, 0.999)] == [count >= 6, count >= 11]
+    assert not estimate([0.0] * count).excludes_0()
+
+
+def test_two_samples_that_are_equal_each_are_told_apart_if_there_are_enough():
+    """Of 2 n values, n are on one side by chance in 2 of the binomial coefficient: 2 of 6, 20 and 70."""
+    found = [statistics.independent([1.0] * count, [0.0] * count) for count in (2, 3, 4)]
+    assert [one.excludes_0() for one in found] == [False, False, True]
+    assert [one.excludes_0(1.0 - 2.0 / 69) for one in found] == [False, False, True]
+    assert not found[-1].excludes_0(1.0 - 2.0 / 71)
+
+
+@given(st.lists(st.integers(-9, 9), min_size=2, max_size=30).filter(lambda values: len({*values}) > 1))
+def test_values_that_differ_are_judged_by_the_t_test(values):
+    found = estimate(values)
+    assert found.excludes_0() == (abs(found.mean) > found.half_width)
+    assert not estimate([5.0]).excludes_0()
+
+
 HALF_30 = 2.0452296421 / sqrt(29.0)
 """Half width of 15 times 1 and 15 times -1: t(29, 0.975) sqrt(30 / 29 / 30)."""
 SIGNS = [1.0, -1.0] * 15

@@ -98,7 +98,7 @@ def test_scores_are_between_the_bounds_and_a_bad_protocol_does_not_look_robust()
     made = benchmark_of(
         perfect=[10.0, 10.1, 9.9],
         silent=[50.0, 50.1, 49.9],
-        good=([20.0, 20.1, 19.9], [8.0, 8.1, 7.9]),
+        good=([20.0, 20.2, 19.8], [8.0, 8.1, 7.9]),
         deaf=([40.0, 40.1, 39.9], [40.0, 40.1, 39.9]),
     )
     assert made.kept == ("one",)

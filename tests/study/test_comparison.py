@@ -98,6 +98,18 @@ def test_a_sentence_is_corrected_for_all_comparisons():
     assert "the greatest is +1.100 +- 0.411 s (95 % interval of it alone, 4 pairs of runs" in sentence
 
 
+def test_a_few_equal_differences_are_not_distinguishable_from_0():
+    """Three pairs that differ by 1 s each: 2^(1 - 3) = 1/4. Six pairs are enough; the control."""
+    few, enough = (
+        compare(sweep_of([[0.0] * count]), sweep_of([[1.0] * count]), ["active_time"]).sentences() for count in (3, 6)
+    )
+    assert few == [
+        "active time: no difference is distinguishable from 0; the greatest is +1.000 s in all, others < 56.1% (95 %"
+        " interval, 3 pairs of runs with the same seed), for x = 0"
+    ]
+    assert "is greater than relay (first)" in enough[0]
+
+
 def test_one_run_of_each_is_not_judged():
     comparison = compare(sweep_of([[1.0]]), sweep_of([[2.0]]), ["active_time"])
     assert comparison.sentences() == ["active time: no configuration has two runs of both to compare"]

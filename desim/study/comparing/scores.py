@@ -172,7 +172,7 @@ class Benchmark:
         difference = self.totals[best].score.minus(self.totals[name].score).estimate
         rivals = len(self.totals) - (OMNISCIENT in self.totals)
         pairs = max(rivals * (rivals - 1), 1)  # ordered: the better one of two is not known before
-        return difference.mean > difference.half_width_at(1.0 - 2.0 * RISK / pairs)
+        return difference.mean > 0.0 and difference.excludes_0(1.0 - 2.0 * RISK / pairs)
 
     def _bounds(self, scenario: str) -> tuple[Floats, Floats]:
         reference = self.costs[scenario][REFERENCE]

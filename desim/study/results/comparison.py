@@ -115,7 +115,7 @@ class Comparison:
             return f"{words(metric)}: no configuration has two runs of both to compare"
         count = len(self.configurations) * len(self.metrics)
         at_once = f" at a level of 5 % for all {count} comparisons together (Bonferroni)" if count > 1 else ""
-        significant = [pair for pair in judged if abs(pair[1].mean) > pair[1].half_width_at(1.0 - 0.05 / count)]
+        significant = [pair for pair in judged if pair[1].excludes_0(1.0 - 0.05 / count)]
         compared, estimate = max(significant or judged, key=lambda pair: abs(pair[1].mean))
         unit = unit_of(metric, self.units)
         runs = f"{compared.pairs} pairs of runs with the same seed" if compared.pairs else "independent runs"

@@ -36,12 +36,12 @@ class Saving:
         return cls(mean(differences), sum(abs(difference) > NOTHING for difference in differences))
 
     def excludes_0(self, confidence: float = 0.95) -> bool:
-        """Return whether the t interval with a given confidence excludes 0, that is, whether the saving is significant.
+        """Return whether a test with a given confidence excludes 0, that is, whether the saving is significant.
 
         A true saving as large as the half width of the interval is detected in half of all studies with as many runs, a
         much smaller one rarely.
         """
-        return abs(self.mean.mean) > max(self.mean.half_width_at(confidence), NOTHING)
+        return abs(self.mean.mean) > NOTHING and self.mean.excludes_0(confidence)
 
     def text(self, runs: int, digits: int | None = None) -> str:
         """Return the saving as the text of a table cell, perhaps with a number of decimals."""

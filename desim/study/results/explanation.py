@@ -219,14 +219,20 @@ def _network(metric: str, bounds: Bounds, unit: str) -> Iterator[str]:
             f" {most:.1f} % of all seeds may differ (95 % Wilson interval)"
         )
     elif difference.mean.count > 1 and not difference.excludes_0():
-        width = f"+-{number(difference.mean.half_width)} {unit}".rstrip()
+        width = _width(difference.mean, unit)
         yield f"the network hardly matters in {metric}: a {PERFECT} and {SILENT} cannot be told apart ({width})"
+
+
+def _width(estimate: Estimate, unit: str) -> str:
+    """Return the half width of the interval of a mean as text; if all values are equal, there is none."""
+    if estimate.others is not None:
+        return f"{estimate.mean:+.3f} {unit}".rstrip() + f" in all of {counted(estimate.count, 'run')}"
+    return f"+-{number(estimate.half_width)} {unit}".rstrip()
 
 
 def _unseen(metric: str, cost: Cost) -> Iterator[str]:
     """Yield the note on the parts that differ from 0 in some run but are not significant, with their half widths."""
-    unit = f" {cost.unit}".rstrip()
-    unseen = ", ".join(f"{name} (+-{number(width)}{unit})" for name, width in cost.undetected.items())
+    unseen = ", ".join(f"{name} ({_width(cost.parts[name].mean, cost.unit)})" for name in cost.undetected)
     if unseen and cost.together.mean.count > 1:
         yield f"not distinguishable from 0 in {metric}: {unseen}"
 

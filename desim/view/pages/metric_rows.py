@@ -51,7 +51,7 @@ def differences_over_seeds(
                     "now": _formatted(mean(values).mean),
                     "pinned": _formatted(mean(pinned_values).mean),
                     "difference": with_half_width(difference, difference.count, sign="+"),
-                    "differs": abs(difference.mean) > difference.half_width,
+                    "differs": difference.excludes_0(),
                     "sign": difference.mean,
                     "count": difference.count,
                 }

@@ -251,7 +251,7 @@ def _differences_along(result: SweepResult, key: str, metric: str) -> dict[int, 
 
 def _excludes_0(estimate: Estimate, count: int) -> bool:
     """Return whether a mean, one of `count`, differs from 0 in a two-sided t test at a level of 5 % / `count`."""
-    return abs(estimate.mean) > estimate.half_width_at(1.0 - 0.05 / count)
+    return estimate.excludes_0(1.0 - 0.05 / count)
 
 
 def _corrected(count: int) -> str:
