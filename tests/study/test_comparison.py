@@ -25,14 +25,14 @@ from tests.summaries import changed
 RUN = summary(run(Scenario(horizon=0.05, team=Team(count=2))))
 
 
-def sweep_of(times, *, first_seed=10, settings=None, failed=(), name="relay"):
-    """Return a sweep whose configuration x = k has the active times `times[k]`; its first run has `first_seed`."""
+def sweep_of(times, *, first_seed=10, settings=None, failed=(), name="relay", metric="active_time"):
+    """Return a sweep whose configuration x = k has the metrics `times[k]`; its first run has `first_seed`."""
     groups = []
     for k, values in enumerate(times):
         rows = [
             Row(r, first_seed + r, "error", None, "no")
             if (k, r) in failed
-            else Row(r, first_seed + r, "ok", changed(RUN, active_time=value))
+            else Row(r, first_seed + r, "ok", changed(RUN, **{metric: value}))
             for r, value in enumerate(values)
         ]
         groups.append(Group({"x": float(k), **(settings or {})}, tuple(rows)))
@@ -96,6 +96,15 @@ def test_a_sentence_is_corrected_for_all_comparisons():
     (sentence,) = many.sentences()
     assert "no difference is distinguishable from 0 at a level of 5 % for all 20 comparisons together (Bonf" in sentence
     assert "the greatest is +1.100 +- 0.411 s (95 % interval of it alone, 4 pairs of runs" in sentence
+
+
+def test_a_sentence_counts_the_pairs_that_both_have_a_value():
+    """Of four pairs, two have a capture time on both sides; a difference of two pairs is not one of four."""
+    old, new = [[1.0, 2.0, None, 4.0]], [[1.5, 3.5, 3.0, None]]
+    (sentence,) = compare(
+        sweep_of(old, metric="capture_time"), sweep_of(new, metric="capture_time"), ["capture_time"]
+    ).sentences()
+    assert "the greatest is +1.000 +- 6.353 s (95 % interval, 2 of 4 pairs of runs with the same seed)" in sentence
 
 
 def test_a_few_equal_differences_are_not_distinguishable_from_0():

@@ -118,7 +118,8 @@ class Comparison:
         significant = [pair for pair in judged if pair[1].excludes_0(1.0 - 0.05 / count)]
         compared, estimate = max(significant or judged, key=lambda pair: abs(pair[1].mean))
         unit = unit_of(metric, self.units)
-        runs = f"{compared.pairs} pairs of runs with the same seed" if compared.pairs else "independent runs"
+        of = f" of {compared.pairs}" if estimate.count < compared.pairs else ""
+        runs = f"{estimate.count}{of} pairs of runs with the same seed" if compared.pairs else "independent runs"
         alone = " of it alone" * (count > 1)
         size = f"{with_half_width(estimate, estimate.count, '+', unit)} (95 % interval{alone}, {runs})"
         where = f", for {in_words(compared.settings)}" if compared.settings else ""
