@@ -40,7 +40,7 @@ times the runs.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import ceil, comb, inf, isnan, nan, sqrt
+from math import ceil, comb, floor, inf, isnan, log10, nan, sqrt
 from typing import TypeGuard
 
 import numpy as np
@@ -56,6 +56,8 @@ FIRST_LOOK = 100
 A few values may lie close together by chance, so a study whose first look is at 3 values often stops too early: its
 95 % interval covers the mean of normal values 92 times in 100, and the mean of exponential values 80 times.
 """
+ROUNDING = 8.0 * float(np.finfo(float).eps)
+"""The largest spread of differences, relative to the values, that rounding makes."""
 OTHERS = 0.05
 """Largest share of runs that may differ from values that are all equal, if these are to end a sequential study."""
 
@@ -79,8 +81,11 @@ class Estimate:
     def __str__(self) -> str:
         runs = f"{self.count:,} run{'' if self.count == 1 else 's'}"
         if self.others is not None:
-            return f"{self.mean:.4g} in all of {runs} (of all others, at most {self.others:.1%} differ, 95 %)"
-        return f"{self.mean:.4g} +- {self.half_width:.2g} (95 % interval, {runs})"
+            return f"{self.mean:.10g} in all of {runs} (of all others, at most {self.others:.1%} differ, 95 %)"
+        digits = 4
+        if 0.0 < self.half_width < abs(self.mean) < inf:  # the last digit is that of the half width
+            digits = max(digits, floor(log10(abs(self.mean))) - floor(log10(self.half_width)) + 2)
+        return f"{self.mean:.{digits}g} +- {self.half_width:.2g} (95 % interval, {runs})"
 
     def __repr__(self) -> str:
         width = f"half_width={self.half_width:.6g}, standard_error={self.standard_error:.6g}"
@@ -166,7 +171,11 @@ def paired(values: Sequence[float | None] | Floats, others: Sequence[float | Non
     first, second = np.asarray(values, dtype=float), np.asarray(others, dtype=float)  # nan for None
     both = ~(np.isnan(first) | np.isnan(second))
     with np.errstate(invalid="ignore"):  # inf - inf
-        return mean(first[both] - second[both])
+        differences = first[both] - second[both]
+        rounding = ROUNDING * np.max(np.abs([first[both], second[both]]), initial=0.0)
+        if len(differences) and np.ptp(differences) <= rounding:  # 0.3 - 0.2 and 0.2 - 0.1 are equal
+            differences = np.full_like(differences, differences[0] if abs(differences[0]) > rounding else 0.0)
+    return mean(differences)
 
 
 @dataclass(frozen=True, slots=True, repr=False)

@@ -1,7 +1,7 @@
 """Results as tables in plain text, and estimates as JSON."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from math import isnan, nan
+from math import floor, isfinite, isnan, log10, nan
 from typing import Any
 
 from desim.analysis.measuring import users_metrics
@@ -18,6 +18,8 @@ With one evader they repeat `captured` and `capture_time`.
 """
 SHOWN = 12
 """Largest number of evaders listed in the table of a run."""
+NANO = 1e-9
+"""The resolution of times, s: what is smaller is rounding, and shown as 0."""
 ALL_EQUAL = "all equal"
 """Stands for the half width of values that are all equal, of which the t interval has no width."""
 
@@ -57,8 +59,11 @@ def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -
     several, needed = len(scenario.evaders), scenario.capture.captures_to_end
     every = "" if several == 1 else "all " if needed in (None, several) else f"{needed} of {several} "
     rate = portable_sum(run.messages_sent for run in runs) / wall_time
-    is_equal = any(ALL_EQUAL in row for row in rows)
-    unseen = f"; {ALL_EQUAL}: at most {wilson(0, len(runs))[1]:.1%} of all seeds have another value" if is_equal else ""
+    equal = [int(row[-1]) for row in rows if ALL_EQUAL in row]
+    most = wilson(0, min(equal))[1] if equal else 0.0
+    unseen = f"; {ALL_EQUAL}: at most {most:.1%} of all seeds have another value" if equal else ""
+    if len({*equal}) > 1:
+        unseen += f" (for {min(equal)} values; {wilson(0, max(equal))[1]:.1%} for {max(equal)})"
     late = portable_sum(run.end_time >= scenario.horizon for run in runs)
     why = (
         f"{counted(late, 'run')} ended at the horizon of {scenario.horizon:g} s, which may be too short for a capture\n"
@@ -84,8 +89,19 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def digits_of(values: Sequence[Estimate]) -> int:
-    """Return the number of decimals of the estimates in a column of a table: all have the same."""
-    return 3 if any(abs(value.mean) < 100.0 for value in values) else 1
+    """Return the number of decimals of the estimates in a column of a table: all have the same.
+
+    There are three, or one if all means are large; if all numbers are below 0.01, as many as leave the greatest three
+    digits.
+    """
+    sizes = [abs(size) for value in values for size in (value.mean, value.half_width) if isfinite(size)]
+    return _decimals(sizes) if any(abs(value.mean) < 100.0 for value in values) else 1
+
+
+def _decimals(sizes: Sequence[float]) -> int:
+    """Return the number of decimals of some numbers: three, or more for numbers that would be 0.00 otherwise."""
+    greatest = max(sizes, default=0.0)
+    return 2 - floor(log10(greatest)) if NANO <= greatest < 0.01 else 3
 
 
 def with_half_width(value: Estimate, runs: int, sign: str = "", unit: str = "", digits: int | None = None) -> str:
@@ -179,8 +195,11 @@ def _rows_of_batch(scenario: Scenario, runs: Sequence[Summary]) -> Iterator[Sequ
 
 def _row(name: str, values: Sequence[float]) -> tuple[str, ...]:
     summary = estimate(values)
-    width = number(summary.half_width) if summary.others is None else ALL_EQUAL
-    return (name, number(summary.mean), width, number(min(values)), number(max(values)), str(len(values)))
+    digits = _decimals([abs(value) for value in values if isfinite(value)])
+    mean, half_width, least, most = (
+        number(value, digits) for value in (summary.mean, summary.half_width, min(values), max(values))
+    )
+    return (name, mean, half_width if summary.others is None else ALL_EQUAL, least, most, str(len(values)))
 
 
 def _heading(scenario: Scenario, phrase: str) -> str:

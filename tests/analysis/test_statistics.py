@@ -12,6 +12,7 @@ from scipy.special import betainc, stdtr
 
 from desim.analysis import statistics
 from desim.analysis.statistics import FIRST_LOOK, OTHERS, estimate, paired, wilson
+from desim.study.results.costs import Saving
 
 next_look = partial(statistics.next_look, first_look=30)
 runs_needed = partial(statistics.runs_needed, first_look=30)
@@ -29,6 +30,15 @@ def test_the_interval_of_1_to_5_is_that_of_the_tables():
 def test_an_estimate_as_text_has_its_interval():
     assert str(estimate([1, 2, 3, 4, 5])) == "3 +- 2 (95 % interval, 5 runs)"
     assert str(estimate([4.5])) == "4.5 +- nan (95 % interval, 1 run)"
+
+
+def test_a_mean_as_text_is_as_exact_as_its_interval():
+    """Four digits of 123,456 +- 12 would be 123,500."""
+    found = [
+        statistics.Estimate(mean, error, 30) for mean, error in ((123456.0, 6.0), (12345.678, 0.25), (3.14159, 0.2))
+    ]
+    assert [str(one).partition(" (")[0] for one in found] == ["123456 +- 12", "12345.68 +- 0.51", "3.142 +- 0.41"]
+    assert str(estimate([123456.0] * 2)).startswith("123456 in all of 2 runs")
 
 
 @pytest.mark.parametrize(
@@ -268,6 +278,17 @@ def test_the_paired_interval_covers_the_difference_and_is_narrow():
     assert np.mean(missed <= half_width * apart / error) > 0.999 > 0.95 + four_errors(0.95, 1500)
     assert np.mean(error**2 * count) == pytest.approx(0.2, abs=0.006)
     assert np.mean([each.half_width for each in unpaired]) == pytest.approx(sqrt(10.0) * half_width.mean(), rel=0.05)
+
+
+def test_differences_that_differ_by_rounding_are_equal():
+    """0.3 - 0.2 and 1.3 - 1.2 differ in the last bit, and 0.1 + 0.2 - 0.3 from 0; the control differs by 1e-12."""
+    found = paired([0.3, 1.3, 2.3], [0.2, 1.2, 2.2])
+    assert len({0.3 - 0.2, 1.3 - 1.2, 2.3 - 2.2}) > 1
+    assert (found.mean, found.standard_error, found.excludes_0()) == (pytest.approx(0.1), 0.0, False)
+    none = paired([0.1 + 0.2] * 9, [0.3] * 9)
+    assert (none.mean, none.excludes_0()) == (0.0, False)
+    assert paired([0.3, 1.3, 2.3], [0.2, 1.2, 2.2 + 1e-12]).standard_error > 0.0
+    assert Saving.of([0.3 - 0.2, 1.3 - 1.2, 2.3 - 2.2]).mean.standard_error == 0.0
 
 
 def false_positives(judge, draw, studies=1000):

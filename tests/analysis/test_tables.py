@@ -111,6 +111,28 @@ def test_equal_values_have_a_bound_on_all_others_instead_of_a_width():
     assert with_half_width(estimate([0.0] * 29 + [1e-9]), 30) == "0.000 +- 0.000"
 
 
+def test_the_bound_on_other_values_is_that_of_as_many_values_as_are_equal():
+    """Two of 30 runs have a time to relay: by Wilson's interval of 0 in 2, 65.8 % of seeds may have another."""
+    runs = [changed(SEEN, seed=k, active_time=1.0 + k, time_to_relay=1.25 if k < 2 else None) for k in range(30)]
+    assert "all equal: at most 65.8% of all seeds have another value (for 2 values; 11.4% for 30)" in batch_table(
+        SCENARIO, runs, 1.0
+    )
+    assert "all equal: at most 11.4% of all seeds have another value\n" in batch_table(
+        SCENARIO, [*runs[2:], *runs[2:4]], 1.0
+    )
+
+
+def test_small_numbers_keep_three_digits():
+    """Of a share of 0.0004 three decimals leave nothing; what is below a nanosecond is rounding."""
+    assert with_half_width(Estimate(0.0004, 0.00005, 30), 30) == "0.000400 +- 0.000102"
+    assert with_half_width(Estimate(0.0099, 0.0, 1), 1) == "0.00990 +- -"
+    assert with_half_width(Estimate(0.0, 0.05, 30), 30) == "0.000 +- 0.102"
+    assert with_half_width(Estimate(1e-12, 1e-13, 30), 30) == "0.000 +- 0.000"
+    runs = [changed(WITH_AGES, belief_error=error) for error in (0.0002, 0.0004)]
+    (row,) = (line for line in batch_table(SCENARIO, runs, 1.0).splitlines() if line.startswith("belief error"))
+    assert row.split()[2:] == ["0.000300", "0.001271", "0.000200", "0.000400", "2"]
+
+
 def test_a_user_protocol_is_shown_by_its_name():
     def daydream(me):
         yield me.at(0.0)

@@ -32,8 +32,11 @@ class Saving:
 
     @classmethod
     def of(cls, differences: list[float]) -> Self:
-        """Return the saving, given the difference of each pair of runs."""
-        return cls(mean(differences), sum(abs(difference) > NOTHING for difference in differences))
+        """Return the saving, given the difference of each pair of runs; up to `NOTHING`, differences are equal."""
+        differing = sum(abs(difference) > NOTHING for difference in differences)
+        if differences and max(differences) - min(differences) <= NOTHING:
+            differences = [mean(differences).mean] * len(differences)
+        return cls(mean(differences), differing)
 
     def excludes_0(self, confidence: float = 0.95) -> bool:
         """Return whether a test with a given confidence excludes 0, that is, whether the saving is significant.
