@@ -19,7 +19,7 @@ def merge(stores: tuple[Path, ...], out: Path, mix_versions: bool) -> None:
     """Merge the runs of several stores (files or folders) of one sweep into one store."""
     from desim.study.store.store import Store
 
-    with storing(), ExitStack() as opened:
+    with storing(out), ExitStack() as opened:
         parts = [opened.enter_context(Store(path, read_only=True)) for path in store_files(stores)]
         for part in parts:
             parts[0].check_same(part.about)

@@ -1,0 +1,97 @@
+"""What a command says, and its exit code, where a call to the packages below it fails, are golden."""
+
+import shlex
+from errno import EACCES, ENOSPC
+from os import strerror
+
+import pytest
+
+import desim
+from desim.config.packages import HiddenPackageError
+from desim.kernel.measured.playback import TraceEndError
+from desim.live.lobby import LiveError
+from desim.live.namespaces import NamespaceError
+from desim.live.refusals import NotLiveError
+from desim.results.run_folder import WriteError, write
+from desim.study.sweeps.metric_values import NoMeanError
+from desim.study.sweeps.sweep import RunError
+from tests.command import desim as command
+from tests.golden import golden
+
+
+def denied(file):
+    return PermissionError(EACCES, strerror(EACCES), file)
+
+
+FULL = OSError(ENOSPC, strerror(ENOSPC))
+GRID = "plain.toml -g team.count=2,3 -n 1 -o made"
+CALLS = [
+    ("compare swept swept", "study.sweeps.folder.compare", denied("swept/sweep.sqlite")),
+    ("compare swept swept", "study.sweeps.folder.compare", TypeError("swept: is no sweep")),
+    ("crossover swept team.count --over 10%", "study.sweeps.folder.open", denied("swept/sweep.sqlite")),
+    ("export swept x.csv", "study.results.result.SweepResult.write", ImportError("needs pandas")),
+    ("export swept x.csv", "study.results.result.SweepResult.write", denied("x.csv")),
+    ("export one x.csv", "view.formats.export.export", denied("one/trace.jsonl")),
+    ("export one x.csv", "view.formats.export.export", denied("x.csv")),
+    ("export one x.csv", "view.formats.export.export", FULL),
+    ("export one x.csv", "view.formats.export.export", ImportError("needs mcap")),
+    ("plot one -o x.svg", "view.pictures.run_figure.plot", FULL),
+    ("replay one -o x.html", "cli.output.write_whole", FULL),
+    ("report swept -o x.html", "cli.output.write_whole", denied("x.html")),
+    ("live plain.toml -o made", "live.live_runs.runs", LiveError("pursuer 1 was lost")),
+    ("live plain.toml -o made", "live.live_runs.runs", NotLiveError("walls cannot be in a live run")),
+    ("live plain.toml -o made", "live.live_runs.runs", NamespaceError("ip: permission denied")),
+    ("live plain.toml -o made", "live.live_runs.runs", ValueError("no such host")),
+    ("run plain.toml -o made", "results.run_folder.write", WriteError(EACCES, strerror(EACCES), "made/run.json")),
+    ("run plain.toml -o made", "results.run_folder.write", WriteError(ENOSPC, strerror(ENOSPC))),
+    ("run plain.toml", "simulation.run.run", HiddenPackageError("another package protocols is in the way")),
+    ("run plain.toml", "simulation.run.run", TraceEndError("the trace of losses ends at 2 s")),
+    ("run plain.toml", "simulation.run.run", MemoryError()),
+    ("run --from one/run.json -o made", "results.provenance.read", denied("one/run.json")),
+    (f"sweep {GRID}", "study.sweeps.sweep.carry_out", RunError("2 of 2 runs failed")),
+    (f"sweep {GRID} --cluster nowhere", "study.workers.executors.workers_for", ValueError("address")),
+    (f"sweep {GRID} --cluster tcp://h:1", "study.workers.executors.workers_for", ConnectionError("tcp://h:1: silent")),
+    (
+        "explain plain.toml -n 2 -o explained",
+        "study.ablation.explain.Variants.carry_out",
+        NoMeanError("captured has no mean"),
+    ),
+    (f"submit {GRID} --array 2", "study.sweeps.array_job.ArrayJob.read", ValueError("made/job.json: no such key")),
+    (f"submit {GRID} --array 2", "study.sweeps.array_job.ArrayJob.write", FULL),
+    ("status swept", "study.sweeps.status.status", ValueError("swept/job.json: no such key")),
+    ("merge swept -o made", "study.store.store.Store.merge", FULL),
+    ("fates log.csv plain.toml -o x.csv", "cli.output.write_whole", FULL),
+]
+"""The words of a command, the function that fails, and what it raises."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    made = tmp_path_factory.mktemp("failing")
+    (made / "plain.toml").write_text(
+        "horizon = 0.01\nteam.count = 2\nannounce.heartbeat = 0.01\nrecord.trajectory = 0\n"
+    )
+    (made / "log.csv").write_text("t,src,dst,size\n0.0,0,1,100\n")
+    (made / "swept").mkdir()
+    short = desim.Scenario(name="short", horizon=0.01, team={"count": 2})
+    desim.sweep(short, {"team.count": [2, 3]}, 1, store=made / "swept" / "sweep.sqlite")
+    write(desim.run(short, 1), made / "one", drawn=False)
+    return made
+
+
+@pytest.mark.slow
+def test_what_a_command_says_where_a_call_fails_is_golden(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    parts = {}
+    for words, place, error in CALLS:
+
+        def fail(*_args, _error=error, **_named):
+            raise _error
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(f"desim.{place}", fail)
+            result = command(*shlex.split(words))
+        told = result.output.replace(str(folder), "FOLDER").strip()
+        raised = f"{error!r} of {error.filename}" if getattr(error, "filename", None) else repr(error)
+        parts[f"desim {words}, where {place} raises {raised}"] = f"{told}\nexit {result.exit_code}"
+    golden("failing_calls.txt", parts)
