@@ -9,7 +9,9 @@ from math import inf
 from pathlib import Path
 
 import pytest
+from matplotlib import rcParams
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 import desim
 from desim import LatencyTrace, Links, LossTrace, Scenario, SignalTrace, Wall
@@ -180,6 +182,42 @@ def test_figures_are_golden(kind, name, monkeypatch):
     monkeypatch.setattr("desim.live.figure.GRID", 11)
     with without_layout():
         golden(file_of(kind, name), described(FIGURES[kind][name]()) + "\n")
+
+
+STYLED = {
+    "figures.means": lambda **options: lines().plot(**options),
+    "heat_maps.phase": lambda **options: grid().plot(kind="phase", **options),
+    "design_figures.scatter": lambda **options: made.scattered([LATENCY]).plot(kind="scatter", **options),
+    "design_figures.contour": lambda **options: grid().plot(kind="contour", **options),
+    "waterfalls.waterfall": lambda **options: made.explanation().plot("heat", **options),
+    "race_figure.draw_race": lambda **options: made.raced().plot(**options),
+    "sensitivity_figure.draw_sensitivity": lambda **options: made.sensitivity().plot(**options),
+    "score_figure.score_figure": lambda **options: made.benchmark().plot(**options),
+    "trajectory.trajectory": lambda **options: desim.plot(chase(), **options),
+    "spacetime.spacetime": lambda **options: desim.plot(history(), "spacetime", **options),
+}
+"""How each figure is drawn with options of a user: the style, and the axes if it takes some."""
+WHOLE_FIGURES = {"sensitivity_figure.draw_sensitivity", "score_figure.score_figure"}
+WITHOUT_STYLE = {"figures.multiples", "figures.legend", "figure.agreement_figure", "link_traces.link_traces"}
+
+
+@pytest.mark.parametrize("kind", [*STYLED, *(f"{kind} on axes" for kind in STYLED if kind not in WHOLE_FIGURES)])
+def test_all_that_is_drawn_is_in_the_style_of_the_user(kind, monkeypatch):
+    kind, on_axes, _ = kind.partition(" on axes")
+    options, seen, init = {"ax": axes()} if on_axes else {}, [], Text.__init__
+
+    def noting(*args, **named):
+        seen.append(rcParams["hist.bins"])
+        init(*args, **named)
+
+    monkeypatch.setattr(Text, "__init__", noting)
+    with without_layout():
+        STYLED[kind](style={"hist.bins": 17}, **options)
+    assert {*seen} == {17}
+
+
+def test_each_figure_takes_a_style_or_is_known_to_take_none():
+    assert {*STYLED} | WITHOUT_STYLE == {*FIGURES}
 
 
 NARROW = [case for case in CASES if case[1].startswith("narrow")]
