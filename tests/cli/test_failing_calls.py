@@ -91,7 +91,8 @@ def test_what_a_command_says_where_a_call_fails_is_golden(folder, monkeypatch):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(f"desim.{place}", fail)
             result = command(*shlex.split(words))
-        told = result.output.replace(str(folder), "FOLDER").strip()
+        assert result.stdout == ""
+        told = result.stderr.replace(str(folder), "FOLDER").strip()
         raised = f"{error!r} of {error.filename}" if getattr(error, "filename", None) else repr(error)
         parts[f"desim {words}, where {place} raises {raised}"] = f"{told}\nexit {result.exit_code}"
     golden("failing_calls.txt", parts)

@@ -1,5 +1,6 @@
 """The variable parts of pages of runs made by hand: headers, metrics, controls, answers, and what is in the plane."""
 
+import ast
 import json
 import re
 from dataclasses import asdict, replace
@@ -7,7 +8,9 @@ from math import inf, isfinite
 from pathlib import Path
 
 import pytest
+from jinja2 import Environment, meta
 
+import desim
 from desim import Scenario
 from desim.analysis.metrics import Metric, Summary
 from desim.kernel.core.events import Trace
@@ -172,3 +175,18 @@ def rounded(value):
 @pytest.mark.parametrize("part", [headers, metrics, all_controls, answers, planes], ids=lambda part: part.__name__)
 def test_the_variable_parts_of_pages_are_golden(part):
     golden(f"pages/{part.__name__}.txt", "\n".join(part()) + "\n")
+
+
+PAGES = Path(desim.__file__).parent / "view" / "pages"
+
+
+@pytest.mark.parametrize("name", ["pair", "play", "replay", "report"])
+def test_a_page_is_given_each_variable_of_its_template_and_no_other(name):
+    """A variable that is not given is empty on the page, and no error."""
+    module = PAGES / {"play": "play_page.py"}.get(name, f"{name}.py")
+    calls = [node for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
+    (rendered,) = (call for call in calls if isinstance(call.func, ast.Attribute) and call.func.attr == "render")
+    template = (PAGES / f"{name}.html").read_text(encoding="utf-8")
+    environment = Environment(autoescape=True)
+    environment.filters |= {"signs": str, "unit": str}
+    assert {keyword.arg for keyword in rendered.keywords} == meta.find_undeclared_variables(environment.parse(template))
