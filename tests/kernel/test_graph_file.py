@@ -328,7 +328,22 @@ NO_GRAPHS = {
     "signs.csv": ("source;target;loss\n0;1;0,5\n1;2;0.5\n", "either decimal points or decimal commas"),
     "unit.csv": ("source,target,latency\n0,1,10 ms\n", "line 2: latency: '10 ms' is not a number"),
     "mixed.csv": ("Source,Target,Type\n0,1,Directed\n1,2,Undirected\n", "has directed and undirected edges"),
-    "parallel.csv": ("0,1\n0,1\n", "edges 0 and 1 are parallel: both join nodes 0 and 1"),
+    "parallel.csv": ("source,target,loss\n0,1,0\n0,1,1\n", "edges 0 and 1 are parallel: both join nodes 0 and 1"),
+    "nodes.csv": ("Id,Label\na,a\nb,b\n", "line 1: Id, Label are the columns of a table of nodes"),
+    "numbers.csv": ("Id;Label\n1;\n2;base\n", "line 1: Id, Label are the columns of a table of nodes"),
+    "title.brite": (
+        "Topology: ( 2 Nodes, 1 Edges )\nNodes: ( 2 )\n",
+        r"line 2: 'Nodes: \( 2 \)' is no edge, and no name",
+    ),
+    "behind.txt": ("a1,b2 1 0\nb2,a1 2 0\n", "line 1: 'b2 1 0' has several words, and 'a1' has one"),
+    "map.cch": ("1 @A\t(1) -> <2>\n2 @B\t(1) -> <1>\n3 @C\t(0)\n", "line 1: hardly a name is in two lines"),
+    "arrow.csv": ("0,1,0,0\n0,0,1,0\n0,0,0,1\n1,0,0,0\n", "is a matrix that is not symmetric: set directed = true"),
+    "header.csv": ("0,1,2,3\n1,0,1,1\n2,1,0,1\n3,1,1,0\n", "the first line may number the nodes"),
+    "mixed.json": (
+        '{"options": {"type": "mixed"}, "nodes": [{"key": "a"}, {"key": "b"}], "edges":'
+        ' [{"source": "a", "target": "b"}, {"source": "b", "target": "a", "undirected": true}]}',
+        "it has directed and undirected edges",
+    ),
     "some.txt": ("0 1\n1 0\n1 2\n", "has 1 of its edges in both directions and the others in one: set directed = true"),
     "cut.metis": ("4 2\n2\n1 3\n", "its first line should have the number of the lines below"),
     "once.graph": ("3 2\n2\n3\n\n", "the edge between the nodes 1 and 2 should be in both lines .*graph of METIS; if"),
@@ -423,7 +438,7 @@ def test_lists_may_be_directed_and_no_other_format_may_be_told_to_be(tmp_path):
     assert len(read(tmp_path / "net.txt", directed=True).edges) == 3
     edges = read(tmp_path / "net.txt", directed=False)
     assert (len(edges.edges), edges.nodes) == (2, 4)
-    with pytest.raises(ValueError, match=r"directed is only for edge lists and adjacency lists: .* is JSON"):
+    with pytest.raises(ValueError, match=r"directed is only for edge lists, .* and matrices: .* is JSON"):
         read(plain(tmp_path, "node_link.json"), directed=True)
 
 
@@ -489,9 +504,9 @@ def test_a_scenario_takes_a_networkx_graph_and_its_file_repeats_it(graph):
     assert Scenario.model_validate(scenario.plain()).network.graph == Edges.of(graph)
 
 
-def test_parallel_edges_and_loops_of_networkx_are_refused():
+def test_parallel_edges_that_differ_and_loops_of_networkx_are_refused():
     with pytest.raises(ValueError, match="edges 0 and 1 are parallel: both join nodes a and b"):
-        Links(graph=nx.MultiGraph([("a", "b"), ("b", "a")]))
+        Links(graph=nx.MultiGraph([("a", "b"), ("b", "a", {"loss": 0.1})]))
     with pytest.raises(ValueError, match="no node should be linked to itself"):
         Scenario(team=Team(count=1), network=Links(graph=nx.Graph([(0, 0)])))
 
@@ -642,6 +657,88 @@ def test_what_is_read_in_two_ways_or_twice_is_refused(tmp_path, name, text, why)
     (tmp_path / name).write_text(text)
     with pytest.raises(ValueError, match=why):
         Edges(file=str(tmp_path / name))
+
+
+PARALLEL = nx.MultiGraph([("a", "b", {"weight": 1}), ("b", "a", {"weight": 2}), ("b", "c", {}), ("a", "b", {})])
+
+
+@pytest.mark.parametrize("kind", ["networkx", "links.json", "net.graphml", "net.gml", "table.csv"])
+def test_an_edge_that_is_repeated_counts_once_and_this_is_told(tmp_path, kind):
+    """A third of the graphs of the Topology Zoo have such edges; networkx refuses them in GML that does not say so."""
+    file = tmp_path / kind
+    if kind == "net.gml":
+        edges = "".join(f"edge [ source {src} target {dst} ]\n" for src, dst in ["01", "10", "12", "01"])
+        nodes = "".join(f'node [ id {k} label "{name}" ]\n' for k, name in enumerate("abc"))
+        file.write_text(f"graph [\n{nodes}{edges}]\n")
+    elif kind == "table.csv":
+        file.write_text("source,target,weight\na,b,1\nb,c,2\na,b,3\na,b,4\n")
+    elif kind != "networkx":
+        WRITERS[kind](PARALLEL, file)
+    graph = Edges.of(PARALLEL) if kind == "networkx" else read(file)
+    assert [(edge.src, edge.dst) for edge in graph.edges] == [(0, 1), (1, 2)]
+    assert graph.names == ("a", "b", "c")
+    assert any(note.startswith("2 of its edges repeat another one") for note in graph.notes)
+
+
+@pytest.mark.parametrize("kind", ["net.graphml", "links.json"])
+def test_a_file_whose_edges_are_all_one_way_is_told_and_other_directed_graphs_are_not(tmp_path, kind):
+    for edges, is_told in [([(0, 1), (1, 2)], True), ([(0, 1), (1, 0), (1, 2)], False), ([(0, 1)], False)]:
+        WRITERS[kind](nx.DiGraph(edges), tmp_path / kind)
+        assert any("all edges are one-way" in note for note in read(tmp_path / kind).notes) == is_told
+    assert not Edges.of(nx.DiGraph([(0, 1), (1, 2)])).notes
+    (tmp_path / "g.txt").write_text("0 1\n1 2\n")
+    assert not Edges(file=str(tmp_path / "g.txt"), directed=True).notes
+
+
+GRAPHOLOGY = (
+    '{"options": {"type": "TYPE", "multi": false}, "nodes": [{"key": "x", "attributes": {"label": "base"}},'
+    ' {"key": "y", "attributes": {"label": "uav"}}], "edges": [{"key": "0", "source": "y", "target": "x",'
+    ' "attributes": {"latency": 0.5}}]}'
+)
+CYTOSCAPE = '[{"data": {"id": "x"}}, {"data": {"id": "y"}}, {"data": {"id": "e", "source": "y", "target": "x"}}]'
+GEXF = """<gexf xmlns="http://www.gexf.net/1.3" version="1.3"><graph defaultedgetype="undirected">
+<nodes><node id="x" label="base"/><node id="y" label="uav"/></nodes><edges><edge source="y" target="x"/></edges></graph>
+</gexf>"""
+
+
+def test_graphs_of_gephi_and_of_pages_are_read(tmp_path):
+    for kind in ("directed", "undirected"):
+        (tmp_path / "g.json").write_text(GRAPHOLOGY.replace("TYPE", kind))
+        graph = read(tmp_path / "g.json")
+        assert (graph.names, graph.directed) == (("base", "uav"), kind == "directed")
+        assert [edge.latency for edge in graph.edges] == [Constant(value=0.5)]
+        assert not graph.directed or graph.edges[0].src == 1
+    for name, text, names in [("c.json", CYTOSCAPE, ("x", "y")), ("g.gexf", GEXF, ("base", "uav"))]:
+        (tmp_path / name).write_text(text)
+        graph = read(tmp_path / name)
+        assert (graph.names, [{edge.src, edge.dst} for edge in graph.edges]) == (names, [{0, 1}])
+
+
+@pytest.mark.parametrize("mark", [" ", ",", ";", "\t"])
+@pytest.mark.parametrize("header", ["none", "numbers", "names"])
+@settings(max_examples=5, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(size=st.integers(3, 7), seed=st.integers(0, 99), directed=st.booleans())
+def test_an_adjacency_matrix_is_the_graph_that_it_is_of(tmp_path, mark, header, size, seed, directed):
+    graph = nx.gnp_random_graph(size, 0.5, seed=seed, directed=directed)
+    names = {"none": [], "numbers": [str(node) for node in graph], "names": [f"uav{node}" for node in graph]}[header]
+    rows = [[str(int(graph.has_edge(src, dst))) for dst in graph] for src in graph]
+    if names:
+        rows = [["-" if mark == " " else "", *names], *([name, *row] for name, row in zip(names, rows, strict=True))]
+    file = tmp_path / "matrix.txt"
+    file.write_text("\n".join(mark.join(row) for row in rows) + "\n")
+    made = Edges(file=str(file), directed=True) if directed else read(file)
+    assert {(edge.src, edge.dst) for edge in made.edges} == set(graph.edges)
+    assert made.names == (tuple(names) if header == "names" else ())
+    assert made.nodes == size
+
+
+def test_a_matrix_on_one_side_of_the_diagonal_has_edges_both_ways_and_a_table_of_edges_is_none(tmp_path):
+    (tmp_path / "m.txt").write_text("1 1 0 1\n0 1 1 0\n0 0 0 0\n0 0 0 0\n")
+    assert [(edge.src, edge.dst) for edge in read(tmp_path / "m.txt").edges] == [(0, 1), (0, 3), (1, 2)]
+    (tmp_path / "e.csv").write_text("source,target,latency,loss\n0,1,0,0\n1,2,0,0\n2,3,0,0\n3,0,0,0\n")
+    assert len(read(tmp_path / "e.csv").edges) == 4
+    (tmp_path / "w.txt").write_text("0 1 5\n1 2 3\n2 0 4\n")
+    assert [(edge.src, edge.dst) for edge in read(tmp_path / "w.txt").edges] == [(0, 1), (0, 2), (1, 2)]
 
 
 def test_whole_floats_are_numbers_of_nodes(tmp_path):

@@ -39,8 +39,12 @@ NamedEdge = tuple[str, str, dict[str, Any]]
 ENDS = (
     *(("source", "target"), ("src", "dst"), ("from", "to"), ("sender", "receiver"), ("tx", "rx"), ("u", "v")),
     *(("node1", "node2"), ("node_1", "node_2"), ("node_a", "node_b"), ("i", "j"), ("a", "b"), ("start", "end")),
+    *(("origin", "destination"), ("id1", "id2"), ("id_1", "id_2"), ("fromnodeid", "tonodeid"), ("from_id", "to_id")),
+    *(("source_id", "target_id"), ("src_id", "dst_id"), ("from_node", "to_node")),
 )
 """The names of the columns of both ends, in lower case."""
+OF_NODES = frozenset({"id", "node", "name", "label", "node_id", "nodeid", "vertex"})
+"""The name of the first column of a table of nodes, in lower case."""
 WITH_DICT = re.compile(r"(\S+)\s+(\S+)\s*(\{.*\})")
 """Matches an edge as `networkx.write_edgelist` writes it."""
 
@@ -63,6 +67,7 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
         points = with_points(((row.line, row.cells) for row in rows), list, str(file))
         rows = [row._replace(cells=cells) for row, (_, cells) in zip(rows, points, strict=True)]
     if not header:
+        _check_form(file, rows)
         is_weighted = all(len(row.cells) == 3 and _is_number(row.cells[2]) for row in rows)
         header = ["source", "target", *(["weight"] if is_weighted else [])]
         if too_long := [row for row in rows if len(row.cells) > len(header)]:
@@ -285,6 +290,11 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
     has_numbers = bool(nodes) and all(map(str.isdecimal, nodes))
     is_header = has_numbers and not any(cell.isdecimal() for cell in first[:2])
     if not _names_ends(first):
+        if first[0].lower() in OF_NODES and nodes and nodes.isdisjoint(first[:2]) and not any(map(_is_number, first)):
+            raise ValueError(
+                f"{file}, line {rows[0].line}: {', '.join(first)[:60]} are the columns of a table of nodes; those of"
+                " edges are source and target"
+            )
         return (first, below) if is_header else ([], rows)
     if any(map(_is_number, first)) or (not has_numbers and not nodes.isdisjoint(first[:2])):
         return [], rows
@@ -292,6 +302,34 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
         why = f"{first[0]} {first[1]} may be an edge or the names of the columns: write source and target above"
         raise ValueError(f"{file}, line {rows[0].line}: {why}")
     return first, below
+
+
+MOSTLY = 0.9
+"""The share of different names among the ends from which on lines are hardly edges; in a tree, it is about a half."""
+
+
+def _check_form(file: Path, rows: Sequence[EdgeRow]) -> None:
+    """Raise ValueError if rows without a header are probably no edges: names with spaces are then parts of other lines.
+
+    Such are a title, several words behind the second name only, and lines that have hardly a name in common.
+    """
+    edges = [row.cells for row in rows if len(row.cells) == 2]
+    names = [name for cells in edges for name in cells]
+    title = next((row for row in rows if len(row.cells) == 1 and len(row.cells[0].split()) > 1), None)
+    have_spaces = [[len(name.split()) > 1 for name in side] for side in zip(*edges, strict=True)]
+    if title is not None:
+        why = f"{title.cells[0][:40]!r} is no edge, and no name of a node"
+    elif edges and all(have_spaces[1]) and not any(have_spaces[0]):
+        why = f"{edges[0][1][:40]!r} has several words, and {edges[0][0][:40]!r} has one"
+    elif len(edges) > 2 and len(set(names)) > MOSTLY * len(names) and any(map(any, have_spaces)):
+        why = "hardly a name is in two lines"
+    else:
+        return
+    line = (title or rows[0]).line
+    raise ValueError(
+        f"{file}, line {line}: {why}: each line should be an edge; if these are edges, a first line should name the"
+        " columns, such as source,target"
+    )
 
 
 def _is_number(cell: str) -> bool:

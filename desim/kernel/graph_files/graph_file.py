@@ -1,7 +1,8 @@
 """Graphs in files of many formats, as networkx graphs whose nodes have any names.
 
 The content determines the format, but for adjacency lists, which have the ending `.adjlist`, and the Trivial Graph
-Format (`.tgf`): JSON (node-link, adjacency or Cytoscape), GraphML, GEXF, GML, Pajek, METIS, or else an edge list.
+Format (`.tgf`): JSON (node-link, adjacency, Cytoscape or graphology), GraphML, GEXF, GML, Pajek, METIS, an adjacency
+matrix, or else an edge list.
 """
 
 import json
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from desim.config.number_files import check_comments, content_of, text_of_file
 from desim.config.tables import check_once, object_once
+from desim.kernel.graph_files.adjacency_matrix import read_matrix
 from desim.kernel.graph_files.edge_lists import (
     read_adjacency_list,
     read_edge_list,
@@ -27,7 +29,8 @@ if TYPE_CHECKING:
     import networkx as nx
 
 FORMATS = (
-    "JSON (node-link, adjacency, Cytoscape), GraphML, GEXF, GML, Pajek, METIS, TGF, an edge list or an adjacency list"
+    "JSON (node-link, adjacency, Cytoscape, graphology), GraphML, GEXF, GML, Pajek, METIS, TGF, an edge list,"
+    " an adjacency list or an adjacency matrix"
 )
 XML = re.compile(rb"(\xef\xbb\xbf|\xff\xfe|\xfe\xff)?\s*\x00?<")
 GML = re.compile(r"(\s*#[^\n]*\n|\s*(Creator|Version|Comment)\b[^\n]*\n|\s)*graph\s*\[", re.IGNORECASE)
@@ -66,9 +69,11 @@ def read_graph(file: Path, directed: bool | None = None) -> "nx.Graph[Any]":
         name, read = _xml_reader(file, content)
     else:
         name, read = _text_reader(file, ending, text_of_file(file), directed)
-    is_list = name in {"an edge list", "an adjacency list"}
+    is_list = name in {"an edge list", "an adjacency list", "an adjacency matrix"}
     if directed is not None and not is_list:
-        raise ValueError(f"directed is only for edge lists and adjacency lists: {file} is {name}, which says it")
+        raise ValueError(
+            f"directed is only for edge lists, adjacency lists and matrices: {file} is {name}, which says it"
+        )
     try:
         graph = read()
     except Exception as error:  # the readers of networkx raise many types of exception for malformed input
@@ -114,6 +119,9 @@ def _text_reader(file: Path, ending: str, text: str, directed: bool | None) -> t
     metis = _metis(file, ending, text)
     if metis is not None:
         return "the format of METIS", lambda: metis
+    matrix = read_matrix(file, text, directed)
+    if matrix is not None:
+        return "an adjacency matrix", lambda: matrix
     return "an edge list", lambda: read_edge_list(file, text, directed)
 
 
@@ -143,6 +151,8 @@ def _from_json(text: str) -> "nx.Graph[Any]":
     import networkx as nx
 
     data = json.loads(text, object_pairs_hook=object_once)
+    if isinstance(data, list) and data and all(isinstance(item, dict) and "data" in item for item in data):
+        data = {"elements": data}  # of cytoscape.js, too
     if not isinstance(data, dict):
         raise ValueError("it should be an object with nodes and edges")
     if "elements" in data:
@@ -160,11 +170,27 @@ def _from_json(text: str) -> "nx.Graph[Any]":
     for part in ("nodes", key):
         if not (isinstance(data[part], list) and all(isinstance(element, dict) for element in data[part])):
             raise ValueError(f"its {part} should be a list of objects")
+    if data["nodes"] and all("key" in node and "id" not in node for node in data["nodes"]):
+        data = _of_graphology(data)
+        key = "edges"
     names = [_hashable(node.get("id", k)) for k, node in enumerate(data["nodes"])]
     _check_nodes(names)
     _check_ends(set(names), (_hashable(edge[end]) for edge in data[key] for end in ("source", "target")))
     graph: nx.Graph[Any] = nx.node_link_graph({**data, "multigraph": True}, edges=key)  # keeps parallel edges
     return graph
+
+
+def _of_graphology(data: dict[str, Any]) -> dict[str, Any]:
+    """Return a graph of graphology (sigma.js, Gephi), whose nodes have keys and attributes, in node-link form."""
+    kind = data.get("options", {}).get("type", "mixed")
+    one_way = {not edge.get("undirected", kind == "undirected") for edge in data["edges"]}
+    if len(one_way) > 1:
+        raise ValueError("it has directed and undirected edges: all should be of one type")
+    nodes = [{"id": node["key"], **node.get("attributes", {})} for node in data["nodes"]]
+    edges = [
+        {"source": edge["source"], "target": edge["target"], **edge.get("attributes", {})} for edge in data["edges"]
+    ]
+    return {"directed": True in one_way, "nodes": nodes, "edges": edges}
 
 
 def _from_cytoscape(data: dict[str, Any]) -> "nx.Graph[Any]":
@@ -278,6 +304,7 @@ def _from_gexf(root: "Element", content: bytes) -> "nx.Graph[Any]":
         kind = element.tag.rpartition("}")[2]
         values = element.findall(f"{_like(root, 'attvalues')}/{_like(root, 'attvalue')}")
         check_once((titles.get((kind, value.get("for") or value.get("id"))) for value in values), _name_of(element))
+    content = content.replace(b"http://www.gexf.net/1.3", b"http://gexf.net/1.3")  # the name that networkx knows
     return _with_defaults(_quietly(lambda: nx.read_gexf(BytesIO(content))))
 
 
@@ -329,6 +356,8 @@ def _from_gml(text: str) -> "nx.Graph[Any]":
     """Return the graph in GML; its nodes are named by their labels, if all have different ones, or by their ids."""
     import networkx as nx
 
+    if not re.search(r"^\s*multigraph\s+\d", text, re.MULTILINE):  # without it, networkx refuses parallel edges
+        text = re.sub(r"\bgraph\s*\[", "graph [ multigraph 1 ", text, count=1, flags=re.IGNORECASE)
     graph: nx.Graph[Any] = nx.parse_gml(text, label=None)  # type: ignore[call-overload]
     labels = {node: attributes.get("label") for node, attributes in graph.nodes(data=True)}
     if None in labels.values() or len(set(map(str, labels.values()))) < len(labels):

@@ -137,12 +137,12 @@ class Edges(Value):
     """The edges; each may override the latency, loss and order of the network."""
     file: str | None = None
     """Instead of edges, nodes and names: path of a file in JSON (node-link, adjacency, Cytoscape), GraphML, GEXF, GML,
-    TGF or the format of Pajek or METIS, of an edge list or of an adjacency list, relative to the scenario file. It is
-    read once, when the model is created."""
+    TGF or the format of Pajek or METIS, of an edge list, an adjacency list or an adjacency matrix, relative to the
+    scenario file. It is read once, when the model is created."""
     nodes: Annotated[int, Field(ge=1, strict=True)] | None = None
     """Number of nodes; if absent, that of the network."""
     directed: Flag = False
-    """Whether edges are one-way; beside a file, only for an edge list or an adjacency list, which do not say it."""
+    """Whether edges are one-way; beside a file, only for lists and matrices, which do not say it."""
     names: tuple[str, ...] = ()
     """The name of each node, by its number, if the file has names; `desim check` shows them."""
 
@@ -161,6 +161,8 @@ class Edges(Value):
                 fields, notes = _fields(graph)
             except ValueError as error:
                 raise ValueError(f"{file}: {error}") from error
+            if directed is None and _is_one_way(graph):  # of a list, `directed` says it
+                notes += (ONE_WAY,)
             fields = data | {"file": None} | fields
         else:
             return make(data)
@@ -193,7 +195,7 @@ class Edges(Value):
         `desim.kernel.graph_files.node_names`.
 
         Raises:
-            ValueError: if the graph has parallel edges, or an edge attribute is invalid.
+            ValueError: if the graph has parallel edges that differ, or an edge attribute is invalid.
         """
         try:
             return cls.model_validate(graph)
@@ -236,17 +238,38 @@ def _fields(graph: "nx.Graph[Any]") -> tuple[dict[str, Any], tuple[str, ...]]:
             f"its nodes have the numbers {numbering.names[0]} .. {numbering.names[-1]}, and here 0 .. {len(graph) - 1},"
             " in the same order (`names`)"
         )
-    edges = [
-        {"src": numbers[src], "dst": numbers[dst]}
-        | {
+    edges = list[dict[str, Any]]()
+    first: dict[tuple[int, int], dict[str, Any]] = {}
+    for src, dst, attributes in graph.edges(data=True):
+        models = {
             name: _attribute(src, dst, name, attributes[name])
             for name in ("latency", "loss", "order")
             if name in attributes
         }
-        for src, dst, attributes in graph.edges(data=True)
-    ]
+        ends = numbers[src], numbers[dst]
+        before = first.setdefault(ends if graph.is_directed() else (min(ends), max(ends)), models)
+        if before is models or before != models:  # parallel edges with other models are refused
+            edges.append({"src": ends[0], "dst": ends[1]} | models)
+    if repeated := graph.number_of_edges() - len(edges):
+        notes.append(f"{repeated} of its edges repeat another one, with equal latency, loss and order, and count once")
     fields = {"edges": edges, "nodes": len(graph), "directed": graph.is_directed()}
     return fields | ({"names": numbering.names} if numbering.names else {}), tuple(notes)
+
+
+ONE_WAY = (
+    "all edges are one-way, because the file says that its graph is directed, as programs that draw graphs do by"
+    " default: if links hold both ways, change it to undirected"
+)
+"""The warning about a file whose edges are all one-way."""
+
+
+def _is_one_way(graph: "nx.Graph[Any]") -> bool:
+    """Return whether a graph is directed, has several edges, and none of them has a way back."""
+    return (
+        graph.is_directed()
+        and graph.number_of_edges() > 1
+        and not any(graph.has_edge(dst, src) for src, dst in graph.edges())
+    )
 
 
 def node_names(graph: "nx.Graph[Any]") -> str:

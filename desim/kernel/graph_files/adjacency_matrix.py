@@ -1,0 +1,103 @@
+"""Adjacency matrices as text: a line per sender, and in it a number per receiver, which is 0 where there is no link.
+
+Names of the nodes may stand in a first line and at the beginning of each line:
+
+    ,base,uav1,uav2
+    base,0,1,0
+    uav1,1,0,1
+    uav2,0,1,0
+
+A matrix that is symmetric, or has links on one side of its diagonal only, has edges that hold both ways.
+"""
+
+from collections.abc import Sequence
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from desim.kernel.measured.csv_tables import plain_rows
+from desim.kernel.measured.measurements import number_or_nan
+
+if TYPE_CHECKING:
+    import networkx as nx
+
+LEAST = 3
+"""The least number of nodes; with fewer, lines are edges."""
+
+
+def read_matrix(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any] | None":
+    """Return the graph of an adjacency matrix; None if the text is none.
+
+    A number other than 0 and 1 is the attribute `weight` of an edge, which is not read. The diagonal does not count.
+
+    Args:
+        file: the path, for error messages.
+        text: the text.
+        directed: whether edges are one-way; None if it is not known.
+
+    Raises:
+        ValueError: if some links hold both ways and others one way, and `directed` does not say what this means, or
+            the first line may be numbers of nodes.
+    """
+    import networkx as nx
+
+    lines = [line for line in text.split("\n") if line.strip() and line.strip()[0] != "#"]
+    if not lines or len(lines) > len(lines[0]) + 1:  # long lists are not parsed twice
+        return None
+    try:
+        rows = [[cell.strip() for cell in cells] for _, cells in plain_rows(text, str(file))]
+        names, numbers = _parts(rows)
+    except ValueError:
+        return None
+    size = len(numbers)
+    if size < LEAST or any(len(row) != size for row in numbers):
+        return None
+    if not names and numbers[0][1:] == [row[0] for row in numbers[1:]] and numbers[0][1:] in _counts(size - 1):
+        raise ValueError(f"{file}: the first line may number the nodes: leave its first cell empty, or leave it out")
+    if size == LEAST and not all(number in {0.0, 1.0} for row in numbers for number in row):
+        return None  # lines of three numbers may also be edges with weights
+    weights = {
+        (src, dst): weight
+        for src, row in enumerate(numbers)
+        for dst, weight in enumerate(row)
+        if weight and src != dst and isfinite(weight)
+    }
+    is_symmetric = all(weights.get((dst, src)) == weight for (src, dst), weight in weights.items())
+    is_triangular = len({src < dst for src, dst in weights}) < 2
+    if directed is None and not (is_symmetric or is_triangular):
+        raise ValueError(
+            f"{file} is a matrix that is not symmetric: set directed = true if edges are one-way, or false"
+        )
+    graph: nx.Graph[Any] = nx.DiGraph() if directed else nx.Graph()
+    graph.add_nodes_from(names or map(str, range(size)))
+    nodes = list(graph)
+    for (src, dst), weight in weights.items():
+        graph.add_edge(nodes[src], nodes[dst], **({} if weight == 1.0 else {"weight": weight}))
+    return graph
+
+
+def _counts(size: int) -> list[list[float]]:
+    """Return the numbers from 0 and from 1 on."""
+    return [[float(number) for number in range(begin, begin + size)] for begin in (0, 1)]
+
+
+def _parts(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[float]]]:
+    """Return the names of the nodes, none if there are none, and the numbers.
+
+    Raises:
+        ValueError: if a cell is not a number, or the names of lines and of columns differ.
+    """
+    if not rows or (rows[0][0] and all(map(_is_number, rows[0]))):
+        return [], [[number_or_nan(cell) for cell in row] for row in rows]
+    names, begins = rows[0][1:], [row[0] for row in rows[1:]]
+    if list(names) != begins or len(set(begins)) < len(begins):
+        raise ValueError("the names of lines and of columns should be equal, and differ from each other")
+    return begins, [[number_or_nan(cell) for cell in row[1:]] for row in rows[1:]]
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        number_or_nan(cell)
+    except ValueError:
+        return False
+    return True
