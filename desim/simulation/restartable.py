@@ -34,9 +34,10 @@ class RestartableProcess(simpy.Process):
 
         Raises:
             AnswerError: if the behaviour is no generator, or yields anything but an event.
+            AttributeError: if the behaviour has changed the id of its agent.
             Exception: any exception of the behaviour, with a note that names the pursuer and the time of its clock.
         """
-        awaited: simpy.Event = agent.at(agent.now, phase)
+        pursuer, awaited = agent.id, cast("simpy.Event", agent.at(agent.now, phase))
         missed: simpy.Event | None = None  # the awaited event, if it happened while the robot was down
         while True:
             try:
@@ -62,13 +63,23 @@ class RestartableProcess(simpy.Process):
                     awaited = self.behaviour.send(value)
                 if not isinstance(awaited, simpy.Event):
                     raise wrong_answer(f"{PROCESS} should yield events such as me.sleep(0.1)", awaited, protocol)
+                if agent.id != pursuer:  # a property would make each of its many uses slower
+                    raise _other_id(agent, pursuer)
             except StopIteration:
+                if agent.id != pursuer:
+                    raise _other_id(agent, pursuer) from None
                 return
             except (Exception, SystemExit) as error:
                 error.add_note(f"(pursuer {agent.id}, at {agent.now:g} s of its clock)")
                 if isinstance(error, TypeError | AttributeError) and (advice := _advice(error)):
                     error.add_note(advice)
                 raise
+
+
+def _other_id(agent: Agent, pursuer: int) -> AttributeError:
+    """Give an agent its id again, and return the error of a protocol that has changed it."""
+    agent.id, other = pursuer, agent.id
+    return AttributeError(f"pursuer {pursuer}: the protocol has set me.id to {other!r}; the id of an agent stays")
 
 
 OF_METHOD = re.compile(r"'(?:method|function)' object|operand .*'(?:method|function)'")

@@ -245,6 +245,7 @@ def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
     team, radius, space = scenario.team, scenario.capture.radius, scenario.space
     players = _kinematics(env, scenario, seed)
     speeds = np.array(team.all_speeds())
+    speeds.setflags(write=False)  # protocols get it as a part of their estimates
     bodies = [
         EvaderBody(
             number,

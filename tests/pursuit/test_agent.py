@@ -1,6 +1,7 @@
 """The agent: what a protocol may know and do."""
 
 from dataclasses import dataclass
+from functools import partial
 from inspect import signature
 from math import inf, nan
 from typing import Any, NamedTuple
@@ -702,6 +703,84 @@ def test_an_action_is_not_set_as_an_attribute():
 
     with pytest.raises(AttributeError, match=r"set by a call: me\.assign\(1\)"):
         run(Scenario(horizon=0.1, team=Team(count=2), protocol=protocol))
+
+
+@pytest.mark.parametrize("goes_on", [False, True])
+def test_a_protocol_that_changes_the_id_of_its_agent_is_refused(goes_on):
+    """It would act and speak as another pursuer."""
+
+    def protocol(me):
+        me.id = 1 - me.id
+        me.assign(1)
+        if goes_on:
+            yield me.sleep(0.05)
+            raise AssertionError
+
+    with pytest.raises(AttributeError, match=r"^pursuer 0: the protocol has set me.id to 1; the id of an agent stays"):
+        run(Scenario(horizon=0.1, team=Team(count=2), protocol=protocol))
+
+
+def spoilt(answer):
+    """Return whether an answer could be changed in place, after it was."""
+    if isinstance(answer, np.ndarray):
+        if answer.flags.writeable:
+            answer[...] = 7
+        return answer.flags.writeable
+    match answer:
+        case list():
+            answer.append(99)
+        case set():
+            answer.add(99)
+        case dict():
+            answer[99] = None
+        case tuple():
+            return sum(map(spoilt, answer)) > 0  # all parts
+        case _:
+            return False
+    return True
+
+
+QUESTIONS = (
+    *("evaders", "options", "neighbours", "latest_records", "trusted", "believed_chasers", "believed_active"),
+    *("beliefs", "sensed_positions", "team_estimate", "errors", "mail"),
+)
+
+
+@pytest.mark.parametrize(
+    ("payload", "graph"),
+    [
+        ("action", nx.DiGraph([(0, 1), (1, 2), (2, 3), (3, 0)])),
+        ("action", nx.path_graph(4)),
+        ("state", nx.path_graph(4)),
+    ],
+    ids=["one-way links", "action", "state"],
+)
+def test_what_a_protocol_does_to_an_answer_changes_no_later_one(payload, graph):
+    asked = []
+
+    def protocol(me):
+        questions = [getattr(me, name) for name in QUESTIONS]
+        questions += [partial(me.counted_teammates, scope) for scope in ("heard", "neighbours", "component")]
+        questions += [partial(me.neighbours, 1), me.global_state.profile, me.global_state.broken]
+        for _ in range(3):
+            yield me.sleep(0.2)
+            me.broadcast()
+            for ask in questions:
+                answer = ask()
+                before = repr(answer)
+                asked.append(spoilt(answer))
+                assert repr(ask()) == before
+
+    run(
+        Scenario(
+            horizon=1.0,
+            team=Team(count=4),
+            network=Links(graph=Edges.of(graph)),
+            announce=Announcements(payload=payload),
+            protocol=protocol,
+        )
+    )
+    assert sum(asked) > 60
 
 
 class Path:

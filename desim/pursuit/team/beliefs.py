@@ -4,7 +4,6 @@ Here a pursuer reads the records that have arrived, and what they tell becomes t
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from functools import cached_property
 from itertools import pairwise
 from math import inf, nan
 from types import MappingProxyType
@@ -200,18 +199,19 @@ class Beliefs(Knowledge):
         """Return its estimate of the positions, speeds and capture times of itself and its teammates.
 
         Positions are sensed, or extrapolated from `trusted` announcements (`announce.reckoning`). Capture times refer
-        to the given evader.
+        to the given evader. The speeds, and positions that are sensed, are read-only arrays.
         """
         view, state = self._view, self._view.state
         if self.senses_others:
-            return TeamEstimate(self._everyone, state.positions(), state.speeds, np.array(view.capture_times(evader)))
+            everyone = list(range(state.size))
+            return TeamEstimate(everyone, state.positions(), state.speeds, np.array(view.capture_times(evader)))
         records = self.trusted()
         team = self._reckoned_team(records, evader)
         positions, times = team.positions.copy(), team.capture_times.copy()
         positions[self.id] = state.position(self.id)
         times[self.id] = self.capture_time(evader)
         if len(records) == state.size - 1:
-            return TeamEstimate(self._everyone, positions, state.speeds, times)
+            return TeamEstimate(list(range(state.size)), positions, state.speeds, times)
         ids = sorted([self.id, *records])
         return TeamEstimate(ids, positions[ids], state.speeds[ids], times[ids])
 
@@ -279,12 +279,7 @@ class Beliefs(Knowledge):
         if scope not in ("neighbours", "component"):
             raise ValueError(f"a scope should be 'heard', 'neighbours' or 'component' (got {scope!r})")
         topology = self._network.topology
-        return topology.audible(self.id) if scope == "neighbours" else topology.component(self.id)
-
-    @cached_property
-    def _everyone(self) -> list[int]:
-        """The ids of the team."""
-        return list(range(self._view.state.size))
+        return [*topology.audible(self.id)] if scope == "neighbours" else topology.component(self.id)
 
     def _timeout(self, period: float | None = None) -> float:
         """Return the time for which an announcement is believed now, ns of true time; see `trusted`."""
