@@ -18,6 +18,7 @@ from desim.kernel.models.clock_skew import ClockSkew
 from desim.kernel.models.fault_plans import FAULTS
 from desim.kernel.models.faults import Fault
 from desim.kernel.models.graphs import Complete, Edges, is_networkx
+from desim.kernel.models.latency import mean_latency
 from desim.kernel.models.links import Links
 from desim.kernel.walls.wall import Wall
 
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     import networkx as nx
 
 
+IMPLAUSIBLE = 10.0
+"""A mean latency, s, from which on it was probably given in ms."""
 LARGEST_NETWORK = 1_000_000
 """The largest number of nodes, which is that of pursuers of a scenario."""
 
@@ -78,6 +81,7 @@ def nodes_argument(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, t
         size = whole(nodes, "the number of nodes, if it is not a networkx graph,")
         if not 1 <= size <= LARGEST_NETWORK:
             raise ValueError(f"a network should have at least 1 node and at most {LARGEST_NETWORK:,} (got {size:,})")
+        _check_unit(links)
         return links, tuple(range(size)), None
     graph: Any = nodes
     if not isinstance(links.graph, Complete):
@@ -86,11 +90,27 @@ def nodes_argument(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, t
         raise ValueError("a network should have at least 1 node (got an empty graph)")
     edges, numbers = Edges.of(graph), numbered(graph).numbers
     for note in unread_attributes(graph, of_links_only=True):  # positions of nodes are tables beside the graph
-        warn(note, UserWarning, stacklevel=3)
+        warn(note, UserWarning, stacklevel=4)
     labels = tuple(sorted(numbers, key=numbers.__getitem__))
     links = links.model_copy(update={"graph": edges}).numbered(edges.names)
+    _check_unit(links)
     are_numbers = labels == tuple(range(len(labels))) and not any(isinstance(label, bool | float) for label in labels)
     return links, labels, None if are_numbers else numbers
+
+
+def _check_unit(links: Links) -> None:
+    """Warn of a latency that was probably given in ms."""
+    edges, names = (links.graph.edges, links.graph.names) if isinstance(links.graph, Edges) else ((), ())
+    models = {"network.latency": links.latency, "network.processing.sender": links.processing.sender}
+    models |= {f"network.link.{k}.latency": link.latency for k, link in enumerate(links.link) if link.latency}
+    for edge in edges:
+        if edge.latency:
+            ends = (names[end] if end < len(names) else str(end) for end in (edge.src, edge.dst))
+            models["the edge from {} to {}".format(*ends)] = edge.latency
+    means = {key: mean for key, model in models.items() if (mean := mean_latency(model)) is not None}
+    if means and (longest := max(means.values())) >= IMPLAUSIBLE:
+        key = next(key for key, mean in means.items() if mean == longest)
+        warn(f"{key}: a mean latency of {longest:g} s: times are in s, not ms", UserWarning, stacklevel=5)
 
 
 def horizon_argument(horizon: float | None, faults: Iterable[Any]) -> int:

@@ -1,6 +1,6 @@
 """Many independent networks of one configuration, stepped together, with arrays in and out."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -8,11 +8,15 @@ import numpy as np
 from desim.config.arrays import Floats, array_of, array_text
 from desim.config.model import MAX_COORDINATE
 from desim.config.python_numbers import whole
-from desim.kernel.core.seeds import RUNS_PER_SEED, run_seed, seed_of
+from desim.kernel.core.seeds import run_seed, seed_of
+from desim.kernel.stepped_arguments import LARGEST_NETWORK
 from desim.kernel.stepped_network import ReceivedMessage, SteppedNetwork
 
 if TYPE_CHECKING:
     import networkx as nx
+
+MOST = 100_000
+"""The greatest number of networks; each takes some 12 kB before its first message."""
 
 
 class SteppedNetworks:
@@ -23,8 +27,8 @@ class SteppedNetworks:
     example `networks[3].lost()`.
 
     Args:
-        count: the number of networks, E.
-        nodes: as in `SteppedNetwork`.
+        count: the number of networks, E, at most 100,000.
+        nodes: as in `SteppedNetwork`; all networks together have at most 1,000,000.
         links: as in `SteppedNetwork`.
         seed: the root of the seeds of all networks.
         positions: (E, n, 2) positions at the start, m.
@@ -47,12 +51,21 @@ class SteppedNetworks:
         if "trace" in arguments:
             raise ValueError("a trace is of one network: step single ones, each with a trace")
         count = whole(count, "the number of networks")
-        if not 1 <= count <= RUNS_PER_SEED:
-            raise ValueError(f"there should be at least 1 network and at most {RUNS_PER_SEED:,} (got {count:,})")
+        if not 1 <= count <= MOST:
+            raise ValueError(f"there should be at least 1 network and at most {MOST:,} (got {count:,})")
         root = seed_of(seed)
         self._shape: tuple[int, ...] | None = None
         """Of the bodies of this episode; None before the first."""
-        self._networks = [SteppedNetwork(nodes, links, seed=run_seed(root, e), **arguments) for e in range(count)]
+        # An iterator would be at its end after the first network.
+        arguments = {name: [*value] if isinstance(value, Iterator) else value for name, value in arguments.items()}
+        first = SteppedNetwork(nodes, links, seed=run_seed(root, 0), **arguments)
+        if (total := count * len(first.nodes)) > LARGEST_NETWORK:
+            raise ValueError(
+                f"all networks together should have at most {LARGEST_NETWORK:,} nodes (got {count:,} of"
+                f" {len(first.nodes):,}: {total:,})"
+            )
+        others = [SteppedNetwork(nodes, links, seed=run_seed(root, e), **arguments) for e in range(1, count)]
+        self._networks = [first, *others]
         self._array: Any = None
         """The positions that were given last, which are read at each step."""
         if positions is not None:

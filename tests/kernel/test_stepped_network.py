@@ -5,6 +5,7 @@ import pickle
 import subprocess
 import sys
 from contextlib import redirect_stdout
+from functools import partial
 from io import StringIO
 from math import inf, nan, pi, sqrt
 from threading import Thread
@@ -33,6 +34,7 @@ from desim import (
     SteppedNetworks,
     Tdma,
     Uniform,
+    Wall,
     load,
     run,
 )
@@ -442,6 +444,33 @@ def test_attributes_of_edges_that_are_not_read_are_warned_of():
         UserWarning, match=r"edges have attributes that are not read: delay \(did you mean latency, in s"
     ):
         SteppedNetwork(graph)
+
+
+def edge_of(latency):
+    graph = nx.path_graph(["ann", "bob", "eve"])
+    graph["bob"]["eve"]["latency"] = latency
+    return graph
+
+
+@pytest.mark.parametrize(
+    ("nodes", "links", "told"),
+    [
+        (3, {"latency": 50.0}, "network.latency"),
+        (3, {"latency": {"kind": "lognormal", "mean": 40.0}}, "network.latency"),
+        (3, {"link": [{"src": 0, "dst": 1, "latency": 20.0}]}, "network.link.0.latency"),
+        (3, {"processing": {"sender": 15.0}}, "network.processing.sender"),
+        (3, {"graph": nx.complete_graph(3), "link": [{"src": 0, "dst": 2, "latency": 20.0}]}, "network.link.0.latency"),
+        (edge_of(50.0), {}, "the edge from bob to eve"),
+        (edge_of({"kind": "uniform", "low": 5.0, "high": 30.0}), {"latency": 0.1}, "the edge from bob to eve"),
+    ],
+)
+def test_latencies_that_seem_to_be_in_milliseconds_are_warned_of(nodes, links, told):
+    for network in (SteppedNetwork, partial(SteppedNetworks, 1)):
+        with pytest.warns(UserWarning, match=rf"^{told}: a mean latency of .* s: times are in s, not ms$") as warned:
+            network(nodes, links)
+        assert len(warned) == 1
+    for plausible in (edge_of(5.0), 3):
+        SteppedNetwork(plausible, {"latency": 9.0})  # a warning would be an error
 
 
 def test_links_described_at_the_nodes_or_the_graph_give_a_warning():
@@ -890,8 +919,28 @@ def test_a_transport_that_is_none_is_refused(transport):
 def test_numbers_of_nodes_and_networks_that_no_memory_holds_are_refused(size):
     with pytest.raises(ValueError, match="at least 1 node and at most 1,000,000"):
         SteppedNetwork(size)
-    with pytest.raises(ValueError, match="at least 1 network and at most 1,000,000"):
+    with pytest.raises(ValueError, match="at least 1 network and at most 100,000"):
         SteppedNetworks(size, 2)
+
+
+def test_faults_and_walls_of_an_iterator_are_those_of_each_network():
+    wall = Wall(line=[[1.0, -5.0], [1.0, 5.0]])
+    crashes, places = (
+        (Crash(start=0.0, node=node) for node in (1,)),
+        np.tile([[0.0, 0.0], [0.5, 0.0], [2.0, 0.0]], (3, 1, 1)),
+    )
+    networks = SteppedNetworks(3, 3, Links(range=4.0), faults=crashes, walls=iter([wall]), positions=places)
+    networks.send(np.zeros((3, 3)))
+    networks.step(0.1)
+    causes = [sorted((lost.src, lost.dst, lost.cause) for lost in network.lost()) for network in networks]
+    assert causes[0] == causes[1] == causes[2]
+    assert {cause for *_, cause in causes[0]} >= {"crash"}
+
+
+def test_more_nodes_in_all_networks_than_memory_holds_are_refused():
+    told = r"^all networks together should have at most 1,000,000 nodes \(got 90,000 of 12: 1,080,000\)$"
+    with pytest.raises(ValueError, match=told):
+        SteppedNetworks(90_000, 12)
 
 
 @pytest.mark.parametrize("labels", [[0.0, 1.0, 2.0], [False, True, 2], np.arange(3), [2.0, 0.0, 1.0]])
