@@ -58,15 +58,24 @@ class OnnxRule(Rule):
             yield max(me.options(), key=scores.__getitem__)
 
 
-@lru_cache
 def session(path: str) -> Any:
-    """Return the network of a file, which all pursuers share.
+    """Return the network of a file, which all pursuers share until the file changes.
 
     Raises:
         ValueError: if onnxruntime is not installed, or cannot read the file.
     """
     if find_spec("onnxruntime") is None:
         raise ValueError("onnxruntime is missing: pip install onnxruntime")
+    try:
+        status = Path(path).stat()
+    except OSError as error:
+        raise ValueError(f"{path} cannot be read: {error}") from error
+    return _session(path, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=8)
+def _session(path: str, _time: int, _size: int) -> Any:
+    """Return the network of a file that was last changed at a time, ns, and has a size."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()

@@ -2,6 +2,7 @@
 
 import sys
 from importlib import import_module
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import numpy as np
@@ -11,7 +12,7 @@ from click.testing import CliRunner
 from desim import load, run
 from desim.config.errors import KeyedError
 from protocols import Policy
-from scenarios.onnx_rule import OnnxRule
+from scenarios.onnx_rule import OnnxRule, session
 from scenarios.studies import library_runs
 from scenarios.studies.learning_runs import cost
 from scenarios.studies.library_runs import RIVALS, ROUNDS, Progress, exported, game, minus_cost
@@ -142,10 +143,22 @@ def test_a_network_of_onnx_reads_its_inputs_by_their_names(tmp_path, monkeypatch
     assert list(results[0].trace) == list(results[1].trace)
 
 
+def test_a_network_that_was_trained_again_is_read_again(tmp_path, monkeypatch):
+    runtime = SimpleNamespace(SessionOptions=SimpleNamespace, InferenceSession=lambda path, _: [Path(path).read_text()])
+    monkeypatch.setitem(sys.modules, "onnxruntime", runtime)
+    monkeypatch.setattr("scenarios.onnx_rule.find_spec", lambda name: name)
+    file = tmp_path / "policy.onnx"
+    file.write_text("first")
+    first = session(str(file))
+    assert session(str(file)) is first
+    file.write_text("second")
+    assert (first, session(str(file))) == (["first"], ["second"])
+
+
 def test_a_file_that_is_no_such_network_is_refused(tmp_path, monkeypatch):
-    session = Session()
-    session.get_modelmeta = lambda: SimpleNamespace(custom_metadata_map={})
-    monkeypatch.setattr("scenarios.onnx_rule.session", lambda path: session)
+    network = Session()
+    network.get_modelmeta = lambda: SimpleNamespace(custom_metadata_map={})
+    monkeypatch.setattr("scenarios.onnx_rule.session", lambda path: network)
     with pytest.raises(KeyedError, match=r"model: policy.onnx does not name its inputs"):
         OnnxRule(model="policy.onnx")
     monkeypatch.undo()
