@@ -180,8 +180,8 @@ class Analysis:
             at[:, :, few] = among_items(at[:, :, few], stream(0, "items"))
             values = values_at(at.reshape(-1, keys))
             count += values.size
-            means = values.mean(axis=1).reshape(at.shape[:2])
-            effects = elementary_effects(at, means, self._spans(at), rng=stream(0, "bootstrap"))
+            by_seed = values.reshape(*at.shape[:2], -1)
+            effects = elementary_effects(at, by_seed, self._spans(at), rng=stream(0, "bootstrap"))
             kept = effects.matters(SHARE)
         indices: SobolIndices | None = None
         if self.points and kept:

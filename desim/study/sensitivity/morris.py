@@ -6,16 +6,18 @@ The change of the model divided by `STEP` is an elementary effect: the change ov
 An input with a few values, a list or whole numbers, steps from one to another that is half of them further; the effect
 of a list is the change itself.
 The mean of absolute effects (mu*, Campolongo et al. 2007, "An effective screening design for sensitivity analysis of
-large models") is 0 for an input without effect; the standard deviation of effects is 0 for an input that adds a term in
-proportion, and large for one with interactions or a curve.
+large models") is 0 for an input without effect. An input that only makes other random numbers has one, too: it is to be
+compared with what the scatter of the runs at a point makes. The standard deviation of effects is 0 for an input that
+adds a term in proportion, and large for one with interactions or a curve.
 """
 
 from dataclasses import dataclass
+from math import pi, sqrt
 
 import numpy as np
 
 from desim.config.arrays import Floats
-from desim.study.sensitivity.sobol_indices import IndexEstimate
+from desim.study.sensitivity.sobol_indices import IndexEstimate, bootstrap_ends
 
 LEVELS = 4
 """The number of levels of an input: 0, 1/3, 2/3, 1."""
@@ -35,6 +37,13 @@ class ElementaryEffects:
     """mu: the mean of the effects, with their signs."""
     deviation: tuple[float, ...]
     """sigma: the standard deviation of the effects."""
+    of_chance: tuple[float, ...] = ()
+    """The mean absolute effect that chance alone makes of each input, by the scatter of the runs; () if unknown."""
+
+    def within_chance(self) -> list[int]:
+        """Return the inputs whose mu* is above 0, and not told apart from what chance alone makes."""
+        pairs = enumerate(zip(self.mean_absolute, self.of_chance, strict=False))
+        return [k for k, (effect, of_chance) in pairs if effect.value > 0.0 and effect.low <= of_chance]
 
     def matters(self, share: float) -> list[int]:
         """Return the inputs of which mu* may be at least a share of the greatest, by the upper end of its interval."""
@@ -81,8 +90,8 @@ def elementary_effects(
 
     Args:
         points: the points of trajectories, of `morris_points`.
-        values: the (trajectories, inputs + 1) values of the model there; of a model with chance, means over the same
-            seeds at all points.
+        values: the (trajectories, inputs + 1) values of the model there; of a model with chance, the (trajectories,
+            inputs + 1, seeds) values with the same seeds at all points, of which the means count.
         spans: the (trajectories, inputs) shares of the ranges over which the steps go, and 1 for lists, whose effects
             are not scaled; None: the differences of the points. Where a share is 0, the step changes nothing, and the
             effect is 0.
@@ -96,11 +105,22 @@ def elementary_effects(
     of_changed = np.take_along_axis(steps, changed[..., None], axis=2)[..., 0]
     if spans is not None:
         of_changed = np.copysign(np.take_along_axis(spans, changed, axis=1), of_changed)
-    slopes = np.divide(np.diff(values, axis=1), of_changed, out=np.zeros(changed.shape), where=of_changed != 0.0)
-    effects = np.empty_like(slopes)  # (trajectories, inputs)
-    np.put_along_axis(effects, changed, slopes, axis=1)
+
+    def by_input(differences: Floats) -> Floats:
+        """Return the (trajectories, inputs) changes over the whole ranges, given those of the steps in order."""
+        slopes = np.divide(differences, of_changed, out=np.zeros(changed.shape), where=of_changed != 0.0)
+        sorted_slopes = np.empty_like(slopes)
+        np.put_along_axis(sorted_slopes, changed, slopes, axis=1)
+        return sorted_slopes
+
+    by_seed = np.diff(values if values.ndim == 3 else values[..., None], axis=1)
+    effects, seeds = by_input(by_seed.mean(axis=2)), by_seed.shape[2]
+    of_chance: list[float] = []
+    if seeds > 1:  # the mean absolute value of a normal number is sqrt(2 / pi) standard deviations
+        errors = by_input(by_seed.std(axis=2, ddof=1) / sqrt(seeds))
+        of_chance = np.sqrt(2.0 / pi * np.square(errors).mean(axis=0)).tolist()
     draws = rng.integers(len(effects), size=(resamples, len(effects)))
-    ends = 100.0 * np.array([0.5 - confidence / 2, 0.5 + confidence / 2])
+    ends = bootstrap_ends(len(effects), confidence) if len(effects) > 1 else [0.0, 100.0]
     low, high = np.percentile(np.abs(effects)[draws].mean(axis=1), ends, axis=0).tolist()
     sizes = np.abs(effects).mean(axis=0).tolist()
     spreads = effects.std(axis=0, ddof=1) if len(effects) > 1 else np.zeros(len(sizes))
@@ -109,4 +129,5 @@ def elementary_effects(
         tuple(IndexEstimate(*one) for one in zip(sizes, low, high, strict=True)),
         tuple(effects.mean(axis=0).tolist()),
         tuple(spreads.tolist()),
+        tuple(of_chance),
     )

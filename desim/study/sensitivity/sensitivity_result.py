@@ -89,6 +89,9 @@ class SensitivityResult:
             is_rest = alone.high < 1.0
             rest = "the rest is interaction among them" if is_rest else "no interaction among them is told apart from 0"
             sentences.append(f"alone the keys cause {share} % ({low} to {high} %); {rest}")
+        if self.effects is not None and (within := self.effects.within_chance()):
+            listed = _listed([f"{self.keys[k]} ({self._effect(self.effects.of_chance[k])})" for k in within])
+            sentences.append(f"effects no greater than what chance alone makes: {listed}")
         if self.runs_at_point == 1:
             sentences.append("one run at each point: chance counts as an effect of the keys; take several")
         elif not isnan(self.chance):
@@ -117,9 +120,11 @@ class SensitivityResult:
             return f"{metric} is the same at all points: no key has an effect"
         sizes = self.effects.mean_absolute
         order = sorted(self.kept, key=lambda k: -sizes[k].value)
-        unit = f" {self.unit}".rstrip()
-        listed = [f"{self.keys[k]} ({sizes[k].value:.3g}{unit} over its range)" for k in order]
+        listed = [f"{self.keys[k]} ({self._effect(sizes[k].value)} over its range)" for k in order]
         return f"{metric} changes most with {_listed(listed)}"
+
+    def _effect(self, size: float) -> str:
+        return f"{size:.3g} {self.unit}".rstrip()
 
     def tables(self) -> list[Table]:
         """Return the table as its title and rows of text; the first row is the header."""
@@ -179,6 +184,7 @@ class SensitivityResult:
             if self.effects is not None:
                 of_key |= {"effect": _as_json(self.effects.mean_absolute[k]), "mean_effect": self.effects.mean[k]}
                 of_key |= {"spread": self.effects.deviation[k]}
+                of_key |= {"effect_of_chance": self.effects.of_chance[k]} if self.effects.of_chance else {}
             if key in self.total:
                 of_key |= {"first": _as_json(self.first[key]), "total": _as_json(self.total[key])}
             keys.append(of_key)
