@@ -1,6 +1,7 @@
 """The race: the procedure against its formulas and its promise, and the runs that it performs."""
 
 from concurrent.futures import Executor, Future
+from dataclasses import replace
 from math import floor, sqrt
 
 import numpy as np
@@ -9,7 +10,7 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from desim import Scenario, race, sweep
-from desim.study.selection.kim_nelson import constants, independent_variances, kim_nelson, two_stage_runs
+from desim.study.selection.kim_nelson import ENOUGH, constants, independent_variances, kim_nelson, two_stage_runs
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep import RunError
 from desim.study.sweeps.sweep_plan import SweepPlan
@@ -154,6 +155,53 @@ def test_a_limit_of_samples_ends_the_procedure_undecided():
     assert not selection.is_decided
     assert max(map(len, selection.samples)) == 12
     assert len(selection.left) > 1
+
+
+def truth_values(repetition, count=700):
+    """Return (count, 3) truth values that one number decides: true with 0.9, 0.9 and 0.95."""
+    numbers = np.random.default_rng([8, repetition]).random((count, 1))
+    return (numbers < [0.9, 0.9, 0.95]).astype(float)
+
+
+@pytest.mark.whole
+def test_systems_that_differ_in_few_samples_are_selected_as_often_as_promised(monkeypatch):
+    """120 races of truth values, of which the first 20 are equal in a third: s.e. 2 %. The first two always are.
+
+    Without the rule, the control, two systems that do not differ in the first samples are taken for equal.
+    """
+    options = {"zone": 0.05, "first": 20}
+    right = [selected(truth_values(repetition), **options).selected == 2 for repetition in range(120)]
+    assert np.mean(right) >= 0.95 - 3 * sqrt(0.95 * 0.05 / 120)
+    monkeypatch.setattr("desim.study.selection.kim_nelson.ENOUGH", 0)
+    right = [selected(truth_values(repetition), **options).selected == 2 for repetition in range(120)]
+    assert np.mean(right) < 0.95 - 3 * sqrt(0.95 * 0.05 / 120)
+
+
+def test_systems_that_differ_by_the_same_are_compared_when_few_may_differ():
+    """After 73 samples, as in a sequential study; a third one that is far behind is dropped at once."""
+    base = np.random.default_rng(9).normal(size=(100, 1))
+    far = np.random.default_rng(10).normal(size=100)
+    samples = np.hstack([base, base + 0.25, (far - 9.0)[:, None]])
+    selection = selected(samples, first=10)
+    assert (selection.selected, selection.is_decided) == (1, True)
+    assert [len(numbers) for numbers in selection.samples] == [ENOUGH, ENOUGH, 10]
+    limited = selected(samples, first=10, most=40)
+    assert (limited.selected, limited.is_decided, limited.left, limited.most) == (1, False, (0, 1), ENOUGH)
+    samples[29, 0] += 3.0  # a variance of 9 / 30 from the 30th on
+    assert len(selected(samples, first=10).samples[0]) < ENOUGH
+
+
+def test_a_tie_counts_the_samples_that_were_taken():
+    """After as many runs as they took, not after the first ones; a limit says that a variance is not known."""
+    base = np.array([1.0, 2.0] * 40)
+    made = by_hand.raced(2)
+    tied = replace(made, selection=selected(np.column_stack([base, base]), first=4))
+    assert "are equal in 73 runs" in tied.sentences()[0]
+    limited = replace(made, selection=selected(np.column_stack([base, base + 1.0]), first=4, most=8))
+    assert limited.sentences()[1] == (
+        "not decided: 2 of 2 were left after 8 runs of each; some of them differ by the same in all runs, and at least"
+        " 73 of each would decide"
+    )
 
 
 def test_two_stages_take_what_clark_and_yang_say():

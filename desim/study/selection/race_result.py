@@ -3,6 +3,7 @@
 import html
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 from desim.analysis.metrics import with_unit, words
@@ -95,7 +96,8 @@ class RaceResult:
         count = len(self.settings)
         if len({self.mean_of(system).mean for system in self.selection.left}) == 1 < len(self.selection.left):
             tied = " and ".join(in_words(self.settings[system]) for system in self.order[: len(self.selection.left)])
-            verdict = f"{words(self.metric)}: the means of {tied} are equal in {counted(self.first, 'run')}"
+            taken = len(self.selection.samples[self.selection.selected])
+            verdict = f"{words(self.metric)}: the means of {tied} are equal in {counted(taken, 'run')}"
         else:
             verdict = f"{best} has the {side} {words(self.metric)} of {count} configurations"
         if self.is_decided:
@@ -107,8 +109,11 @@ class RaceResult:
         else:
             left = len(self.selection.left)
             longest = max(map(len, self.selection.samples))
+            variances = self.selection.variances
+            is_unknown = any(not variances[pair] for pair in combinations(self.selection.left, 2))
+            some_differ = " some of them differ by the same in all runs, and at least" if is_unknown else " at most"
             how = (
-                f"not decided: {left} of {count} were left after {counted(longest, 'run')} of each; at most"
+                f"not decided: {left} of {count} were left after {counted(longest, 'run')} of each;{some_differ}"
                 f" {self.selection.most:,} of each would decide"
             )
         runs = f"{counted(self.runs, 'run')}; a two-stage design with the same guarantee, which drops none, takes"
