@@ -121,3 +121,16 @@ def test_the_comment_of_a_packet_is_json(run_of, tmp_path):
     result = run_of("recorded.toml", "horizon=0.2")
     packets, _ = packets_of(result.trace, tmp_path)
     assert {tuple(json.loads(packet.comment)) for packet in packets} == {("records", "hops")}
+
+
+def test_each_block_of_a_capture_has_its_length_at_both_ends(tmp_path):
+    """As the specification of pcapng has it (draft-ietf-opsawg-pcapng, section 3.1), which few readers check."""
+    write(history().trace, tmp_path / "x.pcapng")
+    data, lengths = (tmp_path / "x.pcapng").read_bytes(), []
+    while data:
+        length = int.from_bytes(data[4:8], "little")
+        assert length % 4 == 0
+        assert data[length - 4 : length] == data[4:8]
+        lengths.append(length)
+        data = data[length:]
+    assert len(lengths) == 2 + len(messages_of(history().trace))

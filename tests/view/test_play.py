@@ -33,7 +33,7 @@ from desim.study.workers.workers import InProcess, Processes
 from desim.view.pages import play_server
 from desim.view.pages import playground as play
 from desim.view.pages.metric_rows import differences_over_seeds
-from desim.view.pages.play_server import PlayServer, _Handler
+from desim.view.pages.play_server import PlayServer, _Handler, _or_error
 from desim.view.pages.playground import Playground, _new_folder
 from desim.view.pages.session import Session
 from scenarios.studies.study import SCENARIOS
@@ -431,6 +431,27 @@ def test_an_open_page_gets_signs_of_life_until_its_connection_ends(monkeypatch):
     page = SimpleNamespace(page_opened=lambda: told.clear(), page_closed=lambda: told.append("closed"))
     handler(server=page, wfile=SimpleNamespace(write=write), _begin=told.append)._alive()
     assert told == ["text/event-stream", b":\n\n", b":\n\n", "closed"]
+
+
+def test_each_address_that_the_page_asks_has_its_answer():
+    routes, arrived = {}, []
+    page = SimpleNamespace(arrived=arrived.append)
+    asked_page = handler(server=page, connection="socket", _answer=routes.update)
+    asked_page.do_GET()
+    asked_page.do_POST()
+    assert {name: method.__name__ for name, method in routes.items()} == {
+        **{"": "_page", "life.js": "_life", "alive": "_alive"},
+        **{name: f"_{name}" for name in ("run", "seeds", "more", "save", "cancel")},
+    }
+    assert arrived == ["socket"]
+
+
+def test_an_exception_in_a_comparison_is_its_last_answer():
+    def answers():
+        yield {"done": 1}
+        raise KeyError("x")
+
+    assert list(_or_error(answers())) == [{"done": 1}, {"error": "KeyError: 'x'"}]
 
 
 @pytest.mark.parametrize("request_of", ["_run", "_seeds", "_more", "_save", "_cancel"])

@@ -1626,3 +1626,17 @@ def test_the_key_is_open_where_the_height_limits_the_plane_anyway(width, height,
 )
 def test_a_tick_is_not_shorter_than_asked(end, shortest, length):
     assert Ticks.fit(end, 0, shortest).length == length
+
+
+def test_a_transmission_without_receivers_hides_no_other():
+    """The first of a run has nobody in its range, so the numbers of those that are shown begin at 1."""
+    more = [Broadcast(10 * MS, 1, 0, 1, (1, 2), (20 * MS, 30 * MS), 10 * MS, 24, ACTIVE)]
+    empty = Broadcast(5 * MS, 0, 0, 1, (), (), 5 * MS, 24, ACTIVE)
+    messages = replay_data(history(empty, *more, messages=False))["messages"]
+    assert column(messages["count"], "<u2").tolist() == [2]
+
+
+def test_the_causes_of_losses_are_words():
+    lost = Lost(100 * MS, 0, 0, 2, "half_duplex")
+    sent = Broadcast(100 * MS, 0, 0, 1, (1, 2), (200 * MS, LOST), 100 * MS, 24, ACTIVE)
+    assert "half duplex" in replay_data(history(sent, lost, messages=False))["messages"]["causes"]

@@ -36,7 +36,7 @@ from desim.view.formats.export import export
 from desim.view.formats.trace_table import COLUMNS, KINDS, columns_of, rows, write_csv, write_parquet
 from tests.kernel.test_trace_file import EVENTS as MESSAGE_EVENTS
 from tests.kernel.test_trace_file import NODES, TIMES
-from tests.view.by_hand import MS, history
+from tests.view.by_hand import MS, history, pair
 
 pytestmark = pytest.mark.own_trace
 
@@ -230,3 +230,10 @@ def test_a_port_of_any_text_is_in_a_table(suffix, tmp_path):
     export(made, file)
     table = pd.read_csv(file) if suffix == "csv" else pd.read_parquet(file)
     assert set(table["port"].dropna()) == {"half \\udcff"}
+
+
+def test_rows_number_pursuers_from_0_and_evaders_from_1():
+    events = [event for event in pair().trace if isinstance(event, Started | Sampled)][:2]
+    players = [(row.get("pursuer"), row.get("evader"), row["x"], row["y"]) for row in rows(events)]
+    pursuers = [(0, None, 0.0, 0.0), (1, None, 10.0, 0.0), (2, None, 0.0, 10.0)]
+    assert players == [*pursuers, (None, 1, 5.0, 5.0), (None, 2, 8.0, 2.0)] * 2
