@@ -29,12 +29,13 @@ from desim.analysis.trace_index import messages
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import LOST, Broadcast, MessageCounts
 from desim.kernel.core.seeds import stream
-from desim.kernel.core.units import nanoseconds, seconds
+from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.kernel.fault_injection import inject
 from desim.kernel.link_layer.link_layer import FIRST_COPY
 from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
+from desim.pursuit.core.events import Decided
 from desim.scenario.properties import Always, property_of
 from desim.simulation.watchdog import TimedOut, within
 from desim.study.breaking.case_log import FAILED, CaseLog, CaseRun
@@ -42,12 +43,13 @@ from desim.study.breaking.copies import ReadingTime, copies, looks, readings
 from desim.study.breaking.features import FEATURES, applied, drawn
 from desim.study.breaking.found import case_text, command_for, protocols_text, scenario_text, search_text
 from desim.study.breaking.judging import JudgementError, failure_of
-from desim.study.breaking.search import Search, Violation
+from desim.study.breaking.search import Search, Violation, _Cases
 from desim.study.breaking.shrinking import Tried, _simplifications, shrunk
 from desim.study.breaking.sightings import SIGHTINGS, seen_in
 from desim.study.workers.dispatch import Outcome
 from scenarios.studies.study import SCENARIOS
 from tests.golden import golden
+from tests.view.by_hand import MS, history, pair
 
 IDLE = "idle at most 2 in total against centralised"
 SHORT = IDLE.replace("2 in", "1.9 in")
@@ -616,6 +618,20 @@ def test_a_search_is_about_a_scenario():
         fatal_losses(run(SMALL, 1), IDLE)
 
 
+@pytest.mark.parametrize(("runs", "is_refused"), [(1, True), (2, False)])
+def test_a_search_ends_where_hardly_any_case_makes_a_valid_scenario(runs, is_refused, monkeypatch):
+    """Sixteen cases for each run may make none."""
+    monkeypatch.setattr("desim.study.breaking.search.changed_or_none", lambda *_: None)
+    cases = _Cases(SMALL, {"loss": FEATURES["loss"]}, 1, runs)
+    assert cases.generation(16, []) == []
+    if is_refused:
+        with pytest.raises(ValueError, match="17 cases made no valid scenario, and 0 did"):
+            cases.generation(1, [])
+    else:
+        assert cases.generation(16, []) == []
+        assert cases.refused == 32
+
+
 # What people read.
 
 FOUND = {
@@ -643,6 +659,10 @@ def smaller():
     for simplify in _simplifications(SMALL, tried):
         case = simplify(tried)
         yield "nothing to leave out" if case is None else case_text(case)
+    for size in (1, 2, 3, 4):
+        tried = tried._replace(case=dict([*FOUND.items()][:size]))
+        cases = [simplify(tried) for simplify in islice(_simplifications(SMALL, tried), size + 2)]
+        yield "\n".join(["nothing" if case is None else case_text(case) or "the scenario" for case in cases])
 
 
 def searches():
@@ -672,7 +692,23 @@ def performed():
     yield "\n".join(f"{tried.seed}: {case_text(tried.case)}: {tried.verdict.margin:.4g}" for tried in search.tried)
 
 
-@pytest.mark.parametrize("part", [features, smaller, searches, performed], ids=lambda part: part.__name__)
+def seen():
+    """Yield what is known of the messages of runs made by hand, and what is seen in these."""
+    chased = Decided(690 * MS, 2, 1), FaultStarted(695 * MS, Crash(node=2, start=0.695))
+    stayed = Decided(390 * MS, 0, 0), Decided(610 * MS, 0, 1)
+    for result in (history(), pair(), history(*chased), history(*stayed), history(messages=False, samples=(0, 1000))):
+        sent, looked = copies(result), looks(result)
+        yield "\n".join(
+            [
+                *(f"{copy}, arrives at {copy.arrival / SECOND:g} s, record {copy.seq}" for copy in sent),
+                *(f"{pursuer} looks at {[t // MS for t in times]} ms" for pursuer, times in looked.items()),
+                *(f"{reading.copy.number}: {reading.is_read()}" for reading in readings(sent, looked)),
+                *seen_in(result),
+            ]
+        )
+
+
+@pytest.mark.parametrize("part", [features, smaller, searches, performed, seen], ids=lambda part: part.__name__)
 def test_cases_and_texts_are_golden(part):
     golden(f"breaking/{part.__name__}.txt", "\n\n".join(part()) + "\n")
 
