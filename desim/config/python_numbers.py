@@ -18,7 +18,7 @@ from numbers import Complex, Integral, Real
 from operator import index, length_hint
 from typing import Any
 
-from desim.config.column_names import coordinate_columns
+from desim.config.column_names import COLUMNS, coordinate_columns
 
 ATOMS = frozenset({int, float, bool, str, type(None)})
 """Types of values that need no conversion."""
@@ -218,6 +218,7 @@ def _in_order(value: Any) -> Any:
         return value if rows is None else value.isel({value.dims[0]: rows})
     if hasattr(value, "struct") and getattr(value.dtype, "fields", None):  # a series of polars
         value = value.struct.unnest()
+    value = _with_times(value)
     labels = _columns(value)
     if (order := coordinate_columns(labels)) is not None:
         names = [labels[k] for k in order]
@@ -226,6 +227,21 @@ def _in_order(value: Any) -> Any:
     rows = list(value.index) if hasattr(value, "index") and labels else []
     is_permuted = len(set(labels)) == len(labels) == len(rows) and set(labels) == set(rows) and labels != rows
     return value[rows] if is_permuted else value if labels else _by_number(value)
+
+
+def _with_times(value: Any) -> Any:
+    """Return a table of pandas with its times, which may be its index, as numbers: s, or s after the earliest date."""
+    if not hasattr(value, "reset_index") or not hasattr(value, "columns"):
+        return value
+    names = [name for name in value.columns if isinstance(name, str) and name.strip().lower() in COLUMNS["t"]]
+    is_named = isinstance(value.index.name, str) and value.index.name.strip().lower() in COLUMNS["t"]
+    if not names and (is_named or getattr(value.index.dtype, "kind", "") in {"M", "m"}):
+        names, value = ["t"], value.rename_axis("t").reset_index()
+    for name in names[:1]:
+        if (kind := getattr(getattr(value[name], "dtype", None), "kind", "")) in {"M", "m"}:
+            since = value[name] - value[name].min() if kind == "M" else value[name]
+            value = value.assign(**{name: since.dt.total_seconds()})
+    return value
 
 
 def _columns(value: Any) -> list[Any]:

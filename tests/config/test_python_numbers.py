@@ -527,6 +527,30 @@ def test_a_time_is_the_first_coordinate_whatever_its_name():
         assert RecordedMotion(waypoints=table).waypoints == ((0.0, 1.0, 3.0), (1.0, 2.0, 4.0))
 
 
+ZONE = "Europe/Berlin"
+
+
+@pytest.mark.parametrize(
+    "times",
+    [
+        pd.date_range("2024-05-01", periods=2, freq="500ms"),
+        pd.date_range("2024-05-01", periods=2, freq="500ms", tz=ZONE),
+        pd.to_datetime(["2024-03-31T01:59:59.75+01:00", "2024-03-31T03:00:00.25+02:00"], utc=True),
+        pd.to_timedelta([0, 500], unit="ms"),
+        pd.Index([0.0, 0.5], name="t"),
+        pd.Index([0.0, 0.5], name="Time"),
+    ],
+    ids=["dates", "in a zone", "summer time", "durations", "t", "Time"],
+)
+def test_the_times_of_a_table_may_be_its_index_and_dates(times):
+    """The clock goes forward by an hour between the two dates of summer time."""
+    table = pd.DataFrame({"y": [3.0, 4.0], "x": [1.0, 2.0]}, index=times)
+    expected = ((0.0, 1.0, 3.0), (0.5, 2.0, 4.0))
+    assert RecordedMotion(waypoints=table).waypoints == expected
+    assert RecordedMotion(waypoints=table.reset_index(names="time")).waypoints == expected
+    assert RecordedFlow(velocities=table.rename(columns={"x": "vx", "y": "vy"})).velocities == expected
+
+
 def test_columns_without_such_names_stay_in_their_order():
     for names in (["b", "a"], ["y", "a"], [1, 0], ["x", "X"]):
         assert Team(positions=pd.DataFrame([[3.0, 1.0]], columns=names)).positions == ((3.0, 1.0),)
