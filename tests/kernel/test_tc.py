@@ -458,6 +458,7 @@ SCRIPTS = [
     f"tc qdisc add dev eth0 root netem rate 1mbit; tc qdisc del dev eth0 root; tc {ADD}",
     "tc qdisc add dev eth0 root netem rate 1mbit\ntc qdisc replace dev eth0 root handle 2: netem delay 100ms loss 10%",
     f"tc {ADD.replace('add', 'change')} || tc {ADD}",
+    f"#!/bin/bash\nset -euo pipefail\necho 'a slow link'; tc {ADD} && echo done\ntc -s qdisc",
 ]
 
 

@@ -60,8 +60,8 @@ class Command(NamedTuple):
 ACTIONS = ("add", "change", "replace", "delete", "show", "list", "lst")
 """What `tc qdisc` does; like tc, desim takes each beginning of a word for the first word that begins so."""
 FORM = "is not allowed here; a command is: tc qdisc add|change|replace dev DEVICE root netem OPTIONS"
-NOTHING = ("true", ":")
-"""The commands that do nothing."""
+NOTHING = ("true", ":", "set", "echo")
+"""The commands that do nothing to links."""
 WITH_VALUE = {
     "sudo": {"-u", "-g", "--user", "--group"},
     "env": {"-u"},
@@ -200,6 +200,8 @@ def _command(words: _Words, way: Way | None) -> Command | None:
     namespace = _flags(words, "tc")
     if not "qdisc".startswith(words.take("qdisc")):
         raise words.wrong(FORM)
+    if not words.peek():  # which shows the disciplines
+        return None
     word = words.take("|".join(ACTIONS))
     action = next((action for action in ACTIONS if action.startswith(word)), None)
     if action is None:
