@@ -16,7 +16,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     "y": ("y", "pos_y", "posy", "position_y", "north", "northing", "ty"),
     "z": ("z", "pos_z", "posz", "position_z", "height", "altitude", "alt", "tz"),
     "node": (
-        *("node", "name", "id"),
+        *("node", "name", "id", "mac"),
         *("vehicle", "agent", "robot", "uav", "drone", "track", "pedestrian", "person"),
         *(f"{one}{end}" for one in IDENTIFIED for end in ("_id", "id")),
     ),
@@ -81,6 +81,10 @@ class Header(NamedTuple):
     """Empty where a cell names none."""
     words: list[list[str]]
     """The words of each name, in lower case."""
+
+    def extended(self, *names: str) -> "Header":
+        """Return the header with further columns."""
+        return Header([*self.names, *names], [*self.units, *("" for _ in names)], [*self.words, *([n] for n in names)])
 
     def columns(self, key: str) -> list[int]:
         """Return the indices of the columns that may be t, x, y, z or node; several if it cannot be told which is.

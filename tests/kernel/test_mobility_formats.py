@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from desim import RecordedMotion
+from desim import RecordedMotion, Team
 from desim.pursuit.mobility.mobility import Waypoint
 from desim.pursuit.mobility.mobility_file import read_mobility
 from tests.kernel.test_mobility_file import interpolated
@@ -224,7 +224,7 @@ REFUSED = {
     "velocities": ("t,vx,vy\n0,1,2\n", r"has no column x"),
     "identifiers of rows": ("id;t;x;y\n1;0;1,5;2\n2;9;2,5;3\n3;4;3,5;4\n", r"column 'id' is different in each row"),
     "two nodes in one": (
-        "t,x,y,mac\n0,1,2,5\n0,5,6,7\n",
+        "t,x,y,kind\n0,1,2,5\n0,5,6,7\n",
         r"after 0 s comes 0 s; if the file has several nodes, name them",
     ),
     "FCD without a position": (
@@ -357,6 +357,26 @@ def test_nodes_of_bonnmotion_with_as_many_waypoints_are_no_table(tmp_path):
 def test_statements_of_ns2_about_a_class_are_ignored(tmp_path):
     text = f"Antenna/OmniAntenna set X_ 0\nAntenna/OmniAntenna set Z_ 1.5\n{START}"
     assert [each[:3] for each in read(tmp_path, text.encode()).waypoints] == [(0.0, 1.0, 2.0)]
+
+
+@pytest.mark.parametrize(
+    ("text", "nodes"),
+    [
+        ("mac,x,y,z\n14-15,4.25,27.5,2\n14-16,5,27,0\n", ["14-15", "14-16"]),
+        ("x;y\n4,25;27,5\n5,0;27\n", [0, 1]),
+        ("name,y,x\nb,27.5,4.25\na,27,5\n", ["b", "a"]),
+        ("# id x y\n3 5 27\n2 4.25 27.5\n", [2, 3]),
+    ],
+)
+def test_places_without_times_are_those_of_nodes_that_begin_there(tmp_path, text, nodes):
+    (tmp_path / "places.csv").write_text(text)
+    made = read_mobility(tmp_path / "places.csv", needs_times=False)
+    assert list(made.nodes) == nodes
+    assert [made.track(node).waypoints[0][:3] for node in nodes] == [(0.0, 4.25, 27.5), (0.0, 5.0, 27.0)]
+    team = Team.model_validate({"positions": {"kind": "recorded", "file": str(tmp_path / "places.csv")}})
+    assert team.positions == ((4.25, 27.5), (5.0, 27.0))
+    with pytest.raises(ValueError, match="has no column t"):
+        RecordedMotion(file=str(tmp_path / "places.csv"), node=nodes[0])
 
 
 @pytest.mark.slow

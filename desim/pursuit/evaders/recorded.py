@@ -251,8 +251,8 @@ class RecordedPositions(_Record):
 
     kind: Literal["recorded"] = "recorded"
     file: str
-    """Path of a file of BonnMotion, ns-2 or SUMO, or of a table with the columns t, node, x and y, relative to the
-    scenario file. The file is read once, when the model is created."""
+    """Path of a file of BonnMotion, ns-2 or SUMO, or of a table with the columns x and y, and perhaps node and t,
+    relative to the scenario file. The file is read once, when the model is created."""
     nodes: tuple[NodeKey, ...] | None = None
     """The node of each pursuer, see `node` of recorded motion; if absent, all nodes in the order of the file."""
 
@@ -264,7 +264,9 @@ class RecordedPositions(_Record):
             ValueError: if a key is not valid or the file cannot be read.
         """
         made = cls.model_validate(table, context=info.context)
-        mobility = read_mobility(resolve_path(made.file, info), made.dimensions, is_scaled=made.scale != 1.0)
+        mobility = read_mobility(
+            resolve_path(made.file, info), made.dimensions, is_scaled=made.scale != 1.0, needs_times=False
+        )
         nodes = mobility.nodes if made.nodes is None else made.nodes
         tracks = [mobility.track(node) for node in nodes]
         first = [made.placed([waypoint[:3] for waypoint in track.waypoints])[0][0] for track in tracks]

@@ -19,13 +19,16 @@ from desim.pursuit.mobility.mobility_table import MobilityTable, header_in
 from desim.pursuit.mobility.ns2_file import Ns2File, is_ns2
 
 
-def read_mobility(file: Path, dimensions: Dimensions | None = None, *, is_scaled: bool = False) -> MobilityFile:
+def read_mobility(
+    file: Path, dimensions: Dimensions | None = None, *, is_scaled: bool = False, needs_times: bool = True
+) -> MobilityFile:
     """Return the nodes of a mobility file; its content determines the format.
 
     Args:
         file: the path; the file may be compressed by gzip, and a table may be in Parquet.
         dimensions: coordinates of each waypoint in a file of BonnMotion; None: as the file says.
         is_scaled: whether the caller scales the places; if not, comments may name no other unit than m.
+        needs_times: whether a table should have times; see `MobilityTable`.
 
     Raises:
         ValueError: if the file cannot be read or has another format; the message names the file.
@@ -33,13 +36,13 @@ def read_mobility(file: Path, dimensions: Dimensions | None = None, *, is_scaled
     text = csv_text(file, None, units="") if file.suffix.lower() == ".parquet" else text_of_file(file)
     for unit in "s" if is_scaled else "sm":
         check_comments(text, file, unit)
-    made = _nodes_of(file, text, dimensions)
+    made = _nodes_of(file, text, dimensions, needs_times=needs_times)
     if dimensions is not None and not isinstance(made, BonnMotionFile):
         raise ValueError(f"{file}: dimensions are of a file of BonnMotion, which this is not")
     return made
 
 
-def _nodes_of(file: Path, text: str, dimensions: Dimensions | None) -> MobilityFile:
+def _nodes_of(file: Path, text: str, dimensions: Dimensions | None, *, needs_times: bool) -> MobilityFile:
     """Return the nodes of a mobility file, whose content is `text`; see `read_mobility`."""
     lines = text.split("\n")
     first = next((line.strip() for line in lines if line.strip()), "")
@@ -52,7 +55,7 @@ def _nodes_of(file: Path, text: str, dimensions: Dimensions | None) -> MobilityF
     if is_ns2(lines):
         return Ns2File(file, lines)
     if (header := header_in(lines)) is not None:
-        return MobilityTable(file, lines, *header)
+        return MobilityTable(file, lines, *header, needs_times=needs_times)
     if has_poses(lines):
         return MobilityTable(file, lines, -1, "", header_of(POSE))
     return BonnMotionFile(file, lines, dimensions)

@@ -58,10 +58,31 @@ def header_in(lines: Sequence[str]) -> tuple[int, str, Header] | None:
 
 
 class MobilityTable(MobilityFile):
-    """A table with a waypoint in each row."""
+    """A table with a waypoint in each row.
 
-    def __init__(self, file: Path, lines: Sequence[str], first: int, delimiter: str, header: Header):
+    Args:
+        file: the path.
+        lines: its lines.
+        first: the line of the header, from 0; -1 if there is none.
+        delimiter: the sign between cells; "": white space.
+        header: the header.
+        needs_times: whether the table should have times; if not, and it has none, each row is a node at time 0.
+    """
+
+    def __init__(
+        self,
+        file: Path,
+        lines: Sequence[str],
+        first: int,
+        delimiter: str,
+        header: Header,
+        *,
+        needs_times: bool = True,
+    ):
         self._file = file
+        width = len(header.names)
+        if not (needs_times or header.columns("t")):
+            header = header.extended("t", *([] if header.columns("node") else ["node"]))
         columns = {key: self._column(header, key) for key in COLUMNS}
         if missing := [key for key in ("t", "x", "y") if columns[key] is None]:
             if DEGREES & set(header.names):
@@ -83,9 +104,10 @@ class MobilityTable(MobilityFile):
         rows = _cells(file, lines, first, delimiter)
         if delimiter in {";", "\t"}:
             rows = with_points(rows, lambda cells: [cells[k] for k in used if k < len(cells)], str(file))
-        for line, cells in rows:
-            if len(cells) != len(header.names):
-                raise ValueError(f"{file}, line {line}: has {len(cells)} cells, but the header {len(header.names)}")
+        for number, (line, cells) in enumerate(rows):
+            if len(cells) != width:
+                raise ValueError(f"{file}, line {line}: has {len(cells)} cells, but the header {width}")
+            cells += ["0", str(number)][: len(header.names) - width]
             if not self._rows and cells[self._t].strip().lower() in TIME_UNITS:  # a second line of units
                 units = [cells[k].strip() for k in (self._t, self._x, self._y)]
                 continue
