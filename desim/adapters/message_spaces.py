@@ -37,7 +37,7 @@ def joined(value: Any, name: str, more: dict[str, Any]) -> dict[str, Any]:
 
 @singledispatch
 def blank(space: Any) -> Any:
-    """Return an element of a space: zeros where it has them, else what is closest to them, or its first number.
+    """Return an element of a space: zeros where it has them, else what is closest to them.
 
     Raises:
         ValueError: if it is a space of another kind.
@@ -53,10 +53,14 @@ def _box(space: spaces.Box) -> Any:
     return np.clip(np.zeros(space.shape, space.dtype), space.low, space.high)
 
 
-@blank.register(spaces.Discrete)
-@blank.register(spaces.MultiDiscrete)
-def _discrete(space: Any) -> Any:
-    return space.start.copy()
+@blank.register
+def _discrete(space: spaces.Discrete) -> Any:
+    return space.start.dtype.type(np.clip(0, space.start, space.start + space.n - 1))
+
+
+@blank.register
+def _multi_discrete(space: spaces.MultiDiscrete) -> Any:
+    return np.clip(0, space.start, space.start + space.nvec - 1).astype(space.dtype)
 
 
 @blank.register

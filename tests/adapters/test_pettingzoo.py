@@ -353,7 +353,26 @@ def test_messages_are_of_any_space(message):
         for name in env.agents:
             assert observations[name] in env.observation_space(name)
         observations = env.step({name: env.action_space(name).sample() for name in env.agents})[0]
-    assert blank(spaces.Discrete(4, start=-9)) == -9
+
+
+@pytest.mark.parametrize(
+    ("space", "closest"),
+    [
+        (spaces.Discrete(3, start=-1), 0),  # left, nothing, right
+        (spaces.Discrete(4, start=-9), -6),
+        (spaces.Discrete(4, start=2), 2),
+        (spaces.MultiDiscrete([3, 3, 3], start=[-1, -9, 2]), [0, -7, 2]),
+        (spaces.MultiDiscrete([[3], [2]], start=[[-2], [-5]]), [[0], [-4]]),
+        (spaces.Box(np.array([-2.0, -3.0, 1.0]), np.array([2.0, -1.0, 4.0])), [0.0, -1.0, 1.0]),
+        (spaces.MultiBinary(2), [0, 0]),
+    ],
+    ids=str,
+)
+def test_no_message_is_the_element_closest_to_zero(space, closest):
+    element = blank(space)
+    assert element in space
+    assert np.array_equal(element, closest)
+    assert np.array_equal(blank(spaces.Tuple((spaces.Dict({"part": space}),)))[0]["part"], closest)
 
 
 def test_the_network_has_graphs_of_agents_faults_and_airtime():
