@@ -363,7 +363,7 @@ def test_messages_are_of_any_space(message):
         (spaces.Discrete(4, start=2), 2),
         (spaces.MultiDiscrete([3, 3, 3], start=[-1, -9, 2]), [0, -7, 2]),
         (spaces.MultiDiscrete([[3], [2]], start=[[-2], [-5]]), [[0], [-4]]),
-        (spaces.Box(np.array([-2.0, -3.0, 1.0]), np.array([2.0, -1.0, 4.0])), [0.0, -1.0, 1.0]),
+        (spaces.Box(np.array([-2, -3, 1]), np.array([2, -1, 4]), dtype=np.int64), [0, -1, 1]),
         (spaces.MultiBinary(2), [0, 0]),
     ],
     ids=str,
