@@ -16,12 +16,13 @@ from collections.abc import AsyncIterator, Callable, Iterable, Sequence
 from contextlib import ExitStack, asynccontextmanager, suppress
 from functools import partial
 from itertools import zip_longest
+from math import inf
 from typing import Any
 
 import numpy as np
 
 from desim.config.arguments import scenario_argument
-from desim.config.arrays import Points, array_of
+from desim.config.arrays import Floats, Integers, Points, array_of
 from desim.config.calls import check_argument
 from desim.config.fresh import fresh_copy
 from desim.config.model import MAX_COORDINATE
@@ -30,6 +31,7 @@ from desim.kernel.clock_sync import Synchroniser, TwoWay
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.events import Trace, TransportCounts
 from desim.kernel.core.message_body import as_sent
+from desim.kernel.core.positions import Nodes
 from desim.kernel.core.seeds import seed_of
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.fault_injection import inject
@@ -47,10 +49,11 @@ from desim.live.wire import Wire, is_record
 from desim.pursuit.core.traits import DisseminationTraits
 from desim.pursuit.motion.dead_reckoning import TrackSegment
 from desim.pursuit.sensing.views import GlobalState, View
+from desim.pursuit.sensing.world_state import WorldState
 from desim.pursuit.team.agent import Agent
 from desim.scenario.scenario import Scenario
 from desim.simulation.team_processes import TeamProcesses
-from desim.simulation.wiring import make_agents, make_network
+from desim.simulation.wiring import PursuerPositions, make_agents, make_network
 from desim.simulation.world import initial_state, make_steering, possible_action
 from protocols.dissemination import PORT as ANNOUNCEMENTS
 
@@ -135,7 +138,8 @@ class Node:
             self.link = SocketLinkLayer(net, links, own, *rest, node=me, wire=self._wire, post=self._post, draws=draws)
             return self.link
 
-        built = make_network(env, scenario, state, seed, self.trace, link_layer, jumps=True)  # by frames of the referee
+        self._positions = _ToldPositions(state, me)
+        built = make_network(env, scenario, state, seed, self.trace, link_layer, positions=self._positions)
         network, clocks, faults = self._network, _, _ = built
         announced: Any = DisseminationTraits.of(scenario.announce.dissemination).transport
         network.listen({} if announced is None else {ANNOUNCEMENTS: announced})
@@ -321,18 +325,20 @@ class Node:
     def sense(self, position: Any, evaders: Any, teammates: Any = None, velocities: Any = None) -> None:
         """Tell the node where the pursuer and the evaders are now.
 
-        Between two calls, evaders go on at their velocities, and pursuers stand.
+        Between two calls, evaders go on at their velocities, and pursuers stand. Before the first, which may come before
+        `open`, all are where a simulation begins.
 
         Args:
             position: [x, y] of the pursuer, m.
             evaders: (M, 2) positions of the evaders, m.
             teammates: (N, 2) positions of all pursuers, m, its own included; None: it does not sense them, so
-                `announce.payload` should be "time", "state" or "course".
+                `announce.payload` should be "time", "state" or "course", and the links cannot depend on positions.
             velocities: (M, 2) velocities of the evaders, m/s; None: they stand still until the next call.
 
         Raises:
-            ValueError: if an argument has another shape, or is not finite, or players of the scenario have inertia: how
-                fast they are and where they head is not told.
+            ValueError: if an argument has another shape, or is not finite; if there are no teammates although
+                `announce.payload` is "action"; or if players of the scenario have inertia: how fast they are and where
+                they head is not told.
         """
         state, scenario = self._state, self._scenario
         for key, players in (("team", [scenario.team]), ("evader", scenario.evaders)):
@@ -345,12 +351,18 @@ class Node:
         team = None if teammates is None else _points("teammates", teammates, state.size, 2)
         seen = _points("evaders", evaders, state.evader_count, 2)
         moving = None if velocities is None else _points("velocities", velocities, state.evader_count, 2)
+        if team is None and state.size > 1 and self._agent.senses_others:
+            raise ValueError(
+                "teammates should be the positions of all pursuers: with announce.payload = 'action' a pursuer senses"
+                " where its teammates are; a robot that does not needs 'time' or 'state'"
+            )
         self._meet(partial(self._sense, here, team, seen, moving))
 
     def _sense(self, here: complex, team: Points | None, seen: Points, moving: Points | None) -> None:
         """Let the players be where they are now; for the arguments see `sense`."""
         state, now = self._state, self._env.now
         places = state.players.positions().copy()
+        self._positions.are_told = team is not None or state.size == 1
         commands = np.zeros_like(places)
         if team is not None:
             places[: state.size] = team
@@ -417,6 +429,50 @@ class _Body:
 
     def recover(self, pursuer: int) -> None:
         self._node._state.broken[pursuer] = False
+
+
+class _ToldPositions(PursuerPositions):
+    """The positions of pursuers, which move as frames or their robots tell; those of teammates may not be told.
+
+    Args:
+        state: the state of the world.
+        pursuer: the pursuer whose own position is always told.
+
+    Attributes:
+        are_told: whether those of its teammates are told.
+    """
+
+    def __init__(self, state: WorldState, pursuer: int):
+        super().__init__(state, inf)  # they may jump
+        self._pursuer, self.are_told = pursuer, True
+
+    def __call__(self) -> Floats:
+        """Return the (N, 2) positions now, m."""
+        self._check(range(self._state.size))
+        return super().__call__()
+
+    def of(self, nodes: Nodes) -> Floats:
+        """Return the (k, 2) positions of some pursuers now, m."""
+        self._check(nodes)
+        return super().of(nodes)
+
+    def distance(self, node: int, other: int) -> float:
+        """Return the present distance between two pursuers, m."""
+        self._check((node, other))
+        return super().distance(node, other)
+
+    def at(self, nodes: Nodes, times: int | Integers) -> Floats:
+        """Return the (k, 2) positions of some pursuers, m, at times of the present piece, ns."""
+        self._check(nodes)
+        return super().at(nodes, times)
+
+    def _check(self, nodes: Iterable[int]) -> None:
+        """Raise ValueError if a position is asked for that is not told."""
+        if not self.are_told and any(node != self._pursuer for node in nodes):
+            raise ValueError(
+                f"pursuer {self._pursuer}: sense was given no teammates, and the network depends on where they are: by"
+                " its range, its walls, jamming, or latencies or losses by distance"
+            )
 
 
 def _check_time(now: Any) -> None:

@@ -1,7 +1,6 @@
 """The wiring of a run: its network and its agents, for a simulation and for each live node."""
 
 from collections.abc import Callable, Sequence
-from math import inf
 from typing import NamedTuple
 
 from desim.config.arrays import Floats, Integers
@@ -44,15 +43,14 @@ def make_network(
     trace: Trace | None,
     link_layer: Callable[..., LinkLayer] = LinkLayer,
     *,
-    jumps: bool = False,
+    positions: "PursuerPositions | None" = None,
 ) -> TeamNetwork:
     """Create the network of a team; `link_layer` is as in `Network`.
 
-    `jumps` says whether pursuers may be moved at once, faster than they can go.
+    `positions` are those of the pursuers; None: those of the state, in which none is faster than it can go.
     """
     faults = draw_faults(scenario.network_faults, state.size, scenario.horizon, seed)
-    top_speed = inf if jumps else scenario.team.top_speed + scenario.environment.top_speed
-    positions = PursuerPositions(state, top_speed)
+    positions = positions or PursuerPositions(state, scenario.team.top_speed + scenario.environment.top_speed)
     skews = scenario.network_faults if scenario.protocol_traits.embodied else ()
     clocks = node_clocks(env, skews, state.size, seed, nanoseconds(scenario.horizon))
     network = Network(

@@ -30,7 +30,7 @@ from desim.live.sockets import Mailbox, udp_socket
 from desim.live.wire import Wire
 from desim.pursuit.core.events import Sampled
 from desim.pursuit.motion.dead_reckoning import TrackSegment
-from desim.pursuit.team.announcements import Assignment, Forwarded
+from desim.pursuit.team.announcements import Assignment, Forwarded, LocatedAssignment
 from protocols.dissemination import PORT as ANNOUNCEMENTS
 from scenarios.studies.study import SCENARIOS
 from tests.live.test_runs import scenario
@@ -322,7 +322,7 @@ def test_what_a_robot_tells_holds_from_the_time_at_which_it_tells_it():
         running = asyncio.create_task(node.run(lambda: time[0]))
         await asyncio.sleep(0)
         time[0] = 30_000_000
-        node.sense([0.0, 0.0], [[5.0, 0.0]], velocities=[[0.0, 10.0]])
+        node.sense([0.0, 0.0], [[5.0, 0.0]], [[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]], [[0.0, 10.0]])
         evader = node._state.body(1)
         assert (evader.position, node.now) == (5.0, 0.03)
         node._mirror.set_action(1)
@@ -366,6 +366,36 @@ def test_a_robot_commands_what_a_pursuer_in_a_simulation_does(changes):
             node._mirror.set_action(1)
             moved = complex(*(pursuers[2, pursuer] - pursuers[1, pursuer])) / 0.05
             assert complex(*node.velocity()) == pytest.approx(moved - flow, abs=1e-6)
+
+
+@pytest.mark.parametrize("tells", [False, True])
+@pytest.mark.parametrize("links", [{"range": 5.0}, {"latency": {"kind": "propagation", "speed": 10.0}}], ids=str)
+def test_a_robot_whose_teammates_are_anywhere_does_not_take_them_for_where_a_simulation_begins(links, tells):
+    """Without positions they would be where the seed puts them."""
+    node = Node(scenario().with_({"network": links, "announce.payload": "state"}), 1, 5)
+    places = [[0.0, 0.0], [3.0, 0.0], [20.0, 0.0]]
+    node.sense(places[1], [[1.0, 1.0]], places if tells else None)
+
+    def hear():
+        for seq, src in ((1, 0), (2, 2)):
+            node.link.receive(
+                WIRE.encode(Record(src, seq, 0, LocatedAssignment(0, 0.0, 0.0, 1.0)), "", 48, to_one=False), src
+            )
+        node._network.topology.neighbours(1)
+        return [outcome.arrival for outcome in node.link.outcomes]
+
+    if tells:
+        assert hear() == ([0, 0] if "range" in links else [300_000_000, 1_700_000_000])
+        return
+    with pytest.raises(ValueError, match=r"^pursuer 1: sense was given no teammates, and the network depends on where"):
+        hear()
+
+
+def test_a_robot_that_should_sense_its_teammates_is_asked_for_them():
+    node = Node(scenario(), 1, 5)
+    with pytest.raises(ValueError, match=r"^teammates should be the positions of all pursuers: with announce.payload"):
+        node.sense([0.0, 0.0], [[1.0, 1.0]])
+    Node(scenario().with_({"announce.payload": "time"}), 1, 5).sense([0.0, 0.0], [[1.0, 1.0]])
 
 
 @pytest.mark.parametrize("key", ["team", "evader"])
