@@ -170,12 +170,22 @@ def paired(values: Sequence[float | None] | Floats, others: Sequence[float | Non
         raise ValueError(f"values and others should have the same length, got {len(values)} and {len(others)}")
     first, second = np.asarray(values, dtype=float), np.asarray(others, dtype=float)  # nan for None
     both = ~(np.isnan(first) | np.isnan(second))
+    return mean(differences(first[both], second[both]))
+
+
+def differences(values: Floats, others: Floats) -> Floats:
+    """Return the (n, ...) differences of n pairs; a column whose differences are equal but for rounding is constant.
+
+    For example, 0.3 - 0.2 and 1.3 - 1.2 differ in the last bit, which would be a scatter that excludes 0.
+    """
     with np.errstate(invalid="ignore"):  # inf - inf
-        differences = first[both] - second[both]
-        rounding = ROUNDING * np.max(np.abs([first[both], second[both]]), initial=0.0)
-        if len(differences) and np.ptp(differences) <= rounding:  # 0.3 - 0.2 and 0.2 - 0.1 are equal
-            differences = np.full_like(differences, differences[0] if abs(differences[0]) > rounding else 0.0)
-    return mean(differences)
+        made: Floats = np.asarray(values - others, dtype=float)
+        if not len(made):
+            return made
+        rounding = ROUNDING * np.maximum(np.abs(values).max(axis=0), np.abs(others).max(axis=0))
+        is_equal = np.ptp(made, axis=0) <= rounding
+        first = np.where(np.abs(made[0]) > rounding, made[0], 0.0)
+    return np.where(is_equal, first, made)
 
 
 @dataclass(frozen=True, slots=True, repr=False)

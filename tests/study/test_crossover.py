@@ -11,7 +11,7 @@ from desim.analysis.measuring import summary
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import run
-from desim.study.results.crossover import sign_changes, undecided_parts
+from desim.study.results.crossover import are_told_apart, interval_around, sign_changes, undecided_parts
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import Group
 from desim.study.store.run_table import Row
@@ -21,6 +21,8 @@ from tests.summaries import changed
 RUN = summary(run(Scenario(horizon=0.05, team=Team(count=2))))
 X = [0.0, 0.1, 0.2, 0.4]
 KEY = "network.latency.value"
+EIGHT = np.arange(1.0, 9.0)[:, None] + np.zeros(4)
+"""Eight runs that differ by a seed only: fewer, without scatter, decide nothing at four values together."""
 A, B = {"protocol": "sap"}, {"protocol": "cbba"}
 
 
@@ -43,7 +45,7 @@ def random_tables(rng, runs, x=X, slope=2.0, at=0.15, noise=0.3):
 
 def test_curves_without_scatter_cross_where_their_lines_do():
     """2 (x - 0.15) is 0 at 0.15, with runs that differ by a seed only."""
-    base = np.array([[1.0], [2.0], [3.0]]) + np.zeros(4)
+    base = EIGHT
     crossing = sweep_of(base + 2.0 * (np.array(X) - 0.15), base).crossover("active_time", KEY, A, B)
     assert crossing.at == pytest.approx(0.15)
     assert (crossing.low, crossing.high) == (pytest.approx(0.15), pytest.approx(0.15))
@@ -97,7 +99,7 @@ def test_an_interval_that_the_values_do_not_bound_has_no_end():
 
 
 def test_curves_that_do_not_cross_have_no_crossing():
-    base = np.array([[1.0], [2.0], [3.5]]) + np.zeros(4)
+    base = EIGHT
     crossing = sweep_of(base + 1.0, base).crossover("active_time", KEY, A, B)
     assert crossing.at is None
     assert isnan(crossing.low)
@@ -105,6 +107,57 @@ def test_curves_that_do_not_cross_have_no_crossing():
         "active time: no crossing for network.latency.value from 0 to 0.4 s: protocol = cbba beats protocol = sap"
     )
     assert crossing.document()["interval"] is None
+
+
+def test_a_few_runs_without_scatter_decide_nothing():
+    """Three runs that all differ by 1 s: by 2^(1 - 3) as chance has it. The control are the eight of the test above."""
+    crossing = sweep_of(EIGHT[:3] + 1.0, EIGHT[:3]).crossover("active_time", KEY, A, B)
+    assert (crossing.winner, crossing.undecided) == (None, ((0.0, 0.4),))
+    assert str(crossing) == (
+        "active time: protocol = sap and protocol = cbba are not told apart for network.latency.value from 0 to 0.4 s"
+        " at a level of 5 % for all 4 values together (Bonferroni, 3 pairs of runs with the same seed)"
+    )
+    assert undecided_parts(X, np.ones((5, 4)), 0.95) == [(0.0, 0.4)]
+    assert undecided_parts(X, np.ones((6, 4)), 0.95) == []
+
+
+def equal_curves(rng, values, runs=10):
+    """Return (runs, values) differences of two equal curves, half of whose variance is common to a run."""
+    return rng.normal(size=(runs, 1)) + rng.normal(size=(runs, values))
+
+
+@pytest.mark.slow
+def test_equal_curves_are_told_apart_no_more_often_than_the_level_says():
+    """600 studies of 8 values: s.e. 0.9 % at 5 %. A test at the level itself at each value, the control: a fifth."""
+    rng, x = np.random.default_rng(6), [float(k) for k in range(8)]
+    found, uncorrected = 0, 0
+    for _ in range(600):
+        apart = equal_curves(rng, 8)
+        crossings = sign_changes(x, apart.mean(axis=0).tolist())
+        at = crossings[-1] if crossings else None
+        found += are_told_apart(x, apart, at, 0.95)
+        uncorrected += are_told_apart(x, apart, at, 1.0 - 8 * 0.05)
+    assert found / 600 <= 0.05 + 3 * 0.009
+    assert uncorrected / 600 > 0.05 + 3 * 0.009
+
+
+def test_means_that_cross_without_being_told_apart_beyond_have_no_winner():
+    """Of equal curves whose interval is bounded by chance: there is no winner."""
+    rng = np.random.default_rng(12)
+    for _ in range(200):
+        apart = equal_curves(rng, 4)
+        crossings = sign_changes(X, apart.mean(axis=0).tolist())
+        parts = undecided_parts(X, apart, 0.95)
+        if crossings and interval_around(crossings[-1], X, parts)[1] < inf:
+            break
+    crossing = sweep_of(10.0 + apart, np.full_like(apart, 10.0)).crossover("active_time", KEY, A, B)
+    assert crossing.high < inf
+    assert (crossing.winner, crossing.is_told_apart) == (None, False)
+    assert "the means cross" in str(crossing)
+    assert "but beyond protocol = sap and protocol = cbba are not told apart at a level of 5 % for all 4 " in str(
+        crossing
+    )
+    assert crossing.document()["winner_beyond"] is None
 
 
 @pytest.mark.parametrize(("shift", "crosses"), [(0.0, True), (0.2, False)])
@@ -129,14 +182,14 @@ def test_the_last_of_several_crossings_counts_and_touching_is_none():
     assert sign_changes([0, 1, 2], [1.0, 0.0, 1.0]) == ()
     assert sign_changes([0, 1, 2], [0.0, 1.0, 2.0]) == ()
     assert sign_changes([0, 1, 2, 3], [1.0, 0.0, 0.0, -1.0]) == (1.5,)
-    base = np.array([[1.0], [2.0], [3.0]]) + np.zeros(4)
+    base = EIGHT
     crossing = sweep_of(base + np.array([1.0, -1.0, 1.0, -3.0]), base).crossover("active_time", KEY, A, B)
     assert crossing.least == "protocol = sap"
     assert "the means cross 3 times, and this is the last" in str(crossing)
 
 
 def test_more_may_be_better_and_infinite_values_are_left_out():
-    base = np.array([[1.0], [2.0], [3.0]]) + np.zeros(4)
+    base = EIGHT
     sap = base + np.array([-1.0, 1.0, 1.0, 9.0])
     swept = sweep_of(sap, base, x=[0.0, 0.1, 0.2, inf])
     crossing = swept.crossover("active_time", KEY, A, B)

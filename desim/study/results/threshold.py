@@ -14,7 +14,7 @@ from math import inf, isinf, nan, sqrt
 from typing import Any, Self
 
 from desim.analysis.metrics import words
-from desim.analysis.statistics import t_quantile
+from desim.analysis.statistics import differences, t_quantile
 from desim.config.arrays import Floats
 from desim.config.errors import ArgumentError
 from desim.config.json_numbers import json_number
@@ -132,7 +132,7 @@ class Threshold:
             raise ArgumentError("over", f"should be a share, 0.1 for 10 %, above -1 and not 0, got {over:g}")
         reference, x, values, bases = _beside_baseline(result, metric, key, baseline, where or {})
         sign = 1.0 if over > 0.0 else -1.0
-        excess = sign * (values - (1.0 + over) * bases[:, None])
+        excess = sign * differences(values, (1.0 + over) * bases[:, None])
         means = excess.mean(axis=0).tolist()
         crossings, undecided = sign_changes(x, means), undecided_parts(x, excess, confidence)
         is_beyond: bool | None = means[-1] > 0.0

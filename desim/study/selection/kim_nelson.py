@@ -14,9 +14,9 @@ means are closer than `zone`, any of the close ones may be selected, with about 
 
 Two systems may differ by the same in all first samples, so that S^2 is 0: those of a rule that hardly matters, or truth
 values, such as whether there is a capture. Their variance is then not known. They are not compared before a sample in
-which they differ otherwise, and S^2 is then that of all samples up to it; after `ENOUGH` samples it is 0. The table shows how
-often the best of three systems is selected, in %, if it is ahead of two equal ones by the zone, in 400 races with a
-confidence of 95 % (s.e. at most 2.5), and without this rule.
+which they differ otherwise, and S^2 is then that of all samples up to it; after `ENOUGH` samples it is 0. The table
+shows how often the best of three systems is selected, in %, if it is ahead of two equal ones by the zone, in 400 races
+with a confidence of 95 % (s.e. at most 2.5), and without this rule.
 
     samples                                                              rule   without
     normal, standard deviation of two zones                                97        97

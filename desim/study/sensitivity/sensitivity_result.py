@@ -91,7 +91,7 @@ class SensitivityResult:
             sentences.append(f"alone the keys cause {share} % ({low} to {high} %); {rest}")
         if self.effects is not None and (within := self.effects.within_chance()):
             listed = _listed([f"{self.keys[k]} ({self._effect(self.effects.of_chance[k])})" for k in within])
-            sentences.append(f"effects no greater than what chance alone makes: {listed}")
+            sentences.append(f"effects not told apart from what chance alone makes: {listed}")
         if self.runs_at_point == 1:
             sentences.append("one run at each point: chance counts as an effect of the keys; take several")
         elif not isnan(self.chance):
