@@ -17,7 +17,7 @@ from desim.analysis.drawing.palette import GREEN, ORANGE, VERMILION
 from desim.analysis.drawing.plots import Figure
 from desim.analysis.measuring import summary
 from desim.analysis.metrics import Metric, active_time, end_time
-from desim.analysis.statistics import Estimate, estimate
+from desim.analysis.statistics import Estimate, estimate, mean
 from desim.cli import main
 from desim.kernel.models.access import Aloha
 from desim.kernel.models.faults import Crash
@@ -234,7 +234,7 @@ RUN = summary(run(GOOD.model_copy(update={"horizon": 0.1})))
 TWO = LATE.model_copy(update={"network": Links(latency=Constant(value=0.4), loss=Bernoulli(p=0.5))})
 
 
-def explanation_of(**times):
+def explanation_of(metric="active_time", shown=tuple(EXPLAINED), **times):
     """Return the cost of two imperfections whose active times, s, are given by variant: a list, run by run.
 
     The imperfections are those of the network, so that a perfect network is the ideal one.
@@ -248,8 +248,8 @@ def explanation_of(**times):
             if cell.key == variants.configurations[AS_IT_IS].key and name != AS_IT_IS:
                 continue
             for k, time in enumerate(times[named.get(name, name)]):
-                store.add(cell.key, variants.plan.root, Row(k, k, "ok", changed(RUN, active_time=time)))
-        return variants.carry_out(store, workers)
+                store.add(cell.key, variants.plan.root, Row(k, k, "ok", changed(RUN, **{metric: time})))
+        return variants.carry_out(store, workers, shown)
 
 
 def test_additive_costs_do_not_interact():
@@ -317,10 +317,27 @@ def test_bounds_that_cannot_be_told_apart_say_that_the_network_hardly_matters():
     assert f"{note} (+-3.177 s)" in found.remarks()
     far = explanation_of(**times, silent=[20.0, 21.0])
     assert far.costs["active_time"].bounds.difference.mean.standard_error == 0.0
-    assert f"{note} (+11.000 s in all of 2 runs)" in far.remarks()
+    assert (
+        "a perfect network and no messages at all differ in active time by +11.000 s in all of 2 runs, which are too few"
+        " to tell whether the network matters"
+    ) in far.remarks()
     many = explanation_of(**{name: 3 * values for name, values in times.items()}, silent=3 * [20.0, 21.0])
     assert not any("matter" in remark and "active time" in remark for remark in many.remarks())
     assert Explanation.of(json.loads(json.dumps(found.document()))) == found
+
+
+def test_what_is_undefined_without_messages_is_explained_by_the_other_variants():
+    """A capture time that the silent team does not have: its costs are those of seeds with a capture in the others."""
+    runs = {"as_it_is": [9.0, 8.0, 7.0], "latency": [8.0, 7.0, None], "loss": [8.0, 6.0, 5.0], "ideal": [7.5, 5.0, 4.0]}
+    found = explanation_of(**runs, silent=[None] * 3, metric="capture_time", shown=["capture_time", "active_time"])
+    cost = found.costs["capture_time"]
+    assert [cost.parts[name].mean for name in ("latency", "loss")] == [mean([1.0, 1.0]), mean([1.0, 2.0])]
+    assert (cost.as_it_is.mean, cost.bounds.perfect.count, cost.bounds.silent.count) == (8.5, 0, 0)
+    remark = "capture time has a value in all variants for 2 of 3 seeds, so the costs hold for these only"
+    assert f"{remark}; end time counts the horizon" in found.remarks()
+    assert not any("active time has a value" in remark for remark in found.remarks())
+    spoken = explanation_of(**runs, silent=[9.0, None, 9.5], metric="capture_time", shown=["capture_time"])
+    assert spoken.costs["capture_time"].bounds.difference.mean == mean([1.5, 5.5])
 
 
 def test_an_explanation_without_bounds_is_read_and_shown_without_them():

@@ -174,6 +174,14 @@ def test_means_over_different_numbers_of_runs_are_not_for_comparison():
     assert "over different seeds" not in PLAIN.table() + replace(uneven, common=False).table()
 
 
+def test_means_over_runs_with_a_value_are_not_those_of_all_runs():
+    """Two of three runs with a capture look as fast as three: a note, unless each configuration has as many."""
+    note = "capture time has a value in 67% to 100% of the runs, so its means are over different, perhaps easier ones"
+    assert f"{note}: end time counts the horizon" in PLAIN.table(["capture_time"])
+    assert "has a value" not in PLAIN.table(["active_time"])
+    assert "has a value" not in replace(PLAIN, groups=PLAIN.groups[1:]).table(["capture_time"])
+
+
 def test_a_table_has_labels_and_leaves_out_columns():
     """Keys, values, metrics and heads may have a label; numbers of runs are no values of a key."""
     labels = {"network.range": "range (m)", "inf": "unlimited", "active_time": "chase", "pairs": "n"}
@@ -263,7 +271,10 @@ def test_the_table_shows_means_intervals_and_differences():
         "\n"
         "difference from network.range = 4, run by run with the same seed\n"
         "network.range  pairs      active time                       capture time                    messages sent\n"
-        "inf                3  +1.333 +- 0.717  +1.500 in all, others < 65.8% (2)  +2,000.0 in all, others < 56.1%"
+        "inf                3  +1.333 +- 0.717  +1.500 in all, others < 65.8% (2)  +2,000.0 in all, others < 56.1%\n"
+        "\n"
+        "capture time has a value in 67% to 100% of the runs, so its means are over different, perhaps easier ones: end"
+        " time counts the horizon"
     )
     assert str(PLAIN) == PLAIN.table()
 

@@ -179,11 +179,20 @@ def _cost(
 ) -> Cost:
     """Return the cost of each imperfection in a metric, over the seeds for which all variants have a value.
 
-    `confidence` is the level of the interval that decides whether the imperfections interact.
+    The bounds of the network are over the seeds for which these two have a value: without messages there may be no
+    capture, and so no time of it. `confidence` is the level of the interval that decides whether the imperfections
+    interact.
     """
-    shared_seeds = [k for k in complete if all(by_seed[k].value(metric) is not None for by_seed in rows.values())]
-    values = {name: [float(by_seed[k].value(metric)) for k in shared_seeds] for name, by_seed in rows.items()}
-    as_it_is, bounds = values.pop(AS_IT_IS), Bounds.of(values.pop(PERFECT), values.pop(SILENT))
+
+    def measured(*names: str) -> dict[str, list[float]]:
+        """Return a metric of some variants, over the seeds for which all of these have a value."""
+        among = [rows[name] for name in names]
+        shared = [k for k in complete if all(by_seed[k].value(metric) is not None for by_seed in among)]
+        return {name: [float(rows[name][k].value(metric)) for k in shared] for name in names}
+
+    bounds = Bounds.of(*measured(PERFECT, SILENT).values())
+    values = measured(*(name for name in rows if name not in (PERFECT, SILENT)))
+    as_it_is = values.pop(AS_IT_IS)
     saved = {name: [a - b for a, b in zip(as_it_is, times, strict=True)] for name, times in values.items()}
     parts = {name: saved[name] for name in IMPERFECTIONS if name not in absent}
     interaction = [total - portable_sum(part[k] for part in parts.values()) for k, total in enumerate(saved[IDEAL])]

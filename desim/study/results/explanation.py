@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any, Self
 from desim.analysis.metrics import with_unit, words
 from desim.analysis.statistics import Estimate, wilson
 from desim.analysis.table_formats import TableFormat, formatted
-from desim.analysis.tables import aligned, as_json, counted, number, with_half_width
+from desim.analysis.tables import aligned, as_json, counted, digits_of, number, with_half_width
 from desim.config.extras import naming_extras
 from desim.config.html import html_table
 from desim.kernel.core.portable_math import portable_sum
 from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT, Bounds, Cost, Saving
+from desim.study.results.runs import CAPTURE_TIMES
 
 if TYPE_CHECKING:
     from desim.analysis.drawing.plots import Axes, Figure, Style
@@ -150,6 +151,12 @@ class Explanation:
         remarks = [self._signs()]
         remarks += [f"absent: {', '.join(self.absent)}"] if self.absent else []
         for metric, cost in self.costs.items():
+            if (count := cost.together.mean.count) < self.runs:
+                instead = "; end time counts the horizon" if metric in CAPTURE_TIMES else ""
+                remarks.append(
+                    f"{words(metric)} has a value in all variants for {count} of {counted(self.runs, 'seed')}, so the"
+                    f" costs hold for these only{instead}"
+                )
             remarks += [] if cost.bounds is None else _network(words(metric), cost.bounds, cost.unit)
         unseen = [note for metric, cost in self.costs.items() for note in _unseen(words(metric), cost)]
         if unseen:
@@ -218,6 +225,11 @@ def _network(metric: str, bounds: Bounds, unit: str) -> Iterator[str]:
             f"the network cannot matter in {metric}: a {PERFECT} and {SILENT} are equal in every run; up to"
             f" {most:.1f} % of all seeds may differ (95 % Wilson interval)"
         )
+    elif difference.mean.others is not None and not difference.excludes_0():
+        yield (
+            f"a {PERFECT} and {SILENT} differ in {metric} by {_width(difference.mean, unit)}, which are too few to tell"
+            " whether the network matters"
+        )
     elif difference.mean.count > 1 and not difference.excludes_0():
         width = _width(difference.mean, unit)
         yield f"the network hardly matters in {metric}: a {PERFECT} and {SILENT} cannot be told apart ({width})"
@@ -225,9 +237,10 @@ def _network(metric: str, bounds: Bounds, unit: str) -> Iterator[str]:
 
 def _width(estimate: Estimate, unit: str) -> str:
     """Return the half width of the interval of a mean as text; if all values are equal, there is none."""
+    digits = digits_of([estimate])
     if estimate.others is not None:
-        return f"{estimate.mean:+.3f} {unit}".rstrip() + f" in all of {counted(estimate.count, 'run')}"
-    return f"+-{number(estimate.half_width)} {unit}".rstrip()
+        return f"{estimate.mean:+.{digits}f} {unit}".rstrip() + f" in all of {counted(estimate.count, 'run')}"
+    return f"+-{number(estimate.half_width, digits)} {unit}".rstrip()
 
 
 def _unseen(metric: str, cost: Cost) -> Iterator[str]:

@@ -12,7 +12,7 @@ from desim.config.arrays import Floats
 from desim.config.errors import ArgumentError
 from desim.config.json_numbers import json_number
 from desim.study.plan.configurations import in_words
-from desim.study.results.runs import SweepRuns, labels_of_values, text
+from desim.study.results.runs import CAPTURE_TIMES, SweepRuns, labels_of_values, text
 
 Table = tuple[str, list[tuple[str, ...]]]
 """The title of a table, and its rows of text; the first row is the header."""
@@ -98,6 +98,16 @@ def notes(result: SweepRuns, metrics: Sequence[str]) -> Iterator[str]:
             f"the means are over {min(counts)} to {max(counts)} runs, and so over different seeds: compare"
             " configurations by their differences, which are over the seeds that both have"
         )
+    for metric in metrics:
+        shares = [
+            len(group.present(metric)) / len(values) for group in result.groups if len(values := group.numbers(metric))
+        ]
+        if shares and min(shares) < max(shares):
+            instead = ": end time counts the horizon" if metric in CAPTURE_TIMES else ""
+            yield (
+                f"{words(metric)} has a value in {min(shares):.0%} to {max(shares):.0%} of the runs, so its means are"
+                f" over different, perhaps easier ones{instead}"
+            )
     for group in result.groups:
         if group.failed:
             row = group.failed[0]
