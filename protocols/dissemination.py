@@ -97,13 +97,8 @@ class Flooding(Value):
             # As a pair: a newer record always goes on, and a copy of the same one only if it can travel farther.
             return hops > 1 and (record.seq, hops) > passed_on.get(record.src, (0, 0))
 
-        def wanted(message: Message) -> bool:
-            (record,), hops = message.body
-            return record.seq > merged.get(record.src, -1) or goes_on(record, hops)
-
-        while True:
-            yield me.arrival(PORT, Phase.RELAY, wanted)
-            for message in me.mail(PORT):
+        def take(messages: list[Message]) -> None:
+            for message in messages:
                 (record,), hops = message.body
                 if record.seq > merged.get(record.src, -1):
                     merged[record.src] = record.seq
@@ -112,6 +107,8 @@ class Flooding(Value):
                     passed_on[record.src] = (record.seq, hops)
                     again = partial(me.send, None, Forwarded((record,), hops - 1), PORT)
                     me.after(self.jitter * rng.random(), again, Phase.RELAY)  # `uniform` takes 8 times as long
+
+        yield me.listen(take, PORT, Phase.RELAY)  # most messages are copies, for which waking takes too long
 
 
 class Gossip(Value):

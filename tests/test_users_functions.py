@@ -548,18 +548,6 @@ def rain(context, rng):
 rain.cause = "rain"
 
 
-@pytest.mark.parametrize("answer", [None, 0, 1, "no", nan, [], np.array([True, False])])
-def test_a_wish_for_messages_that_is_no_truth_value_is_refused(answer):
-    """None, of a function without return, would drop all messages; a text would keep them."""
-
-    def listens(me):
-        me.send((me.id + 1) % me.team_size, 1)
-        yield me.arrival(wanted=lambda message: answer)
-
-    with pytest.raises(ValueError, match=r"wanted\(message\) should return True or False, got .* from <lambda>"):
-        run(scenario(protocol=listens), 1)
-
-
 @pytest.mark.parametrize("ignored", [[True, False], np.array([True]), (np.False_,)])
 def test_a_mask_in_place_of_pursuers_is_refused(ignored):
     class Masking(Judge):

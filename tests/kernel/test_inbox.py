@@ -59,25 +59,6 @@ def test_a_message_is_not_compared_with_all_that_are_in_flight():
     assert Compared.count < 200 * 60
 
 
-def test_a_message_that_is_not_wanted_wakes_nobody_and_is_dropped():
-    """Messages arrive at 1 to 6 ns, two of them at 4 ns; every third is wanted, and nothing waits for the last."""
-    clock = Clock()
-    boxes, woken = Inboxes(clock, 1), []
-    (box,) = boxes.at("")
-
-    def process():
-        for _ in range(2):
-            yield box.arrival(wanted=lambda message: message.src % 3 == 0)
-            woken.append((clock.now, [message.src for message in box.drain()]))
-
-    clock.process(process())
-    for number, arrival in enumerate([1, 2, 3, 4, 4, 5, 6], start=1):
-        boxes.deliver(Message(number, 0, None), "", [0], arrival, number)
-    clock.run(until=10)
-    assert woken == [(3, [3]), (5, [6])]
-    assert [message.src for message in box.drain()] == [7]
-
-
 @given(
     st.lists(st.tuples(st.integers(0, 9), st.integers(0, 5), st.integers(0, 1), st.integers(0, 2)), max_size=20),
     st.integers(0, 9),
@@ -121,15 +102,18 @@ def test_a_function_that_listens_gets_what_a_process_reads(messages, start):
     assert happenings(by_function) == happenings(by_process)
 
 
-def test_after_a_loss_of_memory_all_messages_are_wanted():
-    clock = Clock()
+def test_messages_of_an_inbox_that_is_not_listened_to_any_more_wait_for_the_next_reader():
+    clock, seen = Clock(), []
     boxes = Inboxes(clock, 1)
     (box,) = boxes.at("")
-    event = box.arrival(wanted=lambda message: False)
+    box.listen(Phase.DELIVERY + 1, lambda messages: seen.append((clock.now, len(messages))))
     put(boxes, 1, 1)
-    clock.run(until=2)
-    boxes.clear(0)
     put(boxes, 3, 2)
-    clock.run(until=4)
-    assert event.processed
-    assert len(box.drain()) == 1
+    clock.run(until=2)
+    box.stop()
+    put(boxes, 4, 3)
+    clock.run(until=6)
+    assert seen == [(1, 1)]
+    box.listen(Phase.DELIVERY + 1, lambda messages: seen.append((clock.now, len(messages))))
+    clock.run(until=7)
+    assert seen == [(1, 1), (6, 2)]

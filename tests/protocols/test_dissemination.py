@@ -25,8 +25,8 @@ from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.kernel.models.transport import Coded, Reliable
-from desim.kernel.state.inbox import Inbox
 from desim.pursuit.core.traits import DisseminationTraits
+from desim.pursuit.team.agent import Agent
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording
@@ -209,25 +209,29 @@ def test_relays_with_clock_errors_forward_records_all_the_same(drift):
     assert max(said) == 50
 
 
-# Copies that wake nobody.
+# Flooding by a function.
 
 CRASH = "fault=[{{kind='crash', node=3, start=0.2, end=0.4, scope='robot', memory={}}}]"
 
 
-def flooded(changes, judge=None):
-    """Return the trace of a scenario with flooding, and how often a pursuer waited for announcements.
+class ByProcess(Flooding):
+    """Flooding by a process that waits for each arrival."""
 
-    judge: replaces the function that tells which messages wake a pursuer.
-    """
-    waits, arrival = [], Inbox.arrival
+    def __call__(self, me):
+        with patch.object(Agent, "listen", lambda _, *arguments: arguments):
+            ((act, port, phase),) = super().__call__(me)
+        while True:
+            yield me.arrival(port, phase)
+            act(me.mail(port))
 
-    def counted(box, priority=None, wanted=None):
-        waits.append(box)
-        return arrival(box, priority, wanted if judge is None or wanted is None else judge(wanted))
 
-    with patch.object(Inbox, "arrival", counted):
-        result = run(load(SCENARIOS / "flooding.toml", ["horizon=0.6", *changes]), 2)
-    return list(result.trace), len(waits)
+def flooded(changes, kind=Flooding):
+    """Return the events of a scenario with flooding of a kind."""
+    scenario = load(SCENARIOS / "flooding.toml", ["horizon=0.6", *changes])
+    announce = scenario.announce
+    dissemination = kind(hops=announce.dissemination.hops, jitter=announce.dissemination.jitter)
+    announce = announce.model_copy(update={"dissemination": dissemination})
+    return list(run(scenario.model_copy(update={"announce": announce}), 2).trace)
 
 
 @pytest.mark.slow
@@ -242,18 +246,20 @@ def flooded(changes, judge=None):
     ],
     ids=["flooding", "at once", "without latency", "without memory", "with memory"],
 )
-def test_copies_that_wake_nobody_change_nothing(changes):
-    """A pursuer is woken by all announcements, or by those that are new to it or are to be forwarded."""
-    trace, waits = flooded(changes)
-    all_wake, more_waits = flooded(changes, lambda _: None)
-    assert trace == all_wake
-    assert waits < 0.6 * more_waits
+def test_flooding_by_a_function_is_flooding_by_a_process(changes):
+    assert flooded(changes) == flooded(changes, ByProcess)
 
 
 @pytest.mark.slow
-def test_the_comparison_detects_news_that_wakes_nobody():
+def test_the_comparison_detects_news_that_is_not_forwarded():
     """The control of the test above."""
-    assert flooded([])[0] != flooded([], lambda wanted: lambda message: wanted(message) and bool(message.src % 2))[0]
+    listen = Agent.listen
+
+    def half(me, act, *more):
+        return listen(me, lambda messages: act([message for message in messages if message.src % 2]), *more)
+
+    with patch.object(Agent, "listen", half):
+        assert flooded([]) != flooded([], ByProcess)
 
 
 # Within an instant.

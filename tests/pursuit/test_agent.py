@@ -211,22 +211,75 @@ def test_agents_talk_by_message():
     assert heard == [(1, 0.125, "to all"), (2, 0.125, "to one"), (2, 0.125, "to all")]
 
 
-def test_messages_that_are_not_wanted_are_dropped_and_wake_nobody():
+def test_a_function_takes_the_messages_of_a_port_as_they_arrive():
     heard = []
 
     def protocol(me):
         if me.id == 0:
-            for number in range(6):
-                me.send(1, number)
-                yield me.sleep(0.1)
-        while me.id == 1:
-            yield me.arrival(wanted=lambda message: message.body % 3 == 2)
-            heard.extend((round(me.now, 3), message.body) for message in me.mail())
+            me.send(1, "first", "mail")
+            me.send(1, "second", "mail")
+            me.send(1, "of another port")
+            yield me.sleep(0.5)
+            me.send(1, "third", "mail")
+        elif me.id == 1:
+            yield me.sleep(0.25)  # the first two wait until there is a function for them
+            yield me.listen(lambda messages: heard.append((me.now, [message.body for message in messages])), "mail")
+            raise AssertionError("its event never happens")
 
     play(protocol, latency=0.125)
-    assert heard == [(0.325, 2), (0.625, 5)]
-    with pytest.raises(ValueError, match="pursuer 0: arrival: wanted should be a function of a message"):
-        play(lambda me: iter([me.arrival(wanted=3)]))
+    assert heard == [(0.25, ["first", "second"]), (0.625, ["third"])]
+    with pytest.raises(ValueError, match="pursuer 0: listen: act should be a function of messages"):
+        play(lambda me: iter([me.listen(3)]))
+    with pytest.raises(ValueError, match="pursuer 0: listen: a port should be a text"):
+        play(lambda me: iter([me.listen(print, 3)]))
+
+
+@pytest.mark.parametrize("memory", [True, False])
+def test_a_function_of_before_a_restart_takes_no_message(memory):
+    """A message arrives at the instant at which the robot restarts, and waits until its protocol listens anew."""
+    heard = []
+
+    def protocol(me):
+        restarts = me.restarts
+        if me.id == 0:
+            yield me.sleep(0.25)
+            me.send(1, "at the end")
+        elif me.id == 1:
+            yield me.sleep(0.125)
+            yield me.listen(lambda messages: heard.extend((restarts, me.now, message.body) for message in messages))
+
+    crash = Crash(node=1, start=0.25, end=0.5, scope="robot", memory=memory)
+    play(protocol, latency=0.25, fault=[crash])
+    assert heard == [(0, 0.5, "at the end") if memory else (1, 0.625, "at the end")]
+
+
+def test_a_later_function_replaces_the_one_before():
+    heard = []
+
+    def protocol(me):
+        if me.id == 0:
+            for number in range(4):
+                me.send(1, number)
+                yield me.sleep(0.5)
+        elif me.id == 1:
+            me.listen(lambda _: heard.append("first"))
+            yield me.sleep(0.75)
+            yield me.listen(lambda messages: heard.extend(message.body for message in messages))
+
+    play(protocol, latency=0.125)
+    assert heard == ["first", "first", 2, 3]
+
+
+def test_functions_that_answer_each_other_without_latency_are_told_that_time_stands_still(monkeypatch):
+    monkeypatch.setattr("desim.pursuit.team.timing.MAX_AT_ONE_INSTANT", 50)
+
+    def protocol(me):
+        if me.id == 0:
+            me.send(1, "ping")
+        yield me.listen(lambda messages: [me.send(message.src, "pong") for message in messages])
+
+    with pytest.raises(StandstillError, match="answer messages that take no time"):
+        play(protocol)
 
 
 def test_decisions_of_one_instant_are_in_id_order_and_see_each_other_at_zero_latency():

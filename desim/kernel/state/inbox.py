@@ -5,10 +5,8 @@ from collections.abc import Callable
 from math import inf
 from typing import Any, NamedTuple
 
-import numpy as np
 import simpy
 
-from desim.config.answers import wrong_answer
 from desim.kernel.core.clock import Clock, Instant, Phase, Timer
 from desim.kernel.core.message_body import is_immutable, own_copy
 from desim.kernel.core.portable_math import portable_sum
@@ -30,15 +28,6 @@ class Message(NamedTuple):
         return self.stamp / SECOND
 
 
-def _is_true(answer: Any, wanted: Callable[..., Any]) -> bool:
-    """Return a truth value, perhaps of numpy; AnswerError if the answer is none: None would drop messages."""
-    if isinstance(answer, bool | np.bool_):
-        return bool(answer)
-    raise wrong_answer("wanted(message) should return True or False", answer, wanted)
-
-
-Wanted = Callable[[Message], bool]
-"""A function that tells whether a message is wanted."""
 Letter = tuple[int, int, Message]
 """A message in an inbox, as (arrival time in ns, number of its transmission, message)."""
 FEW = 16
@@ -53,7 +42,7 @@ class Inbox:
     process stops waiting at a time-out.
     """
 
-    __slots__ = ("_env", "_letters", "_priority", "_sorted", "_timer", "_waited_for", "_wake_time", "_wanted")
+    __slots__ = ("_env", "_letters", "_priority", "_sorted", "_timer", "_waited_for", "_wake_time")
 
     def __init__(self, env: Clock, node: int):
         self._env = env
@@ -66,14 +55,14 @@ class Inbox:
         """The event that processes wait for; None if no process waits."""
         self._wake_time: float = inf
         """Time of the next scheduled wake-up for a message in flight, ns."""
-        self._wanted: Wanted | None = None
         self._timer: Timer | None = None
         """Rings at the next arrival if a function takes the messages (`listen`)."""
 
     def listen(self, priority: int, act: Callable[[list[Message]], object]) -> None:
         """Call a function with the messages as they arrive, those of one instant together; no process may wait then.
 
-        It takes one event for each instant of arrival, and a process that waits takes two.
+        It takes one event for each instant of arrival, and a process that waits takes two. It replaces the function
+        that was called before, if any; `stop` ends it.
 
         Kept equal to a process that waits for each arrival by
         `tests/kernel/test_inbox.py::test_a_function_that_listens_gets_what_a_process_reads`.
@@ -84,43 +73,38 @@ class Inbox:
         """
 
         def take() -> None:
-            if messages := self.drain():
+            messages = self.drain()
+            if self._letters:  # in order, as `drain` leaves them; what arrives later sets the timer itself
+                timer.set(self._letters[0][0])
+            if messages:
                 act(messages)
-            expect()
 
-        def expect() -> None:
-            if letters := self._in_order():
-                timer.set(letters[0][0])
-
+        self.stop()
         self._timer = timer = Timer(self._env, priority, take)
-        expect()
+        if letters := self._in_order():
+            timer.set(letters[0][0])
 
-    def arrival(self, priority: int | None = None, wanted: Wanted | None = None) -> simpy.Event:
+    def stop(self) -> None:
+        """Call no function any more; the messages wait until they are read."""
+        if self._timer is not None:
+            self._timer.stop()
+            self._timer = None
+
+    def arrival(self, priority: int | None = None) -> simpy.Event:
         """Return an event that happens when a message arrives, or at once if one is waiting.
 
         Args:
             priority: the SimPy priority of the event. If None, the priority of the previous call is kept; initially it
                 is the priority of the decisions of the node.
-            wanted: a function of a message that tells whether it is wanted. While a process waits, a message that
-                arrives and is not wanted is dropped, and the event does not happen. None: all are wanted.
-
-        Kept equal to a process that all messages wake by
-        `tests/protocols/test_dissemination.py::test_copies_that_wake_nobody_change_nothing`.
         """
         if priority is not None:
             self._priority = priority
-        self._wanted = wanted
         event = self._waited_for
         if event is None:
             event = self._waited_for = simpy.Event(self._env)
         if self._letters:
             self._look()
         return event
-
-    def clear(self) -> None:
-        """Drop all waiting messages; from now on all are wanted until `arrival` is called again."""
-        self._wanted = None
-        self.drain()
 
     def drain(self) -> list[Message]:
         """Remove and return the waiting messages, in the order of arrival."""
@@ -156,23 +140,16 @@ class Inbox:
         return letters
 
     def _look(self) -> None:
-        """Trigger the event that processes wait for if a message has arrived, else schedule a wake-up at the next.
-
-        The messages that arrived before and are not wanted are dropped.
-        """
-        letters, now, wanted = self._in_order(), self._env.now, self._wanted
-        while letters:
-            arrival, _, message = letters[0]
-            if arrival > now:
-                self._expect(arrival)
-                return
-            if wanted is None or _is_true(wanted(message), wanted):
-                event, self._waited_for = self._waited_for, None
-                if event is not None:
-                    self._env.trigger(event, self._priority)
-                return
-            del letters[0]
-            self._sorted -= 1
+        """Trigger the event that processes wait for if a message has arrived, else schedule a wake-up at the next."""
+        letters = self._in_order()
+        if not letters:
+            return
+        if (arrival := letters[0][0]) > self._env.now:
+            self._expect(arrival)
+            return
+        event, self._waited_for = self._waited_for, None
+        if event is not None:
+            self._env.trigger(event, self._priority)
 
     def _expect(self, arrival: int) -> None:
         """Schedule a wake-up at an arrival time (ns), unless one is scheduled for that time or earlier."""
@@ -212,7 +189,7 @@ class Inboxes:
     def clear(self, node: int) -> None:
         """Drop the waiting messages of a node at all ports."""
         for boxes in self._ports.values():
-            boxes[node].clear()
+            boxes[node].drain()
 
     def in_flight(self) -> int:
         """Return the number of messages in flight, counted once per receiver."""

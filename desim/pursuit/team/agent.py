@@ -153,6 +153,7 @@ class Agent(Beliefs, Timing, HintedItems):
         if restarted:
             self._payload = None
             self.restarts += 1
+            self._stop_listening()
             if self._judge is not None:
                 self._judge.forget()
 

@@ -9,7 +9,7 @@ from desim.config.python_numbers import real
 from desim.kernel.core.clock import Clock, Instant, NodeClock, Phase
 from desim.kernel.core.ports import check_port
 from desim.kernel.network import Network
-from desim.kernel.state.inbox import Message
+from desim.kernel.state.inbox import Inbox, Message
 
 RETURN_HINT = " (a protocol that has nothing left to wait for should return)"
 """Hint in error messages about an infinite, nan or negative waiting time."""
@@ -24,8 +24,8 @@ class StandstillError(RuntimeError):
 class Timing:
     """Creates the events for which one pursuer waits; see `desim.pursuit.team.agent.Agent`.
 
-    A protocol waits by yielding an event that `at`, `sleep`, `arrival` or `after_decisions` returns. No method waits
-    when it is called. Simultaneous events are ordered by phase, and events of one phase by pursuer id.
+    A protocol waits by yielding an event that `at`, `sleep`, `arrival`, `listen` or `after_decisions` returns. No
+    method waits when it is called. Simultaneous events are ordered by phase, and events of one phase by pursuer id.
 
     Attributes:
         id: its id.
@@ -46,6 +46,8 @@ class Timing:
         """The last instant at which it waited for the present, ns, and how often it did so then."""
         self._resumed, self._resumptions = -1, 0
         """The last instant at which its protocol went on, ns, and how often it did so then."""
+        self._listening: list[Inbox] = []
+        """The inboxes whose messages go to functions."""
 
     def at(self, time: float, phase: Phase = Phase.DECISION) -> simpy.Event:
         """Return an event at a time (s) on the local clock, rounded to nanoseconds; a time in the past counts as now.
@@ -137,20 +139,49 @@ class Timing:
         """Return an event that happens at the present instant, after all decisions of this instant."""
         return self.sleep(0.0, Phase.HEARTBEAT)
 
-    def arrival(
-        self, port: str = "", phase: Phase = Phase.DECISION, wanted: Callable[[Message], bool] | None = None
-    ) -> simpy.Event:
-        """Return an event that happens as soon as the inbox of a port is not empty.
-
-        `Agent.mail` returns the messages. If `wanted` is a function of a message, messages for which it is false are
-        dropped as they arrive, and the event does not happen: to pass over copies costs less than to wake for them.
+    def arrival(self, port: str = "", phase: Phase = Phase.DECISION) -> simpy.Event:
+        """Return an event that happens as soon as the inbox of a port is not empty; `Agent.mail` returns the messages.
 
         Raises:
-            ValueError: if the port is no text, or `wanted` is not a function.
+            ValueError: if the port is no text.
         """
         if not isinstance(port, str):
             check_port(port, f"pursuer {self.id}: arrival")
         self._check_phase(phase)
-        if wanted is not None and not callable(wanted):
-            raise ValueError(f"pursuer {self.id}: arrival: wanted should be a function of a message (got {wanted!r})")
-        return self._network.inbox(self.id, port).arrival(phase + self.id, wanted)
+        return self._network.inbox(self.id, port).arrival(phase + self.id)
+
+    def listen(
+        self, act: Callable[[list[Message]], object], port: str = "", phase: Phase = Phase.DECISION
+    ) -> simpy.Event:
+        """Call a function with the messages of a port as they arrive, and return an event that never happens.
+
+        A process that only handles messages yields the event: `yield me.listen(take)`. It takes half of the time of a
+        loop with `arrival` and `mail`. The messages of one instant come together. It ends with the next `listen` at
+        this port, or when the pursuer restarts without memory, whose process then listens anew.
+
+        Kept equal to a process that waits for each arrival by
+        `tests/protocols/test_dissemination.py::test_flooding_by_a_function_is_flooding_by_a_process`.
+
+        Raises:
+            ValueError: if the port is no text, or there is no function.
+        """
+        if not isinstance(port, str):
+            check_port(port, f"pursuer {self.id}: listen")
+        self._check_phase(phase)
+        if not callable(act):
+            raise ValueError(f"pursuer {self.id}: listen: act should be a function of messages (got {act!r})")
+
+        def take(messages: list[Message]) -> None:
+            self.resume()
+            act(messages)
+
+        inbox = self._network.inbox(self.id, port)
+        inbox.listen(phase + self.id, take)
+        self._listening.append(inbox)
+        return simpy.Event(self._env)
+
+    def _stop_listening(self) -> None:
+        """Let the messages of all ports wait, because the pursuer restarts without memory."""
+        for inbox in self._listening:
+            inbox.stop()
+        self._listening.clear()
