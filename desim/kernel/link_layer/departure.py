@@ -30,7 +30,7 @@ class Departure:
     def __init__(self, state: NetworkState, sampler: LinkSampler, *, checks_range: bool):
         self._env, self._fault_state = state.env, state.fault_state
         self._topology = topology = state.topology
-        self._sampler, self._checks_range = sampler, checks_range
+        self._sampler, self._checks_range = sampler, checks_range and not topology.is_static
         self.receivers: Callable[[int, int], list[int]] = (
             topology.hearers if checks_range else lambda src, _: topology.linked(src)
         )

@@ -32,6 +32,8 @@ class LinkMemory:
         value: the (k,) numbers of these links.
         since: the times (s) of the last messages of these links, if the model sets them, (k,) or one for all; -inf:
             none.
+        ones: by node, the numbers and the times of the links that messages to one node have used since the last
+            broadcast; the model sets them.
     """
 
     def __init__(self, initial: float) -> None:
@@ -39,8 +41,7 @@ class LinkMemory:
         # The links used so far, by node; never empty, because `take` rejects an empty array.
         self._nodes, self._value, self._since = np.array([-1]), np.array([initial]), np.array([-np.inf])
         self._selected = np.array([0])
-        self._ones: dict[int, tuple[float, float]] = {}
-        """By node, the links that messages to one node have used since the last broadcast."""
+        self.ones: dict[int, tuple[float, float]] = {}
         self.dst: NDArray[np.intp] | None = None
         self.value: Floats = self._value
         self.since: float | Floats = self._since
@@ -59,9 +60,10 @@ class LinkMemory:
         self.value, self.since = self._value[links], self._since[links]
 
     def one(self, node: int) -> tuple[float, float]:
-        """Return the number of one link, and the time (s) of its last message; put the links of a broadcast aside."""
-        if node in self._ones:
-            return self._ones[node]
+        """Return the number of one link that is not in `ones`, and the time (s) of its last message.
+
+        The links of a broadcast are put aside.
+        """
         if self.dst is not NO_LINKS:
             self._put_aside()
             self._selected, self.dst = NO_LINKS, NO_LINKS
@@ -71,16 +73,12 @@ class LinkMemory:
             self._add(np.array([node]))
         return self._value.item(link), self._since.item(link)
 
-    def set_one(self, node: int, value: float, since: float) -> None:
-        """Set the number of a link that `one` has returned, and the time (s) of its last message."""
-        self._ones[node] = value, since
-
     def _put_aside(self) -> None:
         self._value[self._selected], self._since[self._selected] = self.value, self.since
-        if self._ones:
-            links = self._nodes.searchsorted(list(self._ones))
-            self._value[links], self._since[links] = zip(*self._ones.values(), strict=True)
-            self._ones.clear()
+        if self.ones:
+            links = self._nodes.searchsorted(list(self.ones))
+            self._value[links], self._since[links] = zip(*self.ones.values(), strict=True)
+            self.ones.clear()
 
     def _add(self, dst: "NDArray[np.intp]") -> None:
         old, value, since = self._nodes, self._value, self._since

@@ -159,11 +159,11 @@ class Bursts:
     def to_one(self, src: int, node: int, now: float, rng: np.random.Generator) -> bool:
         """Advance the state of one link and return whether it loses a message now, s."""
         row = self._rows[src]
-        chance, since = row.one(node)
+        chance, since = row.ones.get(node) or row.one(node)
         if self._in_time:
             chance = self._share + (chance - self._share) * math.exp(self._rate * (since - now))
         bad = rng.random() < chance
-        row.set_one(node, self._after_bad if bad else self._after_good, now)
+        row.ones[node] = self._after_bad if bad else self._after_good, now
         if self._loss_good == 0.0 and self._loss_bad == 1.0:
             return bad
         return rng.random() < (self._loss_bad if bad else self._loss_good)
