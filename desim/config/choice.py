@@ -1,5 +1,6 @@
 """Fields that hold one of several models, selected by the `kind` of a table."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache, cached_property
@@ -37,6 +38,9 @@ from desim.config.number_texts import why_no_number
 from desim.config.python_numbers import as_python
 from desim.config.traits import Traits, attributes, is_ours, name_of, positions
 from desim.config.trust import is_trusted
+
+FILE_NAME = re.compile(r"[^:]\.(?!py$)\w{2,8}(\.gz)?$")
+"""Matches the name of a file with an ending, but not that of a module."""
 
 
 def kind_of(model: type[BaseModel]) -> str:
@@ -172,6 +176,7 @@ class OneOf:
             raise ValueError(f"should be an instance: {value.__name__}() instead of {value.__name__}")
         if self.number is not None and isinstance(value, str) and (reason := why_no_number(str(value))):
             raise ValueError(reason)
+        self._check_file(value)
         value = self.as_table(value)
         if isinstance(value, dict) and isinstance(kind := value.get("kind"), str) and ":" in kind:
             value = self._imported(value, info)
@@ -181,6 +186,15 @@ class OneOf:
             return self._from_table(value, info)
         self.check(value)
         return value
+
+    def _check_file(self, value: Any) -> None:
+        """Raise ValueError if a value names a file without the kind that reads it."""
+        file = value.get("file") if isinstance(value, dict) and "kind" not in value else value
+        if isinstance(file, str) and FILE_NAME.search(file):
+            kinds = [kind for kind, model in self.choices().items() if "file" in getattr(model, "model_fields", ())]
+            if kinds:
+                others = f"; kinds that read a file: {', '.join(kinds)}" if len(kinds) > 1 else ""
+                raise ValueError(f'a file needs a kind: {{ kind = "{kinds[0]}", file = "{file}" }}{others}')
 
     def check(self, value: Any) -> None:
         """Raise ValueError if a value cannot be called as a model is, or has invalid traits."""

@@ -754,3 +754,17 @@ def test_a_first_line_with_one_name_is_a_node_without_edges(tmp_path):
     (tmp_path / "c.txt").write_text("# nothing\n")
     with pytest.raises(ValueError, match=r"c\.txt is not a graph: it has comments only"):
         read(tmp_path / "c.txt")
+
+
+@pytest.mark.parametrize(
+    ("keys", "why"),
+    [
+        ({"graph": "net.graphml"}, 'graph: a file needs a kind: { kind = "edges", file = "net.graphml" }'),
+        ({"graph": {"file": "net.csv.gz"}}, 'a file needs a kind: { kind = "edges", file = "net.csv.gz" }'),
+        ({"loss": "rtt.csv"}, 'file = "rtt.csv" }; kinds that read a file: trace, signal_trace'),
+        ({"graph": "net"}, "graph.kind: there is no 'net'; allowed: complete"),
+    ],
+)
+def test_a_file_without_a_kind_is_refused_with_the_kinds_that_read_one(keys, why):
+    with pytest.raises(ValueError, match=re.escape(why)):
+        Links(**keys)
