@@ -217,6 +217,10 @@ REFUSED = {
         "0 1 2 .5 .1 0\n1 1 3 .5 .1 0\n2 1 4 .5 .1 0\n",
         r"line 2: .*first line should name",
     ),
+    "no header but a first line of another length, as of the ONE": (
+        "0 9 0 5 0 5 0 0\n0 1 2 9\n0 2 3 9\n1 1 2 8\n",
+        r"line 2: .*first line should name its columns",
+    ),
     "several vectors": (
         "t,a.position.x,b.position.x,y\n0,1,2,3\n",
         r"columns a\.position\.x and b\.position\.x: which",

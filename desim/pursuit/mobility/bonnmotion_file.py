@@ -44,24 +44,20 @@ class BonnMotionFile(MobilityFile):
     def _check_is_no_table(self, dimensions: Dimensions | None) -> None:
         """Raise ValueError if the lines seem to be the rows of a table that lacks a header.
 
-        They are equally long, and in any reading some of them are no waypoints in order of time; or each is one
-        waypoint, and the times differ: nodes that never move have no reason to begin at different times.
+        Several lines are one waypoint each, and their times differ: nodes that never move have no reason to begin at
+        different times. Or all lines are equally long, and in any reading some are no waypoints in order of time.
         """
-        rows = [row for _, row in self._rows]
-        length = len(rows[0]) if rows else 0
-        if len(rows) < 3 or any(len(row) != length for row in rows):
-            return
         possible = [4] if self._is_marked else [3, 4] if dimensions is None else [dimensions + 1]
-        widths = [width for width in possible if not length % width]
-        if length not in widths and any(all(_increase(row[::width]) for row in rows) for width in widths):
-            return
-        if length in widths and len(set(_first_times(self._rows))) < 2:
-            return
-        number = next(
-            (line for line, row in self._rows if not any(_increase(row[::width]) for width in widths)), self._rows[0][0]
-        )
-        hint = "; if each line is one waypoint of a table, the first line should name its columns, t, x and y"
-        raise ValueError(f"{self.file}, line {number}: {SHOULD_BE_TRIPLES}, in order of time{hint}")
+        single = [row for row in self._rows if len(row[1]) in possible]
+        wrong = single[0] if len(single) > 2 and len(set(_first_times(single))) > 1 else None
+        lengths = {len(row) for _, row in self._rows}
+        if wrong is None and len(self._rows) > 2 and len(lengths) == 1:
+            widths = [width for width in possible if not max(lengths) % width]
+            unordered = [[row for row in self._rows if not _increase(row[1][::width])] for width in widths]
+            wrong = min((rows[0] for rows in unordered), default=self._rows[0]) if all(unordered) else None
+        if wrong is not None:
+            hint = "; if each line is one waypoint of a table, the first line should name its columns, t, x and y"
+            raise ValueError(f"{self.file}, line {wrong[0]}: {SHOULD_BE_TRIPLES}, in order of time{hint}")
 
     def _likely_width(self) -> int:
         """Return the numbers of a waypoint, 3 or 4; raise ValueError if both are possible."""
