@@ -63,8 +63,15 @@ def _of_network(scenario: Scenario) -> Iterator[tuple[str, str]]:
         yield "network.medium", "sockets have no airtime, and contend for no channel"
     if type(links.processing.sender) is not Constant:
         yield "network.processing.sender", "a delay before the queue of a sender needs a queue; use a number"
-    if DisseminationTraits.of(scenario.announce.dissemination).transport and is_skewed(scenario.network_faults):
-        yield "announce.dissemination", "with clock errors, a record and its message have two times, and bytes for one"
+    if DisseminationTraits.of(scenario.announce.dissemination).transport:
+        if is_skewed(scenario.network_faults):
+            yield "announce.dissemination", "with clock errors, a record and its message have two times, bytes for one"
+        if scenario.schedule_traits.spreads_to is not None:
+            yield (
+                "announce.dissemination",
+                "the messages of this schedule carry records, too, so that a record and its message have two numbers,"
+                " and bytes for one",
+            )
     for key, transport in _transports(scenario):
         if transport.needed > 1:
             yield f"{key}.needed", "the code is ideal, and no bytes are its pieces; with 1, a piece is the message"

@@ -587,6 +587,13 @@ REFUSED = [
         "announce.dissemination",
         {"announce": {"dissemination": {"kind": "reliable"}}, "fault": [{"kind": "clock_skew", "offset": 0.1}]},
     ),
+    *(
+        (
+            "announce.dissemination",
+            {"announce": {"dissemination": {"kind": "reliable"}}, "protocol": {"schedule": {"kind": schedule}}},
+        )
+        for schedule in ("token_ring", "token_walk", "local_mutex")
+    ),
     ("announce.dissemination.needed", {"announce": {"dissemination": {"kind": "coded", "pieces": 4, "needed": 2}}}),
     ("fault.0", {"fault": [{"kind": "random", "kinds": ["crash", Late]}]}),
     ("fault.0", {"fault": [{"kind": "chaser_crash", "start": 1.0}]}),
