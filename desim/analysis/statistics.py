@@ -106,6 +106,17 @@ class Estimate:
         """Half the width of the 95 % t interval; nan for fewer than 2 runs."""
         return self.half_width_at(0.95)
 
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The ends of the 95 % interval; nan for fewer than 2 runs."""
+        return self.mean - self.half_width, self.mean + self.half_width
+
+    @property
+    def bars(self) -> tuple[float, float]:
+        """The lengths of the error bars below and above the mean."""
+        low, high = self.interval
+        return self.mean - low, high - self.mean
+
     def excludes_0(self, confidence: float = 0.95) -> bool:
         """Return whether a two-sided test at the level 1 - confidence tells the mean apart from 0.
 
@@ -125,6 +136,43 @@ class Estimate:
     def half_width_at(self, confidence: float) -> float:
         """Return half the width of the t interval with a confidence in (0, 1); nan for fewer than 2 runs."""
         return t_quantile(self.count - 1, confidence) * self.standard_error if self.count > 1 else nan
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Share(Estimate):
+    """The share of runs for which something is true, with Wilson's interval.
+
+    The t interval has no width if it is true for all runs, and covers a share of 0.95 in 40 % of cases with 10 runs,
+    and in 78 % with 30, instead of Wilson's 91 and 94 %.
+    """
+
+    def __str__(self) -> str:
+        low, high = self.interval
+        runs = f"{self.count:,} run{'' if self.count == 1 else 's'}"
+        return f"{self.mean:.4g} ({low:.4g} to {high:.4g}, 95 % Wilson interval, {runs})"
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The ends of the 95 % interval."""
+        return wilson(round(self.mean * self.count), self.count)
+
+    @property
+    def half_width(self) -> float:
+        """Half the width of the 95 % interval, which is not symmetric about the mean."""
+        low, high = self.interval
+        return (high - low) / 2.0
+
+
+def share(truths: Sequence[float] | Floats) -> Estimate:
+    """Return the share of true values, given as truth values or as 0 and 1; without any, the count is 0."""
+    made = mean(truths)
+    return Share(made.mean, made.standard_error, made.count) if made.count else made
+
+
+def mean_or_share(values: Sequence[float]) -> Estimate:
+    """Return the mean of independent values, or the share of true values if all are truth values."""
+    is_truth = all(isinstance(value, bool | np.bool_) for value in values)
+    return share([float(value) for value in values]) if is_truth else mean(values)
 
 
 def estimate(values: Sequence[float] | Floats) -> Estimate:

@@ -6,7 +6,7 @@ from typing import Any
 
 from desim.analysis.measuring import users_metrics
 from desim.analysis.metrics import METRICS, Summary, title, words
-from desim.analysis.statistics import Estimate, estimate, t_quantile, wilson
+from desim.analysis.statistics import Estimate, Share, mean_or_share, share, t_quantile, wilson
 from desim.config.json_numbers import json_number
 from desim.kernel.core.portable_math import portable_sum
 from desim.scenario.scenario import Scenario
@@ -64,13 +64,16 @@ def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -
     unseen = f"; {ALL_EQUAL}: at most {most:.1%} of all seeds have another value" if equal else ""
     if len({*equal}) > 1:
         unseen += f" (for {min(equal)} values; {wilson(0, max(equal))[1]:.1%} for {max(equal)})"
+    is_of_truths = any(isinstance(value, bool) for name, value in runs[0].items() if name not in METRICS)
+    shares = ", of shares half a Wilson interval" * is_of_truths
     late = portable_sum(run.end_time >= scenario.horizon for run in runs)
     why = (
         f"{counted(late, 'run')} ended at the horizon of {scenario.horizon:g} s, which may be too short for a capture\n"
     )
     return (
         _heading(scenario, seeds)
-        + f"{every}captured in {captured} of {counted(len(runs), 'run')}; +- is half a 95 % t interval{unseen}\n"
+        + f"{every}captured in {captured} of {counted(len(runs), 'run')}; +- is half a 95 % t"
+        + f" interval{shares}{unseen}\n"
         + f"capture probability {captured / len(runs):.3f}, 95 % Wilson interval {low:.3f} to {high:.3f}\n"
         + ("" if captured or not late else why)
         + aligned(rows)
@@ -117,18 +120,25 @@ def with_half_width(value: Estimate, runs: int, sign: str = "", unit: str = "", 
     few = f" ({value.count})" if value.count != runs else ""
     if value.others is not None:
         return f"{value.mean:{sign},.{digits}f}{unit} in all, others < {value.others:.1%}{few}"
+    if isinstance(value, Share):
+        low, high = value.interval
+        return f"{value.mean:{sign}.3f} ({low:.3f} .. {high:.3f}){unit}{few}"
     return f"{value.mean:{sign},.{digits}f} +- {number(value.half_width, digits)}{unit}{few}"
 
 
 def as_json(value: Estimate) -> dict[str, Any]:
-    """Return an estimate as JSON values."""
-    return {"mean": json_number(value.mean), "half_width": json_number(value.half_width), "runs": value.count}
+    """Return an estimate as JSON values; a share also has its interval, which is not symmetric."""
+    made = {"mean": json_number(value.mean), "half_width": json_number(value.half_width), "runs": value.count}
+    return made | ({"interval": list(value.interval)} if isinstance(value, Share) else {})
 
 
 def from_json(made: Mapping[str, Any]) -> Estimate:
     """Return the estimate that `as_json` converted to JSON values, up to rounding."""
     mean, half_width = (nan if made[key] is None else float(made[key]) for key in ("mean", "half_width"))
     count = int(made["runs"])
+    if "interval" in made:
+        successes = round(mean * count)
+        return share([1.0] * successes + [0.0] * (count - successes))
     return Estimate(mean, half_width / t_quantile(count - 1, 0.95) if count > 1 else nan, count)
 
 
@@ -194,7 +204,7 @@ def _rows_of_batch(scenario: Scenario, runs: Sequence[Summary]) -> Iterator[Sequ
 
 
 def _row(name: str, values: Sequence[float]) -> tuple[str, ...]:
-    summary = estimate(values)
+    summary = mean_or_share(values)
     digits = _decimals([abs(value) for value in values if isfinite(value)])
     mean, half_width, least, most = (
         number(value, digits) for value in (summary.mean, summary.half_width, min(values), max(values))

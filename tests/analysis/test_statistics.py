@@ -119,6 +119,25 @@ def test_impossible_numbers_of_successes_are_an_error(successes, trials):
         wilson(successes, trials)
 
 
+def test_a_share_has_the_interval_of_wilson_and_covers_as_often_as_it_says():
+    """All outcomes of 10 and 30 trials by their weights; the t interval, the control, has no width if all are equal."""
+    for n, p, expected, by_t in ((10, 0.95, 0.914, 0.401), (30, 0.95, 0.939, 0.785), (30, 0.5, 0.957, 0.957)):
+        shares = [statistics.share([True] * k + [False] * (n - k)) for k in range(n + 1)]
+        weights = [comb(n, k) * p**k * (1 - p) ** (n - k) for k in range(n + 1)]
+        pairs = list(zip(weights, shares, strict=True))
+        covered = sum(weight for weight, one in pairs if one.interval[0] <= p <= one.interval[1])
+        narrow = sum(weight for weight, one in pairs if abs(one.mean - p) <= one.half_width_at(0.95))
+        assert (covered, narrow) == (pytest.approx(expected, abs=0.001), pytest.approx(by_t, abs=0.001))
+    found = statistics.mean_or_share([True] * 29 + [False])
+    assert found.interval == wilson(29, 30)
+    assert found.bars == pytest.approx((29 / 30 - wilson(29, 30)[0], wilson(29, 30)[1] - 29 / 30))
+    assert str(found) == "0.9667 (0.8333 to 0.9941, 95 % Wilson interval, 30 runs)"
+    assert type(statistics.mean_or_share([1.0, 0.0])) is statistics.Estimate
+    assert statistics.mean_or_share([True]).interval == wilson(1, 1)
+    assert statistics.share([]).count == 0
+    assert estimate([1.0, 2.0, 3.0]).bars == pytest.approx((estimate([1.0, 2.0, 3.0]).half_width,) * 2)
+
+
 LAWS = {
     "normal": (lambda rng, size: rng.normal(size=size), 0.0, 1.0),
     "exponential": (lambda rng, size: rng.exponential(size=size), 1.0, 1.0),

@@ -5,8 +5,8 @@ from math import inf, nan
 import pytest
 
 from desim.analysis.measuring import summary
-from desim.analysis.statistics import Estimate, estimate
-from desim.analysis.tables import aligned, batch_table, number, run_table, with_half_width
+from desim.analysis.statistics import Estimate, estimate, share
+from desim.analysis.tables import aligned, as_json, batch_table, from_json, number, run_table, with_half_width
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Scenario
 from tests.golden import golden
@@ -131,6 +131,16 @@ def test_small_numbers_keep_three_digits():
     runs = [changed(WITH_AGES, belief_error=error) for error in (0.0002, 0.0004)]
     (row,) = (line for line in batch_table(SCENARIO, runs, 1.0).splitlines() if line.startswith("belief error"))
     assert row.split()[2:] == ["0.000300", "0.001271", "0.000200", "0.000400", "2"]
+
+
+def test_a_share_is_shown_and_written_with_its_interval():
+    found = share([True] * 29 + [False])
+    assert with_half_width(found, 31) == "0.967 (0.833 .. 0.994) (30)"
+    assert with_half_width(share([True] * 30), 30) == "1.000 in all, others < 11.4%"
+    document = as_json(found)
+    assert document["interval"] == [*found.interval]
+    assert from_json(document) == found
+    assert "interval" not in as_json(estimate([1.0, 2.0]))
 
 
 def test_a_user_protocol_is_shown_by_its_name():

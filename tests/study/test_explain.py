@@ -318,8 +318,8 @@ def test_bounds_that_cannot_be_told_apart_say_that_the_network_hardly_matters():
     far = explanation_of(**times, silent=[20.0, 21.0])
     assert far.costs["active_time"].bounds.difference.mean.standard_error == 0.0
     assert (
-        "a perfect network and no messages at all differ in active time by +11.000 s in all of 2 runs, which are too few"
-        " to tell whether the network matters"
+        "a perfect network and no messages at all differ in active time by +11.000 s in all of 2 runs, which are too"
+        " few to tell whether the network matters"
     ) in far.remarks()
     many = explanation_of(**{name: 3 * values for name, values in times.items()}, silent=3 * [20.0, 21.0])
     assert not any("matter" in remark and "active time" in remark for remark in many.remarks())

@@ -174,6 +174,16 @@ def test_means_over_different_numbers_of_runs_are_not_for_comparison():
     assert "over different seeds" not in PLAIN.table() + replace(uneven, common=False).table()
 
 
+def test_the_share_of_truth_values_has_the_interval_of_wilson():
+    """Two of three, and all: the t interval of the first is from -0.77 to 2.1."""
+    first, second = PLAIN.estimates("captured")
+    assert (first.others, second.interval) == (wilson(0, 3)[1], wilson(2, 3))
+    assert "0.667 (0.208 .. 0.939)" in PLAIN.table(["captured"])
+    (bars,) = PLAIN.plot("captured").axes[0].collections
+    ends = [sorted(float(y) for _, y in segment) for segment in bars.get_segments()]
+    assert ends == [pytest.approx(wilson(3, 3)), pytest.approx(wilson(2, 3))]
+
+
 def test_means_over_runs_with_a_value_are_not_those_of_all_runs():
     """Two of three runs with a capture look as fast as three: a note, unless each configuration has as many."""
     note = "capture time has a value in 67% to 100% of the runs, so its means are over different, perhaps easier ones"

@@ -407,6 +407,20 @@ def test_a_key_decides_from_a_twentieth_of_the_variance_on(total, decides):
     assert ("network.loss.p (" in replace(made, indices=indices).sentences()[0]) == decides
 
 
+def test_an_effect_of_chance_is_named_unless_an_index_tells_it_apart():
+    """The effect of loss, 0.25 or more, may be the 0.3 s of chance; an index whose interval excludes 0 says more."""
+    made = by_hand.sensitivity()
+    effects = replace(made.effects, of_chance=(0.1, 0.3, 0.0))
+    sentence = "effects not told apart from what chance alone makes: network.loss.p (0.3 s)"
+    assert sentence in replace(made, effects=effects).sentences()
+    assert not any("chance alone" in one for one in made.sentences())
+    indices = replace(made.indices, total=(made.indices.total[0], IndexEstimate(0.2, 0.1, 0.3)))
+    assert sentence not in replace(made, effects=effects, indices=indices).sentences()
+    screened = by_hand.sensitivity(indices=False)
+    assert sentence in replace(screened, effects=effects).sentences()
+    assert [key.get("effect_of_chance") for key in replace(made, effects=effects).document()["keys"]] == [0.1, 0.3, 0.0]
+
+
 def test_an_index_is_told_with_its_interval_and_none_by_a_dash():
     assert _with_interval(IndexEstimate(0.25, 0.125, 0.5)) == "0.25 (0.125 .. 0.5)"
     assert _with_interval(IndexEstimate(nan, nan, nan)) == "-"

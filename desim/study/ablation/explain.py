@@ -21,7 +21,7 @@ from typing import Self
 
 from desim.analysis.measuring import Metrics, UsersMetrics, check_numeric, users_metrics
 from desim.analysis.metrics import more_is, unit_of, words
-from desim.analysis.statistics import mean
+from desim.analysis.statistics import mean_or_share
 from desim.config.arguments import naming_arguments, scenario_argument
 from desim.config.python_numbers import whole
 from desim.kernel.core.portable_math import portable_sum
@@ -188,19 +188,21 @@ def _cost(
         """Return a metric of some variants, over the seeds for which all of these have a value."""
         among = [rows[name] for name in names]
         shared = [k for k in complete if all(by_seed[k].value(metric) is not None for by_seed in among)]
-        return {name: [float(rows[name][k].value(metric)) for k in shared] for name in names}
+        return {name: [rows[name][k].value(metric) for k in shared] for name in names}
 
     bounds = Bounds.of(*measured(PERFECT, SILENT).values())
     values = measured(*(name for name in rows if name not in (PERFECT, SILENT)))
     as_it_is = values.pop(AS_IT_IS)
-    saved = {name: [a - b for a, b in zip(as_it_is, times, strict=True)] for name, times in values.items()}
+    saved = {
+        name: [float(a) - float(b) for a, b in zip(as_it_is, times, strict=True)] for name, times in values.items()
+    }
     parts = {name: saved[name] for name in IMPERFECTIONS if name not in absent}
     interaction = [total - portable_sum(part[k] for part in parts.values()) for k, total in enumerate(saved[IDEAL])]
     return Cost(
         EXPLAINED.get(metric) or words(metric),
         unit_of(metric, {name: metric.unit for name, metric in added}),
-        mean(as_it_is),
-        mean(values[IDEAL]),
+        mean_or_share(as_it_is),
+        mean_or_share(values[IDEAL]),
         {name: Saving.of(saving) for name, saving in parts.items()},
         Saving.of(saved[IDEAL]),
         Saving.of(interaction),

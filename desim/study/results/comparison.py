@@ -9,7 +9,7 @@ import numpy as np
 
 from desim.analysis.measuring import check_numeric
 from desim.analysis.metrics import title, unit_of, words
-from desim.analysis.statistics import Estimate, independent, mean, paired
+from desim.analysis.statistics import Estimate, Share, independent, paired
 from desim.analysis.table_formats import Table, TableFormat, formatted
 from desim.analysis.tables import as_json, counted, digits_of, with_half_width
 from desim.config.html import html_table
@@ -148,7 +148,9 @@ class Comparison:
         first, second = self.names
         is_paired = any(compared.pairs for compared in self.configurations)
         how = "run by run with the same seed" if is_paired else "independent runs"
-        heading = f"A: {first}; B: {second}; B - A: {how}; +- is half a 95 % t interval"
+        metrics = [metric for compared in self.configurations for metric in compared.metrics.values()]
+        shares = ", in brackets a Wilson interval" * any(isinstance(metric.first, Share) for metric in metrics)
+        heading = f"A: {first}; B: {second}; B - A: {how}; +- is half a 95 % t interval{shares}"
         heads = [f"{title(metric, self.units)}: {part}" for metric in self.metrics for part in ("A", "B", "B - A")]
         rows: list[tuple[str, ...]] = [(*self.keys, "pairs", *heads)]
         columns: list[list[str]] = []
@@ -258,5 +260,5 @@ def _compared(first: Group, second: Group, keys: Sequence[str], metrics: Sequenc
             difference = paired(aligned[1], aligned[0])
         else:
             difference = independent(second.present(metric), first.present(metric))
-        differences[metric] = MetricDifference(mean(first.present(metric)), mean(second.present(metric)), difference)
+        differences[metric] = MetricDifference(first.estimate(metric), second.estimate(metric), difference)
     return Compared({key: first.settings[key] for key in keys}, len(shared) if is_paired else 0, differences)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, Self
 
-from desim.analysis.statistics import Estimate, mean
+from desim.analysis.statistics import Estimate, mean, mean_or_share
 from desim.analysis.tables import as_json, digits_of, from_json, with_half_width
 
 NOTHING = 1e-9
@@ -68,8 +68,8 @@ class Bounds:
     @classmethod
     def of(cls, perfect: list[float], silent: list[float]) -> Self:
         """Return the bounds, given the metric in each run of both, paired by seed."""
-        difference = [late - early for late, early in zip(silent, perfect, strict=True)]
-        return cls(mean(perfect), mean(silent), Saving.of(difference))
+        difference = [float(late) - float(early) for late, early in zip(silent, perfect, strict=True)]
+        return cls(mean_or_share(perfect), mean_or_share(silent), Saving.of(difference))
 
     def document(self) -> dict[str, Any]:
         """Return the bounds as JSON-compatible values."""

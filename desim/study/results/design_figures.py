@@ -59,7 +59,8 @@ def scatter(
     def draw(axes: Axes, key: str) -> None:
         for k, (name, line) in enumerate(lines.items()):
             at = [group.settings[key] for group, _ in line]
-            means, bars = [estimate.mean for _, estimate in line], [estimate.half_width for _, estimate in line]
+            means = [estimate.mean for _, estimate in line]
+            bars = list(zip(*(estimate.bars for _, estimate in line), strict=True))
             look = look_of(k) | {"ls": "none", "ms": 3.0, "elinewidth": 0.5}
             axes.errorbar(at, means, bars, label=name, **look)
         _scale(axes, key, points)

@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
 from desim.analysis.metrics import with_unit, words
-from desim.analysis.statistics import Estimate, wilson
+from desim.analysis.statistics import Estimate, Share, wilson
 from desim.analysis.table_formats import TableFormat, formatted
 from desim.analysis.tables import aligned, as_json, counted, digits_of, number, with_half_width
 from desim.config.extras import naming_extras
@@ -114,8 +114,10 @@ class Explanation:
         return html_table(self._head(), self.rows()) + remarks
 
     def _head(self) -> str:
+        shares = ", in brackets a Wilson interval" * any(isinstance(one.as_it_is, Share) for one in self.costs.values())
         return (
-            f"{self.name}: the cost of each imperfection, {self.runs} runs of equal seeds; +- is half a 95 % t interval"
+            f"{self.name}: the cost of each imperfection, {self.runs} runs of equal seeds; +- is half a 95 % t"
+            f" interval{shares}"
         )
 
     def rows(self) -> list[tuple[str, ...]]:

@@ -270,8 +270,9 @@ def _draw_lines(
         if not points:
             continue
         shift = (k - (len(lines) - 1) / 2.0) * APART * (high - low)
-        bars = sorted((places[value] + shift, estimate.mean, estimate.half_width) for value, estimate in points)
-        x, y, error = zip(*bars, strict=True)
+        bars = sorted((places[value] + shift, estimate.mean, estimate.bars) for value, estimate in points)
+        x, y, ends = zip(*bars, strict=True)
+        error = list(zip(*ends, strict=True))
         look = look_of(k) | {"ls": "-" if is_number else "none"}
         axes.errorbar(x, y, error, elinewidth=0.8, capsize=2, label=name, **look)
     if len(values) <= MAX_TICKS or not is_plain:
@@ -358,7 +359,8 @@ def _draw_rows(
     """Draw estimates with a row for each configuration."""
     names = [", ".join(setting_name(key, group, labels, False) for key in keys) for group, _ in points]
     bars = [(row, estimate) for row, (_, estimate) in enumerate(points) if estimate is not None]
-    x, error = [estimate.mean for _, estimate in bars], [estimate.half_width for _, estimate in bars]
+    x = [estimate.mean for _, estimate in bars]
+    error = list(zip(*(estimate.bars for _, estimate in bars), strict=True)) or None
     look: dict[str, Any] = {"color": SERIES[0], "ms": 4, "elinewidth": 0.8, "capsize": 2}
     axes.errorbar(x, [row for row, _ in bars], xerr=error, fmt="o", **look)
     axes.set_yticks(range(len(names)), names, fontsize=7)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from desim.analysis.measuring import check_numeric
 from desim.analysis.metrics import words
-from desim.analysis.statistics import Estimate, mean, paired
+from desim.analysis.statistics import Estimate, mean, paired, share
 from desim.analysis.tables import counted
 from desim.config.arrays import Floats
 from desim.config.suggestion import close_to
@@ -64,6 +64,10 @@ class Group:
         """Return a numeric metric of each run that has a value."""
         values = self.numbers(metric)
         return values[~np.isnan(values)]
+
+    def estimate(self, metric: str) -> Estimate:
+        """Return the mean of a numeric metric over the runs with a value, or the share for which it is true."""
+        return (share if self._table.column(metric).is_of_truths else mean)(self.present(metric))
 
     def in_words(self, without: Sequence[str] = ()) -> str:
         """Return the settings as one line of text, except those of the keys in `without`."""
@@ -122,7 +126,7 @@ class SweepRuns:
             ValueError: if the sweep has no numeric metric of this name.
         """
         check_numeric(metric, self.units)
-        return [mean(group.present(metric)) for group in self.groups]
+        return [group.estimate(metric) for group in self.groups]
 
     def differences(self, metric: str, reference: Reference = None) -> list[Estimate]:
         """Return the mean paired difference of a metric from a reference configuration, over runs with equal seeds.

@@ -84,8 +84,9 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
 def _mark(axes: Axes, at: int, base: float, estimate: Estimate, form: str) -> None:
     """Draw the 95 % interval at the end of a bar that starts at `base`, and write the height of the bar above it."""
     end = base + estimate.mean
-    axes.errorbar(at, end, estimate.half_width, color="black", elinewidth=0.8, capsize=2)
-    top = max(base, end + estimate.half_width)
+    below, above = estimate.bars
+    axes.errorbar(at, end, [[below], [above]], color="black", elinewidth=0.8, capsize=2)
+    top = max(base, end + above)
     axes.annotate(
         f"{estimate.mean:{form}}", (at, top), textcoords="offset points", xytext=(0, 3), ha="center", fontsize=7
     )

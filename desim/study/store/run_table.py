@@ -173,6 +173,11 @@ class Column:
         """Return whether a run has no value, not even None."""
         return self._kinds[k] == ABSENT
 
+    @property
+    def is_of_truths(self) -> bool:
+        """Whether some values are truth values, and the others are missing."""
+        return BOOL in self._kinds and {*self._kinds} <= {BOOL, NONE, ABSENT}
+
     def values(self) -> list[Any]:
         """Return all values; see `__getitem__`."""
         return list(map(self._decoded, self._kinds, self._numbers))
