@@ -19,7 +19,7 @@ from desim.kernel.state.network_state import NetworkState
 from desim.kernel.state.transmission import Transmission
 from desim.kernel.transport.layer import PORT as FRAMES
 from desim.live.layouts import WireError
-from desim.live.wire import CYCLE, Parcel, Wire, number_of
+from desim.live.wire import CYCLE, Parcel, Wire, datagram_number
 
 _new = tuple.__new__  # creates a named tuple in a third of the time
 MAX_KEPT = 100_000
@@ -43,7 +43,7 @@ class SentDatagram(NamedTuple):
     @property
     def number(self) -> int:
         """The number of its datagram; see `desim.live.wire.Parcel`."""
-        return number_of(self.datagram)
+        return datagram_number(self.datagram)
 
 
 class DatagramFate(NamedTuple):

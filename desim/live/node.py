@@ -325,8 +325,8 @@ class Node:
     def sense(self, position: Any, evaders: Any, teammates: Any = None, velocities: Any = None) -> None:
         """Tell the node where the pursuer and the evaders are now.
 
-        Between two calls, evaders go on at their velocities, and pursuers stand. Before the first, which may come before
-        `open`, all are where a simulation begins.
+        Between two calls, evaders go on at their velocities, and pursuers stand. Before the first, which may come
+        before `open`, all are where a simulation begins.
 
         Args:
             position: [x, y] of the pursuer, m.

@@ -110,7 +110,7 @@ class Parcel(NamedTuple):
     """What a datagram carries."""
 
     number: int
-    """Unique for the sender, its receiver and the run; see `number_of`."""
+    """Unique for the sender, its receiver and the run; see `datagram_number`."""
     src: int
     start: int
     """When it was transmitted, ns; of a frame, that or a multiple of `CYCLE` earlier."""
@@ -320,7 +320,7 @@ class Wire:
             data = data[end:]
 
 
-def number_of(datagram: bytes) -> int:
+def datagram_number(datagram: bytes) -> int:
     """Return the number of a datagram: its first eight bytes and, of a frame, the eight that a frame adds.
 
     The latter tell attempts apart whose numbers are equal modulo 256.

@@ -490,7 +490,10 @@ def test_links_described_at_the_nodes_or_the_graph_give_a_warning():
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ({"nodes": nx.MultiGraph([(0, 1), (0, 1)])}, "edges 0 and 1 are parallel: both join nodes 0 and 1"),
+        (
+            {"nodes": nx.MultiGraph([(0, 1, {"latency": 0.1}), (0, 1, {"latency": 0.2})])},
+            "edges 0 and 1 are parallel: both join nodes 0 and 1",
+        ),
         ({"nodes": 3, "walls": [{"line": [[0, 0]]}]}, "wall.0: a line should have at least 2 corners"),
         ({"nodes": 3, "walls": ["LINESTRING (0 0, 1 1)"]}, "wall.0: should be a Wall or a table of its keys"),
         ({"nodes": 3, "faults": [{"kind": "crash"}]}, "fault.0.start: is missing"),

@@ -22,7 +22,7 @@ from desim.kernel.transport.layer import PORT as FRAMES
 from desim.live import wire as wire_module
 from desim.live.layouts import WireError
 from desim.live.own_bodies import OwnBodies
-from desim.live.wire import ADMITTED, ANNOUNCED, BODIES, PORTS, Wire, number_of
+from desim.live.wire import ADMITTED, ANNOUNCED, BODIES, PORTS, Wire, datagram_number
 from desim.pursuit.team import announcements
 from desim.pursuit.team.announcements import Assignment, Forwarded, LocatedAssignment, MovingAssignment, TimedAssignment
 from desim.pursuit.team.judges import Accusation
@@ -155,8 +155,8 @@ def test_an_attempt_is_not_that_of_256_attempts_before(wire):
         for k, segment in enumerate(segments)
     ]
     assert datagrams[0][:8] == datagrams[1][:8]
-    assert len(set(map(number_of, datagrams))) == 2
-    assert [wire.decode(datagram).number for datagram in datagrams] == [*map(number_of, datagrams)]
+    assert len(set(map(datagram_number, datagrams))) == 2
+    assert [wire.decode(datagram).number for datagram in datagrams] == [*map(datagram_number, datagrams)]
 
 
 @pytest.mark.parametrize("frame", [False, True])
