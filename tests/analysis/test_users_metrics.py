@@ -8,7 +8,7 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from desim.analysis.measuring import summary
+from desim.analysis.measuring import check_numeric, summary
 from desim.analysis.metrics import METRICS, Metric, active_time, plain
 from desim.analysis.tables import batch_table, run_table
 from desim.config.errors import MetricError
@@ -144,3 +144,11 @@ def test_tables_have_a_row_for_it_with_its_label_unit_and_note():
     (row,) = [line for line in batch_table(scenario, [first, second], 1.0).splitlines() if "speed, m/s" in line]
     assert row.split()[:2] == ["speed,", "m/s"]
     assert row.split()[-1] == "2"
+
+
+def test_a_metric_that_is_no_name_is_told_how_to_give_one_of_a_users():
+    for metric, name in ((len, "len"), (3, "mine")):
+        with pytest.raises(
+            ValueError, match=rf'metric should be a name: "{name}", with metrics=\{{"{name}": \.\.\.\}}'
+        ):
+            check_numeric(metric)

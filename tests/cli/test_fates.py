@@ -209,3 +209,13 @@ def test_the_walls_of_a_scenario_stand_between_the_nodes(files):
     (files / "log.csv").write_text("t,src,dst,size\n0.0,0,1,8\n0.0,0,2,8\n")
     printed = accepted("fates", files / "log.csv", files / "net.toml").stdout
     assert [row["fate"] for row in csv.DictReader(printed.splitlines())] == ["delivered", "out_of_range"]
+
+
+def test_nodes_with_names_are_read_and_written_by_name(files):
+    (files / "links.edgelist").write_text("b 7\n")
+    (files / "named.toml").write_text('team.count = 2\nnetwork.graph = { kind = "edges", file = "links.edgelist" }\n')
+    (files / "named.csv").write_text("t,src,dst,size\n0.5,b,7,24\n1.0,7,b,8\n")
+    printed = accepted("fates", files / "named.csv", files / "named.toml").stdout
+    assert [row[2:4] for row in csv.reader(printed.splitlines())] == [["src", "dst"], ["b", "7"], ["7", "b"]]
+    (files / "named.csv").write_text("t,src,dst,size\n0.5,0,1,24\n")
+    assert "there is no node 0" in refused("fates", files / "named.csv", files / "named.toml")

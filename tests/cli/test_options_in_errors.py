@@ -5,8 +5,9 @@ import pytest
 from click.testing import CliRunner
 
 from desim import Scenario, sweep
+from desim.cli import main
 from desim.cli.program import Program
-from desim.cli.usage import options_given, problem, spelled
+from desim.cli.usage import check_hyphens, options_given, problem, spelled
 from desim.config.errors import ArgumentError, KeyedError, Problem
 from desim.study.results.result import SweepResult
 from tests.command import refused
@@ -133,3 +134,26 @@ def test_an_option_of_means_asks_for_means(swept, option, monkeypatch):
     value, kinds = OF_PICTURES[option]
     drawn = "scatter" if "scatter" in kinds else "means"
     assert refused("plot", swept, option, value) == f"drawn: {drawn}\n"
+
+
+@pytest.mark.parametrize("name", main.commands)
+def test_a_long_option_with_one_hyphen_is_none_of_short_ones(name):
+    """-seed would be -s with the value "eed"."""
+    command = main.commands[name]
+    names = {option for param in command.params for option in param.opts if option.startswith("--") and len(option) > 3}
+    context = click.Context(main)
+    for option in {*names, "--help"}:
+        for word in (option[1:], f"{option[1:]}=1"):
+            with pytest.raises(click.UsageError, match=f"Did you mean '{option}'"):
+                check_hyphens([name, word], context)
+    check_hyphens([name, *names, "-n", "--", "-help"], context)
+
+
+def test_an_option_of_another_command_is_no_key_of_a_sweep(tmp_path):
+    """`--set sweep.grid=...` of a run has no effect."""
+    (tmp_path / "f.toml").write_text("horizon = 0.1\n")
+    for command, option in (("run", "--grid"), ("run", "--design"), ("plot", "--grid"), ("live", "--design")):
+        told = refused(command, tmp_path / "f.toml", option, "1")
+        assert f"No such option '{option}'" in told
+        assert "It is an option of" in told
+        assert "sweep." not in told

@@ -596,9 +596,10 @@ def test_tables_of_other_packages_in_another_unit_are_refused(table, why):
         Team(positions=table)
 
 
-def test_a_table_whose_attributes_name_a_unit_is_refused():
+@pytest.mark.parametrize("attribute", ["unit", "units"])
+def test_a_table_whose_attributes_name_a_unit_is_refused(attribute):
     table = pd.DataFrame({"x": [1.0], "y": [3.0]})
-    table.attrs["units"] = "km"
+    table.attrs[attribute] = "km"
     with pytest.raises(KeyedError, match="its attributes say that it is in km"):
         Team(positions=table)
 

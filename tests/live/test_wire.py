@@ -450,3 +450,9 @@ def test_a_wrong_datagram_is_malformed(wire, change):
 def test_more_nodes_than_a_header_can_name_are_refused():
     with pytest.raises(WireError, match=r"at most 512 nodes can run live \(got 513\)"):
         Wire(513, 1, OwnBodies(None))
+
+
+@pytest.mark.parametrize("body", [Assignment(2**70), Request((2**64, 1)), Request((0.5, 1))], ids=repr)
+def test_a_number_that_its_layout_cannot_hold_is_refused_when_it_is_sent(wire, body):
+    with pytest.raises(WireError, match=f"{type(body).__name__} .* cannot be sent: "):
+        wire.encode(Message(4, 123_456, body), port_of(body), size_of(body), to_one=True)

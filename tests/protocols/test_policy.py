@@ -172,3 +172,14 @@ def test_a_table_that_is_wrong_is_refused(table, why, tmp_path):
 def test_tanh_is_that_of_python():
     layers = [Layer(weights=((1.0,),), bias=(0.0,)), Layer(weights=((1.0,),), bias=(0.0,))]
     assert network(layers, "tanh")([0.3]) == [tanh(0.3)]
+
+
+@pytest.mark.parametrize(("weight", "is_taken"), [(1e12, True), (-1e12, True), (1.1e12, False), (-1.1e12, False)])
+def test_weights_are_at_most_a_million_million(weight, is_taken):
+    """The sum of products of a layer stays finite."""
+    if is_taken:
+        Layer(weights=((weight,),), bias=(weight,))
+        return
+    for layer in ({"weights": ((weight,),), "bias": (0.0,)}, {"weights": ((0.0,),), "bias": (weight,)}):
+        with pytest.raises(ValueError, match="1000000000000"):
+            Layer(**layer)

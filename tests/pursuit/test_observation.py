@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import desim
-from desim import Evader, Links, Scenario, Still, Team
+from desim import ConstantHeading, Evader, Links, Scenario, Sensing, Still, Team
 from desim.pursuit.team.observation import evader_block, observation_bounds, observation_names
 from protocols import CBAA, LocalMin, Rounds
 
@@ -159,3 +159,21 @@ def test_an_age_by_clocks_that_differ_is_between_0_and_the_horizon(offset, age):
     env, rows = observed(apart(fault=[clocks], **{"announce.heartbeat": 100.0}), 0, near_action=1, steps=1)
     numbers = dict(zip(env.observation_names, rows[-1, 0].tolist(), strict=True))
     assert (numbers["pursuer_1.heard"], numbers["pursuer_1.age"]) == (1.0, pytest.approx(age, abs=1e-6))
+
+
+@pytest.mark.parametrize(("estimate", "is_uncertain"), [("worst_case", True), ("hold", False)])
+def test_the_uncertainty_of_an_estimate_is_that_of_the_worst_case(estimate, is_uncertain):
+    """An evader at 1 m/s that has left the range of the sensors may be as far away as it can have come."""
+    scenario = Scenario(
+        horizon=9.0,
+        team=Team(positions=((2.0, 2.0), (2.0, -2.0)), speeds=2.0),
+        evader=Evader(position=(0.0, 0.0), strategy=ConstantHeading(), speed=1.0),
+        sensing=Sensing(radius=3.0, estimate=estimate),
+        protocol=LocalMin(schedule=Rounds(period=0.5)),
+    )
+    env = desim.parallel_env(scenario, 1)
+    env.reset()
+    for _ in range(12):
+        env.step({"pursuer_0": 0, "pursuer_1": 0})
+    uncertainty, covariance = env.pursuer("pursuer_0").errors()
+    assert (uncertainty > 0.0, tuple(covariance)) == (is_uncertain, (0.0, 0.0, 0.0))
