@@ -250,3 +250,12 @@ def draws(function):
 
 def test_each_golden_figure_has_a_case():
     assert {path.name for path in (FOLDER / "figures").iterdir()} == {Path(file_of(*case)).name for case in CASES}
+
+
+def test_panels_share_both_axes():
+    """So that their curves are compared by eye."""
+    first, *others = several().plot(x=LATENCY, by="protocol").axes
+    assert others
+    for axes in others:
+        assert first.get_shared_x_axes().joined(first, axes)
+        assert first.get_shared_y_axes().joined(first, axes)

@@ -109,6 +109,7 @@ RESULTS = {
         "independent seeds": lambda: made.swept({LATENCY: TIMES[:2]}, common=False, start="announced"),
         "a key without effect": lambda: made.flat(),
         "a design": lambda: made.scattered(),
+        "several magnitudes": lambda: made.swept({"protocol": RULES, LATENCY: TIMES}, time=lambda k: 3.0 * 7.0**k),
         "labels": lambda: swept().table(
             ["active_time", "heat"],
             against={"protocol": "cbba"},
@@ -119,6 +120,7 @@ RESULTS = {
     "RaceResult": {
         "decided": made.raced,
         "not decided": lambda: made.raced(4, is_decided=False, unit="", metric="decisions", common=False),
+        "several magnitudes": lambda: made.raced(apart=200.0),
         "equal means": lambda: made.raced(2, is_decided=False, apart=0.0, maximise=True),
     },
     "SensitivityResult": {
@@ -129,8 +131,13 @@ RESULTS = {
     },
     "Benchmark": {"two scenarios": made.benchmark},
     "Explanation": {"three metrics": made.explanation, "one metric": lambda: made.explanation(["active_time"], 2)},
-    "Comparison": {"pairs": made.comparison, "other seeds": lambda: made.comparison(seeds=20)},
-    "Controlled": {"three rules": made.controlled},
+    "Comparison": {
+        "pairs": made.comparison,
+        "other seeds": lambda: made.comparison(seeds=20),
+        "several magnitudes": lambda: made.comparison(("active_time",), scale=200.0),
+        "one pair": lambda: made.comparison(("active_time",), times=TIMES[:1]),
+    },
+    "Controlled": {"three rules": made.controlled, "several magnitudes": lambda: made.controlled(500.0)},
     "Agreement": {"agrees": made.agreement, "late": lambda: made.agreement(late=30_000_000)},
     "Crossover": {"sentences": crossings, "curves": found_crossings},
     "Threshold": {"sentences": thresholds, "curves": found_thresholds},

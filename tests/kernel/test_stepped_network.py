@@ -982,3 +982,18 @@ def test_a_trace_of_an_episode_is_not_taken_for_the_next():
     network.step(0.1)
     with pytest.raises(ValueError, match=r"trace has \d+ events of another episode: give a new Trace"):
         network.reset(1, trace=trace)
+
+
+def test_a_node_that_joins_again_has_received_nothing():
+    network = SteppedNetwork(2, Links(latency=0.01), can_leave=True)
+    network.publish(0, "old", size=10)
+    network.step(0.1)
+    assert network.latest(1)[0].body == "old"
+    network.leave(1)
+    network.publish(0, "lost", size=10)
+    network.step(0.1)
+    network.join(1)
+    assert dict(network.latest(1)) == {}
+    network.publish(0, "new", size=10)
+    network.step(0.1)
+    assert network.latest(1)[0].body == "new"

@@ -174,10 +174,10 @@ def explanation(metrics=("active_time", "messages_sent", "heat"), failed=1):
     return Explanation(NAME, 3, failed, ("faults", "lies"), {metric: costs[metric] for metric in metrics})
 
 
-def comparison(metrics=("active_time", "heat"), *, seeds=10):
-    """Return two sweeps side by side; the second has a further configuration."""
-    first = swept({"protocol": RULES[:1], LATENCY: TIMES[:2]})
-    second = swept({"protocol": RULES[1:], LATENCY: TIMES}, time=lambda k: 5.0 + k)
+def comparison(metrics=("active_time", "heat"), *, seeds=10, scale=1.0, times=TIMES):
+    """Return two sweeps side by side; the second has a further configuration; times grow with the powers of a scale."""
+    first = swept({"protocol": RULES[:1], LATENCY: times[:2]}, time=lambda k: (1.0 + k) * scale**k)
+    second = swept({"protocol": RULES[1:], LATENCY: times}, time=lambda k: (5.0 + k) * scale**k)
     if seeds != 10:
         groups = [
             Group(
@@ -190,12 +190,15 @@ def comparison(metrics=("active_time", "heat"), *, seeds=10):
     return Comparison.of(first, second, metrics, ("old", NAME), {"horizon": ("1", "2")})
 
 
-def controlled():
-    """Return means of two rules that a control explains, of one that it does not, and of the control itself."""
+def controlled(large=0.0):
+    """Return means of two rules that a control explains, of one that it does not, and of the control itself.
+
+    The times of the second rule are larger by `large`, s.
+    """
     chance = np.array([0.0, 0.5, -0.2, 0.4, -0.6, 0.1])
     other = np.array([0.3, -0.3, 0.2, 0.1, -0.1, -0.2])
     noise = np.array([0.0, 0.01, 0.02, -0.01, 0.0, -0.02])
-    times = {"sap": 3.0 + chance + noise, "cbba": 4.0 + chance * 0.5 + other, "centralised": 2.0 + chance}
+    times = {"sap": 3.0 + chance + noise, "cbba": 4.0 + large + chance * 0.5 + other, "centralised": 2.0 + chance}
     groups = tuple(
         Group({"protocol": rule}, tuple(row(k, time) for k, time in enumerate(numbers)))
         for rule, numbers in times.items()

@@ -47,6 +47,11 @@ def write_length(result, path):
     path.write_text(str(len(list(result.trace))))
 
 
+def early(size, horizon, rng):
+    """Draw a crash that ends with the horizon: a plan."""
+    yield Crash(node=int(rng.integers(size)), start=0.1, end=horizon)
+
+
 def chase(me):
     me.assign(me.id == 0)
     me.announce()
@@ -61,6 +66,7 @@ CHECKS = {
     "evader": lambda: check_evader(ConstantHeading()),
     "flow": lambda: check_flow(HarmonicFlow(amplitude=(0.1, 0.0), period=2.0)),
     "fault": lambda: check_fault(Crash(node=0, start=0.1, end=0.2)),
+    "fault plan": lambda: check_fault(early),
     "fault of a pursuer": lambda: check_fault(Liar(node=0, start=0.1)),
     "metric": lambda: check_metric(count),
     "exporter": lambda: check_exporter(write_length),
