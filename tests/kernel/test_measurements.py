@@ -420,7 +420,7 @@ def test_the_line_of_a_link_has_one_row_at_time_0_and_one_at_the_end():
     assert lines == [([0.0, 2.0], [0.5, 0.5], False), ([0.0, 1.0, 2.0], [0.25] * 3, False)]
 
 
-@pytest.mark.parametrize("cell", ["", " ", "nan", "NaN", "NA", "n/a", "NULL", "none"])
+@pytest.mark.parametrize("cell", ["", " ", "-", "nan", "NaN", "NA", "n/a", "NULL", "none"])
 def test_a_missing_value_may_be_written_in_several_ways(cell):
     assert LossTrace(table=f"t,value\n0,1\n1,{cell}\n").measurements.is_missing.tolist() == [False, True]
 
@@ -521,3 +521,16 @@ def test_a_column_named_after_its_opposite_gives_a_warning(model, column, keys, 
 def test_dates_with_and_without_a_time_zone_are_refused_with_the_reason():
     with pytest.raises(ValueError, match="dates should all have a time zone, or none"):
         LatencyTrace(table="t,value\n2024-05-17T12:30:00Z,0.1\n2024-05-17T12:30:01,0.2\n")
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "is_told"),
+    [("rssi_dbm", 127, True), ("RSRP", 0, True), ("rssi", -40, False), ("snr", 12, False), ("lqi", 255, False)],
+)
+def test_a_power_that_no_radio_receives_gives_a_warning(column, value, is_told):
+    """802.15.4 radios log 127, and others 0, where they have received nothing."""
+    trace = SignalTrace(table=f"t,{column}\n0,-80\n1,{value}\n", value=column)
+    scenario = Scenario(network=Links(loss=trace))
+    assert [key for key, text in warnings(scenario) if "stands for no signal" in text] == [
+        "network.loss.value"
+    ] * is_told

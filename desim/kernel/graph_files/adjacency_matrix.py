@@ -21,6 +21,8 @@ from desim.kernel.measured.measurements import number_or_nan
 if TYPE_CHECKING:
     import networkx as nx
 
+CORNERS = {"", "-"}
+"""The cells above names of lines that are no name."""
 LEAST = 3
 """The least number of nodes; with fewer, lines are edges."""
 
@@ -87,7 +89,7 @@ def _parts(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[float]]]
     Raises:
         ValueError: if a cell is not a number, or the names of lines and of columns differ.
     """
-    if not rows or (rows[0][0] and all(map(_is_number, rows[0]))):
+    if not rows or (rows[0][0] not in CORNERS and all(map(_is_number, rows[0]))):
         return [], [[number_or_nan(cell) for cell in row] for row in rows]
     names, begins = rows[0][1:], [row[0] for row in rows[1:]]
     if list(names) != begins or len(set(begins)) < len(begins):

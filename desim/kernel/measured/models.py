@@ -24,6 +24,8 @@ RECEIVED = frozenset({"prr", "pdr", "received", "reception", "delivered", "deliv
 """Words in the name of a column of probabilities of reception."""
 LOST = frozenset({"loss", "lost", "plr", "per", "drop", "dropped"})
 """Words in the name of a column of losses."""
+IN_DBM = frozenset({"rssi", "rsrp", "rscp", "dbm"})
+"""Words in the name of a column of powers in dBm; in their place, 127 or 0 often stands for no signal."""
 MAX_EXPONENT = 700.0
 """Limit of exponents: exp(710) is infinite."""
 
@@ -163,6 +165,14 @@ class SignalTrace(_LossTrace):
     """Signal strength at which half of the messages are lost, in the unit of the values: dBm or dB."""
     width: Annotated[float, Field(ge=0, le=MAX_SIGNAL, strict=True)] = 0.0
     """Width of the transition, dB; with 0, a message is lost if and only if the signal is below the threshold."""
+
+    @property
+    def doubt(self) -> tuple[str, str] | None:
+        """Whether a value is no strength of a received signal; see `LinkTrace.doubt`."""
+        words, most = set(re.findall("[a-z]+", self.value.lower())), float(self.measurements.values.max())
+        if words & IN_DBM and most >= 0.0:
+            return "value", f"no radio receives {most:g} dBm: if it stands for no signal, leave its cells empty"
+        return None
 
     @property
     def limits(self) -> tuple[float, float]:

@@ -241,7 +241,7 @@ def _fields(graph: "nx.Graph[Any]") -> tuple[dict[str, Any], tuple[str, ...]]:
     edges = list[dict[str, Any]]()
     first: dict[tuple[int, int], dict[str, Any]] = {}
     for src, dst, attributes in graph.edges(data=True):
-        models = {
+        models: dict[str, Any] = {
             name: _attribute(src, dst, name, attributes[name])
             for name in ("latency", "loss", "order")
             if name in attributes
