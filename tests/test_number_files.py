@@ -20,8 +20,12 @@ from desim import (
     SignalTrace,
 )
 from desim.config.model import Value
+from desim.config.number_files import text_of_file
+from desim.kernel.graph_files.graph_file import read_graph
+from desim.kernel.measured.latency_file import latencies_of
 from desim.kernel.walls.wall import Wall
 from desim.pursuit.evaders.recorded import RecordedPositions
+from desim.pursuit.mobility.mobility_file import read_mobility
 
 
 def measured(trace):
@@ -312,3 +316,22 @@ def test_a_flow_may_count_from_any_date(tmp_path):
     (tmp_path / "wind.csv").write_text("t,x,y\n5,1,2\n-1,1,2\n")
     with pytest.raises(ValueError, match=r"line 3: t should be from 0 to 1e\+09 s"):
         RecordedFlow(file=str(tmp_path / "wind.csv"))
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (b"PK\x03\x04\x14\x00\xff", "a zip archive or a spreadsheet: unpack it, or save its table as CSV"),
+        (b"\x93NUMPY\x01\x00v\x00", r"an array of numpy: numpy\.savetxt writes it as text"),
+        (b"SQLite format 3\x00", "a database of SQLite: export a table as CSV"),
+        (b"ULog\x01\x12\x35\x00\xff", "a log of PX4: ulog2csv exports its tables as CSV"),
+        (b"#ROSBAG V2.0\n\x45\x00\x00", "a bag of ROS: rostopic echo -b FILE -p TOPIC exports"),
+        (b"\x80PK\x03\x04", r"not text in UTF-8 \(invalid start byte at byte 0\)"),
+    ],
+)
+def test_a_file_that_is_no_text_is_refused_with_what_makes_text_of_it(tmp_path, content, why):
+    file = tmp_path / "table.csv"
+    file.write_bytes(content)
+    for read in (text_of_file, read_mobility, read_graph, latencies_of):
+        with pytest.raises(ValueError, match=rf"table\.csv cannot be read: it is {why}"):
+            read(file)
