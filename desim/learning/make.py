@@ -45,8 +45,8 @@ def env(
         omniscient: whether pursuers observe the true positions and actions of all players; for comparison only.
         max_cycles: the greatest number of turns of a pursuer; then it keeps its action, and the episode is truncated
             when no pursuer has a turn left. None = no limit.
-        agents_leave: whether a pursuer leaves the episode when its robot breaks down; otherwise all live to its end,
-            and the mask of one that is down allows 0 only.
+        agents_leave: whether a pursuer leaves the episode at the first turn of anybody at which its robot is down;
+            otherwise all live to its end, and the mask of one that is down allows 0 only.
         render_mode: what `render` returns: a picture of the present as an array, or the replay page as HTML.
 
     Raises:
@@ -94,7 +94,7 @@ def parallel_env(
         observation: the form of observations.
         omniscient: whether pursuers observe the true state.
         max_cycles: the greatest number of steps; the episode is truncated then. None = no limit.
-        agents_leave: whether a pursuer leaves when its robot breaks down.
+        agents_leave: whether a pursuer leaves at the first step at whose end its robot is down.
         render_mode: what `render` returns.
 
     Raises:
