@@ -48,7 +48,13 @@ from desim.kernel.core.portable_math import inner_product
 MIN_PAIRS = 4
 """The least number of pairs: a slope fitted to all others needs two, and the interval degrees of freedom."""
 MIN_CONTROLS = 2
-"""The least number of runs of the control in addition to the pairs."""
+"""The least number of runs of the control in addition to the pairs; for an interval take `FEW_CONTROLS` or more."""
+FEW_CONTROLS = 5
+"""The number of runs of the control in addition to the pairs from which on intervals cover as often as they say.
+
+Of two, whose mean has one degree of freedom, the interval with 30 pairs covers normal values in 89 % of cases (s.e. 0.3
+%), of five in 94.6 %.
+"""
 USELESS = 1.1
 """A control is worth little if as many runs without it, times this factor at most, have the same interval."""
 

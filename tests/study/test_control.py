@@ -35,16 +35,16 @@ def test_a_control_that_needs_no_network_is_shared_by_all_networks():
 
 @pytest.mark.slow
 def test_the_estimate_is_that_of_the_runs_and_their_controls():
-    made = controlled(SCENARIO, GRID, reps=4, control_runs=7)
+    made = controlled(SCENARIO, GRID, reps=4, control_runs=9)
     plain = sweep(SCENARIO, GRID, reps=4)
-    control = sweep(SCENARIO.with_({"protocol": "centralised"}), {"network.latency": [0.1]}, reps=7)
+    control = sweep(SCENARIO.with_({"protocol": "centralised"}), {"network.latency": [0.1]}, reps=9)
     controls = control.groups[0].numbers("active_time")
     for k, estimate in enumerate(made.estimates("active_time")):
         expected = control_variate(plain.groups[k].numbers("active_time"), controls[:4], controls[4:])
         assert estimate == expected
     assert made.result.table() == plain.table()
     (table, _), notes = made.tables()[0], made.table()
-    assert table == "active time with the control centralised, 7 runs of equal and further seeds"
+    assert table == "active time with the control centralised, 9 runs of equal and further seeds"
     assert "the control took 7 runs for all configurations" in notes
     assert made.document()["metrics"]["active_time"][0]["explained"] == pytest.approx(expected_share(made))
 
@@ -57,7 +57,7 @@ def expected_share(made):
 def test_what_is_not_corrected_has_a_reason():
     grid = {"protocol": ["centralised", SCENARIO.protocol]}
     shown = ["active_time", "time_to_detect", "messages_sent"]
-    made = controlled(SCENARIO, grid, reps=4, control_runs=6, shown=shown)
+    made = controlled(SCENARIO, grid, reps=4, control_runs=9, shown=shown)
     itself, other = made.estimates("active_time")
     assert itself == "is centralised itself"
     assert isinstance(other, ControlledEstimate)
@@ -76,7 +76,7 @@ def fails_at_times(result):
 def test_failed_runs_are_told():
     short = SCENARIO.with_({"horizon": 0.2})
     failing = {"fragile": fails_at_times}
-    made = controlled(short, {"network.latency": [0.1]}, reps=4, control_runs=6, metrics=failing, shown=["fragile"])
+    made = controlled(short, {"network.latency": [0.1]}, reps=4, control_runs=9, metrics=failing, shown=["fragile"])
     failed = len(made.result.failed), sum(len(group.failed) for group in made.controls)
     assert min(failed) > 0
     assert f"warning: {sum(failed)} runs failed, {failed[1]} of them of the control" in made.table()
@@ -95,7 +95,7 @@ def test_a_control_that_explains_nothing_is_said_to_be_worth_little():
     [
         ({"sweep.seeds": "independent"}, {}, "sweep.seeds should be common"),
         ({}, {"reps": 3}, "at least 4 runs of each configuration, got 3"),
-        ({}, {"control_runs": 5}, "at least 6, got 5"),
+        ({}, {"control_runs": 8}, "at least 9, got 8"),
         ({"protocol": "centralised"}, {}, "centralised is the protocol of all configurations"),
         ({}, {"control": "nonsense"}, "nonsense"),
     ],
@@ -123,15 +123,15 @@ def command(folder, *arguments):
 
 @pytest.mark.slow
 def test_the_command_prints_the_corrected_means_and_keeps_the_runs_of_the_control(tmp_path):
-    arguments = ["--control", "centralised", "--control-runs", 6]
+    arguments = ["--control", "centralised", "--control-runs", 9]
     result = command(tmp_path, *arguments)
     assert result.exit_code == 0, result.output
-    assert "active time with the control centralised, 6 runs of equal and further seeds" in result.stdout
+    assert "active time with the control centralised, 9 runs of equal and further seeds" in result.stdout
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"control-centralised.sqlite", "control.txt"} <= names
     again = command(tmp_path, *arguments, "--json")
     assert again.exit_code == 0, again.output
-    assert json.loads(again.stdout)["control"]["runs"] == 6
+    assert json.loads(again.stdout)["control"]["runs"] == 9
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from desim.analysis.control_variates import MIN_CONTROLS, MIN_PAIRS, ControlledEstimate, control_variate
+from desim.analysis.control_variates import FEW_CONTROLS, MIN_PAIRS, ControlledEstimate, control_variate
 from desim.analysis.measuring import Metrics, check_numeric
 from desim.analysis.metrics import title, words
 from desim.analysis.tables import aligned, as_json, counted, digits_of, with_half_width
@@ -69,7 +69,7 @@ class ControlPlan:
         if swept.reps < MIN_PAIRS:
             raise ValueError(f"a control needs at least {MIN_PAIRS} runs of each configuration, got {swept.reps}")
         count = TIMES * swept.reps if runs is None else whole(runs, "the runs of the control")
-        if count < (least := swept.reps + MIN_CONTROLS):
+        if count < (least := swept.reps + FEW_CONTROLS):
             raise ValueError(
                 f"a control needs runs beside those that it is paired with, so at least {least}, got {count}"
             )
