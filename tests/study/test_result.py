@@ -172,6 +172,8 @@ def test_means_over_different_numbers_of_runs_are_not_for_comparison():
     assert note in uneven.table()
     assert note in uneven._repr_html_()
     assert "over different seeds" not in PLAIN.table() + replace(uneven, common=False).table()
+    failing = replace(PLAIN, groups=(first, replace(second, rows=(*second.rows[:2], failed(2)))))
+    assert note in failing.table(), "a run that failed is in no mean, and slow runs may fail"
 
 
 def test_the_share_of_truth_values_has_the_interval_of_wilson():

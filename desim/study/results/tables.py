@@ -92,7 +92,7 @@ def notes(result: SweepRuns, metrics: Sequence[str]) -> Iterator[str]:
     """
     if result.start_rule is not None:
         yield result.start_rule
-    counts = [len(group.rows) for group in result.groups]
+    counts = [len(group.rows) - len(group.failed) for group in result.groups]
     if result.common and len(set(counts)) > 1:
         yield (
             f"the means are over {min(counts)} to {max(counts)} runs, and so over different seeds: compare"
