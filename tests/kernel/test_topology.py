@@ -263,6 +263,8 @@ def differences(wandering, graph, model, steps=400):
                     topology.neighbours(node).tolist(),
                     topology.audible(node),
                     topology.reaches(node, [other]) if other in graph.adj[node] else None,
+                    topology.reaches(node, others := sorted(graph.adj[node])),
+                    topology.reaches(node, others[::-1]),
                 )
                 for topology in (keeps, searches)
             ]

@@ -157,18 +157,15 @@ class Topology:
         source = self._positions
         if source is None or not len(dst):
             return [True] * len(dst)
-        if (
-            self.channel is None
-            and self.walls is None
-            and len(dst) <= self._few
-            and times is None
-            and isinstance(src, int)
-            and isinstance(message, int)
-        ):
-            if self._kept is not None and self._complete and (kept := self._kept.of(src)) is not None:
-                return list(map(kept.__contains__, dst))
-            one, distance = self._received.one, source.distance
-            return [one(src, node, distance(src, node), message) for node in map(int, dst)]
+        if isinstance(src, int) and times is None:
+            if self._kept is not None and self._complete:
+                if len(dst) > self._few:
+                    return list(map({src, *self._within_border(src, self._kept)}.__contains__, dst))
+                if (kept := self._kept.of(src)) is not None:
+                    return list(map(kept.__contains__, dst))
+            if self.channel is None and self.walls is None and len(dst) <= self._few and isinstance(message, int):
+                one, distance = self._received.one, source.distance
+                return [one(src, node, distance(src, node), message) for node in map(int, dst)]
         places = source.of if times is None else partial(source.at, times=times)
         receivers = np.asarray(dst)
         if isinstance(src, int):
