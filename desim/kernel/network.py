@@ -120,7 +120,7 @@ class ReceivingNodes:
         if not 0 <= node < self._size:
             raise self._unknown(node)
         if not isinstance(port, str):
-            check_port(port, "inbox")
+            check_port(port, "inbox")  # type: ignore[unreachable]
         return self._inboxes.at(port)[node]
 
     def _own(self, body: Any) -> Any:
@@ -297,7 +297,7 @@ class Network(ReceivingNodes):
         if dst == src:
             raise ValueError(f"node {src} should not send messages to itself")
         if not isinstance(port, str):
-            check_port(port, "send")
+            check_port(port, "send")  # type: ignore[unreachable]
         if transport is not None:
             check_transport(transport)
         sent = as_sent(body)

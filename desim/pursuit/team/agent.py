@@ -323,13 +323,13 @@ class Agent(Beliefs, Timing, HintedItems):
                 the port have another transport.
         """
         if not isinstance(port, str):
-            check_port(port, f"pursuer {self.id}: send")
+            check_port(port, f"pursuer {self.id}: send")  # type: ignore[unreachable]
         self._voice.send(self.id, dst, body, port=port, size=size, transport=transport)
 
     def mail(self, port: str = "") -> list[Message]:
         """Remove and return the unread messages of a port, without waiting."""
         if not isinstance(port, str):
-            check_port(port, f"pursuer {self.id}: mail")
+            check_port(port, f"pursuer {self.id}: mail")  # type: ignore[unreachable]
         return self._network.inbox(self.id, port).drain()
 
 

@@ -146,7 +146,7 @@ class Timing:
             ValueError: if the port is no text.
         """
         if not isinstance(port, str):
-            check_port(port, f"pursuer {self.id}: arrival")
+            check_port(port, f"pursuer {self.id}: arrival")  # type: ignore[unreachable]
         self._check_phase(phase)
         return self._network.inbox(self.id, port).arrival(phase + self.id)
 
@@ -166,7 +166,7 @@ class Timing:
             ValueError: if the port is no text, or there is no function.
         """
         if not isinstance(port, str):
-            check_port(port, f"pursuer {self.id}: listen")
+            check_port(port, f"pursuer {self.id}: listen")  # type: ignore[unreachable]
         self._check_phase(phase)
         if not callable(act):
             raise ValueError(f"pursuer {self.id}: listen: act should be a function of messages (got {act!r})")
