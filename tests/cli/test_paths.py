@@ -35,6 +35,11 @@ COMMANDS = """
     plot swept/swep.sqlite
     plot swept/zzzz.sqlite
     plot one/trac.jsonl
+    plot nowhere/trace.jsonl
+    plot empty/trace.jsonl
+    replay swept/trace.jsonl
+    report nowhere/sweep.sqlite
+    export one/trace.json x.csv
     plot both
     plot parts
     plot empty

@@ -539,3 +539,18 @@ def test_the_files_of_a_class_are_not_those_of_its_objects():
     user = UserCode()
     StablePickler(user).digest(Plain(Reading))
     assert user.files == {}
+
+
+def test_what_a_source_may_import_is_read_with_its_dots():
+    source = b"""
+import a.b, c as d
+from e import f
+def later():
+    from . import g
+    from .h import i
+    from ..j import k
+    from ....beyond import n
+"""
+    assert user_code._imported(source, "top.mid") == {
+        *("a.b", "c", "e", "e.f", "top.mid", "top.mid.g", "top.mid.h", "top.mid.h.i", "top.j", "top.j.k"),
+    }

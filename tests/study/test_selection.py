@@ -12,8 +12,9 @@ from scipy import stats
 from desim import Scenario, race, sweep
 from desim.study.selection.kim_nelson import ENOUGH, constants, independent_variances, kim_nelson, two_stage_runs
 from desim.study.store.store import Store
-from desim.study.sweeps.sweep import RunError
+from desim.study.sweeps.sweep import RunError, job_batches
 from desim.study.sweeps.sweep_plan import SweepPlan
+from desim.study.workers.workers import InProcess
 from tests.study import by_hand
 
 SYSTEMS = 5
@@ -430,3 +431,27 @@ def test_the_figure_of_a_race_has_a_line_for_each_configuration():
     assert upper.get_ylabel() == "score"
     assert next(text.get_text() for text in figure.legends[0].get_texts()) == "team.count = 4"
     assert next(iter(lower.lines[0].get_ydata())) == 3
+
+
+class SeveralInProcess(InProcess):
+    """Workers of which there seem to be several."""
+
+    def __init__(self, count):
+        super().__init__()
+        self.count = count
+
+
+@pytest.mark.parametrize(("workers", "ahead"), [(1, 1), (2, 2), (3, 3), (5, 5)])
+def test_a_race_performs_two_runs_for_each_worker_at_a_time(workers, ahead, monkeypatch):
+    """After the first runs of all; with two systems, one run of both for each worker."""
+    batches, original = [], job_batches
+
+    def noting(jobs, *rest):
+        batches.append([replication for _, replication in jobs])
+        return original(jobs, *rest)
+
+    monkeypatch.setattr("desim.study.selection.race.job_batches", noting)
+    grid, options = {"team.count": [2, 3]}, {"first": 3, "most": 9, "metrics": {"score": size_and_luck}}
+    race(SHORT, grid, "score", zone=1e-6, maximise=True, executor=SeveralInProcess(workers), **options)
+    assert batches[0] == [0, 0, 1, 1, 2, 2]
+    assert batches[1] == [k for k in range(3, min(3 + ahead, 9)) for _ in range(2)]
