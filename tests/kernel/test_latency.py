@@ -485,6 +485,8 @@ def test_a_file_has_a_line_per_sender(tmp_path, text):
         ({"values": [[0.0, 1.0], [2e9, 0.0]]}, r"a latency should be at most 1e\+09 s \(got 2e\+09 s from 1 to 0\)"),
         ({"values": MATRIX, "file": "x"}, "should have values or a file of values, not both"),
         ({"values": "0 1"}, "should be a list"),
+        ({"values": np.triu(np.ones((3, 3)))}, "all values below the diagonal are 0: give the latencies of both ways"),
+        ({"values": np.tril(np.ones((4, 4)))}, "all values above the diagonal are 0"),
     ],
 )
 def test_what_is_no_matrix_of_latencies_is_refused(options, why):
@@ -508,7 +510,8 @@ def test_a_matrix_has_a_row_per_node_and_a_latency_for_each_link():
     [
         ("# none\n", r"m\.csv contains no numbers"),
         ("0,1\n1\n", r"line 2: has 1 numbers, but the file has 2 lines of numbers: one per node; with decimal commas"),
-        ("a,b\n0,1\n", r"line 1: 'a' is not a number.*; a header should begin with #$"),
+        ("a,b\n0,1\n", r"line 1: 'a' is not a number; names of nodes are not read, and a header"),
+        ("0 1 23104\n0 2 51022\n1 2 2301\n", "line 1: each line may be two nodes and a latency"),
         ("0,1\na,0\n", r"line 2: 'a' is not a number(?!.*header)"),
     ],
 )

@@ -16,6 +16,8 @@ AMBIGUOUS = re.compile(
 )
 """Matches a word that is one number with a decimal comma, or with separators of thousands, or several numbers."""
 INF = float("inf")
+PAIRS_OF_3 = [{frozenset((first + i, first + j)) for i, j in ((0, 1), (0, 2), (1, 2))} for first in (0, 1)]
+"""The pairs of three nodes; a list of as many lines of three numbers looks like a matrix."""
 
 
 def latencies_of(file: Path) -> list[float]:
@@ -94,10 +96,13 @@ def matrix_of(file: Path, *, unit_is_given: bool = False) -> list[list[float]]:
         try:
             rows.append([number_or_nan(cell) for cell in cells])
         except ValueError as error:
-            hint = "" if rows else "; a header should begin with #"
+            hint = "" if rows else "; names of nodes are not read, and a header should begin with #"
             raise ValueError(f"{file}, line {line}: {error}{hint}") from error
     if not rows:
         raise ValueError(f"{file} contains no numbers")
+    if {frozenset(row[:2]) for row in rows} in PAIRS_OF_3:
+        why = "each line may be two nodes and a latency: a matrix has a line for each sender"
+        raise ValueError(f"{file}, line {lines[0]}: {why}, with a number for each receiver")
     names, numbers = [row[0] for row in rows[1:]], list(range(len(rows)))
     if len(rows) > 2 and rows[0][1:] == names and names in (numbers[:-1], numbers[1:]):
         raise ValueError(f"{file}, line {lines[0]}: numbers the nodes, and so does the first column: leave both out")

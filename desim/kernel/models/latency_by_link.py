@@ -144,6 +144,11 @@ class LatencyMatrix(Value):
             if len(row) != len(self.values):
                 raise ValueError(f"values should be a square: row {k} has {len(row)} of {len(self.values)} numbers")
         base = self.base_latencies
+        upper, lower = np.triu(base).any(), np.tril(base).any()
+        if len(base) > 2 and upper != lower:
+            side = "below" if upper else "above"
+            why = "give the latencies of both ways, and nan where a link does not exist"
+            raise ValueError(f"all values {side} the diagonal are 0: {why}")
         for src, dst in np.argwhere((base > MAX_TIME) & (base < inf))[:1].tolist():
             which = f"got {base[src, dst]:g} s from {src} to {dst}"
             raise ValueError(f"a latency should be at most {MAX_TIME:g} s ({which})")
