@@ -37,7 +37,8 @@ class RestartableProcess(simpy.Process):
             AttributeError: if the behaviour has changed the id of its agent.
             Exception: any exception of the behaviour, with a note that names the pursuer and the time of its clock.
         """
-        pursuer, awaited = agent.id, cast("simpy.Event", agent.at(agent.now, phase))
+        pursuer = agent.id
+        awaited: simpy.Event = agent.at(agent.now, phase)
         missed: simpy.Event | None = None  # the awaited event, if it happened while the robot was down
         while True:
             try:
