@@ -64,7 +64,7 @@ RESULTS = {
         {"team.count": [2, 3]},
         4,
         control="local_min",
-        control_runs=8,
+        control_runs=9,
         metrics=METRICS,
         shown=("size", "active_time"),
     ),
