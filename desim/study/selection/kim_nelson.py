@@ -184,7 +184,7 @@ def kim_nelson(
         if _are_equal(kept, pair):
             limits[pair] = limits[pair[::-1]] = inf
     last = _last(limits, left, first)
-    end = max(_last(np.where(np.isinf(limits), 0.0, limits), left, first), ENOUGH if last == inf else 0)
+    end = max(int(_last(np.where(np.isinf(limits), 0.0, limits), left, first)), ENOUGH if last == inf else 0)
     sums, dropped, count = start.sum(axis=1), list[Dropped](), first
     while len(left) > 1 and count < last:
         losers = _losers(sums, left, count, limits, zone)
