@@ -76,7 +76,8 @@ class Timeline:
     active: Bools
     """(k, N) whether each pursuer chases the evader."""
     phi: Floats
-    """(k, N) capture times, s, at the middle of the piece; inf for a robot that is down, and after the capture."""
+    """(k, N) capture times, s, at the middle of the piece; inf for a relay, for a robot that is down, and after the
+    capture."""
     left: Floats
     """(k,) time left r, s, at the middle of the piece; in a static game, always the horizon."""
 
@@ -113,6 +114,7 @@ def timeline(result: Result, evader: int = 1) -> Iterator[Timeline]:
         middle = (instants[:-1] + instants[1:]) / 2
         phi = capture_times(middle)
         phi[broken.during(instants)] = np.inf
+        phi[:, list(scenario.team.relays)] = np.inf  # it may not chase, also where an evader comes to it
         phi[instants[:-1] >= pursuit.end] = np.inf
         left = (horizon - (np.zeros_like(middle) if static else middle)) / SECOND
         yield Timeline(instants, active.during(instants), phi, left)

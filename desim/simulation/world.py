@@ -267,6 +267,7 @@ def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
             environment=scenario.environment,
             space=space,
             is_recorded=evader.record is not None,
+            relays=team.relays,
         )
         for number, evader in enumerate(scenario.evaders, start=1)
     ]

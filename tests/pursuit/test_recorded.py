@@ -95,6 +95,35 @@ def test_a_relay_never_chases_and_still_captures_what_it_meets():
     assert {each.pursuer for each in result.trace.of(Decided) if each.active} == {1}
 
 
+@pytest.mark.parametrize(
+    "world",
+    [
+        {"motion": {"static": True}, "capture": {"radius": 5.0}},
+        {"environment": {"flow": {"kind": "uniform", "velocity": [2.0, 0.0]}, "on": "pursuers"}},
+        {
+            "environment": {
+                "flow": {"kind": "harmonic", "velocity": [2.0, 0.0], "amplitude": [0.5, 0.0], "period": 1.0},
+                "on": "pursuers",
+            }
+        },
+    ],
+    ids=["within the radius", "flow", "changing flow"],
+)
+def test_nobody_waits_for_a_relay_to_capture_an_evader(world):
+    """1 is a relay, within the capture radius or upstream of the evader: it may not chase, so 0 is the best pursuer."""
+    relay = {"pursuer": 1, "motion": {"kind": "recorded", "waypoints": [[0.0, 5.0, 0.0]]}}
+    team = {"positions": [(0.0, 0.0), (5.0, 0.0)], "speeds": 1.5, "active_at_start": 0.0, "relay": [relay]}
+    table = {
+        "horizon": 9.0,
+        "evader": {"position": (9.0, 0.0), "speed": 0.1, "strategy": "still"},
+        "protocol": "centralised",
+        "team": team,
+        **world,
+    }
+    found = summary(run(Scenario.model_validate(table), 1))
+    assert (found.idle_time, found.misassigned_time, found.time_to_relay, found.potential_gap) == (0.0, 0.0, 0.0, 0.0)
+
+
 def test_a_relay_carries_announcements_between_pursuers_out_of_range():
     """Three in a row with 10 m between neighbours and a range of 11 m: only through the one in the middle."""
 

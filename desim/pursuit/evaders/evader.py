@@ -192,6 +192,7 @@ class EvaderBody:
         environment: the medium.
         space: the space in which the players move.
         is_recorded: whether a record determines its motion.
+        relays: the pursuers that never chase; their capture times are inf, wherever the evader is.
 
     Attributes:
         slow: (N,) whether each pursuer is no faster than the evader.
@@ -215,11 +216,13 @@ class EvaderBody:
         environment: Environment,
         space: Plane = PLANE,
         is_recorded: bool = False,
+        relays: Collection[int] = (),
     ):
         self.number, self.speed, self.path = number, speed, path
         self._size, self._radius, self._speeds, self._dynamics = len(speeds), radius, speeds, dynamics
         self._environment, self.is_radial = environment, dynamics.is_simple and environment.keeps_distances
         self._space, self._walled, self._is_recorded = space, space.walled, is_recorded
+        self._relays = tuple(relays)
         self._has_single_times = self.is_radial or type(dynamics) is TurnRate
         """Whether each capture time is computed by itself, and not in arrays of those of all."""
         self.player = self._size + number - 1
@@ -271,7 +274,7 @@ class EvaderBody:
         Kept equal to the capture times of all by
         `tests/pursuit/test_kinematics.py::test_times_of_some_are_those_of_all_with_inertia`.
         """
-        if len(pursuers) > MAX_SCALAR_SIZE or self.captured is not None or not self._has_single_times:
+        if len(pursuers) > MAX_SCALAR_SIZE or self.captured is not None or not self._has_single_times or self._relays:
             times = self.capture_times(now)
             return [times[pursuer] for pursuer in pursuers]
         players = self._players
@@ -305,17 +308,25 @@ class EvaderBody:
                 position is uncertain.
         """
         if self.is_radial:
-            return tuple(self._radial_time(distances).tolist())
-        courses = None if self._dynamics.is_simple else self._players.courses(range(self._size))
-        return tuple(self._planar_times(place, pursuers, distances, courses, self._speeds).tolist())
+            times = self._radial_time(distances)
+        else:
+            courses = None if self._dynamics.is_simple else self._players.courses(range(self._size))
+            times = self._planar_times(place, pursuers, distances, courses, self._speeds)
+        for relay in self._relays:
+            times[relay] = inf
+        return tuple(times.tolist())
 
     def capture_times_from(
         self, pursuers: Sequence[int], motions: Sequence[MotionState], place: complex, distances: Sequence[float]
     ) -> list[float]:
         """Return the capture times, s, of k pursuers with assumed motions; see `capture_times_at`."""
         if self.is_radial:
-            return list(map(self._radial_time.of, pursuers, distances))
-        return list(map(self._capture_time_from, pursuers, motions, repeat(place), distances))
+            times = list(map(self._radial_time.of, pursuers, distances))
+        else:
+            times = list(map(self._capture_time_from, pursuers, motions, repeat(place), distances))
+        if self._relays:
+            return [inf if pursuer in self._relays else time for pursuer, time in zip(pursuers, times, strict=True)]
+        return times
 
     def _capture_time_from(self, pursuer: int, motion: MotionState, place: complex, distance: float) -> float:
         course = motion.course
