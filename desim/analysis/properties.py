@@ -4,7 +4,7 @@ from collections import deque
 from math import inf
 from typing import NamedTuple
 
-from desim.analysis.quantities import WATCHED, Level, Tally, cut, key_of, pieces_of
+from desim.analysis.quantities import RISING, WATCHED, Level, Tally, cut, key_of, pieces_of
 from desim.analysis.trace_index import trace_index
 from desim.config.arguments import naming_arguments, run_argument
 from desim.config.errors import ArgumentError
@@ -154,8 +154,10 @@ class PropertyWatcher:
             if self.margin < 0.0 and self.violated_at is None:
                 self.violated_at = seconds(event.t)
         if self._tally(event):
-            values = (self._tally.value(*key_of(comparison), event.t) for comparison in self._comparisons)
-            self._levels = [Level(event.t, value) for value in values]
+            self._levels = [
+                Level(event.t, self._tally.value(*key_of(comparison), event.t), comparison.quantity in RISING)
+                for comparison in self._comparisons
+            ]
         return self.violated_at is not None
 
 

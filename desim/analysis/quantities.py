@@ -41,6 +41,8 @@ class Level(NamedTuple):
     since: int
     """ns"""
     value: float
+    rises: bool = False
+    """Whether the value has risen by 1 s per second since then."""
 
 
 class Tally:
@@ -232,7 +234,7 @@ def pieces_of(conditions: Sequence[Condition], result: Result) -> Iterator[Prope
         if t > now:
             yield from cut(conditions, levels, now, t)
             now = t
-        levels[k] = Level(t, value)
+        levels[k] = Level(t, value, comparisons[k].quantity in RISING)
     if end > now:
         yield from cut(conditions, levels, now, end)
 
@@ -250,7 +252,7 @@ def cut(conditions: Sequence[Condition], levels: Sequence[Level], begin: int, en
     comparisons = [comparison for condition in conditions for comparison in condition.comparisons]
     instants = {begin, end}
     for comparison, level in zip(comparisons, levels, strict=True):
-        if comparison.quantity in RISING:
+        if level.rises:
             reached = level.since + round((comparison.number - level.value) * SECOND)
             instants |= {reached} if begin < reached < end else set()
     for first, last in pairwise(sorted(instants)):
@@ -264,7 +266,7 @@ def cut(conditions: Sequence[Condition], levels: Sequence[Level], begin: int, en
 
 def _least(comparison: QuantityComparison, level: Level, begin: int, end: int) -> float:
     """Return the least margin of a comparison in a time (ns) in which it holds throughout or not at all."""
-    if comparison.quantity not in RISING:
+    if not level.rises:
         return comparison.margin(level.value)
     first, middle, last = (level.value + seconds(t - level.since) for t in (begin, (begin + end) // 2, end))
     least, holds = min(comparison.margin(first), comparison.margin(last)), comparison.holds(middle)

@@ -62,7 +62,10 @@ QUANTITIES: Mapping[str, Quantity] = MappingProxyType(
         "disagreements": Quantity(
             "the number of pursuers of whose action two teammates have unlike records", _pursuers, needs="messages"
         ),
-        "age": Quantity("the greatest age of the newest record that a pursuer has of another, s", needs="messages"),
+        "age": Quantity(
+            "the greatest age of the newest record that a pursuer has of another, s; 0 for one pursuer alone",
+            needs="messages",
+        ),
     }
 )
 """The quantities by name; a function of a user is named "module:name"."""

@@ -232,6 +232,8 @@ TEXTS = [
     "crowded leads to not crowded within 2",
     "idle never longer than 2 against centralised",
     "idle[1] and crowded == 0 at most 1.5 in total",
+    "idle never longer than 0.123456789",
+    "idle at most 1e-07 in total",
 ]
 
 
@@ -318,6 +320,14 @@ def test_every_quantity_has_a_step_function():
         assert pieces[0].begin == 0
         assert pieces[-1].end == result.trace.of(Ended)[0].t
         assert all(first.end == second.begin for first, second in pairwise(pieces))
+
+
+@pytest.mark.parametrize("text", ["always age <= 1", "age never longer than 1", "wrong_beliefs at most 1 in total"])
+def test_one_pursuer_alone_has_no_old_records(text):
+    """With two, the age rises from the start: nothing is announced."""
+    quiet = SMALL.with_({"announce.trigger": "never", "announce.start": "known"})
+    assert judge(text, run(quiet.with_({"team.count": 1}), 1)).holds
+    assert not judge("always age <= 1", run(quiet, 1)).holds
 
 
 @pytest.mark.parametrize("text", ["idle never longer than 0", "idle at most 0 in total", "eventually idle within 0"])
