@@ -38,6 +38,12 @@ SAMPLES = 0.05
 """Time between samples of positions, s, if a property needs them and the scenario records none."""
 
 
+def _exact(number: float) -> str:
+    """Return a number as text from which the same number is read: 2, 0.1, 12345.678."""
+    short = f"{number:g}"
+    return short if float(short) == number else repr(number)
+
+
 PropertyName = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 
 
@@ -107,7 +113,8 @@ class Property(Value):
     @property
     def text(self) -> str:
         """The property as a text, without its name; `Property` objects are made from such texts."""
-        return self.form.format(**dict(self)) + (f" against {self.against}" if self.against else "")
+        parts = {key: _exact(part) if isinstance(part, float) else part for key, part in self}
+        return self.form.format(**parts) + (f" against {self.against}" if self.against else "")
 
     @property
     def label(self) -> str:
@@ -167,7 +174,7 @@ class Eventually(LimitedTime):
 
     kind: Literal["eventually"] = "eventually"
 
-    form: ClassVar[str] = "eventually {condition} within {limit:g}"
+    form: ClassVar[str] = "eventually {condition} within {limit}"
 
     def worst(self, pieces: Iterable[PropertyPiece]) -> Iterator[Worst]:
         """Yield the time, s, for which the condition has not held."""
@@ -189,7 +196,7 @@ class LeadsTo(LimitedTime):
     then: ConditionText
     """The condition that should follow."""
 
-    form: ClassVar[str] = "{condition} leads to {then} within {limit:g}"
+    form: ClassVar[str] = "{condition} leads to {then} within {limit}"
 
     @property
     def conditions(self) -> tuple[Condition, ...]:
@@ -219,7 +226,7 @@ class NeverLonger(LimitedTime):
 
     kind: Literal["never_longer"] = "never_longer"
 
-    form: ClassVar[str] = "{condition} never longer than {limit:g}"
+    form: ClassVar[str] = "{condition} never longer than {limit}"
 
     def worst(self, pieces: Iterable[PropertyPiece]) -> Iterator[Worst]:
         """Yield the longest time, s, for which the condition has held at a stretch."""
@@ -239,7 +246,7 @@ class InTotal(LimitedTime):
 
     kind: Literal["in_total"] = "in_total"
 
-    form: ClassVar[str] = "{condition} at most {limit:g} in total"
+    form: ClassVar[str] = "{condition} at most {limit} in total"
 
     def worst(self, pieces: Iterable[PropertyPiece]) -> Iterator[Worst]:
         """Yield the time, s, for which the condition has held, and the beginning of the longest piece."""
@@ -259,7 +266,7 @@ KINDS = OneOf(*_KINDS, is_closed=True)
 
 def _filled(form: str, **texts: str) -> str:
     """Return the form of a kind with other texts in place of its keys."""
-    return re.sub(r"{(\w+).*?}", lambda key: texts[key[1]], form)
+    return re.sub(r"{(\w+)}", lambda key: texts[key[1]], form)
 
 
 _PATTERNS = {
