@@ -12,7 +12,7 @@ from jinja2 import Environment, meta
 
 import desim
 from desim import Scenario
-from desim.analysis.metrics import Metric, Summary
+from desim.analysis.metrics import METRICS, Metric, Summary
 from desim.kernel.core.events import Trace
 from desim.pursuit.core.events import Captured, Distrusted, Ended, Estimated
 from desim.scenario.overrides import Source
@@ -190,3 +190,13 @@ def test_a_page_is_given_each_variable_of_its_template_and_no_other(name):
     environment = Environment(autoescape=True)
     environment.filters |= {"signs": str, "unit": str}
     assert {keyword.arg for keyword in rendered.keywords} == meta.find_undeclared_variables(environment.parse(template))
+
+
+def test_a_small_value_is_not_shown_as_none_and_a_rounding_error_is():
+    one, other = ({"belief_error": 2e-4 * k, "age_mean": 0.1 * k + 0.2, "regret": 1e-16} for k in (1, 2))
+    missing = dict.fromkeys(METRICS)
+    now = Summary({**missing, **one, "age_mean": 0.1 + 0.2})
+    rows = {row["name"]: row for row in compared_metrics(now, Summary({**missing, **other, "age_mean": 0.3}), {})}
+    assert (rows["belief error"]["value"], rows["belief error"]["difference"]) == ("0.0002", "-0.0002")
+    assert rows["regret"]["value"] == "0.000"
+    assert "difference" not in rows["age mean"]

@@ -22,6 +22,11 @@ FIRST = (
 )
 """The metrics that are shown first, in their order."""
 
+ROUNDING = 1e-9
+"""A value of at most this size counts as a rounding error of 0."""
+HALF_A_DIGIT = 0.0005
+"""A smaller difference is shown only if the values beside it differ, too."""
+
 
 def named_metrics_of(scenario: Scenario) -> Mapping[str, Metric]:
     """Return the metrics that a scenario names, by name."""
@@ -72,9 +77,8 @@ def compared_metrics(now: Summary, pinned: Summary | None, named_metrics: Mappin
         row = _row(name, now, named_metrics) | {"value": _formatted(value)}
         if value is not None and other is not None and value != other:  # inf - inf is nan
             difference = float(value) - float(other)
-            text = _formatted(difference, "+")
-            if float(text.replace(",", "")):
-                row |= {"difference": text, "sign": difference}
+            if abs(difference) >= HALF_A_DIGIT or _formatted(value) != _formatted(other):
+                row |= {"difference": _formatted(difference, "+"), "sign": difference}
         yield row
 
 
@@ -98,4 +102,6 @@ def _formatted(value: Any, sign: str = "") -> str:
         return "yes" if value else "no"
     if float(value).is_integer() and abs(value) < 1e15:
         return f"{int(value):{sign},}"
+    if ROUNDING < abs(value) < 0.001:  # such as the delay of a message on a fast link, which is not 0.000
+        return f"{value:{sign}.2g}"
     return f"{value:{sign},.{3 if abs(value) < 100.0 else 1}f}"
