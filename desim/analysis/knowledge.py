@@ -225,11 +225,24 @@ class _Clocks:
         """Return the records in a transmission or delivery, forwarded or the sender's own, with true time stamps."""
         relayed = relayed_records(event.body)
         if relayed is None:
+            if not self._right:
+                self._note(event)
             return records_in(event)
         records = tuple(record for record in relayed if record.src < len(self._errors))
         if self._right:
             return records
         return tuple(record._replace(stamp=self._time(record, event)) for record in records)
+
+    def _note(self, event: Broadcast | Sent | Delivered) -> None:
+        """Note when a record is published: as its source broadcasts it, or in the first frame of a transport with it.
+
+        A pursuer with a Byzantine fault may forward it later, and may be the first whose message arrives.
+        """
+        if isinstance(event, Broadcast):
+            self._published.setdefault((event.src, event.seq), event.created)
+        for record in relayed_records(getattr(event.body, "body", None)) or ():
+            if record.src < len(self._errors):
+                self._time(record, event)
 
     def _time(self, record: Record, event: Broadcast | Sent | Delivered) -> int:
         """Return the true time, ns, at which a record in a transmission or delivery was published.

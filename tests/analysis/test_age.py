@@ -36,8 +36,9 @@ from desim.kernel.models.graphs import Ring
 from desim.kernel.models.latency import Constant, Uniform
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
-from desim.kernel.models.traced_faults import FaultEnded
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted, Misbehaviour
 from desim.kernel.network import Network
+from desim.kernel.transport.frames import CodedPiece
 from desim.pursuit.byzantine.lies import LIES, Slander
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Started
 from desim.pursuit.team.announcements import STARTS, Announcements, Assignment, Forwarded
@@ -199,6 +200,18 @@ def test_the_time_of_a_forwarded_record_is_corrected_for_the_synchronisation_of_
     relay = forwarded(1, 2, 2.5, 3.0, Record(0, 1, ns(stamp), ACTIVE))
     synced = [ClockCorrected(ns(t), 0, value) for t, value in corrections]
     assert pair(by_hand((True,) * 3, 5.0, relay, *synced, fault=(skew,)), reader=2)[0] == pytest.approx(4.0 - created)
+
+
+@pytest.mark.parametrize("is_framed", [False, True], ids=["broadcast", "in a frame of a transport"])
+def test_a_record_that_a_liar_forwards_counts_from_its_first_message(is_framed):
+    """0 sends its record at 1 s, and the message is lost; 1, a liar, forwards it at 3 s. It is 2.5 to 4 s old."""
+    skew, record = ClockSkew(node=0, offset=5.0, drift=0.5), Record(0, 1, ns(6.5), ACTIVE)
+    frame = CodedPiece("", False, 0, 1, 1, Forwarded((record,)))
+    first = Sent(ns(1.0), 0, 0, 2, LOST, ns(1.0), 24, frame) if is_framed else announced(0, 1, 1.0, {2: None})
+    lie = FaultStarted(0, Misbehaviour(start=0.0, node=1, model="liar", number=0))
+    relay = forwarded(1, 2, 3.0, 3.5, record, transmission=1)
+    assert pair(by_hand((True,) * 3, 5.0, lie, first, relay, fault=(skew,)), reader=2)[0] == 3.25
+    assert pair(by_hand((True,) * 3, 5.0, lie, relay, fault=(skew,)), reader=2)[0] == 1.25  # it may be forged
 
 
 @pytest.mark.slow_but_one
