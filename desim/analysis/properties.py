@@ -1,7 +1,6 @@
 """Properties of a run, judged: the margin of a property, and the watcher that ends a run that violates it."""
 
 from collections import deque
-from math import inf
 from typing import NamedTuple
 
 from desim.analysis.quantities import RISING, WATCHED, Level, Tally, cut, key_of, pieces_of
@@ -137,7 +136,7 @@ class PropertyWatcher:
                 f"{self.property.text!r}: {what} is known only after a run; quantities that are known"
                 f" during it are {', '.join(sorted(WATCHED))}",
             )
-        self.margin = inf
+        self.margin = self.property.margin(self.property.least)
         self.violated_at: float | None = None
         self._tally, self._now, self._levels = Tally(), 0, list[Level]()
         self._pieces = deque[PropertyPiece]()

@@ -334,7 +334,7 @@ def test_one_pursuer_alone_has_no_old_records(text):
 def test_in_a_run_that_ends_as_it_begins_no_time_has_passed(text):
     result = run(SMALL.with_({"capture.radius": 1e3}), 1)
     assert result.trace.of(Ended)[0].t == 0
-    assert judge(text, result).margin == 0.0
+    assert judge(text, result).margin == PropertyWatcher(text, result.scenario).margin == 0.0
     assert judge("always active <= 2", result).margin == inf
 
 
