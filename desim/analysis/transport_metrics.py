@@ -56,7 +56,7 @@ def retransmissions(result: Result) -> int:
 
 
 def acknowledgements(result: Result) -> int:
-    """Return the number of acknowledgements that were transmitted."""
+    """Return the number of acknowledgements that receivers sent, also of those that waited or were lost in a queue."""
     return _counts(result).acknowledgements
 
 
