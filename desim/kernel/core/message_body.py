@@ -98,6 +98,9 @@ def _check_copy(value: Any, copied: Any, depth: int = 0) -> None:
         return
     if copied is value:
         in_json_types(value)
+        if isinstance(value, tuple):  # it is its own copy if all its items are theirs
+            for item in value:
+                _check_copy(item, item, depth + 1)
         if hasattr(type(value), "__deepcopy__"):
             for part in attributes_of(value).values():
                 if isinstance(part, SHARED):
