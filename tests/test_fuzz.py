@@ -135,7 +135,7 @@ def number(draw, whole: bool, metadata, wild: Wild):
         return draw(st.sampled_from(fit if whole else [float(each) for each in fit]))
     if whole:
         return draw(st.integers(int(max(low, 0)), int(min(high, max(low, 0) + 4))))
-    low, high = max(low, 0.0 if low >= 0.0 or high < 10.0 else -10.0), min(high, 10.0)
+    low, high = max(low, 0.0 if low >= 0.0 or high < 10.0 else -10.0), min(high, max(10.0, low))
     value = draw(st.sampled_from([0.5, 1.0, 0.1, 0.03, 2.0, 5.0, 0.25, 10.0, 0.9]))
     value = value if low <= value <= high else draw(st.floats(low, high))
     return -value if low < 0 and draw(st.booleans()) else value

@@ -50,6 +50,7 @@ ALLOWED = {
         "desim.scenario.players": "RecordedMotion",
     },
     "warnings about the parameters of one built-in kind; a kind of a user has none": {
+        "desim.kernel.stepped_arguments": "Edges",
         "desim.scenario.liar_warnings": "ByzantineFault FalseAnnouncements Liar RandomLies Reputation Selective Silent"
         " Slander Trimmed",
         "desim.scenario.link_warnings": "Disk Edges LinkTrace LoRa QuasiUnitDisk Radio Reliable Window",

@@ -179,7 +179,7 @@ def test_a_medium_at_rest_moves_nothing():
 @pytest.mark.parametrize("on", ["all", "pursuers"])
 def test_an_unknown_place_has_no_time_and_gives_no_warning(flow, on):
     """An announcement of a capture time has no position; the pursuer beside it has its usual time."""
-    places, distances, speeds = np.array([complex(nan, nan), 3j]), np.array([nan, 3.0]), np.array([2.0, 2.0])
+    places, distances, speeds = np.array([complex(nan, nan), 3j]), np.array([nan, 3.0]), np.array([9.0, 9.0])
     environment = Environment(flow=flow, on=on)
     unknown, known = capture_times_in_flow(environment, 0j, places, distances, speeds, 0.5, 0.1, 0)
     (alone,) = capture_times_in_flow(environment, 0j, places[1:], distances[1:], speeds[1:], 0.5, 0.1, 0)
