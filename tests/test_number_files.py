@@ -91,7 +91,9 @@ def test_every_model_that_reads_a_file_is_here():
         model = pending.pop()
         pending += model.__subclasses__()
         kinds = [kind for kind in model.__subclasses__() if kind.__module__.startswith("desim.")]  # tests derive, too
-        is_defined = vars(sys.modules[model.__module__]).get(model.__name__) is model  # others were made by a test
+        is_defined = (
+            getattr(sys.modules.get(model.__module__), model.__name__, None) is model
+        )  # others were made by a test
         if "file" in model.model_fields and model.__module__.startswith("desim.") and is_defined and not kinds:
             models.add(model)
     assert models == {model for model, _, _ in READERS.values()} | OTHERS.keys()
