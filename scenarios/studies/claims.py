@@ -631,6 +631,25 @@ CLAIMS = (
         '<a href="broken/server.html#t=3">film</a>) | {8.0} |',
         (crash_time("server"), alone("server")),
     ),
+    Claim(
+        "breaking",
+        BREAKING,
+        "number 0, the chaser, crashes at {1} s ([file](../_static/broken/sap-2.toml), "
+        '<a href="broken/sap-2.html#t=1">film</a>) | {6.5} |',
+        (crash_time("sap-2"), alone("sap-2")),
+    ),
+    Claim(
+        "breaking",
+        BREAKING,
+        '<a href="broken/server-4.html#t=0.5">film</a>) | {5.5}; {6.0}; {5.0} |',
+        [*map(alone, ("server-2", "server-3", "server-4"))],
+    ),
+    Claim(
+        "breaking",
+        BREAKING,
+        "the evader is left alone for {6.1} s ([file](../_static/broken/sap-affordable-2.toml)",
+        [alone("sap-affordable-2")],
+    ),
     Claim("breaking", BREAKING, '-trimmed.html#t=4">film</a>) | {11.0} |', [alone("local_min-trimmed")]),
     Claim(
         "breaking",
