@@ -231,7 +231,7 @@ def differences(values: Floats, others: Floats) -> Floats:
         if not len(made):
             return made
         rounding = ROUNDING * np.maximum(np.abs(values).max(axis=0), np.abs(others).max(axis=0))
-        is_equal = np.ptp(made, axis=0) <= rounding
+        is_equal = np.isfinite(rounding) & (np.ptp(made, axis=0) <= rounding)
         first = np.where(np.abs(made[0]) > rounding, made[0], 0.0)
     return np.where(is_equal, first, made)
 

@@ -2,7 +2,7 @@
 
 from functools import partial
 from itertools import pairwise
-from math import comb, exp, isnan, nan, sqrt
+from math import comb, exp, inf, isnan, nan, sqrt
 
 import numpy as np
 import pytest
@@ -297,6 +297,10 @@ def test_the_paired_interval_covers_the_difference_and_is_narrow():
     assert np.mean(missed <= half_width * apart / error) > 0.999 > 0.95 + four_errors(0.95, 1500)
     assert np.mean(error**2 * count) == pytest.approx(0.2, abs=0.006)
     assert np.mean([each.half_width for each in unpaired]) == pytest.approx(sqrt(10.0) * half_width.mean(), rel=0.05)
+
+
+def test_an_infinite_value_is_not_equal_to_others():
+    assert paired([inf, 1.0, 2.0], [1.0, 1.0, 1.0]).mean == inf
 
 
 def test_differences_that_differ_by_rounding_are_equal():
