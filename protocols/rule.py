@@ -77,18 +77,9 @@ class LearningRule(Rule):
         """Return the utility, s, of each action that a pursuer may choose: 0 for inactivity, the gain for chasing.
 
         A gain is at least -1e9 s (`-MAX_TIME`), even if the pursuer can never capture, so that averages are finite.
-
-        Raises:
-            TypeError: if it is no agent.
         """
         utilities = {0: 0.0}
-        try:
-            options = me.options()
-        except AttributeError as error:
-            if hasattr(me, "options"):
-                raise
-            raise TypeError(f"utilities takes the agent of a pursuer, as actions(me) gets it (got {me!r})") from error
-        for evader in options[1:]:
+        for evader in me.options()[1:]:
             utilities[evader] = max(me.gain(self.utility, evader), -MAX_TIME)
         return utilities
 

@@ -703,9 +703,6 @@ WRONG_ARGUMENTS = {
     "argmax takes the utility of each action": [
         (lambda me, values: argmax(values), value) for value in ([0.1], 1, None)
     ],
-    "utilities takes the agent of a pursuer": [
-        (lambda me, other: BestResponse().utilities(other), value) for value in (None, 0, "pursuer_0")
-    ],
     "merge_records takes": [(Agent.merge_records, value) for value in (None, 1, ["x"], "x")],
     "after: act should be a function": [(lambda me, act: me.after(0.1, act), value) for value in (None, 0.5, "x")],
 }
