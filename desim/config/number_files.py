@@ -41,6 +41,15 @@ def number_of(text: str) -> float:
     raise not_a_number(text)
 
 
+def is_number_text(text: str) -> bool:
+    """Return whether a text is a number; see `number_of`."""
+    try:
+        number_of(text)
+    except ValueError:
+        return False
+    return True
+
+
 def converted(convert: Callable[[str], Number], text: str, place: str) -> Number:
     """Return the number in a text by one of the functions that convert it; an error begins with the place of the text.
 
@@ -170,7 +179,7 @@ NO_TEXT = {
     b"\xd4\xc3\xb2\xa1": "a capture of packets: tshark -T fields exports it as CSV",
     b"\n\r\r\n": "a capture of packets: tshark -T fields exports it as CSV",
 }
-"""What files are that are no text, by their first bytes, and how to make text of them."""
+"""Binary formats by their first bytes, and how to export text from them."""
 
 
 def text_of_file(file: Path) -> str:

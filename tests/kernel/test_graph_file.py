@@ -732,9 +732,19 @@ def test_an_adjacency_matrix_is_the_graph_that_it_is_of(tmp_path, mark, header, 
     assert made.nodes == size
 
 
-def test_a_matrix_on_one_side_of_the_diagonal_has_edges_both_ways_and_a_table_of_edges_is_none(tmp_path):
+def test_links_of_one_node_to_names_of_several_words_are_a_star(tmp_path):
+    (tmp_path / "star.csv").write_text("base,uav 1\nbase,uav 2\nbase,uav 3\n")
+    assert read(tmp_path / "star.csv").names == ("base", "uav 1", "uav 2", "uav 3")
+
+
+def test_a_matrix_on_one_side_of_the_diagonal_may_be_either_and_a_table_of_edges_is_none(tmp_path):
     (tmp_path / "m.txt").write_text("1 1 0 1\n0 1 1 0\n0 0 0 0\n0 0 0 0\n")
-    assert [(edge.src, edge.dst) for edge in read(tmp_path / "m.txt").edges] == [(0, 1), (0, 3), (1, 2)]
+    with pytest.raises(ValueError, match="is a matrix that is not symmetric: set directed = true"):
+        read(tmp_path / "m.txt")
+    for directed in (False, True):
+        made = read(tmp_path / "m.txt", directed=directed)
+        assert [(edge.src, edge.dst) for edge in made.edges] == [(0, 1), (0, 3), (1, 2)]
+        assert made.directed is directed
     (tmp_path / "e.csv").write_text("source,target,latency,loss\n0,1,0,0\n1,2,0,0\n2,3,0,0\n3,0,0,0\n")
     assert len(read(tmp_path / "e.csv").edges) == 4
     (tmp_path / "w.txt").write_text("0 1 5\n1 2 3\n2 0 4\n")

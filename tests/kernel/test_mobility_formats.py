@@ -269,6 +269,11 @@ def test_a_record_that_may_mean_something_else_is_refused(tmp_path, name):
         read(tmp_path, text.encode())
 
 
+def test_nodes_that_are_seen_once_may_stand_beside_nodes_that_move(tmp_path):
+    text = "0 0 0 9 5 5\n0 1 1 9 6 6\n3 7 7\n5 8 8\n7 9 9\n"
+    assert [len(read(tmp_path, text.encode(), node).waypoints) for node in range(5)] == [2, 2, 1, 1, 1]
+
+
 def test_dimensions_are_of_bonnmotion_and_agree_with_its_mark(tmp_path):
     with pytest.raises(ValueError, match=r"line 1: #3D says that dimensions should be 3"):
         read(tmp_path, b"#3D\n0 1 2 3\n", dimensions=2)

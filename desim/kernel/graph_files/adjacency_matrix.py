@@ -7,7 +7,7 @@ Names of the nodes may stand in a first line and at the beginning of each line:
     uav1,1,0,1
     uav2,0,1,0
 
-A matrix that is symmetric, or has links on one side of its diagonal only, has edges that hold both ways.
+A symmetric matrix has edges that hold both ways. Any other may be of one-way links, or half of a symmetric one.
 """
 
 from collections.abc import Sequence
@@ -15,8 +15,9 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from desim.config.number_files import is_number_text
 from desim.kernel.measured.csv_tables import plain_rows
-from desim.kernel.measured.measurements import number_or_nan
+from desim.kernel.measured.measurements import MISSING, number_or_nan
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -38,8 +39,8 @@ def read_matrix(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any] 
         directed: whether edges are one-way; None if it is not known.
 
     Raises:
-        ValueError: if some links hold both ways and others one way, and `directed` does not say what this means, or
-            the first line may be numbers of nodes.
+        ValueError: if it is not symmetric and `directed` does not say what this means, or the first line may be numbers
+            of nodes.
     """
     import networkx as nx
 
@@ -65,8 +66,7 @@ def read_matrix(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any] 
         if weight and src != dst and isfinite(weight)
     }
     is_symmetric = all(weights.get((dst, src)) == weight for (src, dst), weight in weights.items())
-    is_triangular = len({src < dst for src, dst in weights}) < 2
-    if directed is None and not (is_symmetric or is_triangular):
+    if directed is None and not is_symmetric:
         raise ValueError(
             f"{file} is a matrix that is not symmetric: set directed = true if edges are one-way, or false"
         )
@@ -89,17 +89,11 @@ def _parts(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[float]]]
     Raises:
         ValueError: if a cell is not a number, or the names of lines and of columns differ.
     """
-    if not rows or (rows[0][0] not in CORNERS and all(map(_is_number, rows[0]))):
+    if not rows or (
+        rows[0][0] not in CORNERS and all(cell.lower() in MISSING or is_number_text(cell) for cell in rows[0])
+    ):
         return [], [[number_or_nan(cell) for cell in row] for row in rows]
     names, begins = rows[0][1:], [row[0] for row in rows[1:]]
     if list(names) != begins or len(set(begins)) < len(begins):
         raise ValueError("the names of lines and of columns should be equal, and differ from each other")
     return begins, [[number_or_nan(cell) for cell in row[1:]] for row in rows[1:]]
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        number_or_nan(cell)
-    except ValueError:
-        return False
-    return True

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from desim.config.number_files import number_of
+from desim.config.number_files import is_number_text, number_of
 from desim.config.tables import check_once
 from desim.kernel.measured.csv_tables import separator_in, with_points
 
@@ -68,7 +68,7 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
         rows = [row._replace(cells=cells) for row, (_, cells) in zip(rows, points, strict=True)]
     if not header:
         _check_form(file, rows)
-        is_weighted = all(len(row.cells) == 3 and _is_number(row.cells[2]) for row in rows)
+        is_weighted = all(len(row.cells) == 3 and is_number_text(row.cells[2]) for row in rows)
         header = ["source", "target", *(["weight"] if is_weighted else [])]
         if too_long := [row for row in rows if len(row.cells) > len(header)]:
             raise ValueError(
@@ -290,13 +290,18 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
     has_numbers = bool(nodes) and all(map(str.isdecimal, nodes))
     is_header = has_numbers and not any(cell.isdecimal() for cell in first[:2])
     if not _names_ends(first):
-        if first[0].lower() in OF_NODES and nodes and nodes.isdisjoint(first[:2]) and not any(map(_is_number, first)):
+        if (
+            first[0].lower() in OF_NODES
+            and nodes
+            and nodes.isdisjoint(first[:2])
+            and not any(map(is_number_text, first))
+        ):
             raise ValueError(
                 f"{file}, line {rows[0].line}: {', '.join(first)[:60]} are the columns of a table of nodes; those of"
                 " edges are source and target"
             )
         return (first, below) if is_header else ([], rows)
-    if any(map(_is_number, first)) or (not has_numbers and not nodes.isdisjoint(first[:2])):
+    if any(map(is_number_text, first)) or (not has_numbers and not nodes.isdisjoint(first[:2])):
         return [], rows
     if len(first) == 2 and nodes and max(map(len, nodes)) == 1 == max(map(len, first)) and not has_numbers:
         why = f"{first[0]} {first[1]} may be an edge or the names of the columns: write source and target above"
@@ -305,13 +310,16 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
 
 
 MOSTLY = 0.9
-"""The share of different names among the ends from which on lines are hardly edges; in a tree, it is about a half."""
+"""The share of different names among the ends from which on lines are hardly edges; in a tree, it is about a half.
+
+In disjoint pairs all names differ, so a list of these with names of several words needs a header.
+"""
 
 
 def _check_form(file: Path, rows: Sequence[EdgeRow]) -> None:
     """Raise ValueError if rows without a header are probably no edges: names with spaces are then parts of other lines.
 
-    Such are a title, several words behind the second name only, and lines that have hardly a name in common.
+    Such are a title, several words behind different first names only, and lines that have hardly a name in common.
     """
     edges = [row.cells for row in rows if len(row.cells) == 2]
     names = [name for cells in edges for name in cells]
@@ -319,7 +327,7 @@ def _check_form(file: Path, rows: Sequence[EdgeRow]) -> None:
     have_spaces = [[len(name.split()) > 1 for name in side] for side in zip(*edges, strict=True)]
     if title is not None:
         why = f"{title.cells[0][:40]!r} is no edge, and no name of a node"
-    elif edges and all(have_spaces[1]) and not any(have_spaces[0]):
+    elif edges and len({first for first, _ in edges}) > 1 and all(have_spaces[1]) and not any(have_spaces[0]):
         why = f"{edges[0][1][:40]!r} has several words, and {edges[0][0][:40]!r} has one"
     elif len(edges) > 2 and len(set(names)) > MOSTLY * len(names) and any(map(any, have_spaces)):
         why = "hardly a name is in two lines"
@@ -330,14 +338,6 @@ def _check_form(file: Path, rows: Sequence[EdgeRow]) -> None:
         f"{file}, line {line}: {why}: each line should be an edge; if these are edges, a first line should name the"
         " columns, such as source,target"
     )
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        number_of(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def _attribute(name: str, cell: str, place: str) -> Any:

@@ -44,12 +44,13 @@ class BonnMotionFile(MobilityFile):
     def _check_is_no_table(self, dimensions: Dimensions | None) -> None:
         """Raise ValueError if the lines seem to be the rows of a table that lacks a header.
 
-        Several lines are one waypoint each, and their times differ: nodes that never move have no reason to begin at
-        different times. Or all lines are equally long, and in any reading some are no waypoints in order of time.
+        All lines but one at most are one waypoint each, and their times differ: where nearly no node moves, they have
+        no reason to. Or all lines are equally long, and in any reading some are no waypoints in order of time.
         """
         possible = [4] if self._is_marked else [3, 4] if dimensions is None else [dimensions + 1]
         single = [row for row in self._rows if len(row[1]) in possible]
-        wrong = single[0] if len(single) > 2 and len(set(_first_times(single))) > 1 else None
+        is_table = len(single) > 2 and len(single) >= len(self._rows) - 1 and len(set(_first_times(single))) > 1
+        wrong = single[0] if is_table else None
         lengths = {len(row) for _, row in self._rows}
         if wrong is None and len(self._rows) > 2 and len(lengths) == 1:
             widths = [width for width in possible if not max(lengths) % width]
