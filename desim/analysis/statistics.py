@@ -130,8 +130,7 @@ class Estimate:
         return abs(self.mean) > self.half_width_at(confidence)
 
     def _chance_of_equal(self) -> float:
-        """Return the probability that all n values have one sign if both signs are equally probable: 2^(1 - n)."""
-        return 2.0 ** (1 - self.count)
+        return chance_of_one_sign(self.count)
 
     def half_width_at(self, confidence: float) -> float:
         """Return half the width of the t interval with a confidence in (0, 1); nan for fewer than 2 runs."""
@@ -156,11 +155,15 @@ class Share(Estimate):
         """The ends of the 95 % interval."""
         return wilson(round(self.mean * self.count), self.count)
 
-    @property
-    def half_width(self) -> float:
-        """Half the width of the 95 % interval, which is not symmetric about the mean."""
-        low, high = self.interval
+    def half_width_at(self, confidence: float) -> float:
+        """Return half the width of the interval with a confidence in (0, 1), which is not symmetric about the mean."""
+        low, high = wilson(round(self.mean * self.count), self.count, confidence)
         return (high - low) / 2.0
+
+
+def chance_of_one_sign(count: int) -> float:
+    """Return the probability that all of n values have one sign if both signs are equally probable: 2^(1 - n)."""
+    return 2.0 ** (1 - count)
 
 
 def share(truths: Sequence[float] | Floats) -> Estimate:
@@ -276,20 +279,21 @@ def independent(values: Sequence[float] | Floats, others: Sequence[float] | Floa
     return IndependentDifference(difference, sqrt(total), count, total**2 / scale if scale else inf)
 
 
-def wilson(successes: int, trials: int) -> tuple[float, float]:
-    """Return the 95 % interval (low, high) of a probability, given the number of successes in independent trials.
+def wilson(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Return the interval (low, high) of a probability, given the number of successes in independent trials.
 
     It consists of the probabilities p with |s - p| <= z sqrt(p (1 - p) / n), where s is the share of successes in n
-    trials and z the 97.5 % quantile of the normal distribution (Wilson 1927, "Probable Inference, the Law of
-    Succession, and Statistical Inference"). It is within [0, 1], and of positive width even if all trials have the same
-    outcome. `scipy.stats` has it, too, but its import takes longer than many runs.
+    trials and z a quantile of the normal distribution, for 95 % that of 97.5 % (Wilson 1927, "Probable Inference, the
+    Law of Succession, and Statistical Inference"). It is within [0, 1], and of positive width even if all trials have
+    the same outcome. `scipy.stats` has it, too, but its import takes longer than many runs.
 
     Raises:
         ValueError: if there are no trials, or the successes are not in 0 .. `trials`.
     """
     if not 0 <= successes <= trials or not trials:
         raise ValueError(f"there should be trials, and no more successes than trials, got {successes} of {trials}")
-    share, z2 = successes / trials, NORMAL_975**2 / trials
+    quantile = NORMAL_975 if confidence == 0.95 else t_quantile(inf, confidence)
+    share, z2 = successes / trials, quantile**2 / trials
     middle, half = share + z2 / 2.0, sqrt(z2 * (share * (1.0 - share) + z2 / 4.0))
     low = (middle - half) / (1.0 + z2) if successes else 0.0
     high = (middle + half) / (1.0 + z2) if successes < trials else 1.0

@@ -126,7 +126,8 @@ def test_a_share_has_the_interval_of_wilson_and_covers_as_often_as_it_says():
         weights = [comb(n, k) * p**k * (1 - p) ** (n - k) for k in range(n + 1)]
         pairs = list(zip(weights, shares, strict=True))
         covered = sum(weight for weight, one in pairs if one.interval[0] <= p <= one.interval[1])
-        narrow = sum(weight for weight, one in pairs if abs(one.mean - p) <= one.half_width_at(0.95))
+        means = [(weight, statistics.Estimate(one.mean, one.standard_error, n)) for weight, one in pairs]
+        narrow = sum(weight for weight, one in means if abs(one.mean - p) <= one.half_width)
         assert (covered, narrow) == (pytest.approx(expected, abs=0.001), pytest.approx(by_t, abs=0.001))
     found = statistics.mean_or_share([True] * 29 + [False])
     assert found.interval == wilson(29, 30)
@@ -135,6 +136,8 @@ def test_a_share_has_the_interval_of_wilson_and_covers_as_often_as_it_says():
     assert type(statistics.mean_or_share([1.0, 0.0])) is statistics.Estimate
     assert statistics.mean_or_share([True]).interval == wilson(1, 1)
     assert statistics.share([]).count == 0
+    assert found.half_width == found.half_width_at(0.95) < found.half_width_at(0.99)
+    assert wilson(29, 30, 0.95) == pytest.approx(wilson(29, 30, 0.9500001), abs=1e-6)
     assert estimate([1.0, 2.0, 3.0]).bars == pytest.approx((estimate([1.0, 2.0, 3.0]).half_width,) * 2)
 
 

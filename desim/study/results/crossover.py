@@ -19,7 +19,7 @@ import numpy as np
 
 from desim.analysis.measuring import check_numeric
 from desim.analysis.metrics import METRICS, words
-from desim.analysis.statistics import differences, estimate, t_quantile
+from desim.analysis.statistics import chance_of_one_sign, differences, estimate, t_quantile
 from desim.config.arrays import Floats
 from desim.config.json_numbers import json_number
 from desim.config.key_index import unit_of_key
@@ -290,7 +290,7 @@ def undecided_parts(x: Sequence[float], apart: Floats, confidence: float) -> lis
     spreads = np.ptp(apart, axis=0).tolist()
     parts: list[CrossoverInterval] = []
     for k in range(len(x) - 1):
-        if not (spreads[k] or spreads[k + 1]) and 2.0 ** (1 - runs) > 1.0 - confidence:
+        if not (spreads[k] or spreads[k + 1]) and chance_of_one_sign(runs) > 1.0 - confidence:
             parts.append((x[k], x[k + 1]))  # a few runs without scatter decide nothing, see `Estimate.excludes_0`
             continue
         start, rise = apart[:, k], apart[:, k + 1] - apart[:, k]

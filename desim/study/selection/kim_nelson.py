@@ -14,22 +14,11 @@ means are closer than `zone`, any of the close ones may be selected, with about 
 
 Two systems may differ by the same in all first samples, so that S^2 is 0: those of a rule that hardly matters, or truth
 values, such as whether there is a capture. Their variance is then not known. They are not compared before a sample in
-which they differ otherwise, and S^2 is then that of all samples up to it; after `ENOUGH` samples it is 0. The table
-shows how often the best of three systems is selected, in %, if it is ahead of two equal ones by the zone, in 400 races
-with a confidence of 95 % (s.e. at most 2.5), and without this rule.
-
-    samples                                                              rule   without
-    normal, standard deviation of two zones                                97        97
-    lognormal, sigma = 1, means of e^0.5 and a zone more                   93        93
-    true with 0.95, others 0.9; independent                                92        91
-    true with 0.95, others 0.9; the same number decides all                98        64
-    true with 0.98, others 0.96; independent                               93        75
-    true with 0.98, others 0.96; the same number decides all               79        33
-    a cost of 20 zones with 0.05, the best never                           95        80
-    a cost of 50 zones with 0.02, the best never                           89        57
+which they differ otherwise, and S^2 is then that of all samples up to it; after `ENOUGH` samples it is 0. How often
+the best is selected of values that are not normal is in docs/explanation/validation.md.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import ceil, floor, inf, isfinite
@@ -37,15 +26,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from desim.analysis.statistics import paired
+from desim.analysis.statistics import NORMAL_975, OTHERS, paired
 from desim.config.arrays import Floats
 from desim.config.errors import ArgumentError
 from desim.config.python_numbers import real, whole
 
-ENOUGH = 73
-"""The number of samples after which two systems that differ by the same in all of them have a variance of 0.
+ENOUGH = ceil(NORMAL_975**2 * (1.0 - OTHERS) / OTHERS)
+"""The number of samples after which two systems that differ by the same in all of them have a variance of 0: 73.
 
-At most a share `desim.analysis.statistics.OTHERS` of all samples differs otherwise then, as in a sequential study.
+By Wilson's interval, at most a share `OTHERS` of all samples then differs otherwise, as in a sequential study.
 """
 Sample = Callable[[Sequence[int], int], Sequence[float]]
 """Returns a sample of each of some systems, given their numbers and the number of the replication, from 0 on."""
@@ -180,7 +169,7 @@ def kim_nelson(
     _, square = constants(systems, first, confidence)
     scale = square / zone**2
     limits = scale * variances
-    for pair in _pairs(left):
+    for pair in combinations(left, 2):
         if _are_equal(kept, pair):
             limits[pair] = limits[pair[::-1]] = inf
     last = _last(limits, left, first)
@@ -197,7 +186,7 @@ def kim_nelson(
         count += 1
         for system in left:
             sums[system] += sign * kept[system][-1]
-        for pair in _pairs(left):
+        for pair in combinations(left, 2):
             if limits[pair] == inf and (count >= ENOUGH or not _are_equal(kept, pair)):
                 variances[pair] = variances[pair[::-1]] = _variances(sign * np.array([kept[k] for k in pair]))[0, 1]
                 limits[pair] = limits[pair[::-1]] = scale * variances[pair]
@@ -222,11 +211,6 @@ def _last(limits: Floats, left: Sequence[int], first: int) -> float:
     """
     greatest = float(limits[np.ix_(left, left)].max())
     return max(floor(greatest), first - 1) + 1 if isfinite(greatest) else inf
-
-
-def _pairs(left: Sequence[int]) -> Iterator[tuple[int, int]]:
-    """Yield the pairs of systems that are left."""
-    return combinations(left, 2)
 
 
 def _are_equal(kept: Sequence[Sequence[float]], pair: tuple[int, int]) -> bool:
