@@ -73,8 +73,8 @@ def over_pairs(age: Floats) -> float:
 def age_mean(result: Result) -> float:
     """Return the age of information, s, averaged over time and then over pairs; nan without a measurement.
 
-    Pairs of which the reader never heard the source are left out. Where much is lost, they are those that would raise
-    the mean most.
+    Pairs of which the reader never heard the source are left out. Where much is lost, the mean is
+    therefore too small: such pairs have the greatest ages.
 
     Raises:
         ValueError: if the trace lacks messages that were sent.

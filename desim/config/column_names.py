@@ -9,7 +9,7 @@ IDENTIFIED = (
     *("vehicle", "agent", "robot", "uav", "drone", "track", "trajectory", "traj", "pedestrian", "ped", "person"),
     *("object", "obj", "user", "tag", "target", "node"),
 )
-"""What the numbers in a column may belong to, as in `track_id`."""
+"""Nouns before `id` in the name of a column, as in `track_id`."""
 COLUMNS: Mapping[str, tuple[str, ...]] = {
     "t": ("t", "time", "timestamp", "sec", "seconds", "date", "datetime"),
     "x": ("x", "pos_x", "posx", "position_x", "east", "easting", "tx"),

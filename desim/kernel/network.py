@@ -185,8 +185,8 @@ class Network(ReceivingNodes):
         topology: the links of the graph, and which of them are within range.
         estimates: estimates of its delays and its density, for time-outs.
         accepted: number of calls of `publish` and `send` whose arguments were valid. A call that is not accepted raises
-            ValueError and changes nothing. An exception of one that is accepted comes from a watcher or a model: the
-            message may then be counted and not sent, and the network should not be used any more.
+            ValueError and changes no number and no draw. An exception of one that is accepted comes from a watcher or a
+            model: the message may then be counted and not sent, and the network should not be used any more.
     """
 
     def __init__(
@@ -302,9 +302,10 @@ class Network(ReceivingNodes):
             check_transport(transport)
         sent = as_sent(body)
         size = size_of(sent) if size is None else checked_size(size)
-        is_plain = self._is_plain if transport is None else transport.is_plain
+        carried = self._transport if transport is None else transport
+        is_plain = self._is_plain if transport is None else carried.is_plain
         if not is_plain:
-            self._transport_layer.choose(port, transport or self._transport)
+            self._transport_layer.choose(port, carried)
         self.accepted += 1
         self._inboxes.has_mutable |= sent is not body
         message = _new(Message, (src, self._env.now, sent))
@@ -315,7 +316,7 @@ class Network(ReceivingNodes):
         if only is not None:
             receivers = [node for node in self.topology.neighbours(src).tolist() if node in only]
         for receiver in receivers:
-            self._transport_layer.send(src, receiver, message, port, size, transport or self._transport)
+            self._transport_layer.send(src, receiver, message, port, size, carried)
 
     def listen(self, by_port: Mapping[str, Transport]) -> None:
         """Let all nodes take frames of transports before any is sent here; see `TransportLayer.listen`.

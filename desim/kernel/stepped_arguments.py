@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 IMPLAUSIBLE = 10.0
-"""A mean latency, s, from which on it was probably given in ms."""
+"""A mean latency, s, from which on it was probably given in ms: that of sound over 15 km of water."""
 LARGEST_NETWORK = 1_000_000
 """The largest number of nodes, which is that of pursuers of a scenario."""
 

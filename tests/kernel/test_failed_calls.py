@@ -33,7 +33,7 @@ DRAWN = Links(latency=Lognormal(mean=0.05, cv=0.5), loss=0.2, range=6.0, recepti
 """Links whose draws depend on the number of each message."""
 BODY = (1.0, 2.0)
 FUSE = SimpleNamespace(error=None)
-"""What the parts of the user raise; None: nothing."""
+"""The exception that the parts of the user raise; None: none."""
 
 
 def burn(answer=None):

@@ -32,7 +32,7 @@ NUMBER = re.compile(r"[+-]?\d+(?:[.,]\d+)*(?:e[+-]?\d+)?", re.IGNORECASE)
 UNIT_APART = re.compile(r"\s+(?=[\[(])")
 """Matches the space before a unit in brackets, which begins no cell."""
 NO_UNIT = "utc|gmt|date|iso ?8601"
-"""What else than a unit may be in brackets behind the name of a time."""
+"""Words in brackets after the name of a time that are no unit."""
 
 
 def header_in(lines: Sequence[str]) -> tuple[int, str, Header] | None:
@@ -137,12 +137,12 @@ class MobilityTable(MobilityFile):
 
     def _column(self, header: Header, key: str) -> int | None:
         """Return the index of a column; None if the table lacks it."""
-        found = header.columns(key)
-        if len(found) > 1 and key != "z":
-            names = [header.names[k] for k in found]
+        indices = header.columns(key)
+        if len(indices) > 1 and key != "z":
+            names = [header.names[k] for k in indices]
             which = f"several columns {names[0]!r}" if len(set(names)) == 1 else f"columns {' and '.join(names)}"
             raise ValueError(f"{self._file} has {which}: which of them is {key}? Leave out the others")
-        return found[0] if found else None
+        return indices[0] if indices else None
 
     def _unit_of(self, name: str, first: str) -> Unit:
         """Return the unit of the times, given that of the header, which may have none, and the first time."""
