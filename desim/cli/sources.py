@@ -3,13 +3,13 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from desim.cli.options import is_import_allowed
+from desim.cli.output import echo, fail
 from desim.cli.usage import metric_option
 
 if TYPE_CHECKING:
     from desim.scenario.overrides import Source
     from desim.scenario.scenario import Scenario
-from desim.cli.options import is_import_allowed
-from desim.cli.output import echo, fail
 
 
 def source_of(

@@ -47,11 +47,6 @@ from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.kernel.state.message_queue import MessageQueue
 from desim.kernel.state.transmission import Transmission
-from desim.kernel.stepped_positions import SteppedPositions
-from desim.kernel.wandering_clock import node_clocks
-
-if TYPE_CHECKING:
-    import networkx as nx
 from desim.kernel.stepped_arguments import (
     faults_argument,
     horizon_argument,
@@ -59,6 +54,11 @@ from desim.kernel.stepped_arguments import (
     nodes_argument,
     walls_argument,
 )
+from desim.kernel.stepped_positions import SteppedPositions
+from desim.kernel.wandering_clock import node_clocks
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 SHOWN = 10
 """Number of nodes listed in an error message."""
