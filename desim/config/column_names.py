@@ -45,10 +45,11 @@ SAME_UNIT = {"s": TIME_UNITS["s"], "m": "m|met(?:er|re)s?"}
 NAMES_OF_UNITS = {unit: f"{SAME_UNIT[unit]}|{OTHER_UNITS[unit]}" for unit in SAME_UNIT}
 LABEL = re.compile(
     r"(?P<name>.*?)(?:\s*[\[(]\s*(?P<bracketed>[^\])]*?)\s*[\])]"
-    rf"|(?:\s*[/,:]\s*|\s+in\s+|_in_|\s+|_)(?P<unit>{'|'.join(NAMES_OF_UNITS.values())}|m|mi|dm|min|h))?\s*",
+    r"|(?:\s*[/,:]\s*|\s+in\s+|_in_|\s+|_|(?-i:(?<=[a-zXYZ])(?=[A-Z])(?!Min))|(?<=^[xyz])(?=[a-z]?m$|ft|px)|(?<=^t)(?=[mun]s))"
+    rf"(?P<unit>{'|'.join(NAMES_OF_UNITS.values())}|m|mi|dm|min|h))?\s*",
     re.IGNORECASE,
 )
-"""Matches the label of a column with its unit, as in `x [cm]`, `x_cm`, `x / cm` or `x in cm`."""
+"""Matches the label of a column with its unit, as in `x [cm]`, `x_cm`, `x / cm`, `x in cm`, `xcm` or `posCm`."""
 WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?(?:(?![A-Z])[^\W\d_])+|\d+")
 """Matches a word in a label, as in `pose.position.x`, `posX` or `utm_north`."""
 AXES = {"x": re.compile(r"[a-z]?x|east|easting"), "y": re.compile(r"[a-z]?y|north|northing")}
@@ -61,7 +62,7 @@ ENDS = {
 }
 """The words that end the label of a column among others, as in `pose.position.x`."""
 OF_POSITIONS = frozenset(
-    {"p", "pos", "pose", "position", "positions", "translation", "location", "point", "coordinate"}
+    {"p", "pos", "pose", "position", "positions", "translation", "location", "point", "coord", "coordinate"}
 )
 OF_OTHERS = frozenset(
     {
@@ -151,5 +152,5 @@ def _role(name: str) -> str | None:
     """Return which of t, x and y a column is, given its label without a unit; None if it cannot be told."""
     if (role := next((key for key in "txy" if name.strip().lower() in COLUMNS[key]), None)) is not None:
         return role
-    words = [word for word in _words(name) if not word.isdecimal()]
+    words = [word for word in _words(name) if not word.isdecimal() and word not in OF_POSITIONS]
     return next((key for key, axis in AXES.items() if words and axis.fullmatch(words[-1])), None)

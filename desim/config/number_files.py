@@ -25,6 +25,8 @@ OTHER_DIGITS = re.compile(r"[+-]?[\d_.\s]*\d[\d_.\s]*(e[+-]?[\d_]+)?", re.IGNORE
 """Matches a number with underscores, white space or digits of another script."""
 WITH_UNIT = re.compile(r"[+-]?[\d.]+(?:e[+-]?\d+)?\s*([^\W\d_]+(?:/\w+)?|%)", re.IGNORECASE)
 """Matches a number with a unit."""
+FILLS = frozenset({999.0, 9999.0, 99999.0, 999999.0, 999.9, 9999.9, 32767.0, 32768.0})
+"""Absolute values that stand for a missing value in many data sets."""
 
 
 def number_of(text: str) -> float:
@@ -39,6 +41,11 @@ def number_of(text: str) -> float:
     except ValueError:
         pass
     raise not_a_number(text)
+
+
+def is_fill(number: float) -> bool:
+    """Return whether a number stands for a missing value in many data sets, such as -9999 in grids of ESRI."""
+    return abs(number) in FILLS
 
 
 def is_number_text(text: str) -> bool:

@@ -1,13 +1,14 @@
 """Warnings about a network that can be simulated and is probably not meant: its links, transports and channel."""
 
-from collections.abc import Iterator
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
 from math import inf
 from typing import Any
 
 from desim.config.model import RESOLUTION
 from desim.config.traits import inherits
 from desim.kernel.clock_sync import Unsynchronised
-from desim.kernel.core.units import nanoseconds, seconds
+from desim.kernel.core.units import SECOND, nanoseconds
 from desim.kernel.graph_files.graph_attributes import unread_attributes
 from desim.kernel.measured.base import LinkTrace
 from desim.kernel.models.access import SlottedAloha, Tdma
@@ -28,6 +29,10 @@ from desim.scenario.telling import announces_start, has_heartbeats, is_built_in,
 
 LARGEST_EXPONENT = 4.0
 """Largest path loss exponent that is usual without walls."""
+MANY_ROWS = 10
+"""The number of rows of a table, and the number for each row before the horizon, from which on it is doubted."""
+SPARSE = 5.0
+"""The mean time between two rows, s, from which on a table that is much longer than a run is doubted."""
 ROUNDS_TO_0 = "rounds to 0, because time is counted in nanoseconds"
 
 
@@ -119,12 +124,25 @@ def _transport_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             )
 
 
-def only_first(noun: str, second: float, horizon: float) -> str:
-    """Return the warning that a table has nothing after its first row during a run; its second is at `second` s."""
-    return (
-        f"only the first {noun} counts: the second is at {second:g} s, and the horizon is {horizon:g} s; are the times"
-        " in another unit?"
-    )
+def late_rows(noun: str, times: Sequence[float], horizon: float, late: float = 1.0) -> str | None:
+    """Return the warning that nearly all rows of a table are after the end of a run; None if that is not so.
+
+    Args:
+        noun: a row of the table.
+        times: the times of the rows since the start of the run, s, ascending.
+        horizon: the horizon, s.
+        late: the time of the second row, in horizons, beyond which the first one alone counts.
+    """
+    if len(times) > 1 and times[1] > late * horizon:
+        which = f"only the first {noun} counts: the second is at {times[1]:g} s"
+    else:
+        rows = [time for time in times if time >= 0.0]
+        count = bisect_right(rows, horizon)
+        is_sparse = len(rows) > 1 and (rows[-1] - rows[0]) / (len(rows) - 1) >= SPARSE
+        if not is_sparse or len(rows) < MANY_ROWS or count * MANY_ROWS > len(rows):
+            return None
+        which = f"only {count} of {len(rows)} {noun}s count: the last is at {rows[-1]:g} s"
+    return f"{which}, and the horizon is {horizon:g} s; are the times in another unit?"
 
 
 def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
@@ -142,14 +160,13 @@ def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
                 place = key if key == "network.graph" else f"{key}.{name}.nodes"
                 numbers[place, f"the nodes of {model.name} are numbered in its order: {named}"] = None
             if model.is_replayed and model.doubt is not None:
-                field, why = model.doubt
-                numbers[key if key == "network.graph" else f"{key}.{name}.{field}", why] = None
+                field, doubt = model.doubt
+                numbers[key if key == "network.graph" else f"{key}.{name}.{field}", doubt] = None
             times = model.measurements.times
             if model.is_replayed and len(times) > 1 and model.start != "random":
-                second = seconds(int(times[1])) - model.start
-                if second > scenario.horizon:
-                    place = key if key == "network.graph" else f"{key}.{name}.time_unit"
-                    numbers[place, only_first("row", second, scenario.horizon)] = None
+                since = (times / SECOND - model.start).tolist()
+                if (why := late_rows("row", since, scenario.horizon)) is not None:
+                    numbers[key if key == "network.graph" else f"{key}.{name}.time_unit", why] = None
             if model.is_replayed and model.after == "error" and model.span < scenario.horizon:
                 place = key if key == "network.graph" else f"{key}.{name}.after"
                 spans[place] = min(model.span, spans.get(place, inf))

@@ -12,7 +12,7 @@ from desim.pursuit.motion.flow import RecordedFlow
 from desim.pursuit.motion.guidance import PurePursuit
 from desim.pursuit.sensing.sensing import Sensing
 from desim.pursuit.sensing.tracking import Estimator
-from desim.scenario.link_warnings import only_first
+from desim.scenario.link_warnings import late_rows
 from desim.scenario.scenario import Scenario
 from desim.scenario.wall_misfits import reach_warnings
 
@@ -98,16 +98,18 @@ def _record_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
         if getattr(record, "has_heights", False):
             yield key, "the heights in the file are dropped: motion is in the plane, and so are all distances"
         waypoints: Sequence[Any] = getattr(record, "waypoints", ())
-        if len(waypoints) > 1 and waypoints[1][0] > SLOW * scenario.horizon:
-            yield f"{key}.waypoints", only_first("waypoint", waypoints[1][0], scenario.horizon)
+        if (why := late_rows("waypoint", [t for t, *_ in waypoints], scenario.horizon, SLOW)) is not None:
+            yield f"{key}.waypoints", why
 
 
 def _flow_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about a flow without an effect, and about a guidance that does not allow for it."""
     environment = scenario.environment
     measured: Sequence[Any] = getattr(environment.flow, "velocities", ())
-    if inherits(environment.flow, RecordedFlow) and len(measured) > 1 and measured[1][0] > SLOW * scenario.horizon:
-        yield "environment.flow.velocities", only_first("measurement", measured[1][0], scenario.horizon)
+    if inherits(environment.flow, RecordedFlow):
+        why = late_rows("measurement", [t for t, *_ in measured], scenario.horizon, SLOW)
+        if why is not None:
+            yield "environment.flow.velocities", why
     if environment.is_still and environment.on != "all":
         yield "environment.on", "it has no effect without a flow"
     if not environment.is_still and scenario.motion.static:

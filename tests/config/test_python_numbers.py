@@ -494,12 +494,19 @@ def test_names_of_coordinates_are_understood_as_in_a_file(table):
         *[("y/m", "x/m"), ("y / m", "x / m"), ("y in m", "x in m"), ("y, m", "x, m"), ("y_meters", "x_meters")],
         *[("pose.position.y", "pose.position.x"), ("/odom/pose/y", "/odom/pose/x"), (".y", ".x"), ("p_y", "p_x")],
         *[("pos y", "pos x"), ("pos-y", "pos-x"), ("py", "px"), ("y1", "x1"), ("y_0", "x_0"), ("centreY", "centreX")],
+        *[("ym", "xm"), ("y_pos", "x_pos"), ("YPos", "XPos"), ("y position", "x position")],
         *[("utm_north", "utm_east"), ("Northing (m)", "Easting (m)"), ("world.Y [metre]", "world.X [metre]")],
     ],
 )
 def test_labels_of_coordinates_may_have_words_before_them_and_units_in_any_form(y, x):
     assert Team(positions=pd.DataFrame({y: [3.0], x: [1.0]})).positions == ((1.0, 3.0),)
     assert Team(positions=pd.DataFrame({x: [1.0], y: [3.0]})).positions == ((1.0, 3.0),)
+
+
+@pytest.mark.parametrize("labels", ["ycm xcm", "posYCm posXCm", "yft xft", "timeMs x y", "tms x y", "timestampNs x y"])
+def test_a_unit_may_be_written_without_a_space_before_it(labels):
+    with pytest.raises(ValueError, match=rf"column '{labels.split()[0]}' is in \w+, and should be in"):
+        Team(positions=pd.DataFrame([[1.0, 3.0, 5.0][: len(labels.split())]], columns=labels.split()))
 
 
 @pytest.mark.parametrize(

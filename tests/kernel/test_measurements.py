@@ -238,6 +238,47 @@ def test_a_record_of_which_only_the_first_row_counts_is_warned_of():
     assert not any("only the first" in why for _, why in warnings(good))
 
 
+@pytest.mark.parametrize(("step", "is_told"), [(0.02, False), (1.0, False), (20.0, True)], ids=["s", "1 Hz", "ms"])
+def test_a_table_of_which_few_rows_count_is_warned_of(step, is_told):
+    """Measurements at 50 Hz whose times are in ms, without a name that says so, are 20 s apart."""
+    rows = [(step * k, 1.0 + 0.001 * k, 1.0) for k in range(100)]
+    scenario = Scenario(
+        horizon=60.0,
+        network=Links(latency=LatencyTrace(table="t,value\n" + "".join(f"{t},0.1\n" for t, _, _ in rows))),
+        environment=Environment(flow=RecordedFlow(velocities=tuple(rows))),
+        evader=Evader(strategy=RecordedMotion(waypoints=tuple(rows))),
+    )
+    told = {key: why for key, why in warnings(scenario) if "another unit" in why}
+    keys = {"network.latency.time_unit", "environment.flow.velocities", "evader.strategy.waypoints"}
+    assert set(told) == (keys if is_told else set())
+    assert all("only 4 of 100 " in why and "the last is at 1980 s" in why for why in told.values())
+
+
+FILLS = ["-9999", "-9999.0", "-999", "99999", "-32768", "9.96921e+36", "1e20", "--", "nan"]
+
+
+@pytest.mark.parametrize("fill", FILLS)
+def test_a_value_that_stands_for_a_missing_one_is_no_velocity_and_no_place(tmp_path, fill):
+    """Grids of ESRI, files of netCDF and masked arrays of numpy have them; a table of links leaves its cells empty."""
+    file = tmp_path / "f.csv"
+    file.write_text(f"t,x,y\n0,1,2\n1,{fill},{fill}\n2,1,1\n")
+    for model in (RecordedFlow, RecordedMotion):
+        with pytest.raises(ValueError, match=r"f\.csv, line 3: "):
+            model(file=str(file))
+    file.write_text("t,x,y\n0,1,-999\n1,-9999,99999\n")  # a place that is far away
+    assert len(RecordedMotion(file=str(file)).waypoints) == 2
+
+
+def test_a_latency_that_stands_for_no_answer_is_refused_or_told():
+    with pytest.raises(ValueError, match=r"at least 0 \(got -9999\); if it is missing, leave its cell empty"):
+        LatencyTrace(table="t,value\n0,1\n1,-9999\n")
+    capped = LatencyTrace(table="t,value\n0,1\n1,9999\n", unit="ms")
+    told = dict(warnings(Scenario(network=Links(latency=capped))))
+    assert told["network.latency.value"] == "9999 ms may stand for a message without an answer: leave its cells empty"
+    for cell in ("", "--", "*", "#N/A"):
+        assert LatencyTrace(table=f"t,value\n0,1\n1,{cell}\n").measurements.is_missing.tolist() == [False, True]
+
+
 @pytest.mark.parametrize(
     ("rows", "end"),
     [

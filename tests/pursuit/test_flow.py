@@ -399,6 +399,11 @@ def test_a_flow_of_a_user_is_a_function_of_places_and_time():
 # What is given wrongly.
 
 
+def test_a_velocity_that_stands_for_a_missing_one_is_refused():
+    with pytest.raises(ValueError, match=r"velocities\.1: -9999 m/s probably stands for a missing value"):
+        RecordedFlow(velocities=((0.0, 1.0, 1.0), (1.0, -9999.0, 1.0)))
+
+
 def test_a_file_of_velocities(tmp_path):
     file = tmp_path / "wind.csv"
     file.write_text("# from a mast\nt,x,y\n0,1.5,0\n2, 0.5,-1\n")

@@ -27,7 +27,7 @@ from desim.kernel.measured.csv_tables import KEPT, Cells, cells_of, csv_text, se
 Unit = Literal["s", "ms", "us", "ns"]
 PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 """The number of each unit in a second."""
-MISSING = frozenset({"", "-", "na", "n/a", "null", "none"})
+MISSING = frozenset({"", "-", "--", "*", "na", "n/a", "#n/a", "null", "none"})
 """The cells, in lower case, that stand for a missing value, besides nan."""
 MAX_NODE = 2**31 - 1
 LIKE_NUMBER = re.compile(r"[+-]?[\d_,' ]*\.?[\d_,' ]*(?:e[+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE)
@@ -299,7 +299,8 @@ def _values(cells: Cells, column: str, meaning: Meaning) -> Floats:
     if is_wrong.any():
         row = int(is_wrong.argmax())
         bound = f"at least {meaning.low:g}" if values[row] < meaning.low else f"at most {meaning.high:g}"
-        raise cells.error(row, f"{meaning.noun} should be {bound} (got {cells.columns[column][row]})")
+        got = f"got {cells.columns[column][row]}"
+        raise cells.error(row, f"{meaning.noun} should be {bound} ({got}); if it is missing, leave its cell empty")
     return values
 
 

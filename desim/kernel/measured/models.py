@@ -12,6 +12,7 @@ from pydantic import Field
 
 from desim.config.arrays import Bools, Floats
 from desim.config.model import MAX_TIME, Flag
+from desim.config.number_files import is_fill
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.core.portable_math import exp
 from desim.kernel.measured.base import LinkTrace
@@ -46,13 +47,12 @@ class LatencyTrace(LinkTrace):
 
     @property
     def doubt(self) -> tuple[str, str] | None:
-        """Whether round-trip times are taken for one-way latencies; see `LinkTrace.doubt`."""
-        is_twice = "rtt" in self.value.lower() and not self.rtt
-        return (
-            ("rtt", f"column {self.value!r} seems to have round-trip times: rtt = true halves them")
-            if is_twice
-            else None
-        )
+        """Whether round-trip times are taken for one-way latencies, or a missing value for one; `LinkTrace.doubt`."""
+        if "rtt" in self.value.lower() and not self.rtt:
+            return "rtt", f"column {self.value!r} seems to have round-trip times: rtt = true halves them"
+        if is_fill(most := float(self.measurements.values.max())):
+            return "value", f"{most:g} {self.unit} may stand for a message without an answer: leave its cells empty"
+        return None
 
     @property
     def limits(self) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from desim.config.model import MAX_COORDINATE, MAX_TIME
-from desim.config.number_files import converted, number_of
+from desim.config.number_files import converted, is_fill, number_of
 from desim.config.suggestion import did_you_mean
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.measured.measurements import LIKE_NUMBER, Unit, time_of
@@ -85,7 +85,13 @@ class MobilityFile:
 
 
 def append(waypoints: list[Waypoint], new: Waypoint, place: str) -> None:
-    """Append a waypoint, unless it repeats the last one; raise ValueError if its time is not later."""
+    """Append a waypoint, unless it repeats the last one.
+
+    Raises:
+        ValueError: if its time is not later, or its position stands for a missing one.
+    """
+    if new.x == new.y and is_fill(new.x):
+        raise ValueError(f"{place}: ({new.x:g}, {new.y:g}) probably stands for a missing position: leave it out")
     if waypoints and nanoseconds(new.t) <= nanoseconds(waypoints[-1].t):
         if new[:3] == waypoints[-1][:3]:
             return

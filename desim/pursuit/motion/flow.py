@@ -22,6 +22,7 @@ from desim.config.answers import wrong_answer
 from desim.config.arrays import Points
 from desim.config.choice import OneOf
 from desim.config.model import MAX_COORDINATE, Coordinate, Duration, FirstError, Length, Limit, Speed, Time, Value
+from desim.config.number_files import is_fill
 from desim.config.python_numbers import as_complex
 from desim.config.traits import Follows, Traits
 from desim.config.trust import resolve_path
@@ -203,6 +204,9 @@ class RecordedFlow(UniformFlow):
         for (before, _, _), (t, _, _) in pairwise(self.velocities):
             if not before < t:
                 raise ValueError(f"the times of velocities should increase; after {before:g} s comes {t:g} s")
+        for k, (_, *components) in enumerate(self.velocities):
+            if (fill := next(filter(is_fill, components), None)) is not None:
+                raise ValueError(f"velocities.{k}: {_missing(fill)}")
         return self
 
     def velocity_at(self, t: float) -> complex:
@@ -264,7 +268,15 @@ def _measurements(file: Path, unit: Unit) -> list[tuple[float, ...]]:
     for (before, *_), (t, *_), place in zip(rows, rows[1:], places[1:], strict=False):
         if not before < t:
             raise ValueError(f"{place}: t should increase; after {before:g} s comes {t:g} s")
+    for (_, *components), place in zip(rows, places, strict=True):
+        for component in components:
+            if is_fill(component) or abs(component) > MAX_COORDINATE:
+                raise ValueError(f"{place}: {_missing(component)}")
     return rows
+
+
+def _missing(component: float) -> str:
+    return f"{component:g} m/s probably stands for a missing value: leave the measurement out"
 
 
 class AffineFlow(Value):
