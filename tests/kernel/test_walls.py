@@ -195,6 +195,8 @@ def test_a_wall_that_is_none_is_refused_with_what_is_allowed(case):
         ('<svg><switch><path d="M0 0H1"/><g><path d="M0 2H1"/></g></switch></svg>', "a.svg", "one is drawn"),
         ('{"type": "LineString", "coordinates": [[13.4, 52.5], [13.5, 52.5]]}', "a.geojson", "GeoJSON.* in degrees"),
         ("t,x,y\n0,4,0\n", "a.csv", "line 1: a corner should have two numbers, x y .has 3"),
+        ('<svg><path clip-path="url(#c)" d="M0 0H1"/></svg>', "a.svg", "clip-path hides a part, which would be a wall"),
+        ('<svg><g style="mask:url(#c)"><path d="M0 0H1"/></g></svg>', "a.svg", "mask hides a part"),
         ("<svg></svg>", "a.svg", "has no <path"),
     ],
 )
@@ -228,6 +230,32 @@ def test_what_is_drawn_faintly_or_unfilled_is_a_wall(tmp_path):
 def test_a_path_may_have_the_stroke_of_a_group_or_of_a_style_sheet(tmp_path, drawing):
     (tmp_path / "a.svg").write_text(f"<svg>{drawing}</svg>")
     assert len(Wall.model_validate({"file": "a.svg"}, context={"folder": tmp_path}).shapes) == 1
+
+
+UNFILLED = {
+    '<path fill="none" stroke="red" DATA/>': False,
+    "<path style='fill:none;stroke:red' DATA/>": False,
+    "<path style='stroke:red;fill-opacity:0' DATA></path>": False,
+    '<path stroke="red" DATA/>': True,
+    '<g fill="none" stroke="red"><path DATA/></g>': False,
+    '<g fill="none" stroke="red"><g id="x"></g><g><path fill="grey" DATA/></g></g>': True,
+    '<g fill="none" stroke="red"><path d="M8 8H9"/></g><path DATA/>': True,
+    "<style>.room, #hall {fill: none; stroke: red}</style><path class='a room' DATA/>": False,
+    "<style>.room, #hall {fill: none; stroke: red}</style><path id='hall' fill='grey' DATA/>": False,
+    "<style>path {fill: none; stroke: red}</style><path style='fill:#ccc' DATA/>": True,
+    "<style>.room {fill: none; stroke: red}</style><path class='solid' DATA/>": True,
+}
+
+
+@pytest.mark.parametrize(("drawing", "is_solid"), UNFILLED.items(), ids=range(len(UNFILLED)))
+def test_a_closed_path_without_a_fill_is_a_line_around_a_free_inside(tmp_path, drawing, is_solid):
+    """A floor plan: the inside of a room is drawn white, and a player may be in it."""
+    data = 'd="m 0 0 h 4 v -3 h -4 z"'
+    (tmp_path / "a.svg").write_text(f"<svg>{drawing.replace('DATA', data)}</svg>")
+    shape = Wall(file=str(tmp_path / "a.svg")).shapes[-1]
+    ring = [[0, 0], [4, 0], [4, 3], [0, 3]]
+    assert shape.closed == is_solid
+    assert shape.corners.tolist() == (ring if is_solid else [*ring, [0, 0]])
 
 
 def test_a_file_outside_of_the_folder_needs_trust(tmp_path):

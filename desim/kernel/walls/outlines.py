@@ -244,6 +244,11 @@ _NO_FILL = re.compile(
 _NO_STROKE = re.compile(
     rf"""\bstroke\s*[:=]\s*["']?\s*{_NO_COLOUR}|\bstroke-(width|opacity)\s*[:=]\s*["']?\s*{_ZERO}""", re.IGNORECASE
 )
+_ELEMENT = re.compile(r"<\s*(/?)\s*(path|g|a|svg)\b([^>]*?)(/?)>", re.IGNORECASE)
+_ATTRIBUTE = re.compile(r"""([\w-]+)\s*=\s*("[^"]*"|'[^']*')""")
+_STYLE = re.compile(r"""\bstyle\s*=\s*("[^"]*"|'[^']*')""", re.IGNORECASE)
+_FILL = re.compile(r"\bfill(-opacity)?\s*[:=]", re.IGNORECASE)
+_CUT = re.compile(r"""\b(clip-path|mask)\s*[:=]\s*["']?\s*url""", re.IGNORECASE)
 _STYLES = re.compile(r"<\s*(?:path|g|a|svg)\b[^>]*>|\{[^}]*\}", re.IGNORECASE)
 """Elements and rules of style sheets that say how paths are drawn."""
 _WKT_BEGIN = re.compile(r"[A-Za-z]\w*\s*(Z|M|ZM|EMPTY)?\s*(\(|;|=|$)", re.IGNORECASE)
@@ -257,7 +262,7 @@ _COLUMNS = re.compile(r"""["']?x["']?[\s,]+["']?y["']?""", re.IGNORECASE)
 def file_text(file: Path, *, is_scaled: bool = False) -> tuple[str, str]:
     """Return the shapes in a file as a text, and the key whose value it can be: "svg" or "wkt".
 
-    A file of SVG has elements `path`. A file of numbers has one corner x y in a line, and an empty line before each
+    A file of SVG has elements `path`; closed ones without a fill become lines, as WKT. A file of numbers has one corner x y in a line, and an empty line before each
     further shape; a shape whose last corner is its first is a polygon, and a first line `x,y` names the columns. Any
     other file is WKT. Comments may name no other unit than m, unless the caller scales the corners.
 
@@ -266,7 +271,14 @@ def file_text(file: Path, *, is_scaled: bool = False) -> tuple[str, str]:
     """
     text = text_of_file(file)
     if "<" in text:
-        return "svg", _svg_text(text, file)
+        paths = _svg_paths(text, file)
+        if not any(is_hollow for _, is_hollow in paths):
+            return "svg", " ".join(data for data, _ in paths)
+        outlines = ((outline, is_hollow) for data, is_hollow in paths for outline in svg_outlines(data))
+        return "wkt", "\n".join(
+            _wkt_of([*corners, *corners[:closed]], is_solid=closed and not is_hollow)
+            for (corners, closed), is_hollow in outlines
+        )
     if not is_scaled:
         check_comments(text, file, "m")
     lines = [line.partition("#")[0] for line in text.split("\n")]
@@ -285,8 +297,8 @@ def file_text(file: Path, *, is_scaled: bool = False) -> tuple[str, str]:
     return "wkt", _wkt_of_numbers(lines, file)
 
 
-def _svg_text(text: str, file: Path) -> str:
-    """Return the data of all paths of an SVG file that are drawn.
+def _svg_paths(text: str, file: Path) -> list[tuple[str, bool]]:
+    """Return the data of all paths of an SVG file that are drawn, and whether each is without a fill.
 
     Each path starts at the origin: a relative `m` at its beginning does not follow the path before it.
     """
@@ -303,12 +315,39 @@ def _svg_text(text: str, file: Path) -> str:
         raise ValueError(f"{file}: of the parts of a <switch> one is drawn, and all would be walls: delete the others")
     if len(re.findall(r"<\s*svg\b", text, re.IGNORECASE)) > 1:
         raise ValueError(f"{file}: a drawing inside the drawing (<svg>) is not read: ungroup it in the editor")
+    if cut := _CUT.search(text):
+        raise ValueError(f"{file}: {cut[1]} hides a part, which would be a wall: release it in the editor")
     if other := _OTHERS.search(text):
         raise ValueError(f"{file}: <{other[1]}> is not read: convert objects to paths in the editor")
-    data = [match[1][1:-1] for path in _PATH.findall(text) if (match := _DATA.search(path))]
+    data = [(match[1][1:-1], hollow) for path, hollow in _with_fill(text) if (match := _DATA.search(path))]
     if not data:
         raise ValueError(f"{file} has no <path d=...>")
-    return " ".join(f"M 0 0 {path}" if path.lstrip().startswith("m") else path for path in data)
+    return [(f"M 0 0 {path}" if path.lstrip().startswith("m") else path, hollow) for path, hollow in data]
+
+
+def _with_fill(text: str) -> Iterator[tuple[str, bool]]:
+    """Yield each element `path`, and whether it is without a fill.
+
+    A style overrides the rules of style sheets, these the attribute `fill`, and this what surrounding elements have.
+    """
+    rules = {
+        name.strip(): body for names, body in re.findall(r"([^{}<>]+)(\{[^}]*\})", text) for name in names.split(",")
+    }
+    hollow = [False]
+    for match in _ELEMENT.finditer(text):
+        is_end, name, attributes, is_empty = match.groups()
+        if is_end:
+            hollow = hollow[:-1] or hollow
+            continue
+        values = {key: value[1:-1] for key, value in _ATTRIBUTE.findall(attributes)}
+        names = [name, *(f".{one}" for one in values.get("class", "").split()), f"#{values.get('id')}"]
+        said = [_STYLE.sub("", attributes), *(rules.get(one, "") for one in names), values.get("style", "")]
+        own = [_NO_FILL.search(style) is not None for style in said if _FILL.search(style)]
+        hollow.append(own[-1] if own else hollow[-1])
+        if name.lower() == "path":
+            yield match[0], hollow[-1]
+        if is_empty:
+            hollow.pop()
 
 
 def _draws_nothing(style: str, text: str) -> bool:
@@ -344,6 +383,8 @@ def _wkt_of_numbers(lines: list[str], file: Path) -> str:
     return "\n".join(map(_wkt_of, filter(None, shapes)))
 
 
-def _wkt_of(corners: list[tuple[float, float]]) -> str:
+def _wkt_of(corners: list[tuple[float, float]], *, is_solid: bool = True) -> str:
+    """Return a line, or a polygon if the last corner is the first and its inside is solid, as WKT."""
     inner = ", ".join(f"{x!r} {y!r}" for x, y in corners)
-    return f"POLYGON (({inner}))" if len(corners) > 2 and corners[0] == corners[-1] else f"LINESTRING ({inner})"
+    is_polygon = is_solid and len(corners) > 2 and corners[0] == corners[-1]
+    return f"POLYGON (({inner}))" if is_polygon else f"LINESTRING ({inner})"
