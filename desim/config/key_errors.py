@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from desim.config.arguments import abridged, with_article
-from desim.config.choice import OneOf, choices_of
+from desim.config.choice import FILE_NAME, OneOf, choices_of
 from desim.config.error_texts import OF_EXCEPTIONS, text_of
 from desim.config.errors import KeyedError, KeyPath, Problem
 from desim.config.field_docs import fields_of
@@ -131,6 +131,8 @@ class Wording:
         if error_type == "tuple_type" and isinstance(error["input"], dict) and info and _holds_models(info):
             written = "in [...]" if self.is_call else f"headed by [[{place[-1]}]] instead of [{place[-1]}]"
             return f"should be a list of tables, {written}"
+        if error_type == "tuple_type" and isinstance(file := error["input"], str) and FILE_NAME.search(file):
+            return f"should be a list{_with_file(file, place, owner, info)}"
         if error_type in {"too_long", "too_short"}:
             most = error_type == "too_long"
             limit = context["max_length" if most else "min_length"]
@@ -186,6 +188,19 @@ def _no_number(value: Any, info: FieldInfo | None) -> str | None:
     if INFINITE.fullmatch(str(value)):
         return f"should be inf without quotes instead of the text {value!r}"
     return why_no_number(value, {(info and unit_in(info)) or "1"}) if isinstance(value, str) else None
+
+
+def _with_file(file: str, place: KeyPath, owner: type[BaseModel] | None, info: FieldInfo | None) -> str:
+    """Return how a file is given that stands in place of a list, as the end of a message; "" if no file is read."""
+    if owner and "file" in fields_of(owner):
+        return f'; a file is another key: file = "{file}"'
+    for model in models_in(info.annotation) if info else ():
+        fields = fields_of(model)
+        if "file" in fields and "kind" in fields:
+            return f' or a table: {{ kind = "{fields["kind"].default}", file = "{file}" }}'
+        if "file" in fields:
+            return f': [[{place[-1]}]] with file = "{file}"'
+    return ""
 
 
 def _holds_models(info: FieldInfo) -> bool:

@@ -78,7 +78,13 @@ def nodes_argument(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, t
     The numbers are None if they are the labels.
     """
     if not is_networkx(nodes):
-        size = whole(nodes, "the number of nodes, if it is not a networkx graph,")
+        try:
+            size = whole(nodes, "nodes")
+        except ValueError:
+            names = "networkx.complete_graph(['a', 'b']) for nodes with names"
+            raise ValueError(
+                f"nodes should be their number, or a networkx graph, such as {names} (got {nodes!r})"
+            ) from None
         if not 1 <= size <= LARGEST_NETWORK:
             raise ValueError(f"a network should have at least 1 node and at most {LARGEST_NETWORK:,} (got {size:,})")
         _check_unit(links)

@@ -778,3 +778,22 @@ def test_a_first_line_with_one_name_is_a_node_without_edges(tmp_path):
 def test_a_file_without_a_kind_is_refused_with_the_kinds_that_read_one(keys, why):
     with pytest.raises(ValueError, match=re.escape(why)):
         Links(**keys)
+
+
+@pytest.mark.parametrize(
+    ("key", "table", "why"),
+    [
+        ("team", {"positions": "a.csv"}, 'should be a list or a table: { kind = "recorded", file = "a.csv" }'),
+        ("wall", "a.svg", 'should be a list: [[wall]] with file = "a.svg"'),
+        ("wall", [{"line": "a.wkt"}], 'should be a list; a file is another key: file = "a.wkt"'),
+        ("evader", {"strategy": {"kind": "recorded", "waypoints": "a.csv"}}, 'another key: file = "a.csv"'),
+        ("environment", {"flow": {"kind": "recorded", "velocities": "a.csv"}}, 'another key: file = "a.csv"'),
+        ("network", {"latency": {"kind": "empirical", "values": "a.txt"}}, 'another key: file = "a.txt"'),
+        ("network", {"latency": {"kind": "matrix", "values": "a.txt"}}, 'another key: file = "a.txt"'),
+        ("network", {"graph": {"kind": "edges", "edges": "a.csv"}}, 'another key: file = "a.csv"'),
+        ("network", {"loss": {"kind": "trace", "table": "a.csv"}}, 'another key: file = "a.csv"'),
+    ],
+)
+def test_a_file_in_place_of_a_list_is_refused_with_the_key_that_reads_it(key, table, why):
+    with pytest.raises(ValueError, match=re.escape(why)):
+        Scenario(**{key: table})

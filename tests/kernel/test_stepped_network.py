@@ -776,7 +776,7 @@ def test_what_a_network_cannot_do_is_said():
         SteppedNetwork(2, Links(medium=Bitrate(bitrate=1e6))).send(0, 1, len)
     with pytest.raises(ValueError, match="at least 1 node"):
         SteppedNetwork(0)
-    with pytest.raises(ValueError, match="number of nodes"):
+    with pytest.raises(ValueError, match="nodes should be their number"):
         SteppedNetwork("radio.toml")
     with pytest.raises(ValueError, match="one graph"):
         SteppedNetwork(nx.path_graph(3), Links(graph=nx.path_graph(3)))
@@ -968,8 +968,18 @@ def test_objects_may_be_nodes_and_have_names_without_addresses():
     assert Edges.of(nx.Graph([(first, second)])).names == ("Robot 0", "Robot 1")
 
 
+@pytest.mark.parametrize("nodes", [["a", "b"], "ab", {"a": (0.0, 0.0)}, range(3), [("a", "b")], 2.0, True, None])
+def test_what_is_neither_a_number_of_nodes_nor_a_graph_is_told_how_to_give_names(nodes):
+    with pytest.raises(
+        ValueError, match=r"such as networkx\.complete_graph\(\['a', 'b'\]\) for nodes with names"
+    ) as told:
+        SteppedNetwork(nodes)
+    assert repr(nodes) in str(told.value)
+    assert SteppedNetwork(nx.complete_graph(["a", "b"])).nodes == ("a", "b")
+
+
 def test_the_class_of_graphs_is_no_graph():
-    with pytest.raises(ValueError, match="the number of nodes, if it is not a networkx graph"):
+    with pytest.raises(ValueError, match="nodes should be their number, or a networkx graph"):
         SteppedNetwork(nx.Graph)
     with pytest.raises(ValueError, match="graph: should"):
         Links(graph=nx.Graph)

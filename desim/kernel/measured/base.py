@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field, Tag, ValidationInfo, model_validator
 
 from desim.config.arrays import Floats
+from desim.config.choice import FILE_NAME
 from desim.config.model import Flag, Time, Value, in_forms
 from desim.config.traits import is_ours, positions
 from desim.config.trust import resolve_path
@@ -83,6 +84,8 @@ class LinkTrace(Value):
             return data
         names = Columns(*(data.get(key, cls.model_fields[key].default) for key in Columns._fields))
         text, read_from = data.get("table"), data.get("read_from")
+        if text is not None and "\n" not in text and FILE_NAME.search(text):
+            raise ValueError(f'table should be CSV text; a file is another key: file = "{text}"')
         if data.get("file") is not None:
             if text is not None:
                 raise ValueError("should have a file or a table, not both")

@@ -262,9 +262,10 @@ _COLUMNS = re.compile(r"""["']?x["']?[\s,]+["']?y["']?""", re.IGNORECASE)
 def file_text(file: Path, *, is_scaled: bool = False) -> tuple[str, str]:
     """Return the shapes in a file as a text, and the key whose value it can be: "svg" or "wkt".
 
-    A file of SVG has elements `path`; closed ones without a fill become lines, as WKT. A file of numbers has one corner x y in a line, and an empty line before each
-    further shape; a shape whose last corner is its first is a polygon, and a first line `x,y` names the columns. Any
-    other file is WKT. Comments may name no other unit than m, unless the caller scales the corners.
+    A file of SVG has elements `path`; closed ones without a fill become lines, and the text is WKT. A file of numbers
+    has one corner x y in a line, and an empty line before each further shape; a shape whose last corner is its first is
+    a polygon, and a first line `x,y` names the columns. Any other file is WKT. Comments may name no other unit than m,
+    unless the caller scales the corners.
 
     Raises:
         ValueError: if the file cannot be read; the message names the file.
