@@ -1,13 +1,13 @@
 """Live against simulated: whether runs of a scenario over sockets have the metrics of its simulation."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import copysign, inf
 from typing import Any, NamedTuple, get_args
 
 from desim.analysis.measuring import summary
 from desim.analysis.metrics import METRICS, Summary
-from desim.analysis.statistics import Estimate, mean, paired
+from desim.analysis.statistics import Estimate, mean, paired, t_quantile
 from desim.analysis.tables import aligned, counted, number
 from desim.config.arguments import scenario_argument
 from desim.config.python_numbers import whole
@@ -22,10 +22,12 @@ from desim.study.workers.batch import seeds_from
 
 GATE = 0.02
 """The 99th percentile of lateness, s, above which a comparison says nothing."""
-ERRORS = 3.0
-"""Number of standard errors up to which a difference agrees."""
+FALSE_ALARMS = 0.05
+"""The probability that some metric is said to differ although none does, by Bonferroni's inequality."""
 SHOWN = ("active_time", "idle_time", "crowded_time", "end_time", "decisions", "messages_sent", "messages_lost")
 """The metrics that are compared."""
+CONFIDENCE = 1.0 - FALSE_ALARMS / len(SHOWN)
+"""The confidence of the interval by which one metric is judged."""
 
 
 class Row(NamedTuple):
@@ -44,17 +46,19 @@ class Row(NamedTuple):
     @property
     def errors(self) -> float:
         """The difference in standard errors, less the margin; infinite if it is the same in all pairs, and not 0."""
-        difference = self.difference
-        beyond = max(abs(difference.mean) - self.margin, 0.0)
-        if not beyond:
+        if not self._beyond:
             return 0.0
-        error = difference.standard_error
-        return copysign(beyond / error if error else inf, difference.mean)
+        error = self.difference.standard_error
+        return copysign(self._beyond / error if error else inf, self.difference.mean)
 
     @property
     def agrees(self) -> bool:
-        """Whether the difference, less the margin, is at most `ERRORS` standard errors."""
-        return abs(self.errors) <= ERRORS
+        """Whether the difference, less the margin, is not told apart from 0; see `FALSE_ALARMS`."""
+        return not replace(self.difference, mean=self._beyond).excludes_0(CONFIDENCE)
+
+    @property
+    def _beyond(self) -> float:
+        return max(abs(self.difference.mean) - self.margin, 0.0)
 
 
 @dataclass(frozen=True)
@@ -116,8 +120,9 @@ class Agreement:
         return "\n".join(
             [
                 f"{self.scenario.name}, {self.scenario.protocol_name}: {counted(len(self.live), 'run')} live and"
-                f" simulated, paired by seed; a metric agrees within {ERRORS:g} standard errors"
-                " beyond what late actions explain",
+                f" simulated, paired by seed; a metric differs by more than"
+                f" {t_quantile(len(self.live) - 1, CONFIDENCE):.3g} standard errors beyond what late actions explain,"
+                f" at a level of {100.0 * FALSE_ALARMS:g} % for all {len(SHOWN)} together (Bonferroni)",
                 aligned([head, *rows]),
                 f"timers late: 99 % of them at most {1e3 * self.p99:.1f} ms; deliveries late: median"
                 f" {1e3 * error.median:.2f} ms, 99 % at most {1e3 * error.p99:.1f} ms; actions late: median"
@@ -146,7 +151,7 @@ class Agreement:
             for row in self.rows
         ]
         late = {name: self.late(name)._asdict() for name in get_args(LateKind)}
-        return {"runs": len(self.live), "agrees": self.agrees, **late, "rows": rows}
+        return {"runs": len(self.live), "agrees": self.agrees, "level": FALSE_ALARMS, **late, "rows": rows}
 
 
 def _row(name: str, live: Sequence[Summary], simulated: Sequence[Summary], margin: float) -> Row:
