@@ -62,9 +62,8 @@ if TYPE_CHECKING:
 
 SHOWN = 10
 """Number of nodes listed in an error message."""
-STEPPING = (
-    "a step is under way, or a call has failed: a network belongs to one thread; after a failure, call reset(seed)"
-)
+CALLED = "a call is under way: a network belongs to one thread, and its watchers and models cannot call it"
+FAILED = "a call has failed: call reset(seed)"
 CLOSED = "the network is closed: create another one"
 _new = tuple.__new__  # creates a named tuple in a third of the time
 Result = TypeVar("Result")
@@ -224,7 +223,7 @@ class SteppedNetwork:
         Raises:
             ValueError: as `Network.send`, or if a range has no positions; nothing has then changed. An exception of a
                 watcher or a model is raised as it is, and is a failure: the message may be counted and not sent.
-            RuntimeError: if the network is closed, a step is under way, or a call has failed.
+            RuntimeError: if the network is closed, a call is under way, or one has failed.
         """
         self.check_usable()
         if self._lacks_positions:
@@ -235,13 +234,13 @@ class SteppedNetwork:
             size = _size_of(body)
         network = self._network
         accepted = network.accepted
+        self._problem = CALLED
         try:
             network.send(src, dst, body, port=port, size=size, transport=transport)  # type: ignore[arg-type]
         except BaseException:
-            if network.accepted > accepted:
-                self._problem = STEPPING
+            self._problem = FAILED if network.accepted > accepted else ""
             raise
-        self._is_unused = False
+        self._problem, self._is_unused = "", False
 
     def publish(self, src: Hashable, body: Any, *, size: int | None = None) -> None:
         """Broadcast the state of a node now: each neighbour has it as `latest` from its arrival on.
@@ -256,13 +255,13 @@ class SteppedNetwork:
         number: Any = src if self._numbers is None else self._number(src)
         network = self._network
         accepted = network.accepted
+        self._problem = CALLED
         try:
             network.publish(number, body, size)
         except BaseException:
-            if network.accepted > accepted:
-                self._problem = STEPPING
+            self._problem = FAILED if network.accepted > accepted else ""
             raise
-        self._is_unused = False
+        self._problem, self._is_unused = "", False
 
     def step(self, dt: float, positions: Any = None) -> list[ReceivedMessage]:
         """Let time pass, and return the messages of `send` that have arrived, in the order of their arrival.
@@ -277,22 +276,25 @@ class SteppedNetwork:
         Raises:
             ValueError: if dt is not a time from 1 ns to 1e9 s, or the positions are not finite numbers, (n, 2);
                 the step is then not made.
-            RuntimeError: if the network is closed, or a step is under way or has failed.
+            RuntimeError: if the network is closed, or a call is under way or has failed.
         """
         self.check_usable()
         clock, end = self._clock, self._end_of_step(dt)
         self._positions.begin_step(end, positions)
         self._lacks_positions &= self._positions.array is None
-        self._is_unused, self._problem = False, STEPPING
+        self._is_unused = False
         with RARE_COLLECTION:
-            clock.run(until=Instant(clock, end, Phase.DECISION))
-            self._positions.end_step()
-            self._network.settle()
-            arrived = self._received()
+            arrived = self._run(self._pass, Instant(clock, end, Phase.DECISION))
         self._lost = [lost for *_, lost in sorted(self._losses, key=_order)]
         self._losses.clear()
-        self._problem = ""
         return arrived
+
+    def _pass(self, end: Instant) -> list[ReceivedMessage]:
+        """Let time pass until an instant, and return the messages that have arrived."""
+        self._clock.run(until=end)
+        self._positions.end_step()
+        self._network.settle()
+        return self._received()
 
     def _end_of_step(self, dt: Any) -> int:
         """Return the end of the next step, ns; raise ValueError if there is none."""
@@ -421,11 +423,14 @@ class SteppedNetwork:
 
     def _run(self, call: Callable[..., Result], *arguments: Any) -> Result:
         """Call a function in which watchers and models may raise; the episode has then failed."""
+        self._problem = CALLED
         try:
-            return call(*arguments)
+            result = call(*arguments)
         except BaseException:
-            self._problem = STEPPING
+            self._problem = FAILED
             raise
+        self._problem = ""
+        return result
 
     def _live(self, node: Any) -> int:
         """Return the number of a node; raise RuntimeError if the network cannot be asked now."""
@@ -449,7 +454,7 @@ class SteppedNetwork:
     # Time and life.
 
     def check_usable(self) -> None:
-        """Raise RuntimeError if the network is closed, a step is under way, or a call has failed."""
+        """Raise RuntimeError if the network is closed, a call is under way, or one has failed."""
         if self._problem:
             raise RuntimeError(self._problem)
 
@@ -473,10 +478,10 @@ class SteppedNetwork:
 
         Raises:
             ValueError: if an argument is not valid; the episode then goes on.
-            RuntimeError: if the network is closed.
+            RuntimeError: if the network is closed, or a call is under way.
         """
-        if self._problem == CLOSED:
-            raise RuntimeError(CLOSED)
+        if self._problem in {CLOSED, CALLED}:
+            raise RuntimeError(self._problem)
         array = self._positions.array if positions is None else positions
         last = None if self._problem else (self._network, self._trace)
         self._start(seed, array, trace)
@@ -484,9 +489,15 @@ class SteppedNetwork:
             self._run(_finish, *last)
 
     def close(self) -> None:
-        """Append the final counts to the trace, and let go of the network; a second call has no effect."""
+        """Append the final counts to the trace, and let go of the network; a second call has no effect.
+
+        Raises:
+            RuntimeError: if a call is under way.
+        """
         if self._problem == CLOSED:
             return
+        if self._problem == CALLED:
+            raise RuntimeError(CALLED)
         has_failed, self._problem, network = bool(self._problem), CLOSED, self._network
         del self._network, self._queue
         if not has_failed:

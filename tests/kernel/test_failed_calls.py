@@ -386,3 +386,34 @@ def test_final_counts_that_a_watcher_refuses_are_appended_once():
         network.close()
     network.close()
     assert len(trace) == 1
+
+
+@pytest.mark.parametrize("outer", ["send", "send to one", "publish", "step", "leave"])
+@pytest.mark.parametrize("inner", [*CALLS, "close"])
+def test_a_watcher_cannot_call_the_network_that_it_watches(outer, inner):
+    """A step inside of a send would let time pass before the message leaves."""
+    told: list[str] = []
+
+    def intrude(event):
+        if armed and not told:
+            told.append("")
+            try:
+                (network.close if inner == "close" else lambda: CALLS[inner](network))()
+            except RuntimeError as error:
+                told[0] = str(error)
+
+    def network_of(watchers):
+        crash = {"kind": "crash", "node": 3, "start": 0.05, "end": 0.5}
+        trace = Trace(watchers)
+        made = SteppedNetwork(SIZE, DRAWN, faults=[crash], positions=PLACES, trace=trace, can_leave=True)
+        made.send(1, None, BODY)
+        return made
+
+    armed = False
+    network, other = network_of([intrude]), network_of([])
+    armed = True
+    for each in (network, other):
+        CALLS[outer](each)
+    assert "a call is under way" in told[0]
+    assert network.step(1.0) == other.step(1.0)
+    assert network.counts() == other.counts()
