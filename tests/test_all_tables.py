@@ -208,7 +208,7 @@ def test_each_result_has_an_entry():
             if isinstance(node, ast.ClassDef):
                 names = {each.name for each in node.body if isinstance(each, ast.FunctionDef)}
                 found |= {node.name} if names & {"table", "text", "document", "tables"} else set()
-    assert found == {*RESULTS, *PARTS}
+    assert found - {"TabularResult"} == {*RESULTS, *PARTS}
 
 
 def test_each_golden_result_has_a_case():

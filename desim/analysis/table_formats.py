@@ -1,11 +1,13 @@
 """Tables for terminals, papers and pages: aligned text, LaTeX (booktabs), and Markdown."""
 
+import html
 import re
 from collections.abc import Iterable, Sequence
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 from desim.analysis.tables import aligned
 from desim.config.escaping import escaped
+from desim.config.html import html_table
 from desim.config.suggestion import close_to
 
 TableFormat = Literal["text", "latex", "markdown"]
@@ -27,6 +29,43 @@ INFINITE = {"inf": r"$\infty$", "-inf": r"$-\infty$"}
 NUMBER = r"[+-]?\d[\d,]*(?:\.\d+)?(?:e[+-]\d+)?"
 MEASURED = re.compile(rf"(?P<mean>{NUMBER})(?: \+- (?P<width>{NUMBER}|-))?(?P<rest>| .*)")
 """Matches a number, perhaps with a half width and a remark."""
+
+
+class TabularResult:
+    """A result that is shown as tables with notes below them: as text, in a notebook, and in the formats of papers."""
+
+    _between_notes: ClassVar[str] = "\n\n"
+    """What separates the notes in plain text."""
+
+    def tables(self) -> list[Table]:
+        """Return each table as its title and rows of text; the first row is the header."""
+        raise NotImplementedError
+
+    def _notes(self) -> Iterable[str]:
+        raise NotImplementedError
+
+    def _right_from(self) -> int:
+        """Return the first column that is aligned to the right."""
+        return 1
+
+    def table(self, *, format: TableFormat = "text") -> str:  # noqa: A002 - the word of users
+        """Return the tables and the notes: text, latex (booktabs) or markdown.
+
+        Raises:
+            ValueError: if there is no such format.
+        """
+        notes = [*self._notes()]
+        if format == "text":
+            notes = [self._between_notes.join(notes)] if notes else []
+        return formatted(self.tables(), notes, format, self._right_from())
+
+    def __str__(self) -> str:
+        return self.table()
+
+    def _repr_html_(self) -> str:
+        """Return the tables and the notes as HTML, for notebooks."""
+        tables = (html_table(title, rows) for title, rows in self.tables())
+        return "".join([*tables, *(f"<p>{html.escape(note)}</p>" for note in self._notes())])
 
 
 def check_format(format: str) -> None:  # noqa: A002 - as the argument that it checks

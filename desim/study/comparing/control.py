@@ -16,9 +16,9 @@ import numpy as np
 from desim.analysis.control_variates import FEW_CONTROLS, MIN_PAIRS, ControlledEstimate, control_variate
 from desim.analysis.measuring import Metrics, check_numeric
 from desim.analysis.metrics import title, words
-from desim.analysis.tables import aligned, as_json, counted, digits_of, with_half_width
+from desim.analysis.table_formats import Table, TabularResult
+from desim.analysis.tables import as_json, counted, digits_of, with_half_width
 from desim.config.arguments import naming_arguments
-from desim.config.html import html_table
 from desim.config.python_numbers import whole
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
@@ -114,7 +114,7 @@ def _controlled_by(scenario: Scenario, protocol: Any) -> Scenario:
 
 
 @dataclass(frozen=True, repr=False)
-class Controlled:
+class Controlled(TabularResult):
     """The result of a sweep, with means that a control makes more precise."""
 
     result: SweepResult
@@ -174,7 +174,7 @@ class Controlled:
             rows.append((*settings, str(estimate.count), plain, with_control, f"{estimate.explained:.0%}", worth))
         return rows
 
-    def tables(self) -> list[tuple[str, list[tuple[str, ...]]]]:
+    def tables(self) -> list[Table]:
         """Return a table for each metric as its title and rows of text."""
         about = f"the control {self.name}, {counted(self.runs, 'run')} of equal and further seeds"
         return [(f"{words(metric)} with {about}", self.rows(metric)) for metric in self.metrics]
@@ -200,21 +200,17 @@ class Controlled:
                     f" {counted(len(made), 'configuration')}: use the plain means there"
                 )
 
-    def table(self) -> str:
-        """Return the tables and notes as text."""
-        parts = [f"{title}\n{aligned(rows, right_from=len(self.result.keys))}" for title, rows in self.tables()]
-        return "\n\n".join([*parts, "\n".join(self.remarks())])
+    _between_notes = "\n"
 
-    def __str__(self) -> str:
-        return self.table()
+    def _notes(self) -> Iterator[str]:
+        return self.remarks()
+
+    def _right_from(self) -> int:
+        return len(self.result.keys)
 
     def __repr__(self) -> str:
         configurations = counted(len(self.controls), "configuration")
         return f"<Controlled of {self.result.name}: {configurations}, control {self.name}>"
-
-    def _repr_html_(self) -> str:
-        """Return the tables as HTML, for notebooks."""
-        return "".join(html_table(title, rows) for title, rows in self.tables())
 
     def document(self) -> dict[str, Any]:
         """Return the estimates as JSON-compatible values."""

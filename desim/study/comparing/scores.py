@@ -25,11 +25,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 
 from desim.analysis.statistics import Estimate, estimate
-from desim.analysis.table_formats import TableFormat, formatted
-from desim.analysis.tables import aligned, as_json, counted
+from desim.analysis.table_formats import Table, TabularResult
+from desim.analysis.tables import as_json, counted
 from desim.config.arrays import Floats
 from desim.config.extras import naming_extras
-from desim.config.html import html_table
 from desim.kernel.core.portable_math import portable_sum
 from desim.study.comparing.suite import AS_IT_IS, PERFECT, REFERENCE, SILENT, CostsByProtocol
 
@@ -107,7 +106,7 @@ class Score(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class Benchmark:
+class Benchmark(TabularResult):
     """The costs of all runs of a benchmark, and the scores that follow from them."""
 
     version: str
@@ -183,7 +182,7 @@ class Benchmark:
         costs, width = self.costs[scenario][name], silent - perfect
         return Score(*(Ratio.of(silent - costs[network], width) for network in (AS_IT_IS, PERFECT)))
 
-    def tables(self) -> list[tuple[str, list[tuple[str, ...]]]]:
+    def tables(self) -> list[Table]:
         """Return the tables of totals, of scores by scenario, and of bounds, each as its title and rows of text."""
         head = f"benchmark, version {self.version}: {len(self.kept)} scenarios, {self.runs} runs each"
         return [
@@ -244,27 +243,14 @@ class Benchmark:
         notes += [f"{name} takes no part in {', '.join(where)}: {why}" for (name, why), where in reasons.items()]
         return notes
 
-    def table(self, *, format: TableFormat = "text") -> str:  # noqa: A002 - the word of users
-        """Return the tables and notes: text, latex (booktabs) or markdown.
+    _between_notes = "\n"
 
-        Raises:
-            ValueError: if there is no such format.
-        """
-        if format != "text":
-            return formatted(self.tables(), self.remarks(), format)
-        parts = [f"{title}\n{aligned(rows)}" for title, rows in self.tables()]
-        return "\n\n".join([*parts, "\n".join(self.remarks())])
-
-    def __str__(self) -> str:
-        return self.table()
+    def _notes(self) -> list[str]:
+        return self.remarks()
 
     def __repr__(self) -> str:
         protocols = counted(len(self.scores), "protocol")
         return f"<Benchmark, version {self.version}: {protocols}, {counted(self.runs, 'run')} in each scenario>"
-
-    def _repr_html_(self) -> str:
-        """Return the tables as HTML, for notebooks."""
-        return "".join(html_table(title, rows) for title, rows in self.tables())
 
     @naming_extras()
     def plot(self, *, size: str | None = None, style: "Style" = None) -> "Figure":

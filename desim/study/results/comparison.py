@@ -1,6 +1,5 @@
 """Two sweeps side by side: the difference of each metric for each configuration that both have."""
 
-import html
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
@@ -10,9 +9,8 @@ import numpy as np
 from desim.analysis.measuring import check_numeric
 from desim.analysis.metrics import title, unit_of, words
 from desim.analysis.statistics import Estimate, Share, independent, paired
-from desim.analysis.table_formats import Table, TableFormat, formatted
+from desim.analysis.table_formats import Table, TabularResult
 from desim.analysis.tables import as_json, counted, digits_of, with_half_width
-from desim.config.html import html_table
 from desim.config.json_numbers import json_number
 from desim.study.plan.configurations import in_words
 from desim.study.results.runs import SHOWN, Group, SweepRuns, names_of_metrics, text
@@ -41,7 +39,7 @@ class Compared:
 
 
 @dataclass(frozen=True, repr=False)
-class Comparison:
+class Comparison(TabularResult):
     """Two sweeps side by side; see `desim.compare`."""
 
     names: tuple[str, str]
@@ -169,13 +167,11 @@ class Comparison:
             rows.append((*map(text, compared.settings.values()), str(compared.pairs or "-"), *texts))
         return [(heading, rows)]
 
-    def table(self, *, format: TableFormat = "text") -> str:  # noqa: A002 - the word of users
-        """Return the table, the sentences and the notes: text, latex (booktabs) or markdown.
+    def _notes(self) -> Iterator[str]:
+        return self.notes()
 
-        Raises:
-            ValueError: if there is no such format.
-        """
-        return formatted(self.tables(), self.notes(), format, right_from=len(self.keys))
+    def _right_from(self) -> int:
+        return len(self.keys)
 
     def document(self) -> dict[str, Any]:
         """Return the comparison as JSON-compatible values; None where undefined."""
@@ -201,17 +197,9 @@ class Comparison:
             ],
         }
 
-    def __str__(self) -> str:
-        return self.table()
-
     def __repr__(self) -> str:
         first, second = self.names
         return f"<Comparison of {first} and {second}: {counted(len(self.configurations), 'configuration')}>"
-
-    def _repr_html_(self) -> str:
-        """Return the table as HTML, for notebooks."""
-        notes = "".join(f"<p>{html.escape(note)}</p>" for note in self.notes())
-        return "".join(html_table(heading, rows) for heading, rows in self.tables()) + notes
 
 
 def _common_keys(first: SweepRuns, second: SweepRuns) -> tuple[tuple[str, ...], dict[str, tuple[str, str]]]:

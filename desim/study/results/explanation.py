@@ -4,7 +4,6 @@ Imperfections interact if their costs do not add up to the cost of all of them t
 `desim.study.ablation.explain`.
 """
 
-import html
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -12,10 +11,9 @@ from typing import TYPE_CHECKING, Any, Self
 
 from desim.analysis.metrics import with_unit, words
 from desim.analysis.statistics import Estimate, Share, wilson
-from desim.analysis.table_formats import TableFormat, formatted
+from desim.analysis.table_formats import Table, TableFormat, TabularResult
 from desim.analysis.tables import aligned, as_json, counted, digits_of, number, with_half_width
 from desim.config.extras import naming_extras
-from desim.config.html import html_table
 from desim.kernel.core.portable_math import portable_sum
 from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT, Bounds, Cost, Saving
 from desim.study.results.runs import CAPTURE_TIMES
@@ -30,7 +28,7 @@ EXPLAINED: Mapping[str, str] = MappingProxyType(
 
 
 @dataclass(frozen=True, repr=False)
-class Explanation:
+class Explanation(TabularResult):
     """The cost of each imperfection of a scenario; see `desim.study.ablation.explain`.
 
     A *variant* is the scenario as it is, without one imperfection, without all of them, with a perfect network, or
@@ -63,6 +61,13 @@ class Explanation:
             raise ValueError("is not an explanation: has no costs")
         return explanation
 
+    def tables(self) -> list[Table]:
+        """Return the table of costs as its title and rows of text; the first row is the header."""
+        return [(self._head(), self.rows())]
+
+    def _notes(self) -> list[str]:
+        return self.remarks()
+
     def table(self, *, format: TableFormat = "text") -> str:  # noqa: A002 - the word of users
         """Return the costs as a table: text, latex (booktabs) or markdown.
 
@@ -71,7 +76,7 @@ class Explanation:
         """
         if format == "text":
             return "\n".join([self._head(), aligned(self.rows()), *self.remarks()])
-        return formatted([(self._head(), self.rows())], self.remarks(), format)
+        return super().table(format=format)
 
     @naming_extras()
     def plot(
@@ -102,16 +107,8 @@ class Explanation:
         chosen = self if metric is None else replace(self, costs={metric: self.costs[metric]})
         return waterfall(chosen, size=size, style=style, ax=ax)
 
-    def __str__(self) -> str:
-        return self.table()
-
     def __repr__(self) -> str:
         return f"<Explanation of {self.name}: {counted(self.runs, 'run')}, {', '.join(map(words, self.costs))}>"
-
-    def _repr_html_(self) -> str:
-        """Return the table as HTML, for notebooks."""
-        remarks = "".join(f"<p>{html.escape(remark)}</p>" for remark in self.remarks())
-        return html_table(self._head(), self.rows()) + remarks
 
     def _head(self) -> str:
         shares = ", in brackets a Wilson interval" * any(isinstance(one.as_it_is, Share) for one in self.costs.values())

@@ -1,6 +1,5 @@
 """The result that a sweep returns: its runs, as tables, figures, a data frame and files."""
 
-import html
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,10 +7,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 from desim.analysis.metrics import METRICS
-from desim.analysis.table_formats import SUFFIXES, TableFormat, formatted
+from desim.analysis.table_formats import SUFFIXES, Table, TableFormat, TabularResult, formatted
 from desim.config.arguments import HintedAttributes, naming_arguments
 from desim.config.extras import naming_extras
-from desim.config.html import html_table
 from desim.config.whole_files import write_whole
 from desim.study.results import export
 from desim.study.results import tables as sweep_tables
@@ -29,7 +27,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, repr=False)
-class SweepResult(SweepRuns, HintedAttributes):
+class SweepResult(TabularResult, SweepRuns, HintedAttributes):
     """The runs of a sweep by configuration, as tables, figures, a data frame and files."""
 
     def _instead_of(self, name: str) -> str:
@@ -205,9 +203,7 @@ class SweepResult(SweepRuns, HintedAttributes):
         return formatted(tables, notes, format, right_from=kept)
 
     @naming_arguments
-    def tables(
-        self, metrics: Sequence[str] = SHOWN, *, against: Mapping[str, Any] | None = None
-    ) -> list[tuple[str, list[tuple[str, ...]]]]:
+    def tables(self, metrics: Sequence[str] = SHOWN, *, against: Mapping[str, Any] | None = None) -> list[Table]:
         """Return each table as its title and rows of text; the first row is the header."""
         return list(sweep_tables.tables(self, names_of_metrics(metrics), against))
 
@@ -280,17 +276,12 @@ class SweepResult(SweepRuns, HintedAttributes):
         """
         return Threshold.of(self, metric, key, over, baseline, where, confidence)
 
-    def __str__(self) -> str:
-        return self.table()
-
     def __repr__(self) -> str:
         heading = sweep_tables.heading(self, ())
         return f"<{type(self).__name__} of {heading.partition(';')[0]}, over {', '.join(self.keys)}>"
 
-    def _repr_html_(self) -> str:
-        """Return the tables as HTML, for notebooks."""
-        parts = [html_table(title, rows) for title, rows in self.tables()]
-        return "".join([*parts, *(f"<p>{html.escape(note)}</p>" for note in sweep_tables.notes(self, SHOWN))])
+    def _notes(self) -> Iterator[str]:
+        return sweep_tables.notes(self, SHOWN)
 
     def records(self) -> Iterator[dict[str, Any]]:
         """Yield each run as a flat record: settings, replication, seed, status, metrics and error."""

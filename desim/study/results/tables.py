@@ -7,15 +7,13 @@ import numpy as np
 
 from desim.analysis.metrics import title, words
 from desim.analysis.statistics import wilson
+from desim.analysis.table_formats import Table
 from desim.analysis.tables import as_json, counted, digits_of, with_half_width
 from desim.config.arrays import Floats
 from desim.config.errors import ArgumentError
 from desim.config.json_numbers import json_number
 from desim.study.plan.configurations import in_words
 from desim.study.results.runs import CAPTURE_TIMES, SweepRuns, labels_of_values, text
-
-Table = tuple[str, list[tuple[str, ...]]]
-"""The title of a table, and its rows of text; the first row is the header."""
 
 
 def tables(result: SweepRuns, metrics: Sequence[str], against: Mapping[str, Any] | None = None) -> Iterator[Table]:

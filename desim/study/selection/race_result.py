@@ -1,6 +1,5 @@
 """The result of a race: which configuration is best, which were dropped when, and what that saved."""
 
-import html
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
@@ -8,10 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from desim.analysis.metrics import with_unit, words
 from desim.analysis.statistics import Estimate, mean, paired
-from desim.analysis.table_formats import Table, TableFormat, formatted
+from desim.analysis.table_formats import Table, TabularResult
 from desim.analysis.tables import as_json, counted, digits_of, with_half_width
 from desim.config.extras import naming_extras
-from desim.config.html import html_table
 from desim.config.json_numbers import json_number
 from desim.study.plan.configurations import in_words
 from desim.study.results.runs import text
@@ -23,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, repr=False)
-class RaceResult:
+class RaceResult(TabularResult):
     """A race between configurations; see `desim.race`."""
 
     name: str
@@ -141,15 +139,11 @@ class RaceResult:
         head = f"{self.name}: a race of {len(self.settings)} configurations, {seeds}; +- is half a 95 % t interval"
         return [(head, rows)]
 
-    def table(self, *, format: TableFormat = "text") -> str:  # noqa: A002 - the word of users
-        """Return the table and the sentences: text, latex (booktabs) or markdown.
+    def _notes(self) -> list[str]:
+        return self.sentences()
 
-        The intervals do not allow for the moment at which a configuration was dropped; the guarantee is in a sentence.
-
-        Raises:
-            ValueError: if there is no such format.
-        """
-        return formatted(self.tables(), self.sentences(), format, right_from=1 + len(self.settings[0]))
+    def _right_from(self) -> int:
+        return 1 + len(self.settings[0])
 
     @naming_extras()
     def plot(self, *, size: str | None = None, style: "Style" = None, ax: "Axes | None" = None) -> "Figure":
@@ -205,13 +199,5 @@ class RaceResult:
             ],
         }
 
-    def __str__(self) -> str:
-        return self.table()
-
     def __repr__(self) -> str:
         return f"<RaceResult of {self.name}: {in_words(self.best)} of {counted(len(self.settings), 'configuration')}>"
-
-    def _repr_html_(self) -> str:
-        """Return the table as HTML, for notebooks."""
-        sentences = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in self.sentences())
-        return "".join(html_table(heading, rows) for heading, rows in self.tables()) + sentences

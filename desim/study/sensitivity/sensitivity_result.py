@@ -1,16 +1,14 @@
 """The result of a sensitivity analysis: what decides a metric, as sentences, tables, a figure and JSON."""
 
-import html
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isnan
 from typing import TYPE_CHECKING, Any
 
 from desim.analysis.metrics import with_unit, words
-from desim.analysis.table_formats import Table, TableFormat, formatted
+from desim.analysis.table_formats import Table, TabularResult
 from desim.analysis.tables import counted
 from desim.config.extras import naming_extras
-from desim.config.html import html_table
 from desim.config.json_numbers import json_number
 from desim.study.sensitivity.morris import ElementaryEffects
 from desim.study.sensitivity.sobol_indices import IndexEstimate, SobolIndices
@@ -23,7 +21,7 @@ DECIDES = 0.05
 
 
 @dataclass(frozen=True, repr=False)
-class SensitivityResult:
+class SensitivityResult(TabularResult):
     """How much of the variation of a metric each key causes; see `desim.sensitivity`."""
 
     name: str
@@ -152,13 +150,11 @@ class SensitivityResult:
         )
         return [(title, rows)]
 
-    def table(self, *, format: TableFormat = "text") -> str:  # noqa: A002 - the word of users
-        """Return the table and the sentences: text, latex (booktabs) or markdown.
+    def _notes(self) -> list[str]:
+        return self.sentences()
 
-        Raises:
-            ValueError: if there is no such format.
-        """
-        return formatted(self.tables(), self.sentences(), format, right_from=2)
+    def _right_from(self) -> int:
+        return 2
 
     @naming_extras()
     def plot(self, *, size: str | None = None, style: "Style" = None) -> "Figure":
@@ -206,16 +202,8 @@ class SensitivityResult:
             "keys": keys,
         }
 
-    def __str__(self) -> str:
-        return self.table()
-
     def __repr__(self) -> str:
         return f"<SensitivityResult of {self.name}: {words(self.metric)} over {counted(len(self.keys), 'key')}>"
-
-    def _repr_html_(self) -> str:
-        """Return the table as HTML, for notebooks."""
-        sentences = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in self.sentences())
-        return "".join(html_table(heading, rows) for heading, rows in self.tables()) + sentences
 
 
 def _listed(texts: list[str]) -> str:
