@@ -126,11 +126,10 @@ def serve() -> None:
 
 
 def _serve(numbers: dict[int, tuple[int, int]]) -> bool:
-    """Read one task, and fork its processes; return False at the end of standard input."""
-    length = int.from_bytes(_read(8), "big")
-    if not length:
+    """Read one task, and fork its processes; return False at the end of standard input, which may be within a task."""
+    if not (content := _read(int.from_bytes(_read(8), "big"))):
         return False
-    run, sys.path[:], task = pickle.loads(_read(length))
+    run, sys.path[:], task = pickle.loads(content)
     scenario, starts = pickle.loads(task)()
     from desim.live.node import Node
     from desim.live.pursuer import play
