@@ -16,51 +16,83 @@ from operator import itemgetter
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from desim.analysis.activity import active_time as active_time
-from desim.analysis.activity import activity as activity
-from desim.analysis.activity import changes as changes
-from desim.analysis.activity import crowded_time as crowded_time
-from desim.analysis.activity import decisions
-from desim.analysis.activity import energy as energy
-from desim.analysis.activity import excess_time as excess_time
-from desim.analysis.activity import handovers as handovers
-from desim.analysis.activity import idle_time as idle_time
-from desim.analysis.activity import ping_pongs as ping_pongs
-from desim.analysis.activity import switches as switches
-from desim.analysis.age import age_at_decision as age_at_decision
-from desim.analysis.age import age_mean as age_mean
-from desim.analysis.age import age_peak as age_peak
-from desim.analysis.age import belief_error as belief_error
-from desim.analysis.age import believed_leaders as believed_leaders
-from desim.analysis.captures import capture_time as capture_time
-from desim.analysis.captures import capture_times, capturers
-from desim.analysis.captures import captured as captured
-from desim.analysis.captures import end_time as end_time
-from desim.analysis.captures import mean_capture_time as mean_capture_time
-from desim.analysis.deception import checks_announcements
-from desim.analysis.deception import false_accusations as false_accusations
-from desim.analysis.deception import time_to_detect as time_to_detect
-from desim.analysis.hindsight import misassigned_time as misassigned_time
-from desim.analysis.hindsight import network_regret as network_regret
-from desim.analysis.hindsight import potential_gap as potential_gap
-from desim.analysis.hindsight import regret as regret
-from desim.analysis.hindsight import time_to_relay as time_to_relay
-from desim.analysis.trace_index import captures, ended, messages_recorded, positions_known
-from desim.analysis.trace_index import messages as messages
-from desim.analysis.transport_metrics import acknowledgements as acknowledgements
-from desim.analysis.transport_metrics import deadlines_missed as deadlines_missed
-from desim.analysis.transport_metrics import delivery_delay as delivery_delay
-from desim.analysis.transport_metrics import given_up as given_up
-from desim.analysis.transport_metrics import has_transport
-from desim.analysis.transport_metrics import liveliness_lost as liveliness_lost
-from desim.analysis.transport_metrics import mean_attempts as mean_attempts
-from desim.analysis.transport_metrics import retransmissions as retransmissions
-from desim.analysis.transport_metrics import share_delivered as share_delivered
+from desim.analysis.activity import (
+    active_time,
+    activity,
+    changes,
+    crowded_time,
+    decisions,
+    energy,
+    excess_time,
+    handovers,
+    idle_time,
+    ping_pongs,
+    switches,
+)
+from desim.analysis.age import age_at_decision, age_mean, age_peak, belief_error, believed_leaders
+from desim.analysis.captures import capture_time, capture_times, captured, capturers, end_time, mean_capture_time
+from desim.analysis.deception import checks_announcements, false_accusations, time_to_detect
+from desim.analysis.hindsight import misassigned_time, network_regret, potential_gap, regret, time_to_relay
+from desim.analysis.trace_index import captures, ended, messages, messages_recorded, positions_known
+from desim.analysis.transport_metrics import (
+    acknowledgements,
+    deadlines_missed,
+    delivery_delay,
+    given_up,
+    has_transport,
+    liveliness_lost,
+    mean_attempts,
+    retransmissions,
+    share_delivered,
+)
 from desim.config.html import html_properties
 from desim.config.json_numbers import to_json
 from desim.config.suggestion import did_you_mean
 from desim.kernel.core.events import Cause
 from desim.simulation.run import Result
+
+__all__ = [
+    "METRICS",
+    "Metric",
+    "Summary",
+    "acknowledgements",
+    "active_time",
+    "activity",
+    "age_at_decision",
+    "age_mean",
+    "age_peak",
+    "belief_error",
+    "believed_leaders",
+    "capture_time",
+    "captured",
+    "changes",
+    "crowded_time",
+    "deadlines_missed",
+    "delivery_delay",
+    "end_time",
+    "energy",
+    "excess_time",
+    "false_accusations",
+    "given_up",
+    "handovers",
+    "idle_time",
+    "liveliness_lost",
+    "mean_attempts",
+    "mean_capture_time",
+    "messages",
+    "misassigned_time",
+    "network_regret",
+    "ping_pongs",
+    "plain",
+    "potential_gap",
+    "regret",
+    "retransmissions",
+    "share_delivered",
+    "switches",
+    "time_to_detect",
+    "time_to_relay",
+    "title",
+]
 
 
 class Metric(NamedTuple):

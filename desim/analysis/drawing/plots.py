@@ -15,8 +15,8 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib import style as mpl_style
-from matplotlib.axes import Axes as Axes
-from matplotlib.figure import Figure as Figure
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.text import Text
 
@@ -24,6 +24,21 @@ from desim.analysis.drawing.legends import uncover_data
 from desim.config.errors import ArgumentError
 from desim.config.file_names import PICTURE_SUFFIXES, files
 from desim.config.whole_files import write_whole
+
+__all__ = [
+    "COLUMN",
+    "NARROW",
+    "Axes",
+    "Figure",
+    "Style",
+    "as_it_is",
+    "figure_of",
+    "html_image",
+    "in_style",
+    "save",
+    "size_of",
+    "styled",
+]
 
 COLUMN = 8.5 / 2.54
 """The width of a column of a paper, inches."""
