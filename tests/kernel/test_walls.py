@@ -178,11 +178,42 @@ def test_a_wall_that_is_none_is_refused_with_what_is_allowed(case):
         ("0 0\n1\n", "a.txt", "line 2: a corner should have two numbers, x y .has 1"),
         ("0 0\n1 1,5x\n", "a.txt", "line 2"),
         ("\n", "a.txt", "has no shape"),
-        ('<svg><rect width="4"/></svg>', "a.svg", "<rect> is not read: convert objects to paths"),
-        ('<svg><path transform="scale(2)" d="M0 0H1"/></svg>', "a.svg", "transform is not read"),
-        ('<svg><g style="fill:none;display:none"><path d="M0 0H1"/></g></svg>', "a.svg", "'display:none' hides a part"),
-        ('<svg><path visibility="hidden" d="M0 0H1"/></svg>', "a.svg", "'visibility=\"hidden' hides a part"),
-        ('<svg><path style="fill:none; opacity: 0" d="M0 0H1"/></svg>', "a.svg", "'opacity: 0' hides a part"),
+        ('<svg><circle r="4"/></svg>', "a.svg", "<circle> is not read: convert objects to paths"),
+        (
+            '<svg><path transform="turn(2)" d="M0 0H1"/></svg>',
+            "a.svg",
+            "turn with 1 numbers is no transformation of SVG",
+        ),
+        ('<svg><path transform="scale(2" d="M0 0H1"/></svg>', "a.svg", "'scale.2' is no transformation of SVG"),
+        (
+            '<svg><path transform="rotate(2rad)" d="M0 0H1"/></svg>',
+            "a.svg",
+            "'2rad' should be numbers; angles are in deg",
+        ),
+        (
+            '<svg><path style="transform: scale(2)" d="M0 0H1"/></svg>',
+            "a.svg",
+            "a transformation in a style is not read",
+        ),
+        ('<svg><g transform-origin="2 2"><path d="M0 0H1"/></g></svg>', "a.svg", "a transformation in a style is not"),
+        ('<svg><rect rx="1" width="4" height="2"/></svg>', "a.svg", "round corners: make them straight"),
+        ('<svg><rect width="4cm" height="2"/></svg>', "a.svg", "<rect> width: '4cm' should be a number in the unit of"),
+        ('<svg><polygon points="0 0 1"/></svg>', "a.svg", "L should have 2 numbers"),
+        (
+            "<svg><style>g > path {fill: none}</style></svg>",
+            "a.svg",
+            "the selector 'g > path' of its style sheet is not",
+        ),
+        ("<svg><path></svg>", "a.svg", "is not a drawing in SVG: mismatched tag: line 1"),
+        ("<html><svg/></html>", "a.svg", "is not a drawing in SVG: its first element is <html>"),
+        (
+            '<svg><g style="fill:none;display:none"><path d="M0 0H1"/></g></svg>',
+            "a.svg",
+            "'display: none' hides a <path>",
+        ),
+        ('<svg><path visibility="hidden" d="M0 0H1"/></svg>', "a.svg", "'visibility: hidden' hides a <path>"),
+        ('<svg><path style="fill:none; opacity: 0" d="M0 0H1"/></svg>', "a.svg", "'opacity: 0' hides a <path>"),
+        ("<svg><path class='a' fill='none' d='M0 0H1'/></svg>", "a.svg", "neither a fill nor a stroke"),
         ('<svg><path d="M0 0H1"/><svg x="5"><path d="M0 0H1"/></svg></svg>', "a.svg", "a drawing inside the drawing"),
         ('<svg><path style="fill:none;stroke:none" d="M0 0H1"/></svg>', "a.svg", "neither a fill nor a stroke"),
         ('<svg><path fill="none" d="M0 0H1"/></svg>', "a.svg", "neither a fill nor a stroke"),
@@ -190,6 +221,8 @@ def test_a_wall_that_is_none_is_refused_with_what_is_allowed(case):
         ('<svg><style>.a{fill:none;stroke:none}</style><path class="a" d="M0 0H1"/></svg>', "a.svg", "neither a fill"),
         ('<svg><path fill="none" stroke="#00000000" d="M0 0H1"/></svg>', "a.svg", "neither a fill nor a stroke"),
         ('<svg><path fill="none" stroke="rgba(1, 2, 3, 0)" d="M0 0H1"/></svg>', "a.svg", "neither a fill nor a stroke"),
+        ('<svg><path fill="#ccc0" stroke="rgb(1 2 3 / 0%)" d="M0 0H1"/></svg>', "a.svg", "neither a fill nor a stroke"),
+        ('<svg><style>path{transform:none}</style><path d="M0 0H1"/></svg>', "a.svg", "a transformation in a style is"),
         ('<svg><path style="fill:none;stroke:red;stroke-width:0px" d="M0 0H1"/></svg>', "a.svg", "neither a fill nor"),
         ('<svg><path fill-opacity="0" stroke="red" stroke-opacity="0.0" d="M0 0H1"/></svg>', "a.svg", "neither a fill"),
         ('<svg><switch><path d="M0 0H1"/><g><path d="M0 2H1"/></g></switch></svg>', "a.svg", "one is drawn"),
@@ -197,7 +230,8 @@ def test_a_wall_that_is_none_is_refused_with_what_is_allowed(case):
         ("t,x,y\n0,4,0\n", "a.csv", "line 1: a corner should have two numbers, x y .has 3"),
         ('<svg><path clip-path="url(#c)" d="M0 0H1"/></svg>', "a.svg", "clip-path hides a part, which would be a wall"),
         ('<svg><g style="mask:url(#c)"><path d="M0 0H1"/></g></svg>', "a.svg", "mask hides a part"),
-        ("<svg></svg>", "a.svg", "has no <path"),
+        ("<svg></svg>", "a.svg", "has no shape: paths, lines"),
+        ('<svg><rect width="4"/><path d=""/></svg>', "a.svg", "has no shape: paths, lines"),
     ],
 )
 def test_a_file_that_is_not_read_is_named(tmp_path, content, name, why):
@@ -210,6 +244,13 @@ DRAWN = [
     *("opacity:0.5", "opacity:1", "fill-opacity:0;stroke-opacity:1;stroke:red", "fill:none;stroke:red"),
     *("fill:none;stroke:#ff0000;stroke-width:0.5", "fill:#000000;stroke:none", "stroke-width:0", "stroke:none"),
     *("fill:none;stroke:red;stroke-opacity:0.01", "fill:none;stroke:#00ff00", "fill:#aabb00;stroke:none", ""),
+    *(
+        "fill:rgb(255, 0, 0)",
+        "fill:rgba(1, 2, 0, 0.5)",
+        "fill:rgb(1 2 0 / 50%)",
+        "fill:none;stroke:#0f0",
+        "stroke-width:",
+    ),
 ]
 
 
@@ -224,7 +265,7 @@ def test_what_is_drawn_faintly_or_unfilled_is_a_wall(tmp_path):
     [
         '<g stroke="black"><path fill="none" d="M0 0H1"/></g>',
         "<style>path{stroke:black}</style><path fill='none' d='M0 0H1'/>",
-        "<path class='a' fill='none' d='M0 0H1'/>",
+        "<style>.a{stroke:black}</style><path class='a b' fill='none' d='M0 0H1'/>",
     ],
 )
 def test_a_path_may_have_the_stroke_of_a_group_or_of_a_style_sheet(tmp_path, drawing):
@@ -256,6 +297,42 @@ def test_a_closed_path_without_a_fill_is_a_line_around_a_free_inside(tmp_path, d
     ring = [[0, 0], [4, 0], [4, 3], [0, 3]]
     assert shape.closed == is_solid
     assert shape.corners.tolist() == (ring if is_solid else [*ring, [0, 0]])
+
+
+SHAPES = {
+    '<line x1="1" y1="2" x2="3" y2="4" stroke="red"/>': ([[1, -2], [3, -4]], False),
+    '<polyline points="1,2 3,4 5-6" stroke="red"/>': ([[1, -2], [3, -4], [5, 6]], False),
+    '<polygon points="1 2 3 4 5 2"/>': ([[1, -2], [3, -4], [5, -2]], True),
+    '<polygon fill="none" stroke="red" points="1 2 3 4 5 2"/>': ([[1, -2], [3, -4], [5, -2], [1, -2]], False),
+    '<rect x="1" y="2px" width="3" height="4"/>': ([[1, -2], [4, -2], [4, -6], [1, -6]], True),
+    '<s:path xmlns:s="http://www.w3.org/2000/svg" d="M1 2H3"/>': ([[1, -2], [3, -2]], False),
+    '<g display="none"/><o:path xmlns:o="urn:other" d="M9 9H8"/><path d="M1 2H3"/>': ([[1, -2], [3, -2]], False),
+    '<g visibility="hidden"><path visibility="visible" d="M1 2H3"/></g>': ([[1, -2], [3, -2]], False),
+    '<g transform="translate(10, -20)"><path transform="scale(2)" d="M1 2H3"/></g>': ([[12, 16], [16, 16]], False),
+    '<path transform="translate(5)rotate(90)" d="M1 2H3"/>': ([[3, -1], [3, -3]], False),
+    '<path transform="rotate(-90, 1 2)" d="M1 2H3"/>': ([[1, -2], [1, 0]], False),
+    '<path transform="matrix(1 0 0 -1 0 7) , scale(2,3)" d="M1 2H3"/>': ([[2, -1], [6, -1]], False),
+    '<path transform="skewX(45)" d="M1 2H3"/>': ([[3, -2], [5, -2]], False),
+    '<path transform="skewY(-45)" d="M1 2H3"/>': ([[1, -1], [3, 1]], False),
+    "<style>/* x */ .a {stroke: red !important} path {fill: none; stroke: none}</style><path class='a' d='M1 2H3'/>": (
+        [[1, -2], [3, -2]],
+        False,
+    ),
+}
+
+
+@pytest.mark.parametrize(("drawing", "expected"), SHAPES.items(), ids=range(len(SHAPES)))
+def test_a_drawing_is_read_as_it_is_shown(tmp_path, drawing, expected):
+    """The y axis of SVG points down: a turn by 90 degrees is clockwise there, from x to y."""
+    doctype = '<?xml version="1.0"?><!DOCTYPE svg PUBLIC "-//W3C//DTD SVG 1.1//EN" "http://www.w3.org/svg11.dtd">'
+    (tmp_path / "a.svg").write_text(f'{doctype}<svg xmlns="http://www.w3.org/2000/svg">{drawing}</svg>')
+    (shape,) = Wall(file=str(tmp_path / "a.svg")).shapes
+    assert (shape.corners.round(12).tolist(), shape.closed) == expected
+
+
+def test_a_drawing_of_many_groups_is_read(tmp_path):
+    (tmp_path / "a.svg").write_text("<svg>" + "<g>" * 5000 + '<path d="M0 0H1"/>' + "</g>" * 5000 + "</svg>")
+    assert len(Wall(file=str(tmp_path / "a.svg")).shapes) == 1
 
 
 def test_a_file_outside_of_the_folder_needs_trust(tmp_path):

@@ -1,4 +1,4 @@
-"""The shapes of walls in texts: WKT, paths of SVG, and files of either, or of numbers.
+"""The shapes of walls in texts: WKT, and paths of SVG.
 
 WKT is the well-known text of OGC 06-103r4: LINESTRING, POLYGON with holes, their MULTI forms, and collections of them.
 A path of SVG (W3C, SVG 1.1, Section 8.3) may have straight pieces only: the commands M, L, H, V and Z, absolute or not.
@@ -7,10 +7,9 @@ Its y axis points down, and that of desim up, so that y changes its sign.
 
 import re
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import NamedTuple
 
-from desim.config.number_files import check_comments, number_of, text_of_file, words_of
+from desim.config.number_files import number_of
 from desim.config.suggestion import did_you_mean
 
 Corners = tuple[tuple[float, float], ...]
@@ -222,170 +221,3 @@ def _svg_outline(corners: list[complex], *, closed: bool) -> list[Outline]:
     if len(corners) < 2:
         return []
     return [Outline(tuple((corner.real, corner.imag) for corner in corners), closed)]
-
-
-_PATH = re.compile(r"<\s*path\b[^>]*>", re.IGNORECASE)
-_UNDRAWN = re.compile(
-    r"<!--.*?-->|<\s*(defs|symbol|marker|pattern|mask|clipPath)\b[^>]*(?<!/)>.*?<\s*/\s*\1\s*>",
-    re.IGNORECASE | re.DOTALL,
-)
-"""Comments, and elements that are not drawn where they stand."""
-_DATA = re.compile(r"""\sd\s*=\s*("[^"]*"|'[^']*')""")
-_HIDDEN = re.compile(
-    r"""\b(display\s*[:=]\s*["']?\s*none\b|visibility\s*[:=]\s*["']?\s*(hidden|collapse)\b"""
-    r"""|(?<!-)opacity\s*[:=]\s*["']?\s*0(\.0*)?%?(?![.\d]))""",
-    re.IGNORECASE,
-)
-_NO_COLOUR = r"(none|transparent|rgba\([^)]*,\s*0(\.0*)?\s*\)|\#[0-9a-f]{6}00)"
-_ZERO = r"0(\.0*)?(px|mm|cm|pt|%)?(?![.\d\w])"
-_NO_FILL = re.compile(
-    rf"""\bfill\s*[:=]\s*["']?\s*{_NO_COLOUR}|\bfill-opacity\s*[:=]\s*["']?\s*{_ZERO}""", re.IGNORECASE
-)
-_NO_STROKE = re.compile(
-    rf"""\bstroke\s*[:=]\s*["']?\s*{_NO_COLOUR}|\bstroke-(width|opacity)\s*[:=]\s*["']?\s*{_ZERO}""", re.IGNORECASE
-)
-_ELEMENT = re.compile(r"<\s*(/?)\s*(path|g|a|svg)\b([^>]*?)(/?)>", re.IGNORECASE)
-_ATTRIBUTE = re.compile(r"""([\w-]+)\s*=\s*("[^"]*"|'[^']*')""")
-_STYLE = re.compile(r"""\bstyle\s*=\s*("[^"]*"|'[^']*')""", re.IGNORECASE)
-_FILL = re.compile(r"\bfill(-opacity)?\s*[:=]", re.IGNORECASE)
-_CUT = re.compile(r"""\b(clip-path|mask)\s*[:=]\s*["']?\s*url""", re.IGNORECASE)
-_STYLES = re.compile(r"<\s*(?:path|g|a|svg)\b[^>]*>|\{[^}]*\}", re.IGNORECASE)
-"""Elements and rules of style sheets that say how paths are drawn."""
-_WKT_BEGIN = re.compile(r"[A-Za-z]\w*\s*(Z|M|ZM|EMPTY)?\s*(\(|;|=|$)", re.IGNORECASE)
-_OTHERS = re.compile(r"<\s*(rect|circle|ellipse|line|polyline|polygon|use|image|text)\b", re.IGNORECASE)
-
-
-_COLUMNS = re.compile(r"""["']?x["']?[\s,]+["']?y["']?""", re.IGNORECASE)
-"""A line that names the columns of a file of numbers."""
-
-
-def file_text(file: Path, *, is_scaled: bool = False) -> tuple[str, str]:
-    """Return the shapes in a file as a text, and the key whose value it can be: "svg" or "wkt".
-
-    A file of SVG has elements `path`; closed ones without a fill become lines, and the text is WKT. A file of numbers
-    has one corner x y in a line, and an empty line before each further shape; a shape whose last corner is its first is
-    a polygon, and a first line `x,y` names the columns. Any other file is WKT. Comments may name no other unit than m,
-    unless the caller scales the corners.
-
-    Raises:
-        ValueError: if the file cannot be read; the message names the file.
-    """
-    text = text_of_file(file)
-    if "<" in text:
-        paths = _svg_paths(text, file)
-        if not any(is_hollow for _, is_hollow in paths):
-            return "svg", " ".join(data for data, _ in paths)
-        outlines = ((outline, is_hollow) for data, is_hollow in paths for outline in svg_outlines(data))
-        return "wkt", "\n".join(
-            _wkt_of([*corners, *corners[:closed]], is_solid=closed and not is_hollow)
-            for (corners, closed), is_hollow in outlines
-        )
-    if not is_scaled:
-        check_comments(text, file, "m")
-    lines = [line.partition("#")[0] for line in text.split("\n")]
-    first = next((line.strip() for line in lines if line.strip()), "")
-    if not first:
-        raise ValueError(f"{file} has no shape")
-    if first[0] in "{[":
-        raise ValueError(
-            f"{file}: GeoJSON is not read, as its positions are in degrees (RFC 7946): project them to m, and write"
-            " them as WKT (in Python, `geometry.wkt` of shapely)"
-        )
-    if _COLUMNS.fullmatch(first):
-        lines[next(k for k, line in enumerate(lines) if line.strip())] = ""
-    elif _WKT_BEGIN.match(first):
-        return "wkt", "\n".join(lines).strip()
-    return "wkt", _wkt_of_numbers(lines, file)
-
-
-def _svg_paths(text: str, file: Path) -> list[tuple[str, bool]]:
-    """Return the data of all paths of an SVG file that are drawn, and whether each is without a fill.
-
-    Each path starts at the origin: a relative `m` at its beginning does not follow the path before it.
-    """
-    text = _UNDRAWN.sub("", text)
-    if "transform" in text:
-        raise ValueError(f"{file}: the attribute transform is not read: apply transformations in the editor")
-    if hidden := _HIDDEN.search(text):
-        raise ValueError(f"{file}: {hidden[0]!r} hides a part, which would be a wall: delete that part, or show it")
-    if any(_draws_nothing(style[0], text) for style in _STYLES.finditer(text)):
-        raise ValueError(
-            f"{file}: a path has neither a fill nor a stroke, and would be a wall: delete it, or give it a stroke"
-        )
-    if re.search(r"<\s*switch\b", text, re.IGNORECASE):
-        raise ValueError(f"{file}: of the parts of a <switch> one is drawn, and all would be walls: delete the others")
-    if len(re.findall(r"<\s*svg\b", text, re.IGNORECASE)) > 1:
-        raise ValueError(f"{file}: a drawing inside the drawing (<svg>) is not read: ungroup it in the editor")
-    if cut := _CUT.search(text):
-        raise ValueError(f"{file}: {cut[1]} hides a part, which would be a wall: release it in the editor")
-    if other := _OTHERS.search(text):
-        raise ValueError(f"{file}: <{other[1]}> is not read: convert objects to paths in the editor")
-    data = [(match[1][1:-1], hollow) for path, hollow in _with_fill(text) if (match := _DATA.search(path))]
-    if not data:
-        raise ValueError(f"{file} has no <path d=...>")
-    return [(f"M 0 0 {path}" if path.lstrip().startswith("m") else path, hollow) for path, hollow in data]
-
-
-def _with_fill(text: str) -> Iterator[tuple[str, bool]]:
-    """Yield each element `path`, and whether it is without a fill.
-
-    A style overrides the rules of style sheets, these the attribute `fill`, and this what surrounding elements have.
-    """
-    rules = {
-        name.strip(): body for names, body in re.findall(r"([^{}<>]+)(\{[^}]*\})", text) for name in names.split(",")
-    }
-    hollow = [False]
-    for match in _ELEMENT.finditer(text):
-        is_end, name, attributes, is_empty = match.groups()
-        if is_end:
-            hollow = hollow[:-1] or hollow
-            continue
-        values = {key: value[1:-1] for key, value in _ATTRIBUTE.findall(attributes)}
-        names = [name, *(f".{one}" for one in values.get("class", "").split()), f"#{values.get('id')}"]
-        said = [_STYLE.sub("", attributes), *(rules.get(one, "") for one in names), values.get("style", "")]
-        own = [_NO_FILL.search(style) is not None for style in said if _FILL.search(style)]
-        hollow.append(own[-1] if own else hollow[-1])
-        if name.lower() == "path":
-            yield match[0], hollow[-1]
-        if is_empty:
-            hollow.pop()
-
-
-def _draws_nothing(style: str, text: str) -> bool:
-    """Return whether an element, or a rule of a style sheet, has neither a fill nor a stroke.
-
-    A path that says nothing of its stroke may have that of a group or of a rule.
-    """
-    if not _NO_FILL.search(style):
-        return False
-    if re.search(r"\bstroke\s*[:=]", style, re.IGNORECASE):
-        return bool(_NO_STROKE.search(style))
-    is_path = _PATH.fullmatch(style) is not None
-    return is_path and not re.search(
-        r"\b(stroke\s*[:=]|class\s*=|id\s*=.*<\s*style)", _PATH.sub("", text) + style, re.DOTALL
-    )
-
-
-def _wkt_of_numbers(lines: list[str], file: Path) -> str:
-    """Return lines of numbers as WKT."""
-    shapes: list[list[tuple[float, float]]] = [[]]
-    for number, line in enumerate(lines, 1):
-        words = words_of(line.replace(",", " "))
-        if not words and shapes[-1]:
-            shapes.append([])
-        if not words:
-            continue
-        try:
-            x, y = map(number_of, words)
-        except ValueError as error:
-            why = str(error) if len(words) == 2 else f"a corner should have two numbers, x y (has {len(words)})"
-            raise ValueError(f"{file}, line {number}: {why}") from error
-        shapes[-1].append((x, y))
-    return "\n".join(map(_wkt_of, filter(None, shapes)))
-
-
-def _wkt_of(corners: list[tuple[float, float]], *, is_solid: bool = True) -> str:
-    """Return a line, or a polygon if the last corner is the first and its inside is solid, as WKT."""
-    inner = ", ".join(f"{x!r} {y!r}" for x, y in corners)
-    is_polygon = is_solid and len(corners) > 2 and corners[0] == corners[-1]
-    return f"POLYGON (({inner}))" if is_polygon else f"LINESTRING ({inner})"

@@ -12,7 +12,8 @@ from desim.config.model import MAX_COORDINATE, Coordinate, FirstError, Length, L
 from desim.config.trust import resolve_path
 from desim.kernel.walls.crossings import Segments, WallShape, first_contact, repeated_corner, segments_of
 from desim.kernel.walls.materials import Material, slab_loss
-from desim.kernel.walls.outlines import Outline, file_text, svg_outlines, without_repeat, wkt_outlines
+from desim.kernel.walls.outlines import Outline, svg_outlines, without_repeat, wkt_outlines
+from desim.kernel.walls.wall_file import wkt_in
 
 Corner = tuple[Coordinate, Coordinate]
 """The position [x, y] of a corner, m."""
@@ -47,7 +48,7 @@ class Wall(Value):
     """Shapes as the data of an SVG path, with the commands M, L, H, V and Z; a closed part is a polygon. The y axis of
     SVG points down, so y changes its sign."""
     file: str | None = None
-    """Path of a file, relative to the scenario file: WKT, SVG with elements `path`, or corners x y in lines, with empty
+    """Path of a file, relative to the scenario file: WKT, a drawing in SVG, or corners x y in lines, with empty
     lines between shapes. The file is read once, when the wall is created."""
     scale: Length = 1.0
     """Factor by which all coordinates are multiplied, to have them in m."""
@@ -72,15 +73,15 @@ class Wall(Value):
     @model_validator(mode="before")
     @classmethod
     def _read(cls, data: Any, info: ValidationInfo) -> Any:
-        """Replace a geometry by its WKT, and a file by the text in it, if it is the only description of the shapes."""
+        """Replace a geometry, or a file if nothing else describes the shapes, by WKT."""
         if not isinstance(data, dict):
             return data
         if isinstance(text := getattr(data.get("wkt"), "wkt", None), str):
             data = data | {"wkt": text}
         if [key for key in SHAPE_KEYS if data.get(key) is not None] != ["file"]:
             return data
-        key, text = file_text(resolve_path(data["file"], info), is_scaled="scale" in data)
-        return {name: value for name, value in data.items() if name != "file"} | {key: text}
+        wkt = wkt_in(resolve_path(data["file"], info), is_scaled="scale" in data)
+        return {name: value for name, value in data.items() if name != "file"} | {"wkt": wkt}
 
     @model_validator(mode="after")
     def _is_valid(self) -> Self:
