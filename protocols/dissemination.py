@@ -108,7 +108,11 @@ class Flooding(Value):
                     again = partial(me.send, None, Forwarded((record,), hops - 1), PORT)
                     me.after(self.jitter * rng.random(), again, Phase.RELAY)  # `uniform` takes 8 times as long
 
-        yield me.listen(take, PORT, Phase.RELAY)  # most messages are copies, for which waking takes too long
+        def is_copy(message: Message) -> bool:
+            (record,), hops = message.body
+            return record.seq <= merged.get(record.src, -1) and not goes_on(record, hops)
+
+        yield me.listen(take, PORT, Phase.RELAY, is_copy)  # most messages are copies, for which an event takes too long
 
 
 class Gossip(Value):

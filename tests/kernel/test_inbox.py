@@ -1,9 +1,13 @@
 """Inboxes: the order of messages, and the cost of those in flight."""
 
+from functools import partial
+from unittest.mock import patch
+
 from hypothesis import given
 from hypothesis import strategies as st
 
 from desim.kernel.core.clock import Clock, Instant, Phase
+from desim.kernel.state import inbox
 from desim.kernel.state.inbox import Inboxes, Message
 
 
@@ -100,6 +104,57 @@ def test_a_function_that_listens_gets_what_a_process_reads(messages, start):
         box.listen(Phase.DELIVERY + 1 + node, lambda arrived: act(node, arrived))
 
     assert happenings(by_function) == happenings(by_process)
+
+
+def greatest_numbers(messages, ignoring):
+    """Let two nodes take the messages that are greater than all before, and answer them.
+
+    Return what they take and when, and how many messages are in flight at each time.
+    """
+    clock, seen, in_flight = Clock(), [], []
+    boxes, greatest = Inboxes(clock, 2), [-1, -1]
+
+    def take(node, arrived):
+        for message in arrived:
+            if message.body > greatest[node]:
+                greatest[node] = message.body
+                seen.append((clock.now, node, message.body))
+                boxes.deliver(Message(node, 0, message.body - 1), "", [1 - node], clock.now + 2, 1000 + len(seen))
+
+    for node, box in enumerate(boxes.at("")):
+        ignores = (lambda message, node=node: ignoring(message.body, greatest[node])) if ignoring else None
+        box.listen(Phase.DELIVERY + 1 + node, partial(take, node), ignores)
+    for number, (when, delays, body) in enumerate(messages):
+        times, event = [when + delay for delay in delays], Instant(clock, when, Phase.DECISION)
+        arrival = times[0] if len(set(times)) == 1 else times
+        put = partial(boxes.deliver, Message(0, 0, body), "", [0, 1][: len(times)], arrival, number)
+        event.callbacks.append(lambda _, put=put: put())
+    for when in range(20):
+        event = Instant(clock, when, Phase.SAMPLE)
+        event.callbacks.append(lambda _: in_flight.append(boxes.in_flight()))
+    clock.run()
+    return seen, in_flight
+
+
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 9), st.lists(st.integers(0, 5), min_size=1, max_size=2), st.integers(0, 9)),
+        max_size=20,
+    )
+)
+def test_messages_that_are_ignored_have_no_effect(messages):
+    plain = greatest_numbers(messages, None)
+    assert greatest_numbers(messages, lambda body, greatest: body <= greatest) == plain
+    with patch.object(inbox, "MANY", 0):
+        assert greatest_numbers(messages, lambda body, greatest: body <= greatest) == plain
+
+
+def test_the_comparison_detects_a_message_that_is_ignored_although_it_is_new():
+    """The control of the test above."""
+    messages = [(0, [1], 3), (2, [1], 5), (4, [1], 7)]
+    plain = greatest_numbers(messages, None)
+    assert plain[0][:1] == [(1, 0, 3)]
+    assert greatest_numbers(messages, lambda body, greatest: body <= greatest + 2) != plain
 
 
 def test_messages_of_an_inbox_that_is_not_listened_to_any_more_wait_for_the_next_reader():

@@ -219,7 +219,7 @@ class ByProcess(Flooding):
 
     def __call__(self, me):
         with patch.object(Agent, "listen", lambda _, *arguments: arguments):
-            ((act, port, phase),) = super().__call__(me)
+            ((act, port, phase, _),) = super().__call__(me)
         while True:
             yield me.arrival(port, phase)
             act(me.mail(port))
@@ -242,9 +242,10 @@ def flooded(changes, kind=Flooding):
         ["network.latency=0.01", "announce.dissemination.jitter=0.0", "network.range_check=send"],
         ["network.latency=0.0", "announce.dissemination.hops=2"],
         [CRASH.format("false")],
+        [CRASH.format("false"), "network.latency=0.03", "network.range_check=send"],
         [CRASH.format("true"), "network.loss=0.2"],
     ],
-    ids=["flooding", "at once", "without latency", "without memory", "with memory"],
+    ids=["flooding", "at once", "without latency", "without memory", "decided at sending", "with memory"],
 )
 def test_flooding_by_a_function_is_flooding_by_a_process(changes):
     assert flooded(changes) == flooded(changes, ByProcess)
@@ -258,8 +259,12 @@ def test_the_comparison_detects_news_that_is_not_forwarded():
     def half(me, act, *more):
         return listen(me, lambda messages: act([message for message in messages if message.src % 2]), *more)
 
-    with patch.object(Agent, "listen", half):
-        assert flooded([]) != flooded([], ByProcess)
+    def without_news(me, act, port, phase, ignores):
+        return listen(me, act, port, phase, lambda message: ignores(message) or message.src == 3)
+
+    for wrong in (half, without_news):
+        with patch.object(Agent, "listen", wrong):
+            assert flooded([]) != flooded([], ByProcess)
 
 
 # Within an instant.

