@@ -5,6 +5,8 @@ import signal
 import sys
 from functools import cache
 from importlib import import_module
+from inspect import isfunction
+from itertools import takewhile
 from pathlib import Path
 from pkgutil import walk_packages
 
@@ -23,6 +25,9 @@ settings.register_profile("steady", deadline=None, derandomize=True, max_example
 settings.register_profile("explore", deadline=None, max_examples=400)
 settings.load_profile("steady")
 BENCHMARKS = Path(__file__).parent / "benchmarks"
+
+# Nearly all that is imported and collected stays, and searches for garbage in it would take a tenth of that time.
+gc.disable()
 
 # A shell ignores interrupts in what a script starts in the background, and Python then has no handler for them.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -60,10 +65,29 @@ def covering(cases):
     return chosen
 
 
+def whole_are_asked_for(config):
+    """Return whether all combinations and the tests marked whole are run: by their option, or a test by its name."""
+    return config.option.whole_products or any("::" in argument for argument in config.args)
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Leave out the benchmarks where they would be skipped: their workloads take long to make."""
+    return True if collection_path == BENCHMARKS and config.option.benchmark_skip else None
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pycollect_makeitem(collector, obj):
+    """Make no cases of a test that would all be left out afterwards: of half of the tests, unless one is named."""
+    if not isfunction(obj) or whole_are_asked_for(collector.config):
+        return None
+    left_out = {"slow", "whole"} if collector.config.option.markexpr == "not slow" else {"whole"}
+    return [] if any(mark.name in left_out for mark in getattr(obj, "pytestmark", ())) else None
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
     """Mark the slow and the whole cases of a test, leave out `whole` ones, and thin products."""
-    asked_for = config.option.whole_products or any("::" in argument for argument in config.args)
+    asked_for = whole_are_asked_for(config)
     tests = {}
     for item in items:
         tests.setdefault((item.parent, getattr(item, "originalname", item.name)), []).append(item)
@@ -90,16 +114,18 @@ def pytest_collection_modifyitems(config, items):
 
 def pytest_collection_finish():
     """Keep what has been imported and collected, all of which stays, out of every later search for garbage."""
+    gc.enable()
     gc.collect()
     gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
 
 
 def _no_modules_left(tmp_path_factory):
     """Forget the folders that are added to `sys.path`, and the modules that are imported from folders of tests."""
-    path, known = [*sys.path], {*sys.modules}
+    path, latest = [*sys.path], next(reversed(sys.modules))
     yield
     sys.path[:] = path
-    for name in {*sys.modules} - known:
+    for name in [*takewhile(lambda name: name != latest, reversed(sys.modules))]:  # in order of their import
         file = getattr(sys.modules[name], "__file__", None)
         if file is not None and Path(file).is_relative_to(tmp_path_factory.getbasetemp()):
             del sys.modules[name]
