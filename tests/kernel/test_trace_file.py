@@ -1,6 +1,7 @@
 """A trace as a file: how events are written, and that they are read again as they were."""
 
 import json
+import os
 import subprocess
 import sys
 import tracemalloc
@@ -287,6 +288,52 @@ def test_a_file_is_written_by_one_trace_file_at_a_time(tmp_path, monkeypatch):
     with file:  # also after an error
         pass
     assert path.read_text() == ""
+
+
+OTHER = """
+import sys
+from desim import TraceFile
+from tests.kernel.test_trace_file import beating
+with TraceFile(sys.argv[1]) as file:
+    for event in beating(2):
+        file(event)
+"""
+
+
+@pytest.mark.slow
+def test_a_file_is_written_by_one_process_at_a_time(tmp_path):
+    pytest.importorskip("fcntl")
+    path = tmp_path / "trace.jsonl"
+
+    def other():
+        return subprocess.run([sys.executable, "-c", OTHER, str(path)], capture_output=True, text=True, check=False)
+
+    with TraceFile(path) as file:
+        file(next(beating(2)))
+        done = other()
+        assert "trace.jsonl" in done.stderr
+        assert "is written by another process: each run needs a file of its own" in done.stderr
+    assert path.read_text() == line_of(next(beating(2)))
+    with pytest.raises(ArithmeticError), TraceFile(path) as file:
+        raise ArithmeticError
+    assert not other().stderr
+    assert path.read_text() == "".join(map(line_of, beating(2)))
+
+
+def test_a_trace_file_of_a_forked_process_is_not_locked_by_its_child(tmp_path):
+    """Workers that are forked while a trace is written inherit its file."""
+    if not hasattr(os, "fork"):
+        pytest.skip("no process is forked here")
+    reading, writing = os.pipe()
+    file = TraceFile(tmp_path / "trace.jsonl").__enter__()
+    if not (child := os.fork()):
+        os.read(reading, 1)
+        os._exit(0)
+    file.__exit__(ArithmeticError)  # the .part file remains
+    with TraceFile(tmp_path / "trace.jsonl"):
+        pass
+    os.write(writing, b"x")
+    os.waitpid(child, 0)
 
 
 KILLED = """

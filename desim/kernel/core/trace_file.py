@@ -7,15 +7,18 @@ Kept equal to the fields of each event by
 """
 
 import json
+import os
 from collections import namedtuple
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from errno import EAGAIN
 from functools import cache, lru_cache
 from keyword import iskeyword
 from math import isfinite
 from os import PathLike
+from os.path import samestat
 from pathlib import Path
 from types import MappingProxyType, UnionType
-from typing import Annotated, Any, Literal, NamedTuple, Self, Union, get_args, get_origin, get_type_hints
+from typing import IO, Annotated, Any, Literal, NamedTuple, Self, Union, get_args, get_origin, get_type_hints
 from unicodedata import is_normalized
 
 from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
@@ -26,6 +29,11 @@ from desim.config.json_numbers import field_names, has_plain
 from desim.kernel.core.body_content import JSON_ATOMS, Fields, content, converts_itself, in_json_types
 from desim.kernel.core.events import LOST, ArrivalTime, Body, Broadcast, Count, Event, Nanoseconds, NodeId
 from desim.kernel.core.units import SECOND, nanoseconds
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 Limits = Mapping[str, Any]
 """Additional pydantic constraints by mark (see `desim.kernel.core.events`), for instance {"node": Field(lt=5)}."""
@@ -53,6 +61,7 @@ class TraceFile:
     Raises:
         ValueError: if the path is none; at the beginning of the block, if another `TraceFile` of this process writes
             the file.
+        BlockingIOError: at the beginning of the block, if another process writes the file.
     """
 
     def __init__(self, path: str | Path):
@@ -71,7 +80,7 @@ class TraceFile:
         place = self._part.resolve()
         if place in _WRITTEN:
             raise ValueError(f"{self._path} is written already by a TraceFile: each run needs a file of its own")
-        self._file, self._last = self._part.open("w", encoding="utf-8", newline="\n"), 0
+        self._file, self._last = _open_alone(self._part, self._path), 0
         self._place = place
         _WRITTEN.add(place)
         return self
@@ -94,11 +103,16 @@ class TraceFile:
     def __exit__(self, error: type[BaseException] | None, *_: object) -> None:
         try:
             self._write()
+            self._file.flush()
+            if error is None and fcntl:  # before the file is unlocked, lest another process writes what is renamed
+                self._part.replace(self._path)
         finally:
+            if fcntl:
+                _lock(self._file, fcntl.LOCK_UN)  # a process that was forked meanwhile would keep it locked
             self._file.close()
             self._file = None
             _WRITTEN.discard(self._place)
-        if error is None:
+        if error is None and not fcntl:  # Windows renames no file that is open
             self._part.replace(self._path)
 
     def _misused(self, t: int) -> ValueError:
@@ -115,6 +129,39 @@ class TraceFile:
         """Write the events of the block; after an error, those before it are written, and those after it are not."""
         block, self._block = self._block, []
         self._file.writelines(map(line_of, block))
+
+
+def _open_alone(part: Path, path: Path) -> IO[str]:
+    """Open a file to write it anew, which no other process writes; only systems with `fcntl` know.
+
+    Raises:
+        BlockingIOError: if another process writes it; the message names the path.
+        OSError: if it cannot be opened.
+    """
+    while True:
+        file = part.open("a", encoding="utf-8", newline="\n")  # it is cut only when it is locked
+        try:
+            if fcntl:
+                _lock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if not part.exists() or not samestat(os.fstat(file.fileno()), part.stat()):
+                    file.close()  # another process has finished it meanwhile
+                    continue
+            file.truncate(0)
+        except BlockingIOError:
+            file.close()
+            why = "is written by another process: each run needs a file of its own"
+            raise BlockingIOError(EAGAIN, why, str(path)) from None
+        return file
+
+
+def _lock(file: IO[str], operation: int) -> None:
+    """Lock or unlock a file; some file systems of networks cannot."""
+    try:
+        fcntl.flock(file, operation)
+    except BlockingIOError:
+        raise
+    except OSError:
+        pass
 
 
 def line_of(event: Event) -> str:
