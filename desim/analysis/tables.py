@@ -107,6 +107,11 @@ def _decimals(sizes: Sequence[float]) -> int:
     return 2 - floor(log10(greatest)) if NANO <= greatest < 0.01 else 3
 
 
+def _shown(value: float) -> str:
+    """Return a number of one run as text."""
+    return number(value, _decimals([abs(value)]))
+
+
 def with_half_width(value: Estimate, runs: int, sign: str = "", unit: str = "", digits: int | None = None) -> str:
     """Return "mean +- half width of the 95 % interval", with the number of values if it differs from `runs`.
 
@@ -149,20 +154,20 @@ def _captures(scenario: Scenario, run: Summary) -> Iterator[tuple[str, str, str]
     capture, then the others. After `SHOWN` evaders, a last row gives the number of the remaining ones.
     """
     outcome = (
-        f"after {run.capture_time:.3f} s by pursuer {run.capturer}"
+        f"after {_shown(run.capture_time)} s by pursuer {run.capturer}"
         if run.captured
-        else f"no, the pursuit ended after {run.end_time:.3f} s"
+        else f"no, the pursuit ended after {_shown(run.end_time)} s"
     )
     evaders = len(scenario.evaders)
     if evaders == 1:
         yield "captured", outcome, _note_of_end(scenario, run)
         return
-    end = f"the last after {run.end_time:.3f} s" if run.captured else outcome.removeprefix("no, ")
+    end = f"the last after {_shown(run.end_time)} s" if run.captured else outcome.removeprefix("no, ")
     note = _note_of_end(scenario, run)
     yield "captured", f"{run.captures} of {evaders}", f"{end}, {note}" if note else end
     times, by = run.capture_times, run.capturers
     for evader in [*times, *(j for j in map(str, range(1, evaders + 1)) if j not in times)][:SHOWN]:
-        time_and_pursuer = f"after {times[evader]:.3f} s by pursuer {by[evader]}" if evader in times else "no"
+        time_and_pursuer = f"after {_shown(times[evader])} s by pursuer {by[evader]}" if evader in times else "no"
         yield f"  evader {evader}", time_and_pursuer, ""
     if evaders > SHOWN:
         yield f"  and {evaders - SHOWN} more", "", ""
@@ -182,7 +187,7 @@ def _rows_of_run(scenario: Scenario, run: Summary, shown: Sequence[str]) -> Iter
         if is_silent or value is None or (metric.silent_at_0 and not value):
             continue
         text = str(value).lower() if isinstance(value, bool) else f"{value:,}" if isinstance(value, int) else None
-        text = f"{text or f'{value:.3f}'} {metric.unit}".rstrip()
+        text = f"{text or _shown(value)} {metric.unit}".rstrip()
         note = metric.note(run) if callable(metric.note) else metric.note or ""
         yield metric.label or words(name), text, note
 

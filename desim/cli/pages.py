@@ -77,11 +77,11 @@ def _size(result: "Result") -> str:
     """Return the number of pursuers, the duration and the number of messages of a run as text."""
     from desim.analysis.tables import counted
     from desim.analysis.trace_index import messages, started
-    from desim.kernel.core.units import seconds
+    from desim.kernel.core.units import time_text
 
     counts = messages(result)
     players = counted(len(started(result).active), "pursuer")
-    return f"{players}, {seconds(counts.t):.2f} s, {counted(counts.sent, 'message')}"
+    return f"{players}, {time_text(counts.t)} s, {counted(counts.sent, 'message')}"
 
 
 @click.command()

@@ -13,7 +13,7 @@ from desim.kernel.clock_sync import Synchroniser, TwoWay
 from desim.kernel.core.clock import Clock, NodeClock
 from desim.kernel.core.events import Event, Trace, Watcher
 from desim.kernel.core.seeds import seed_of
-from desim.kernel.core.units import seconds
+from desim.kernel.core.units import seconds, time_text
 from desim.kernel.fault_injection import inject
 from desim.kernel.network import Network
 from desim.pursuit.byzantine.lies import draw_lies
@@ -85,10 +85,10 @@ def outcome_of(end: Ended, captures: int, evaders: int) -> str:
     captured = f"captured {captures} of {evaders}" if evaders > 1 else ""
     if end.reason == "captured":
         how = f"{captured}, the last by" if captured else "captured by"
-        return f"{how} {end.capturer} after {seconds(end.t):.2f} s"
+        return f"{how} {end.capturer} after {time_text(end.t)} s"
     if end.reason == "horizon":
         return f"{captured or 'not captured'} within {seconds(end.t):g} s"
-    return f"{captured}, stopped after {seconds(end.t):.2f} s".removeprefix(", ")
+    return f"{captured}, stopped after {time_text(end.t)} s".removeprefix(", ")
 
 
 @naming_arguments

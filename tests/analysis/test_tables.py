@@ -7,6 +7,7 @@ import pytest
 from desim.analysis.measuring import summary
 from desim.analysis.statistics import Estimate, estimate, share
 from desim.analysis.tables import aligned, as_json, batch_table, from_json, number, run_table, with_half_width
+from desim.kernel.core.units import time_text
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Scenario
 from tests.golden import golden
@@ -131,6 +132,29 @@ def test_small_numbers_keep_three_digits():
     runs = [changed(WITH_AGES, belief_error=error) for error in (0.0002, 0.0004)]
     (row,) = (line for line in batch_table(SCENARIO, runs, 1.0).splitlines() if line.startswith("belief error"))
     assert row.split()[2:] == ["0.000300", "0.001271", "0.000200", "0.000400", "2"]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(2e-4, "0.000200"), (0.0099, "0.00990"), (0.05, "0.050"), (1234.5, "1,234.500"), (0.0, "0.000")],
+)
+def test_the_times_of_one_run_have_digits_that_leave_them(seconds, text):
+    numbers = changed(WITH_AGES, active_time=seconds, end_time=seconds, captured=False, capture_time=None)
+    lines = run_table(SCENARIO, numbers, 1.0).splitlines()
+    assert f"the pursuit ended after {text} s" in next(line for line in lines if line.startswith("captured"))
+    (row,) = (line for line in lines if line.startswith("active time"))
+    assert row.split()[2:4] == [text, "s"]
+
+
+@pytest.mark.parametrize(
+    ("time", "span", "text"),
+    [
+        *[(2_050_000_000, None, "2.05"), (50_000_000, None, "0.050"), (200_000, None, "0.00020"), (0, None, "0.00")],
+        *[(0, 200_000, "0.00000"), (200_000, 2_050_000_000, "0.00"), (123_456_000_000, None, "123.46")],
+    ],
+)
+def test_a_time_as_text_has_two_digits_of_it_or_of_its_span(time, span, text):
+    assert time_text(time, span) == text
 
 
 def test_a_share_is_shown_and_written_with_its_interval():

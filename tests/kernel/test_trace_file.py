@@ -300,7 +300,7 @@ with TraceFile(sys.argv[1]) as file:
 """
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_a_file_is_written_by_one_process_at_a_time(tmp_path):
     pytest.importorskip("fcntl")
     path = tmp_path / "trace.jsonl"

@@ -21,7 +21,7 @@ from desim.analysis.drawing.plots import NARROW, Style, as_it_is, figure_of, in_
 from desim.analysis.drawing.walls import draw_walls
 from desim.analysis.trace_index import captures, sampled
 from desim.config.escaping import escaped
-from desim.kernel.core.units import seconds
+from desim.kernel.core.units import time_text
 from desim.simulation.run import Result
 
 EVADER_PATH: Mapping[str, Any] = {
@@ -90,5 +90,5 @@ def draw_trajectory(axes: Axes, result: Result) -> None:
             axes.annotate(str(k), path[0], (4, 4), textcoords="offset points", fontsize=8, zorder=6)
     for capture in captured:
         which = f"capture of {capture.evader} by {capture.capturer}" if several else "capture"
-        label = f"{which}, {seconds(capture.t):.2f} s"
+        label = f"{which}, {time_text(capture.t)} s"
         axes.plot(*evaders[-1, capture.evader - 1], CAPTURE_MARK, color="black", ms=11, zorder=5, label=label)

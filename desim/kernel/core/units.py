@@ -1,5 +1,7 @@
 """Units of time: the kernel counts integer nanoseconds, and its interfaces have seconds."""
 
+from math import floor, log10
+
 SECOND = 1_000_000_000
 """Nanoseconds in a second."""
 
@@ -12,3 +14,12 @@ def nanoseconds(seconds: float) -> int:
 def seconds(nanoseconds: int) -> float:
     """Return a duration in nanoseconds as seconds."""
     return nanoseconds / SECOND
+
+
+def time_text(nanoseconds: int, span: int | None = None) -> str:
+    """Return a time in s as text: with two decimals, or as many as leave it, or a span (ns) of such times, two digits.
+
+    For example 2.05, 0.05 as 0.050 and 200 us as 0.00020.
+    """
+    size = seconds(nanoseconds if span is None else span)
+    return f"{seconds(nanoseconds):.{max(2, 1 - floor(log10(size))) if size > 0.0 else 2}f}"

@@ -182,15 +182,17 @@ class Explanation(TabularResult):
         unit, number_of = f" {cost.unit}".rstrip(), len(self.costs)
         interval = f"the {100 * cost.confidence:.4g} % interval" + f" (99 % over {number_of} metrics)" * (number_of > 1)
         interaction = cost.interaction.mean
+        digits = digits_of([interaction])
         if cost.interacts:
             total = portable_sum(part.mean.mean for part in cost.parts.values())
             yield (
-                f"the effects interact, beyond {interval}: in {metric} the parts add up to {total:+.3f}{unit}, and all"
-                f" together cost {cost.together.mean.mean:+.3f}{unit}"
+                f"the effects interact, beyond {interval}: in {metric} the parts add up to {total:+.{digits}f}{unit},"
+                f" and all together cost {cost.together.mean.mean:+.{digits}f}{unit}"
             )
         elif cost.interaction.differing and interaction.count > 1:
-            width = f"+-{number(interaction.half_width_at(cost.confidence))}{unit}"
-            yield f"no interaction is declared in {metric}: {interaction.mean:+.3f}{unit} is within {width}, {interval}"
+            width = f"+-{number(interaction.half_width_at(cost.confidence), digits)}{unit}"
+            mean = f"{interaction.mean:+.{digits}f}{unit}"
+            yield f"no interaction is declared in {metric}: {mean} is within {width}, {interval}"
 
     def document(self) -> dict[str, Any]:
         """Return the explanation as JSON-compatible values."""

@@ -40,7 +40,7 @@ from desim.config.arrays import Bools, Floats, Integers
 from desim.config.errors import ArgumentError
 from desim.config.whole_files import replacing
 from desim.kernel.core.portable_math import portable_sum
-from desim.kernel.core.units import nanoseconds, seconds
+from desim.kernel.core.units import nanoseconds, seconds, time_text
 from desim.simulation.run import Result
 from desim.study.workers.progress import progress
 from desim.view.data.deliveries import deliveries
@@ -343,7 +343,7 @@ class _Scene:
         self._dots.set_data(self._messages.under_way(t).T)
         self._arrived.set_data(self._messages.ended_between(before, t, lost=False).T)
         self._crosses.set_data(self._messages.ended_between(before, t, lost=True).T)
-        self._caption.set_text(f"{seconds(t):.2f} s: {self._status_text(t, chases)}")
+        self._caption.set_text(f"{time_text(t, ended(self._result).t)} s: {self._status_text(t, chases)}")
         return self.moving
 
     def _chases(self, t: int) -> dict[int, int]:
