@@ -603,6 +603,10 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "submit f.toml --array 2 --time tomorrow": ("minutes, HOURS:MINUTES:SECONDS or DAYS-HOURS",),
     "submit f.toml --array 2 --memory lots": ("500M or 2G for instance",),
     "keys f.toml": ("is a file: `desim check f.toml` prints it",),
+    "plot one/trac.jsonl": ("one/trac.jsonl: cannot be read: No such file or directory, did you mean 'trace.jsonl'?",),
+    "play one/trac.jsonl": ("did you mean 'trace.jsonl'?",),
+    "run one/run.json": ("their scenario is one/scenario.toml; `desim run --from one/run.json` repeats the run",),
+    "plot one/summary.json": ("belongs to the results in the folder one, and is no scenario", "`desim plot one` draws"),
     "version": ("Did you mean 'desim --version'?",),
     "new protocol class": ("'class' is a word of Python itself", "my_class"),
     "new protocol my-rule": ("my_rule for instance",),
@@ -618,11 +622,15 @@ def test_a_wrong_command_says_what_to_type(command, monkeypatch, tmp_path):
     Path("x.yaml").write_text("horizon: 3\n")
     Path("x.json").write_text('{"horizon": 3}')
     Path("f.py").write_text("print(3)\n")
+    if "one/" in command:
+        Path("one").mkdir()
+        for name in ("trace.jsonl", "run.json", "summary.json", "scenario.toml"):
+            Path("one", name).write_text("{}")
     done = CliRunner().invoke(main, [word.replace("''", "") for word in command.split()])
     assert done.exit_code == 2
     for part in COMMANDS[command]:
         assert part in done.stderr
-    assert {path.name for path in tmp_path.iterdir()} == {"f.py", "f.toml", "x.yaml", "x.json"}
+    assert {path.name for path in tmp_path.iterdir()} - {"one"} == {"f.py", "f.toml", "x.yaml", "x.json"}
 
 
 def test_a_traceback_of_a_wrong_call_is_short():

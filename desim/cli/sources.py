@@ -1,11 +1,13 @@
 """From a scenario file and the options of a command to a scenario; an invalid one ends the program."""
 
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from desim.cli.options import is_import_allowed
 from desim.cli.output import echo, fail
 from desim.cli.usage import metric_option
+from desim.config.file_names import STORE, TRACE
 
 if TYPE_CHECKING:
     from desim.scenario.overrides import Source
@@ -37,7 +39,7 @@ def source_of(
             _set_design(source, design)
         add_metrics(source, metrics)
     except ScenarioError as error:
-        fail(str(error))
+        fail(_of_results(file) or str(error))
     except OSError as error:
         fail(f"{file}: cannot be read: {error.strerror}{_instead_of(file)}")
     return source, valid(source)
@@ -81,9 +83,21 @@ def _instead_of(file: Path) -> str:
     if file.stem in examples() and file.parent == Path():
         return f"; an example: `desim examples {file.stem}` writes {file.stem}.toml, which then can be run"
     beside = [path.name for path in file.parent.glob("*.toml")] if file.parent.is_dir() else []
-    if not file.suffix and file.parent.is_dir():
-        beside += [path.name for path in file.parent.iterdir() if path.is_dir()]
+    if file.parent.is_dir() and file.suffix != ".toml":
+        beside += [path.name for path in file.parent.iterdir() if path.is_dir() != bool(file.suffix)]
     return did_you_mean(file.name, beside) or did_you_mean(file.stem, beside)
+
+
+def _of_results(file: Path) -> str:
+    """Return the error about a file that belongs to recorded results; "" if it does not."""
+    folder = file.parent
+    if file.suffix == ".toml" or not any((folder / name).exists() for name in (TRACE, STORE)):
+        return ""
+    scenario = folder / "scenario.toml"
+    is_record = file.name == "run.json"
+    how = f"run --from {quote(str(file))}` repeats the run" if is_record else f"plot {quote(str(folder))}` draws them"
+    what = f"; their scenario is {scenario}" if scenario.exists() else ""
+    return f"{file}: belongs to the results in the folder {folder}, and is no scenario{what}; `desim {how}"
 
 
 def add_metrics(source: "Source", metrics: tuple[str, ...]) -> None:

@@ -1,5 +1,6 @@
 """The errors of a scenario file: where each is, and the sentence of it (`desim.config.key_errors`)."""
 
+import re
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -33,10 +34,23 @@ def _problems(error: ValidationError, source: Source, model: type[Value]) -> lis
 
     wording = Wording(source.tables, model, _as_toml, more)
     return [
-        Problem(_reason(place, reason), ".".join(map(str, place)), source.where(place), source.line(place))
+        Problem(
+            _reason(place, reason) + _of_link(source, reason),
+            ".".join(map(str, place)),
+            source.where(place),
+            source.line(place),
+        )
         for detail in error.errors()
         for place, reason in wording.problems(detail)
     ]
+
+
+def _of_link(source: Source, reason: str) -> str:
+    """Return where files and modules are looked up, if one was not found and the scenario is a link to a file."""
+    file = Path(source.name)
+    if source.folder is not None or not file.is_symlink() or not re.search(r"cannot be (read|imported)", reason):
+        return ""
+    return f"; {file} is a link to {file.readlink()}, and what it names is looked up beside the link"
 
 
 def _reason(place: KeyPath, reason: str) -> str:

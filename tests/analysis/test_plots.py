@@ -6,6 +6,7 @@ import re
 import struct
 import subprocess
 import sys
+from pathlib import Path
 from xml.etree import ElementTree
 
 import matplotlib as mpl
@@ -13,8 +14,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from desim.analysis.drawing.plots import COLUMN, html_image, save, size_of, styled
+from desim.analysis.drawing.plots import COLUMN, html_image, in_style, save, size_of, styled
 from desim.analysis.drawing.trajectory import trajectory
+from desim.config.errors import ArgumentError
 from desim.kernel.core.events import Trace
 from desim.kernel.core.units import SECOND
 from desim.pursuit.core.events import Captured, Ended, Sampled, Started
@@ -133,6 +135,7 @@ def test_a_picture_named_by_its_suffix_is_that_one(tmp_path):
 PDF = """
 import sys
 from pathlib import Path
+from pathlib import Path
 from desim.analysis.drawing.plots import save, styled
 with styled((2, 2)) as figure:
     figure.add_subplot().set(title="many different letters: \u03c4")
@@ -224,3 +227,15 @@ def test_a_column_of_a_paper_is_8_5_cm_wide():
 def test_what_is_no_size_is_refused(text):
     with pytest.raises(ValueError, match=re.escape(f"got {text!r}")):
         size_of(text)
+
+
+@pytest.mark.parametrize(
+    "style", ["f.bin", ["ggplot", "f.bin"], 3, b"x", "none.mplstyle", {"no.such.key": 1}, ["ggplot", 3]]
+)
+def test_a_style_that_is_none_is_refused_in_a_sentence(style, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("f.bin").write_bytes(bytes(range(256)))
+    with pytest.raises(ArgumentError, match="style"), in_style(style):
+        pass
+    with pytest.raises(OSError, match="of the figure"), in_style("ggplot"):
+        raise OSError("of the figure")

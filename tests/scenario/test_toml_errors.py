@@ -1,5 +1,6 @@
 """The errors of a scenario file: what a user wrote is in them as it was written, and they say no more than helps."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -68,6 +69,24 @@ def test_the_name_of_a_file_is_in_the_message_as_it_is(tmp_path_factory, text):
     with pytest.raises(ScenarioError) as refused:
         load(file)
     assert str(refused.value).startswith(f"{file}:1: horizon: should be greater than 0; ")
+
+
+@pytest.mark.parametrize(
+    "key", ["network.latency = { kind = 'empirical', file = 'a.txt' }", "protocol.kind = 'aside:f'"]
+)
+def test_what_a_link_names_is_looked_up_beside_the_link_and_that_is_said(tmp_path, key):
+    for folder in ("there", "here"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "there" / "f.toml").write_text(key)
+    link = tmp_path / "here" / "f.toml"
+    link.symlink_to(Path("..", "there", "f.toml"))
+    with pytest.raises(
+        ScenarioError, match=r"here/f\.toml is a link to \.\./there/f\.toml, and what it names is looked"
+    ):
+        load(link, allow_import=True)
+    with pytest.raises(ScenarioError) as refused:
+        load(tmp_path / "there" / "f.toml", allow_import=True)
+    assert "is a link" not in str(refused.value)
 
 
 def test_a_message_of_python_is_whole(tmp_path):

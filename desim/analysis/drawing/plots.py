@@ -6,7 +6,7 @@ Files are reproducible byte by byte.
 import re
 from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from html import escape
 from io import BytesIO
 from pathlib import Path
@@ -69,13 +69,20 @@ def in_style(style: Style) -> Iterator[None]:
     Raises:
         ValueError: if there is no such style or parameter.
     """
-    try:
-        with mpl_style.context([] if style is None else style):  # type: ignore[arg-type]  # rcParams are a mapping
-            yield
-    except (KeyError, OSError) as error:
-        if style is None:
-            raise
-        raise ArgumentError("style", f": {error.args[0] if error.args else error}") from error
+    with ExitStack() as drawing:
+        try:
+            drawing.enter_context(mpl_style.context([] if style is None else style))  # type: ignore[arg-type]
+        except UnicodeDecodeError as error:
+            raise ArgumentError(
+                "style", f"should be a style sheet of matplotlib, got a binary file: {style!r}"
+            ) from error
+        except TypeError as error:
+            raise ArgumentError(
+                "style", f"should be rcParams, the name of a style, or a list (got {style!r})"
+            ) from error
+        except (KeyError, OSError) as error:
+            raise ArgumentError("style", f": {error.args[0] if error.args else error}") from error
+        yield
 
 
 def figure_of(ax: object, *, panels: Sequence[str] = ("",), size: str | None = None) -> Figure:
