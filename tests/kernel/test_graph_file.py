@@ -780,6 +780,23 @@ def test_a_file_without_a_kind_is_refused_with_the_kinds_that_read_one(keys, why
         Links(**keys)
 
 
+CITIES = [("New York", "Boston"), ("Los Angeles", "San Diego"), ("Santa Fe", "El Paso")]
+
+
+@pytest.mark.parametrize("sign", [",", ";", "\t", " "])
+def test_pairs_with_names_of_several_words_need_quotes_or_a_header(tmp_path, sign):
+    """Without them they may be lines of a text; with spaces between names, only quotes tell where a name ends."""
+    file = tmp_path / "g.csv"
+    quoted = "".join(f'"{src}"{sign}"{dst}"\n' for src, dst in CITIES)
+    for text in (quoted, f"source{sign}target\n{quoted}"):
+        file.write_text(text)
+        graph = read(file)
+        assert [(graph.names[edge.src], graph.names[edge.dst]) for edge in graph.edges] == CITIES
+    file.write_text(quoted.replace('"', ""))
+    with pytest.raises(ValueError, match=r"put names in quotes, or name the columns|should have two nodes"):
+        read(file)
+
+
 @pytest.mark.parametrize(
     ("key", "table", "why"),
     [

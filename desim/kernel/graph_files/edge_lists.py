@@ -67,7 +67,8 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
         points = with_points(((row.line, row.cells) for row in rows), list, str(file))
         rows = [row._replace(cells=cells) for row, (_, cells) in zip(rows, points, strict=True)]
     if not header:
-        _check_form(file, rows)
+        if '"' not in text:  # a name in quotes is meant as one
+            _check_form(file, rows)
         is_weighted = all(len(row.cells) == 3 and is_number_text(row.cells[2]) for row in rows)
         header = ["source", "target", *(["weight"] if is_weighted else [])]
         if too_long := [row for row in rows if len(row.cells) > len(header)]:
@@ -240,7 +241,10 @@ def _rows(file: Path, text: str, delimiter: str) -> list[EdgeRow]:
     def cells_of(line: str) -> list[str]:
         return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
 
-    split: Callable[[str], list[str]] = cells_of if delimiter else str.split
+    def words_of(line: str) -> list[str]:
+        return [word.strip('"') for word in re.findall(r'"[^"]*"|\S+', line)]
+
+    split: Callable[[str], list[str]] = cells_of if delimiter else words_of
     rows: list[EdgeRow] = []
     for number, line in enumerate(lines, 1):
         bare = line.strip(" \r" if delimiter == "\t" else None)  # a row of a table may end in empty cells
@@ -312,7 +316,7 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
 MOSTLY = 0.9
 """The share of different names among the ends from which on lines are hardly edges; in a tree, it is about a half.
 
-In disjoint pairs all names differ, so a list of these with names of several words needs a header.
+In disjoint pairs all names differ, so a list of these with names of several words needs a header, or quotes.
 """
 
 
@@ -335,8 +339,8 @@ def _check_form(file: Path, rows: Sequence[EdgeRow]) -> None:
         return
     line = (title or rows[0]).line
     raise ValueError(
-        f"{file}, line {line}: {why}: each line should be an edge; if these are edges, a first line should name the"
-        " columns, such as source,target"
+        f"{file}, line {line}: {why}: each line should be an edge; if these are edges, put names in quotes, or name the"
+        " columns in a first line, such as source,target"
     )
 
 
