@@ -3,9 +3,9 @@
 import secrets
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
-from warnings import warn
 
 from desim.config.arrays import array_of, array_text
+from desim.config.caller_warnings import warn_caller
 from desim.config.calls import check_argument
 from desim.config.model import MAX_COORDINATE
 from desim.config.python_numbers import whole
@@ -151,4 +151,4 @@ def _check_overlap(links: Links, senders: int) -> None:
             f"network.medium: all agents speak at the same instant of a step, and {100.0 * lost:.0f} % of their frames"
             " overlap on this channel: a random delay, such as `network.processing.sender`, should separate them"
         )
-        warn(text, UserWarning, stacklevel=2)
+        warn_caller(text)

@@ -9,11 +9,11 @@ from contextvars import ContextVar
 from gc import get_referents
 from types import FunctionType
 from typing import Any
-from warnings import warn
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from desim.config.caller_warnings import warn_caller
 from desim.config.code_variables import CACHED, TABLE, Read, is_foreign, reached_code, shared_variables
 from desim.config.outside import Outside, outside_sources
 from desim.config.own_modules import plain_name
@@ -46,7 +46,7 @@ def collected_warnings() -> Iterator[list[str]]:
 def _warn(text: str) -> None:
     texts = _collected.get()
     if texts is None:
-        warn(text, StateWarning, stacklevel=7)
+        warn_caller(text, StateWarning)
     else:
         texts.append(text)
 

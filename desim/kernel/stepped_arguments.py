@@ -5,8 +5,8 @@ Each function raises ValueError with a sentence that names the argument.
 
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Annotated, Any
-from warnings import warn
 
+from desim.config.caller_warnings import warn_caller
 from desim.config.errors import KeyedError
 from desim.config.model import MAX_TIME, Value
 from desim.config.python_numbers import real, whole
@@ -96,7 +96,7 @@ def nodes_argument(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, t
         raise ValueError("a network should have at least 1 node (got an empty graph)")
     edges, numbers = Edges.of(graph), numbered(graph).numbers
     for note in unread_attributes(graph, of_links_only=True):  # positions of nodes are tables beside the graph
-        warn(note, UserWarning, stacklevel=4)
+        warn_caller(note)
     labels = tuple(sorted(numbers, key=numbers.__getitem__))
     links = links.model_copy(update={"graph": edges}).numbered(edges.names)
     _check_unit(links)
@@ -116,7 +116,9 @@ def _check_unit(links: Links) -> None:
     means = {key: mean for key, model in models.items() if (mean := mean_latency(model)) is not None}
     if means and (longest := max(means.values())) >= IMPLAUSIBLE:
         key = next(key for key, mean in means.items() if mean == longest)
-        warn(f"{key}: a mean latency of {longest:g} s: times are in s, not ms", UserWarning, stacklevel=5)
+        warn_caller(
+            f"{key}: a mean latency of {longest:g} s: times are in s, not ms",
+        )
 
 
 def horizon_argument(horizon: float | None, faults: Iterable[Any]) -> int:

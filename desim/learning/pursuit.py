@@ -4,12 +4,12 @@ from collections.abc import Mapping
 from copy import deepcopy
 from secrets import randbits
 from typing import Any, Self
-from warnings import warn
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete, Space
 from numpy.typing import NDArray
 
+from desim.config.caller_warnings import warn_caller
 from desim.config.extras import naming_extras
 from desim.config.fresh import Remembered
 from desim.config.python_numbers import as_python, whole
@@ -208,7 +208,7 @@ class Pursuit:
                 "reward: it has changed since the first episode, so an episode of the same seed may have other rewards;"
                 " if it should not learn, let it depend on the step alone"
             )
-            warn(text, StateWarning, stacklevel=3)
+            warn_caller(text, StateWarning)
         self.agents = self.possible_agents.copy()
 
     def _checked(self, agent: str, action: Any) -> int:

@@ -1,6 +1,5 @@
 """Checks of models of links: `check_latency` and `check_loss`."""
 
-import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from math import inf, pi
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from desim.config.arguments import naming_arguments
 from desim.config.arrays import Floats
+from desim.config.caller_warnings import warn_caller
 from desim.config.python_numbers import real, whole
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.models.latency import mean_latency
@@ -296,7 +296,7 @@ def check_latency(latency: Any, *, nodes: int = 6, draws: int = 200) -> None:
         drawn = _Latencies(tested, nodes, "latency", radius=1e-6).check_mean(draws)
     if drawn >= IMPLAUSIBLE:
         text = f"{tested.name}: the mean latency is {drawn:.4g} s. Latencies are in s: is it {drawn:.4g} ms, which are"
-        warnings.warn(f"{text} {drawn / 1e3:.4g} s?", stacklevel=2)
+        warn_caller(f"{text} {drawn / 1e3:.4g} s?")
     _run(tested, nodes, latency=tested.model)
 
 

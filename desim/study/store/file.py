@@ -5,7 +5,6 @@ types of its values. A value that was edited into another of its type is not not
 """
 
 import sqlite3
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import cache, wraps
@@ -15,6 +14,7 @@ from typing import Any, ParamSpec, Self, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
+from desim.config.caller_warnings import warn_caller
 from desim.config.error_texts import text_of
 from desim.config.file_names import STORE
 from desim.config.interrupts import deferred
@@ -155,7 +155,7 @@ class StoreFile:
         """
 
         def tell(holder: Holder) -> None:
-            warnings.warn(f"{path}: waits until {holder}, has ended", stacklevel=2)
+            warn_caller(f"{path}: waits until {holder}, has ended")
 
         try:
             if read_only:
@@ -195,15 +195,13 @@ class StoreFile:
             self._use_rollback_journal(path, network)
         self.database.executescript(f"BEGIN IMMEDIATE; {TABLES} {view_of(())}; COMMIT")
         if network:
-            warnings.warn(
+            warn_caller(
                 f"{path}: is on {network}, so the store has a rollback journal, and one process at a time writes to it",
-                stacklevel=2,
             )
         elif reason:
-            warnings.warn(
+            warn_caller(
                 f"{path}: this file system allows no write-ahead log ({reason}), so the store has a rollback journal:"
                 " let only one sweep at a time use it",
-                stacklevel=2,
             )
 
     def _use_rollback_journal(self, path: Path | None, network: str) -> None:

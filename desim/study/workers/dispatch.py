@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
 from typing import Any, Literal
-from warnings import warn
 
 import cloudpickle
 
 from desim.analysis.measuring import summary
+from desim.config.caller_warnings import warn_caller
 from desim.config.data_files import identified_run
 from desim.config.fresh import fresh_copy
 from desim.config.own_modules import plain_name
@@ -153,7 +153,7 @@ def _warn(outcomes: Sequence[Outcome], warned: set[str]) -> None:
     for text in dict.fromkeys(text for outcome in outcomes for text in outcome.warnings):
         if text not in warned:
             warned.add(text)
-            warn(text, StateWarning, stacklevel=4)
+            warn_caller(text, StateWarning)
 
 
 def _run_alone(k: int, submit: Submit, workers: Workers) -> Outcome:

@@ -1,0 +1,18 @@
+"""Warnings that name the line of the user's program, however many functions of desim lie between."""
+
+import sys
+from warnings import warn
+
+BETWEEN = frozenset({"desim", "protocols", "pydantic", "contextlib", "functools", "gymnasium", "pettingzoo"})
+"""The packages whose lines no user has written."""
+
+
+def warn_caller(text: str, category: type[Warning] = UserWarning) -> None:
+    """Warn of a call of desim, at the innermost line of the program that lies outside of desim and what it uses.
+
+    If there is none, as in a command, the warning is at the line that calls this function.
+    """
+    frame, level = sys._getframe(1), 2
+    while frame is not None and str(frame.f_globals.get("__name__")).partition(".")[0] in BETWEEN:
+        frame, level = frame.f_back, level + 1
+    warn(text, category, stacklevel=2 if frame is None else level)
