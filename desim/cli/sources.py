@@ -96,8 +96,8 @@ def _of_results(file: Path) -> str:
     scenario = folder / "scenario.toml"
     is_record = file.name == "run.json"
     how = f"run --from {quote(str(file))}` repeats the run" if is_record else f"plot {quote(str(folder))}` draws them"
-    what = f"; their scenario is {scenario}" if scenario.exists() else ""
-    return f"{file}: belongs to the results in the folder {folder}, and is no scenario{what}; `desim {how}"
+    beside = f"; their scenario is {scenario}" if scenario.exists() else ""
+    return f"{file}: belongs to the results in the folder {folder}, and is no scenario{beside}; `desim {how}"
 
 
 def add_metrics(source: "Source", metrics: tuple[str, ...]) -> None:
