@@ -111,16 +111,20 @@ def belief_error(result: Result) -> float:
     record of a source arrives, a reader takes the source for inactive, unless all know the initial actions
     (`announce.start`); so it does after a loss of memory. The time-out of beliefs (`announce.belief_timeout`) has no
     effect, because this metric compares records only. With several evaders, a record is also wrong if it names an
-    evader that the source does not chase, such as an evader captured since.
+    evader that the source does not chase, such as an evader captured since. Pursuers that only relay (`team.relay`) are
+    neither readers nor sources: they never act, so all records of them are right, and their beliefs decide nothing.
 
     Raises:
         ValueError: if the trace lacks messages that were sent.
     """
     wrong, size, end = 0, len(started(result).active), ended(result).t
-    for actual, about in zip(_true_actions(result), _split(knowledge(result), "source", size), strict=True):
+    relays = list(result.scenario.team.relays)
+    acting, pieces = size - len(relays), knowledge(result)
+    pieces = pieces[~np.isin(pieces["reader"], relays) & ~np.isin(pieces["source"], relays)]
+    for actual, about in zip(_true_actions(result), _split(pieces, "source", size), strict=True):
         right = actual.time(about["active"], about["until"]) - actual.time(about["active"], about["begin"])
         wrong += int((about["until"] - about["begin"] - right).sum())
-    return wrong / (size * (size - 1) * end) if size > 1 and end else nan
+    return wrong / (acting * (acting - 1) * end) if acting > 1 and end else nan
 
 
 def believed_leaders(result: Result) -> float:

@@ -165,7 +165,7 @@ def potential_gap(result: Result) -> float:
 
 
 def regret(result: Result) -> float:
-    """Return the external regret, s, averaged over the pursuers and over time; 0 if no time passed.
+    """Return the external regret, s, averaged over time and the pursuers that may chase; 0 if no time passed.
 
     The external regret of pursuer i (Hannan 1957, "Approximation to Bayes Risk in Repeated Play") is the utility of its
     best fixed action minus the utility of the actions that it took, given the others' actions:
@@ -174,13 +174,14 @@ def regret(result: Result) -> float:
 
     U_i is the wonderful-life utility; with M evaders, a is one of M + 1 actions. The regret is negative for a pursuer
     that did better than any fixed action. The utility of chasing an evader that the pursuer cannot capture, or that has
-    been captured, is 0.
+    been captured, is 0. Pursuers that only relay (`team.relay`) have no choice, and are left out.
 
     Raises:
         ValueError: if positions were not recorded.
     """
     duration = seconds(ended(result).t)
-    return float(hindsight(result).regret.mean() / duration) if duration else 0.0
+    acting = np.delete(hindsight(result).regret, list(result.scenario.team.relays))
+    return float(acting.mean() / duration) if duration and len(acting) else 0.0
 
 
 def time_to_relay(result: Result, window: float | None = None) -> float | None:

@@ -3,6 +3,7 @@
 import importlib
 import pkgutil
 from collections import defaultdict
+from dataclasses import replace
 from math import isnan, nan
 
 import networkx as nx
@@ -41,6 +42,7 @@ from desim.kernel.network import Network
 from desim.kernel.transport.frames import CodedPiece
 from desim.pursuit.byzantine.lies import LIES, Slander
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Started
+from desim.pursuit.evaders.recorded import RecordedMotion
 from desim.pursuit.team.announcements import STARTS, Announcements, Assignment, Forwarded
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording, Scenario
@@ -286,6 +288,16 @@ def stop_at(time, *, start):
 def test_a_belief_is_wrong_from_a_change_until_its_announcement_arrives():
     """Wrong from 1.5 to 2 s about one of two pairs: 0.5 / (2 x 4)."""
     assert belief_error(stop_at(1.5, start="known")) == 0.0625
+
+
+def test_pursuers_that_only_relay_are_neither_readers_nor_sources():
+    """Of two that may chase, one is wrong about the other; beliefs of a relay, and beliefs in it, are left out."""
+    told = announced(0, 1, 1.5, {1: 2.0, 2: 4.0}, INACTIVE)
+    three = by_hand((True, False, False), 4.0, decided(1.5, 0, False), told)
+    assert belief_error(three) == pytest.approx((0.5 + 2.5) / (6 * 4))
+    motion = RecordedMotion(waypoints=((0.0, 2.0, 0.0),))
+    team = Team(count=3, relay=({"pursuer": 2, "motion": motion},))
+    assert belief_error(replace(three, scenario=three.scenario.model_copy(update={"team": team}))) == 0.0625
 
 
 def test_a_record_without_an_action_leaves_the_belief_unchanged():

@@ -1,5 +1,6 @@
 """Hindsight: by hand on frozen and moving games, and beside an ideal network."""
 
+from dataclasses import replace
 from functools import cache
 from math import inf
 
@@ -30,6 +31,7 @@ from desim.kernel.models.loss import Bernoulli
 from desim.kernel.models.medium import Bitrate
 from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.pursuit.core.events import BrokeDown, Decided, Ended, Sampled, Started
+from desim.pursuit.evaders.recorded import RecordedMotion
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Recording, Scenario
 from desim.simulation.run import Result, run
@@ -116,6 +118,15 @@ def test_regret_is_that_of_the_better_fixed_action_of_each_pursuer():
     result = by_hand(*GAME)
     assert hindsight(result).regret == pytest.approx([7.5, 5.0, 5 / 6], abs=1e-13)
     assert regret(result) == pytest.approx(40 / 9 / 6, abs=1e-14)
+
+
+def test_the_regret_is_averaged_over_the_pursuers_that_may_chase():
+    result = by_hand(*GAME)
+    team = Team(count=3, relay=({"pursuer": 2, "motion": RecordedMotion(waypoints=((0.0, 1.0, 1.0),))},))
+    relayed = replace(result, scenario=result.scenario.model_copy(update={"team": team}))
+    first, second, third = hindsight(relayed).regret
+    assert regret(relayed) == pytest.approx((first + second) / 2 / 6, abs=1e-14)
+    assert third == 0.0
 
 
 def test_regret_is_negative_for_a_pursuer_that_beats_every_fixed_action():
