@@ -37,6 +37,8 @@ def share_delivered(result: Result) -> float:
 def mean_attempts(result: Result) -> float:
     """Return the mean number of transmissions of a message, or of its pieces, to each receiver; nan without messages.
 
+    An attempt counts when it is handed to the transmitter, also if it then waits, or is lost in a queue.
+
     Raises:
         ValueError: if no message needed a transport.
     """

@@ -29,7 +29,7 @@ from desim.analysis.metrics import (
     words,
 )
 from desim.analysis.trace_index import ended, remembered, trace_index
-from desim.kernel.core.events import MessageCounts, Trace, TransportCounts
+from desim.kernel.core.events import Broadcast, MessageCounts, Sent, Trace, TransportCounts
 from desim.kernel.core.units import SECOND, nanoseconds
 from desim.kernel.models.faults import Jamming
 from desim.kernel.models.traced_faults import FaultStarted
@@ -418,3 +418,64 @@ def test_a_summary_as_text_has_a_line_for_each_number_that_there_is(relay):
     there = [name for name in METRICS if getattr(summary(relay), name) not in (None, {})]
     assert [line.split(": ")[0] for line in lines] == [words(name) for name in there]
     assert len(there) < len(METRICS)
+
+
+# What counters say, from the messages in the trace.
+
+CHANNEL = {"kind": "bitrate", "bitrate": 1e5, "header": 4}
+TRAFFIC = {
+    "reliable": {"announce": {"dissemination": {"kind": "reliable"}}},
+    "coded": {"announce": {"dissemination": {"kind": "coded"}}},
+    "server": {"protocol": {"kind": "server"}, "network": {"transport": {"kind": "reliable"}}},
+    "shared": {
+        "protocol": {"kind": "server"},
+        "network": {"transport": {"kind": "reliable"}, "medium": {"shared": True, "bitrate": 1e6}},
+    },
+    "flooding": {"announce": {"dissemination": {"kind": "flooding", "hops": 2}}, "network": {"range": 4.0}},
+}
+"""Scenarios whose messages need time on a channel; some need transports."""
+
+
+def traffic(name) -> Result:
+    given = TRAFFIC[name]
+    network = {"loss": 0.3, "latency": 0.05} | given.get("network", {})
+    network["medium"] = CHANNEL | network.get("medium", {})
+    table = {"team": {"count": 6}, "horizon": 2.0, "record": {"messages": True}} | given | {"network": network}
+    return run(Scenario(**table), 1)
+
+
+def frames(result) -> dict[int, tuple[int, int]]:
+    """Return when each transmission with a receiver began, ns, and its size, bytes."""
+    sent = [*result.trace.of(Sent), *result.trace.of(Broadcast)]
+    return {event.transmission: (event.t, event.size) for event in sent}
+
+
+@pytest.mark.parametrize("name", TRAFFIC)
+def test_the_utilisation_is_the_share_of_airtime_in_the_trace(name):
+    result = traffic(name)
+    (counts,) = result.trace.of(MessageCounts)
+    in_trace = frames(result).values()
+    bitrate = result.scenario.network.medium.bitrate
+    airtimes = [(begin, round(8.0 * (size + 4) / bitrate * SECOND)) for begin, size in in_trace]
+    busy = sum(min(airtime, counts.t - begin) for begin, airtime in airtimes)
+    unheard, size = counts.transmissions - len(in_trace), counts.bytes_sent - sum(size for _, size in in_trace)
+    busy += round(8.0 * (size + 4 * unheard) / bitrate * SECOND)  # broadcasts that reach nobody leave no event
+    channels = 1 if name == "shared" else 6
+    assert summary(result).utilisation == pytest.approx(
+        (busy + unheard) / (channels * counts.t), rel=1e-3 if unheard else 1e-9
+    )
+    assert (name == "flooding") == (unheard > 0)
+
+
+@pytest.mark.parametrize("name", ["reliable", "coded", "server", "shared"])
+def test_the_mean_attempts_are_the_frames_per_message_and_receiver_in_the_trace(name):
+    result = traffic(name)
+    data = [event for event in result.trace.of(Sent) if type(event.body).__name__ in {"Segment", "CodedPiece"}]
+    messages = {(event.src, event.dst, event.body.port, event.body.to_all, event.body.seq) for event in data}
+    (counts,) = result.trace.of(TransportCounts)
+    waiting = counts.submitted - len(messages)  # behind a full window
+    assert 0 <= waiting <= 0.1 * counts.submitted
+    assert summary(result).mean_attempts == pytest.approx(len(data) / (len(messages) + waiting), rel=1e-12)
+    assert summary(result).retransmissions == sum(
+        event.body.attempt > 1 for event in data if hasattr(event.body, "attempt")
+    )

@@ -40,7 +40,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.kernel.core.clock import Clock, Instant, Phase
-from desim.kernel.core.events import Lost, Trace
+from desim.kernel.core.events import Broadcast, Lost, MessageCounts, Sent, Trace
 from desim.kernel.core.positions import PositionSource
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.kernel.fault_injection import inject
@@ -48,8 +48,9 @@ from desim.kernel.link_layer.arrivals import Arrivals
 from desim.kernel.link_layer.delivery import MessageDelivery
 from desim.kernel.link_layer.link_layer import LinkLayer
 from desim.kernel.link_layer.propagation import LinkSampler
+from desim.kernel.models.access import CsmaCa
 from desim.kernel.models.coherence import Coherence
-from desim.kernel.models.faults import Crash, Jamming, Partition
+from desim.kernel.models.faults import Crash, Jamming, MessageFault, Partition
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links, Processing
 from desim.kernel.models.loss import Bernoulli, GilbertElliott
@@ -57,6 +58,7 @@ from desim.kernel.models.medium import Bitrate, Unlimited
 from desim.kernel.models.reception import Disk, QuasiUnitDisk, Rice
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
+from desim.kernel.stepped_network import SteppedNetwork
 from tests.kernel.layers import network_over
 from tests.kernel.test_network import Uniform
 
@@ -582,3 +584,37 @@ def test_the_comparisons_detect_a_crash_that_is_overlooked(broken):
     layers = (Arrivals, OnArrival, ByEvents, broken)
     *right, wrong = [observe(network_over(each), *history, faults=crash_in_flight, traced=False) for each in layers]
     assert right[0] == right[1] == right[2] != wrong
+
+
+UNEQUAL = {
+    "what neighbours hear": (nx.complete_graph(3), {}, 0),
+    "what nobody hears": (nx.empty_graph(3), {}, 1),
+    "a copy that a fault makes": (nx.complete_graph(3), {"messages": (1,), "delay": 0.1, "duplicate": True}, -1),
+}
+
+
+@pytest.mark.parametrize("name", UNEQUAL)
+def test_transmissions_are_those_of_the_trace_but_for_what_nobody_hears_and_copies(name):
+    graph, fault, without_event = UNEQUAL[name]
+    trace = Trace()
+    network = SteppedNetwork(graph, faults=[MessageFault(**fault)] if fault else (), trace=trace)
+    network.step(0.1)
+    network.send(0, None, "x")
+    network.publish(1, "y")
+    network.step(1.0)
+    network.close()
+    (counts,) = trace.of(MessageCounts)
+    in_trace = {event.transmission for event in [*trace.of(Broadcast), *trace.of(Sent)]}
+    assert counts.transmissions - len(in_trace) == without_event
+
+
+def test_each_attempt_on_a_channel_is_a_transmission():
+    trace = Trace()
+    medium = Bitrate(bitrate=1e4, access=CsmaCa(window=2))
+    network = SteppedNetwork(3, Links(medium=medium), trace=trace)
+    for node in range(3):
+        network.send(node, (node + 1) % 3, "x")
+    network.step(2.0)
+    network.close()
+    (counts,) = trace.of(MessageCounts)
+    assert counts.transmissions > len({event.transmission for event in trace.of(Sent)}) == 3

@@ -149,7 +149,12 @@ class MessageCounts(NamedTuple):
     lost_by: dict[Cause, Count]
     """Number of lost messages by cause."""
     transmissions: Count
-    """Number of transmissions, regardless of the number of receivers."""
+    """Number of transmissions, regardless of the number of receivers.
+
+    It may differ from the number of different `transmission` in `Broadcast` and `Sent`: a message to all neighbours of
+    a node that has none is transmitted and has no `Sent`; under `csma_ca` each attempt counts; and a copy that a fault
+    makes has a number, but is not transmitted.
+    """
     bytes_sent: Count
     """Bytes of all transmissions, without headers added by the medium."""
     utilisation: float
