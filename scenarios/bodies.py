@@ -7,14 +7,13 @@ the end of the lone chase of the old pursuer to the beginning of that of the new
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from math import isnan
 from typing import TYPE_CHECKING
 
 from desim.analysis.statistics import Estimate
 from desim.analysis.tables import aligned
 from scenarios.studies.bodies_runs import ALL, LATENCIES, MOTIONS, ONE, RULES, SIMPLE, SPEED, Cell, N, measure
-from scenarios.studies.study import Options, study
+from scenarios.studies.study import Options, draw_estimates, study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,7 +53,7 @@ def _grid(cells: Sequence[Cell], text: Callable[[Cell], str], rules: Sequence[st
 
 
 def _text(estimate: Estimate) -> str:
-    return "-" if isnan(estimate.mean) else f"{estimate.mean:.2f} +- {estimate.half_width:.2f}"
+    return "-" if isnan(estimate.mean) else f"{estimate:.2f}"
 
 
 def picture(cells: Sequence[Cell]) -> "Figure":
@@ -91,16 +90,15 @@ def _draw(
     for k, motion in enumerate(motions):
         here = [cell for cell in cells if cell.rule == rule and cell.motion == motion and not isnan(value(cell).mean)]
         x = [cell.latency + 0.008 * span * (k - len(motions) / 2) for cell in here]
-        y, error = [value(cell).mean for cell in here], [value(cell).half_width for cell in here]
         colour, mark = looks[motion]
-        axes.errorbar(x, y, error, color=colour, marker=mark, ms=3, lw=1.0, elinewidth=0.6, label=motion)
+        draw_estimates(axes, x, list(map(value, here)), color=colour, marker=mark, elinewidth=0.6, label=motion)
 
 
 @study("bodies", __doc__, seconds=3.5, runs=40)
 def main(options: Options) -> None:
     """Run the pursuits and show the results."""
     cells = measure(options)
-    options.show({"cells": [asdict(cell) for cell in cells]}, table(cells, options.runs), lambda: picture(cells))
+    options.show({"cells": cells}, table(cells, options.runs), lambda: picture(cells))
 
 
 if __name__ == "__main__":

@@ -103,7 +103,7 @@ def main(options: Options) -> None:
     rows: list[Sequence[str]] = [("network", "order after 2 s", "5 s", f"{DURATION:g} s")]
     for name, flights in orders.items():
         found = [mean(flights[:, round(t / DT) - 1]) for t in (2.0, 5.0, DURATION)]
-        rows.append((name, *(f"{value.mean:.2f} +- {value.half_width:.2f}" for value in found)))
+        rows.append((name, *(f"{value:.2f}" for value in found)))
     means = {name: flights.mean(axis=0) for name, flights in orders.items()}
     document = {"step": DT, "order": {name: mean.tolist() for name, mean in means.items()}}
     options.show(document, aligned(rows), lambda: picture(means, seeds[0]))

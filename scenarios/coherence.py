@@ -8,13 +8,12 @@ In a game at rest, the study measures the mean age of information of announcemen
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from desim.analysis.statistics import Estimate
 from desim.analysis.tables import aligned
 from scenarios.studies.coherence_runs import CHANNELS, WAYS, Cell, measure
-from scenarios.studies.study import Options, study
+from scenarios.studies.study import Options, draw_estimates, study
 from scenarios.studies.transport_runs import N_REST, ONCE, N
 
 if TYPE_CHECKING:
@@ -57,13 +56,12 @@ def picture(cells: Sequence[Cell]) -> "Figure":
         for k, (colour, way) in enumerate(zip(palette.SERIES, WAYS, strict=False)):
             here = [cell for cell in cells if cell.way == way]
             places = [place + 0.05 * (k - 1.5) for place in range(len(here))]  # shifted, so that error bars are seen
-            style = {"color": colour, "ms": 3, "lw": 1.0, "elinewidth": 0.7, "label": way}
+            style = {"color": colour, "label": way}
             for axes, values in ((left, [cell.saving for cell in here]), (right, [cell.age for cell in here])):
                 if axes is left and way == ONCE:
                     continue
-                means, widths = [value.mean for value in values], [value.half_width for value in values]
-                axes.errorbar(places[:-1], means[:-1], widths[:-1], marker="o", **style)
-                axes.errorbar(places[-1:], means[-1:], widths[-1:], marker="s", **style | {"label": None})
+                draw_estimates(axes, places[:-1], values[:-1], marker="o", **style)
+                draw_estimates(axes, places[-1:], values[-1:], marker="s", **style | {"label": None})
         for axes in (left, right):
             axes.set_xticks(range(len(CHANNELS)), CHANNELS)
             axes.set_xlabel("Doppler frequency of the channel (Hz)")
@@ -78,7 +76,7 @@ def picture(cells: Sequence[Cell]) -> "Figure":
 def main(options: Options) -> None:
     """Run the pursuits and show the results."""
     cells = measure(options)
-    options.show({"cells": [asdict(cell) for cell in cells]}, table(cells, options.runs), lambda: picture(cells))
+    options.show({"cells": cells}, table(cells, options.runs), lambda: picture(cells))
 
 
 if __name__ == "__main__":

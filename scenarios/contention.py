@@ -10,7 +10,6 @@ second time.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from math import isfinite
 from typing import TYPE_CHECKING
 
@@ -32,7 +31,7 @@ from scenarios.studies.contention_runs import (
     measure_ages,
     measure_lora,
 )
-from scenarios.studies.study import Options, study
+from scenarios.studies.study import Options, draw_estimates, study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,8 +60,8 @@ def _pursuits(name: str, cells: Mapping[tuple[str, str, float], Pursuits]) -> st
     lines = [("load", "heartbeat", REFERENCE, *compared, *(f"lost, {access}" for access in ACCESSES))]
     for load in LOADS:
         here = cells[name, REFERENCE, load]
-        active = f"{here.active_time.mean:.1f} +- {here.active_time.half_width:.1f}"
-        differences = [_signed(cells[name, access, load]) for access in compared]
+        active = f"{here.active_time:.1f}"
+        differences = [f"{cells[name, access, load].difference:+.2f}" for access in compared]
         lost = [f"{cells[name, access, load].lost:.0%}" for access in ACCESSES]
         lines.append((f"{load:g}", f"{here.heartbeat:.3g} s", active, *differences, *lost))
     return aligned(lines)
@@ -81,7 +80,7 @@ def _best(ages: Sequence[Age]) -> str:
 def _lora(pursuits: Sequence[LoRaPursuits]) -> str:
     lines = [("SF", "airtime", "shortest interval", "pursuit takes", "over before the second")]
     for pursuit in pursuits:
-        takes = f"{pursuit.end_time.mean:.1f} +- {pursuit.end_time.half_width:.1f} s"
+        takes = f"{pursuit.end_time:.1f} s"
         line = (
             str(pursuit.spreading_factor),
             f"{pursuit.airtime:.3f} s",
@@ -91,10 +90,6 @@ def _lora(pursuits: Sequence[LoRaPursuits]) -> str:
         )
         lines.append(line)
     return aligned(lines)
-
-
-def _signed(cell: Pursuits) -> str:
-    return f"{cell.difference.mean:+.2f} +- {cell.difference.half_width:.2f}"
 
 
 def _of(ages: Sequence[Age], access: str, size: int) -> list[Age]:
@@ -129,8 +124,7 @@ def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
     for k, (colour, mark, access) in enumerate(zip(palette.SERIES, palette.MARKERS, ACCESSES, strict=False)):
         line = [pursuit for pursuit in pursuits if pursuit.access == access]
         x = [pursuit.load * 1.04 ** (k - 1.5) for pursuit in line]  # shifted, so that error bars do not overlap
-        y, error = [pursuit.difference.mean for pursuit in line], [pursuit.difference.half_width for pursuit in line]
-        axes.errorbar(x, y, error, color=colour, marker=mark, ms=3, lw=1.0, elinewidth=0.7, label=access)
+        draw_estimates(axes, x, [pursuit.difference for pursuit in line], color=colour, marker=mark, label=access)
     axes.set(xscale="log")
     axes.set_xticks(LOADS, [f"{load:g}" for load in LOADS], fontsize=7)
     axes.minorticks_off()
@@ -142,8 +136,8 @@ def draw_ages(axes: "Axes", ages: Sequence[Age], size: int) -> None:
 
     for colour, mark, access in zip(palette.SERIES, palette.MARKERS, ACCESSES, strict=False):
         line = _of(ages, access, size)
-        y, error = [age.age.mean for age in line], [age.age.half_width for age in line]
-        axes.errorbar([age.heartbeat for age in line], y, error, color=colour, marker=mark, ms=3, lw=1.0)
+        x = [age.heartbeat for age in line]
+        draw_estimates(axes, x, [age.age for age in line], color=colour, marker=mark, elinewidth=None)
     axes.axvline(best_heartbeat(size), color=palette.GREY, ls=":")
     axes.set(xscale="log", ylim=(0, None))
     axes.set_title(f"{size} pursuers", fontsize=9)
@@ -158,10 +152,10 @@ def main(options: Options) -> None:
     """Run the pursuits and show the results."""
     pursuits, ages, lora = measure(options), measure_ages(options), measure_lora(options)
     document = {
-        "pursuits": [asdict(pursuit) for pursuit in pursuits],
-        "ages": [asdict(age) for age in ages],
+        "pursuits": pursuits,
+        "ages": ages,
         "best_heartbeats": {str(size): best_heartbeat(size) for size in TEAM_SIZES},
-        "lora": [asdict(pursuit) for pursuit in lora],
+        "lora": lora,
     }
     options.show(document, table(pursuits, ages, lora, options.runs), lambda: picture(pursuits, ages))
 

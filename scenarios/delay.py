@@ -13,7 +13,6 @@ prediction exceeds about 30 s, the evader may be captured before the excess has 
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -122,7 +121,7 @@ def main(options: Options) -> None:
     """Measure the law and the pursuits, and compare them."""
     points = measure_law(options)
     cells = measure_pursuits(options, points)
-    document = {"law": [asdict(point) for point in points], "pursuits": [asdict(cell) for cell in cells]}
+    document = {"law": points, "pursuits": cells}
     options.show(document, table(points, cells, options.runs), lambda: picture(points, cells))
 
 

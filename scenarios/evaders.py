@@ -14,7 +14,6 @@ reached since.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from math import inf
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +21,6 @@ import click
 import numpy as np
 
 from desim.analysis.tables import aligned
-from desim.config.json_numbers import json_number
 from scenarios.studies.evaders_runs import (
     CHASERS,
     CLAIMED,
@@ -43,7 +41,7 @@ from scenarios.studies.evaders_runs import (
     measure_sight,
 )
 from scenarios.studies.rivals_runs import N
-from scenarios.studies.study import Options, study
+from scenarios.studies.study import Options, draw_estimates, study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,16 +55,15 @@ def table(cells: Sequence[Cell], sight: Sequence[Sighted], runs: int) -> str:
     return "\n\n".join(
         [
             f"Time to capture, or the horizon without capture, s: {about}\n"
-            + _grid(cells, lambda cell: f"{cell.survival:.2f} +- {cell.half_width:.2f}"),
+            + _grid(cells, lambda cell: f"{cell.survival:.2f}"),
             f"Time to capture minus that of {REFERENCE} with the same seeds, s: {about}\n"
             + _grid(
                 [cell for cell in cells if cell.strategy != REFERENCE],
-                lambda cell: f"{cell.difference:+.2f} +- {cell.difference_half_width:.2f}",
+                lambda cell: f"{cell.difference:+.2f}",
             )
             + "\n"
             + "\n".join(claims(cells)),
-            f"Sum of active times, s: {about}\n"
-            + _grid(cells, lambda cell: f"{cell.active_time:.1f} +- {cell.active_half_width:.1f}"),
+            f"Sum of active times, s: {about}\n" + _grid(cells, lambda cell: f"{cell.active_time:.1f}"),
             f"Share of runs with capture, and handovers per run: {about}\n"
             + _grid(cells, lambda cell: f"{cell.captured:.0%} {cell.handovers:.1f}"),
             _sight_table(sight, latency, MORE * runs),
@@ -82,7 +79,7 @@ def claims(cells: Sequence[Cell]) -> list[str]:
     lines = []
     for cell in cells:
         if cell.strategy == CLAIMED and cell.protocol in (IDEAL, "sap"):
-            low, high = cell.difference - cell.difference_half_width, cell.difference + cell.difference_half_width
+            low, high = cell.difference.interval
             verdict = (
                 "lives longer" if low > 0.0 else "lives less long" if high < 0.0 else "shows no significant difference"
             )
@@ -108,12 +105,12 @@ def _sight_table(sight: Sequence[Sighted], latency: float, runs: int) -> str:
             (
                 f"{sighted.radius:g} m" if limited else "inf",
                 ESTIMATES[sighted.estimate] if limited else "",
-                f"{sighted.captured:.0%}",
-                f"{sighted.captured_low:.0%} .. {sighted.captured_high:.0%}",
-                f"{sighted.survival:.1f} +- {sighted.half_width:.1f} s",
-                f"{sighted.difference:+.1f} +- {sighted.difference_half_width:.1f} s" if compared else "",
-                f"{sighted.active_time:.1f} +- {sighted.active_half_width:.1f} s",
-                f"{sighted.active_difference:+.1f} +- {sighted.active_difference_half_width:.1f} s" if compared else "",
+                f"{sighted.captured.mean:.0%}",
+                "{:.0%} .. {:.0%}".format(*sighted.captured.interval),
+                f"{sighted.survival:.1f} s",
+                f"{sighted.difference:+.1f} s" if compared else "",
+                f"{sighted.active_time:.1f} s",
+                f"{sighted.active_difference:+.1f} s" if compared else "",
                 f"{sighted.never_seen:.0%}",
                 f"{sighted.lost:.0%}",
                 f"{sighted.reports:.0f}",
@@ -148,20 +145,20 @@ def draw_strategies(axes: "Axes", cells: Sequence[Cell]) -> None:
     from desim.analysis.drawing import palette
 
     here = {(cell.strategy, cell.protocol): cell for cell in cells if cell.strategy != REFERENCE}
-    names = sorted({name for name, _ in here}, key=lambda name: here[name, IDEAL].difference)
+    names = sorted({name for name, _ in here}, key=lambda name: here[name, IDEAL].difference.mean)
     latency = max(cell.latency for cell in cells)
     rows = np.arange(len(names))
     axes.axvline(0.0, color=palette.GREY, lw=0.6)
     remaining = [protocol for protocol in PROTOCOLS if protocol not in (IDEAL, "sap", NEAREST)]
     for kinds, marker, label in (([NEAREST], "x", f"{NEAREST} (nearest)"), (remaining, "|", "other protocols")):
-        points = [(here[name, protocol].difference, row) for protocol in kinds for row, name in enumerate(names)]
+        points = [(here[name, protocol].difference.mean, row) for protocol in kinds for row, name in enumerate(names)]
         axes.plot(*zip(*points, strict=True), marker, color=palette.GREY, ms=4, mew=0.8, label=label)
     for protocol, off, colour, marker, label in (
         (IDEAL, 0.17, palette.BLUE, "o", "SAP, ideal network"),
         ("sap", -0.17, palette.VERMILION, "s", f"SAP, L = {latency:g} s"),
     ):
         line = [here[name, protocol] for name in names]
-        x, error = [cell.difference for cell in line], [cell.difference_half_width for cell in line]
+        x, error = [cell.difference.mean for cell in line], [cell.difference.half_width for cell in line]
         axes.errorbar(x, rows + off, xerr=error, color=colour, marker=marker, ms=3, lw=0, elinewidth=0.8, label=label)
     axes.set_yticks(rows, names)
     axes.tick_params(axis="y", length=0)
@@ -171,6 +168,8 @@ def draw_strategies(axes: "Axes", cells: Sequence[Cell]) -> None:
 
 def draw_sight(shares: "Axes", times: "Axes", sight: Sequence[Sighted]) -> None:
     """Draw the share of captures and the active time over the sensing radius, a line per estimate."""
+    from matplotlib.ticker import PercentFormatter
+
     from desim.analysis.drawing import palette
 
     radii = [radius for radius in RADII if radius < inf]
@@ -178,18 +177,16 @@ def draw_sight(shares: "Axes", times: "Axes", sight: Sequence[Sighted]) -> None:
     for k, (colour, marker, made) in enumerate(styles):
         line = [sighted for sighted in sight if sighted.estimate == made and sighted.radius < inf]
         x = [sighted.radius * 1.08 ** (k - 1) for sighted in line]  # side by side
-        style: dict[str, Any] = {"color": colour, "marker": marker, "ms": 3, "lw": 0.8, "elinewidth": 0.6}
-        share = 100.0 * np.array([(sighted.captured, sighted.captured_low, sighted.captured_high) for sighted in line])
-        shares.errorbar(x, share[:, 0], np.abs(share[:, 1:] - share[:, :1]).T, label=ESTIMATES[made], **style)
-        times.errorbar(
-            x, [sighted.active_time for sighted in line], [sighted.active_half_width for sighted in line], **style
-        )
+        style: dict[str, Any] = {"color": colour, "marker": marker, "lw": 0.8, "elinewidth": 0.6}
+        draw_estimates(shares, x, [sighted.captured for sighted in line], label=ESTIMATES[made], **style)
+        draw_estimates(times, x, [sighted.active_time for sighted in line], **style)
     for axes in (shares, times):
         axes.set(xscale="log", xlabel="sight R$_s$ (m)")
         axes.set_xticks(radii, [f"{radius:g}" for radius in radii])
         axes.minorticks_off()
         axes.set_ylim(bottom=0.0)
-    shares.set(ylabel="captured (% of runs)", ylim=(0.0, 105.0))
+    shares.set(ylabel="captured (% of runs)", ylim=(0.0, 1.05))
+    shares.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
     times.set_ylabel("active time (s)")
     shares.legend(fontsize=6, loc="lower right", handlelength=1.0)
 
@@ -213,8 +210,8 @@ def main(options: Options) -> None:
     cells, sight = measure_chases(options, latency), measure_sight(options, latency)
     document = {
         "latency": latency,
-        "cells": [asdict(cell) for cell in cells],
-        "sight": [{key: json_number(value) for key, value in asdict(sighted).items()} for sighted in sight],
+        "cells": cells,
+        "sight": sight,
     }
     options.show(document, table(cells, sight, options.runs), lambda: picture(cells, sight))
 

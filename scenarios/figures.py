@@ -8,7 +8,7 @@ The utility of a pursuer i is its wonderful-life utility U_E(S) - U_E(S without 
 and U_E the global utility (`desim.pursuit.game.game`). The utility of an inactive pursuer is 0.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -246,7 +246,7 @@ def main(options: Options) -> None:
     """Measure and draw."""
     scenarios = {(count, name): scenario for count in COUNTS for name, scenario in panels(count).items()}
     runs_of = dict(zip(scenarios, options.measure(list(scenarios.values()), "figures", run_metrics), strict=True))
-    cells = [{"N": n, "panel": name, "runs": [asdict(run) for run in runs]} for (n, name), runs in runs_of.items()]
+    cells = [{"N": n, "panel": name, "runs": runs} for (n, name), runs in runs_of.items()]
     options.show({"cells": cells}, table(runs_of))
     drawn = (picture for count in COUNTS for picture in pictures(count, options.seed))
     options.save_figures(lambda: ((f"{options.name}_{name}", figure) for name, figure in drawn), dpi=PRINT)

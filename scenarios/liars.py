@@ -6,7 +6,6 @@ a liar show what latency and loss make of it. Pursuers have equal speeds, and an
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -24,7 +23,7 @@ from scenarios.studies.liars_runs import (
     N,
     measure,
 )
-from scenarios.studies.study import Options, study
+from scenarios.studies.study import Options, draw_estimates, study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,16 +52,14 @@ def _lies(cells: Sequence[Cell]) -> str:
     lines = [("lie", *PROTOCOLS)]
     for lie in LIES:
         here = [cell for cell in cells if cell.part == "lies" and cell.lie == lie]
-        lines.append(
-            (lie, *(f"{cell.captured:.2f}, {cell.delay.mean:+.1f} +- {cell.delay.half_width:.1f}" for cell in here))
-        )
+        lines.append((lie, *(f"{cell.captured.mean:.2f}, {cell.delay:+.1f}" for cell in here)))
     return aligned(lines)
 
 
 def _numbers(cells: Sequence[Cell]) -> str:
     here = _by_defence(cells, "numbers", WORST)
     lines = [("defence", *(f"{cell.value:g} liars" for cell in here[NONE]))]
-    lines += [(defence, *(f"{cell.captured:.2f}" for cell in row_cells)) for defence, row_cells in here.items()]
+    lines += [(defence, *(f"{cell.captured.mean:.2f}" for cell in row_cells)) for defence, row_cells in here.items()]
     return aligned(lines)
 
 
@@ -81,7 +78,7 @@ def _latency(cells: Sequence[Cell]) -> str:
         here = _by_defence(cells, "latency", lie)
         lines = lines or [("", *(f"{cell.value:g} s" for cell in here[NONE]))]
         for defence, row_cells in here.items():
-            row = (f"{cell.captured:.2f}, {cell.active_time.mean:.1f}" for cell in row_cells)
+            row = (f"{cell.captured.mean:.2f}, {cell.active_time.mean:.1f}" for cell in row_cells)
             lines.append((f"{lie}, {defence}", *row))
     return aligned(lines)
 
@@ -138,21 +135,15 @@ def _draw(axes: "Axes", lines: Mapping[str, Sequence[Cell]], measure: str) -> No
             continue
         span = here[-1].value - here[0].value
         x = [cell.value + 0.008 * span * (k - 2.5) for cell in here]  # shifted, so that equal lines are seen
-        if measure == "captured":
-            y = [cell.captured for cell in here]
-            error = [[max(y_k - cell.interval[0], 0.0) for y_k, cell in zip(y, here, strict=True)]]
-            error += [[max(cell.interval[1] - y_k, 0.0) for y_k, cell in zip(y, here, strict=True)]]
-        else:
-            estimates = [cell.active_time if measure == "active_time" else cell.false_accusations for cell in here]
-            y, error = [estimate.mean for estimate in estimates], [[estimate.half_width for estimate in estimates]] * 2
-        axes.errorbar(x, y, error, color=colour, marker=mark, ms=3, lw=1.0, elinewidth=0.6, label=defence)
+        estimates = [getattr(cell, measure) for cell in here]
+        draw_estimates(axes, x, estimates, color=colour, marker=mark, elinewidth=0.6, label=defence)
 
 
 @study("liars", __doc__, seconds=7.5, runs=40)
 def main(options: Options) -> None:
     """Run the pursuits and show the results."""
     cells = measure(options)
-    options.show({"cells": [asdict(cell) for cell in cells]}, table(cells, options.runs), lambda: picture(cells))
+    options.show({"cells": cells}, table(cells, options.runs), lambda: picture(cells))
 
 
 if __name__ == "__main__":

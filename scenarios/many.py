@@ -12,10 +12,7 @@ is measured.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from desim.analysis.tables import aligned
 from scenarios.studies.many_runs import (
@@ -34,7 +31,7 @@ from scenarios.studies.many_runs import (
     run_pursuits,
     run_static_games,
 )
-from scenarios.studies.study import Options, study
+from scenarios.studies.study import Options, draw_estimates, study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -58,7 +55,7 @@ def _by_size(games: Sequence[NegotiationSummary], runs: int) -> str:
     rows = [("", *(f"{n} to {m}" for n, m in SIZES))]
     for name in CONTENDERS:
         line = [here[*size, name] for size in SIZES]
-        rows.append((name, *(f"{game.share:.3f} +- {game.half_width:.3f}  {game.best:4.0%}" for game in line)))
+        rows.append((name, *(f"{game.share:.3f}  {game.best.mean:4.0%}" for game in line)))
     return (
         f"Welfare of the final profile / optimum, and share of games that end in the best assignment, N to M:\n"
         f"static, r = {HORIZON:g} s, {BUDGET} slots, {runs} games, 95 % intervals\n{aligned(rows)}"
@@ -70,7 +67,7 @@ def _by_cooling(games: Sequence[NegotiationSummary], runs: int) -> str:
     rows = [("", *(f"{slots} slots" for slots in BUDGETS))]
     for name in COOLED:
         line = [here[slots, name] for slots in BUDGETS]
-        rows.append((name, *(f"{game.best:.0%} ({game.best_low:.0%} .. {game.best_high:.0%})" for game in line)))
+        rows.append((name, *("{:.0%} ({:.0%} .. {:.0%})".format(game.best.mean, *game.best.interval) for game in line)))
     about = f"{HARD[0]} to {HARD[1]}, static, {runs} games, 95 % Wilson intervals"
     return f"Share of games that end in the best assignment: {about}\n{aligned(rows)}"
 
@@ -80,7 +77,7 @@ def _by_temperature(games: Sequence[NegotiationSummary], runs: int) -> str:
     rows = [("", *(f"{tau:g} s" for tau in TEMPERATURES))]
     for kind in ("sap", "selective_sap"):
         line = [here[tau, kind] for tau in TEMPERATURES]
-        rows.append((kind, *(f"{game.share:.3f} +- {game.half_width:.3f}" for game in line)))
+        rows.append((kind, *(f"{game.share:.3f}" for game in line)))
     about = f"{HARD[0]} to {HARD[1]}, static, {BUDGET} slots, {runs} games, 95 % intervals"
     return f"Welfare of the final profile / optimum at constant temperatures: {about}\n{aligned(rows)}"
 
@@ -91,12 +88,10 @@ def _pursuit_tables(moved: Sequence[PursuitSummary], runs: int) -> str:
     times, paired, caught = [("", *heads)], [("", *heads)], [("", *heads)]
     for name in CONTENDERS:
         line = [here[*size, name] for size in SIZES]
-        times.append((name, *(f"{pursuit.duration:.2f} +- {pursuit.half_width:.2f}" for pursuit in line)))
-        caught.append((name, *(f"{pursuit.captured:.0%} ({pursuit.all_captured:.0%})" for pursuit in line)))
+        times.append((name, *(f"{pursuit.duration:.2f}" for pursuit in line)))
+        caught.append((name, *(f"{pursuit.captured.mean:.0%} ({pursuit.all_captured:.0%})" for pursuit in line)))
         if name != REFERENCE:
-            paired.append(
-                (name, *(f"{pursuit.difference:+.2f} +- {pursuit.difference_half_width:.2f}" for pursuit in line))
-            )
+            paired.append((name, *(f"{pursuit.difference:+.2f}" for pursuit in line)))
     about = f"horizon {HORIZON:g} s, {runs} runs, 95 % intervals"
     return (
         f"Time until all are captured, or the horizon, s: {about}\n{aligned(times)}\n\n"
@@ -123,19 +118,20 @@ def picture(games: Sequence[NegotiationSummary], moved: Sequence[PursuitSummary]
 
 def draw_cooling(axes: "Axes", games: Sequence[NegotiationSummary]) -> None:
     """Draw, over the number of slots, the share of games that end in the best assignment."""
+    from matplotlib.ticker import PercentFormatter
+
     from desim.analysis.drawing import palette
 
     styles = zip(COOLED, "oDs^", (0.94, 0.98, 1.02, 1.06), palette.SERIES, strict=False)
     for name, marker, aside, colour in styles:
         line = [game for game in games if game.protocol == name]
-        y = 100.0 * np.array([(game.best, game.best_low, game.best_high) for game in line])
         x = [game.slots * aside for game in line]  # error bars side by side
-        error = np.abs(y[:, 1:].T - y[:, 0])
         dashes = "-" if name.endswith("slow") else ":"
-        axes.errorbar(
-            x, y[:, 0], error, color=colour, ls=dashes, marker=marker, ms=3.5, lw=1, elinewidth=0.7, label=name
+        draw_estimates(
+            axes, x, [game.best for game in line], color=colour, ls=dashes, marker=marker, ms=3.5, label=name
         )
-    axes.set(xscale="log", xlabel="slots to negotiate", ylabel="best assignment\nfound (% of games)", ylim=(0, 100))
+    axes.set(xscale="log", xlabel="slots to negotiate", ylabel="best assignment\nfound (% of games)", ylim=(0, 1))
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
     axes.set_xticks(BUDGETS, [str(slots) for slots in BUDGETS])
     axes.minorticks_off()
     axes.set_title(f"{HARD[0]} pursuers, {HARD[1]} evaders, nobody moves", fontsize=8, pad=28)
@@ -152,9 +148,8 @@ def draw_temperatures(axes: "Axes", games: Sequence[NegotiationSummary]) -> None
     }
     for kind, (label, marker, aside, colour) in kinds.items():
         line = [game for game in games if game.protocol == kind]
-        x, y = [(game.temperature or 0.0) * aside for game in line], [game.share for game in line]
-        error = [game.half_width for game in line]
-        axes.errorbar(x, y, error, color=colour, marker=marker, ms=3.5, lw=1, elinewidth=0.7, label=label)
+        x = [(game.temperature or 0.0) * aside for game in line]
+        draw_estimates(axes, x, [game.share for game in line], color=colour, marker=marker, ms=3.5, label=label)
     axes.set(xscale="log", xlabel=r"constant temperature $\tau$ (s)", ylabel="welfare / optimum", ylim=(0.0, 1.0))
     axes.set_xticks(TEMPERATURES, [f"{tau:g}" for tau in TEMPERATURES])
     axes.minorticks_off()
@@ -169,7 +164,7 @@ def draw_pursuits(axes: "Axes", moved: Sequence[PursuitSummary]) -> None:
     for k, ((n, m), marker, colour) in enumerate(zip(SIZES, "oDs^", palette.SERIES, strict=False)):
         line = [pursuit for pursuit in moved if (pursuit.pursuers, pursuit.evaders) == (n, m)]
         y = [rows[pursuit.protocol] + 0.15 * (k - 1.5) for pursuit in line]
-        x, error = [pursuit.duration for pursuit in line], [pursuit.half_width for pursuit in line]
+        x, error = [pursuit.duration.mean for pursuit in line], [pursuit.duration.half_width for pursuit in line]
         axes.errorbar(
             x, y, xerr=error, color=colour, ls="none", marker=marker, ms=3.5, elinewidth=0.7, label=f"{n} to {m}"
         )
@@ -191,7 +186,7 @@ def draw_pursuits(axes: "Axes", moved: Sequence[PursuitSummary]) -> None:
 def main(options: Options) -> None:
     """Measure the static games and the pursuits, and show them."""
     games, moved = run_static_games(options), run_pursuits(options)
-    document = {"negotiations": [asdict(game) for game in games], "pursuits": [asdict(pursuit) for pursuit in moved]}
+    document = {"negotiations": games, "pursuits": moved}
     options.show(document, table(games, moved, options.runs), lambda: picture(games, moved))
 
 

@@ -15,13 +15,12 @@ evader can capture it in time; in the team "all able", most pursuers can.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from desim.analysis.tables import aligned
-from scenarios.studies.study import Options, study
+from scenarios.studies.study import Options, draw_estimates, study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,12 +48,14 @@ def _tables(team: str, pursuits: Sequence[Pursuits], static: Sequence[Games], ru
     active, paired = [("R", *PROTOCOLS)], [("R", *(name for name in PROTOCOLS if name != REFERENCE))]
     for game in static:
         radius = f"{game.range:g} m"
-        interval = f"{game.unsettled_low:.1%} .. {game.unsettled_high:.1%}"
-        about.append((radius, f"{game.unsettled:.1%}", interval, f"{game.components:.2f}", f"{game.independent:.2f}"))
+        interval = "{:.1%} .. {:.1%}".format(*game.unsettled.interval)
+        about.append(
+            (radius, f"{game.unsettled.mean:.1%}", interval, f"{game.components:.2f}", f"{game.independent:.2f}")
+        )
         line = [here[game.range, name] for name in PROTOCOLS]
-        active.append((radius, *(f"{cell.active_time:.1f} +- {cell.half_width:.1f}" for cell in line)))
+        active.append((radius, *(f"{cell.active_time:.1f}" for cell in line)))
         compared = [cell for cell in line if cell.protocol != REFERENCE]
-        paired.append((radius, *(f"{cell.difference:+.1f} +- {cell.difference_half_width:.1f}" for cell in compared)))
+        paired.append((radius, *(f"{cell.difference:+.1f}" for cell in compared)))
     about_runs = f"{team}, {N} pursuers, {runs} runs, 95 % intervals"
     games = f"{team}, {N} pursuers, {static[0].games} games"
     return [
@@ -90,8 +91,7 @@ def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
     for k, (colour, mark, name) in enumerate(zip(palette.SERIES, palette.MARKERS, PROTOCOLS, strict=False)):
         line = [pursuit for pursuit in pursuits if pursuit.protocol == name]
         x = [pursuit.range * 1.03 ** (k - 2) for pursuit in line]  # shifted, so that error bars do not overlap
-        y, error = [pursuit.active_time for pursuit in line], [pursuit.half_width for pursuit in line]
-        axes.errorbar(x, y, error, color=colour, marker=mark, ms=3, lw=1.0, elinewidth=0.7, label=name)
+        draw_estimates(axes, x, [pursuit.active_time for pursuit in line], color=colour, marker=mark, label=name)
     axes.set(xscale="log")
     axes.set_xticks(TICKS, [f"{tick:g}" for tick in TICKS])
     axes.minorticks_off()
@@ -101,7 +101,7 @@ def draw_games(axes: "Axes", static: Sequence[Games]) -> None:
     """Draw the share of games without equilibrium, the number of components and the size of the independent set."""
     from desim.analysis.drawing import palette
 
-    share = 100.0 * np.array([(game.unsettled, game.unsettled_low, game.unsettled_high) for game in static])
+    share = 100.0 * np.array([(game.unsettled.mean, *game.unsettled.interval) for game in static])
     axes.fill_between(RANGES, share[:, 1], share[:, 2], color=palette.SERIES[1], alpha=0.25, lw=0)
     axes.plot(RANGES, share[:, 0], color=palette.SERIES[1], marker="o", ms=3, lw=1.2)
     axes.set_ylim(0, 60)
@@ -121,7 +121,7 @@ def main(options: Options) -> None:
     """Run the pursuits, enumerate the games, and show the results."""
     pursuits = measure(options)
     static = [games(team, range_, options) for team in TEAMS for range_ in RANGES]
-    document = {"pursuits": [asdict(pursuit) for pursuit in pursuits], "games": [asdict(game) for game in static]}
+    document = {"pursuits": pursuits, "games": static}
     options.show(document, table(pursuits, static, options.runs), lambda: picture(pursuits, static))
 
 

@@ -15,7 +15,6 @@ what a message is worth needs a silent team of the same protocol that knows as m
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from desim.analysis.tables import aligned
@@ -39,9 +38,9 @@ def _tables(world: str, cells: Sequence[Cell], runs: int) -> list[str]:
     active, paired = [("", *heads)], [("", *heads)]
     for name in names:
         line = [here[name, latency] for latency in LATENCIES]
-        active.append((name, *(f"{cell.active_time:.1f} +- {cell.half_width:.1f}" for cell in line)))
+        active.append((name, *(f"{cell.active_time:.1f}" for cell in line)))
         if name != REFERENCE:
-            paired.append((name, *(f"{cell.difference:+.1f} +- {cell.difference_half_width:.1f}" for cell in line)))
+            paired.append((name, *(f"{cell.difference:+.1f}" for cell in line)))
     heads = ["captured", "relayed", "after", "misassigned", "regret", "handovers", "sent/s", "kB/s"]
     messages = [("", *heads)]
     for name in names:
@@ -74,7 +73,7 @@ def picture(cells: Sequence[Cell]) -> "Figure":
 
     total: dict[str, float] = defaultdict(float)
     for cell in cells:
-        total[cell.protocol] += cell.active_time
+        total[cell.protocol] += cell.active_time.mean
     names = sorted(total, key=total.__getitem__)
     with plots.styled(figsize=(9.5, 4.6)) as figure:
         for axes, world in zip(figure.subplots(1, len(WORLDS), sharey=True, squeeze=False)[0], WORLDS, strict=True):
@@ -90,7 +89,7 @@ def draw(axes: "Axes", world: str, names: Sequence[str], cells: Sequence[Cell]) 
 
     times = np.zeros((len(names), len(LATENCIES)))
     for cell in cells:
-        times[names.index(cell.protocol), LATENCIES.index(cell.latency)] = cell.active_time
+        times[names.index(cell.protocol), LATENCIES.index(cell.latency)] = cell.active_time.mean
     axes.imshow(times, norm=LogNorm(), cmap="viridis_r", aspect="auto")
     middle = np.sqrt(times.min() * times.max())
     for (row, column), time in np.ndenumerate(times):
@@ -107,7 +106,7 @@ def draw(axes: "Axes", world: str, names: Sequence[str], cells: Sequence[Cell]) 
 def main(options: Options) -> None:
     """Measure, compare and show."""
     cells = measure(options)
-    document = {"cells": [asdict(cell) for cell in cells]}
+    document = {"cells": cells}
     options.show(document, table(cells, options.runs), lambda: picture(cells))
 
 

@@ -9,7 +9,6 @@ saves: a team that announces its actions is compared with a silent one that know
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict
 
 from click import Option
 
@@ -85,14 +84,14 @@ def main(options: Options) -> None:
     """Measure the costs, and who causes them; or the law; or the worth of messages."""
     if options.own["worth"]:
         worth = measure_worth(options)
-        options.show({"worth": [asdict(saving) for saving in worth]}, worth_table(worth, options.runs))
+        options.show({"worth": worth}, worth_table(worth, options.runs))
         return
     if options.own["law"]:
         extras = measure_law(options)
-        options.show({"law": [asdict(extra) for extra in extras]}, law_table(extras, options.runs))
+        options.show({"law": extras}, law_table(extras, options.runs))
         return
     cells, shares = measure_costs(options), measure_shares(options)
-    document = {"costs": [asdict(cell) for cell in cells], "who": [asdict(share) for share in shares]}
+    document = {"costs": cells, "who": shares}
     options.show(document, table(cells, shares, options.runs))
 
 

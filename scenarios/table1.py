@@ -7,7 +7,7 @@ there are no random draws, and the planner decides before any pursuer moves, so 
 initial configurations are in table1_20.toml and table1_40.toml; `python -m scenarios.find_table1` searches for them.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -83,7 +83,7 @@ def table(cells: list[Cell]) -> str:
 def main(options: Options) -> None:
     """Measure, compare and show."""
     cells = measure(options)
-    options.show({"cells": [asdict(cell) for cell in cells]}, table(cells))
+    options.show({"cells": cells}, table(cells))
 
 
 if __name__ == "__main__":

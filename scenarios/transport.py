@@ -9,13 +9,12 @@ In a game at rest, the study measures the mean age of information of announcemen
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from desim.analysis.statistics import Estimate
 from desim.analysis.tables import aligned
-from scenarios.studies.study import Options, study
+from scenarios.studies.study import Options, draw_estimates, study
 from scenarios.studies.transport_runs import N_REST, ONCE, REFERENCE, SWEEPS, WAYS, WITH_AGES, Cell, N, measure
 
 if TYPE_CHECKING:
@@ -61,8 +60,8 @@ def _pursuits(cells: Sequence[Cell]) -> str:
         lines.append(
             (
                 f"{value:g}",
-                f"{active.mean:.1f} +- {active.half_width:.1f}",
-                *(f"{difference.mean:+.2f} +- {difference.half_width:.2f}" for difference in differences),
+                f"{active:.1f}",
+                *(f"{difference:+.2f}" for difference in differences),
                 *(f"{here[way].rate:,.0f}" for way in WAYS),
             )
         )
@@ -73,7 +72,7 @@ def _ages(cells: Sequence[Cell]) -> str:
     lines = [(cells[0].swept, *WAYS, *(f"bytes/s, {way}" for way in WAYS))]
     for value, here in _by_value(cells).items():
         ages = [age for way in WAYS if (age := here[way].age) is not None]
-        means = (f"{age.mean:.3f} +- {age.half_width:.3f}" for age in ages)
+        means = (f"{age:.3f}" for age in ages)
         lines.append((f"{value:g}", *means, *(f"{here[way].age_rate:,.0f}" for way in WAYS)))
     return aligned(lines)
 
@@ -118,8 +117,7 @@ def draw(axes: "Axes", swept: str, lines: Mapping[str, Sequence[Estimate]]) -> N
         if way not in lines:
             continue
         places = [place + 0.05 * (k - 2) for place in range(len(values))]  # shifted, so that error bars are seen
-        y, error = [estimate.mean for estimate in lines[way]], [estimate.half_width for estimate in lines[way]]
-        axes.errorbar(places, y, error, color=colour, marker=mark, ms=3, lw=1.0, elinewidth=0.7, label=way)
+        draw_estimates(axes, places, lines[way], color=colour, marker=mark, label=way)
     axes.set_xticks(range(len(values)), [f"{value:g}" for value in values])
 
 
@@ -127,7 +125,7 @@ def draw(axes: "Axes", swept: str, lines: Mapping[str, Sequence[Estimate]]) -> N
 def main(options: Options) -> None:
     """Run the pursuits and show the results."""
     cells = measure(options)
-    options.show({"cells": [asdict(cell) for cell in cells]}, table(cells, options.runs), lambda: picture(cells))
+    options.show({"cells": cells}, table(cells, options.runs), lambda: picture(cells))
 
 
 if __name__ == "__main__":

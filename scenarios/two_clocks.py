@@ -5,7 +5,7 @@ and set their headings every h, for all pairs of five values. A change of active
 a change with h to the integration of motion.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -103,7 +103,7 @@ def main(options: Options) -> None:
     """Measure, compare and show."""
     cells = measure(options)
     document = {
-        "cells": [asdict(cell) for cell in cells],
+        "cells": cells,
         "spread_along_slot": spread(cells, "slot"),
         "spread_along_step": spread(cells, "step"),
     }

@@ -7,13 +7,13 @@ walls that block nothing, with the same seeds. All start at the same places, whi
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from desim import Scenario, load
 from desim.analysis.metrics import active_time, end_time
-from desim.analysis.statistics import estimate
+from desim.analysis.statistics import Estimate, estimate, paired
 from desim.analysis.tables import aligned
 from desim.simulation.run import Result
 from scenarios.studies.study import SCENARIOS, Options, study
@@ -43,10 +43,8 @@ class Cost:
     blocked: str
     metric: str
     mean: float
-    difference: float
+    difference: Estimate
     """From walls that block nothing."""
-    half_width: float
-    """Of the 95 % interval of the difference."""
 
 
 def rooms(protocol: str, blocks: Sequence[str]) -> Scenario:
@@ -72,9 +70,7 @@ def measure(options: Options) -> list[Cost]:
         for k, metric in enumerate(METRICS):
             among = [run[k] for run in values[protocol, blocked]]
             free = [run[k] for run in values[protocol, "nothing"]]
-            mean = estimate(among).mean
-            paired = estimate([walled - plain for walled, plain in zip(among, free, strict=True)])
-            costs.append(Cost(protocol, blocked, metric, mean, paired.mean, paired.half_width))
+            costs.append(Cost(protocol, blocked, metric, estimate(among).mean, paired(among, free)))
     return costs
 
 
@@ -86,7 +82,7 @@ def table(costs: Sequence[Cost], runs: int) -> str:
         for protocol in PROTOCOLS:
             line = [cost for cost in costs if (cost.protocol, cost.metric) == (protocol, metric)]
             free = next(cost.mean for cost in line if cost.blocked == "nothing")
-            added = [f"{c.difference:+.2f} +- {c.half_width:.2f}" for c in line if c.blocked != "nothing"]
+            added = [f"{c.difference:+.2f}" for c in line if c.blocked != "nothing"]
             rows.append((protocol, f"{free:.2f}", *added))
         parts.append(f"{metric}, s, and what walls add to it; {runs} runs, 95 % intervals\n{aligned(rows)}")
     return "\n\n".join(parts)
@@ -101,7 +97,7 @@ def picture(costs: Sequence[Cost]) -> "Figure":
             for k, (blocked, colour) in enumerate(zip([*BLOCKED][1:], palette.SERIES, strict=False)):
                 line = [cost for cost in costs if (cost.blocked, cost.metric) == (blocked, metric)]
                 x = [group + 0.2 * (k - 1.5) for group in range(len(PROTOCOLS))]
-                heights, errors = [cost.difference for cost in line], [cost.half_width for cost in line]
+                heights, errors = [cost.difference.mean for cost in line], [cost.difference.half_width for cost in line]
                 axes.bar(x, heights, 0.18, yerr=errors, color=colour, label=blocked, error_kw={"elinewidth": 0.7})
             axes.axhline(0.0, color=palette.GREY, lw=0.7)
             axes.set_xticks(range(len(PROTOCOLS)), PROTOCOLS, rotation=20, ha="right")
@@ -114,7 +110,7 @@ def picture(costs: Sequence[Cost]) -> "Figure":
 def main(options: Options) -> None:
     """Run the pursuits among walls, and show the results."""
     costs = measure(options)
-    options.show({"costs": [asdict(cost) for cost in costs]}, table(costs, options.runs), lambda: picture(costs))
+    options.show({"costs": costs}, table(costs, options.runs), lambda: picture(costs))
 
 
 if __name__ == "__main__":

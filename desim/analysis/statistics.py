@@ -87,6 +87,10 @@ class Estimate:
             digits = max(digits, floor(log10(abs(self.mean))) - floor(log10(self.half_width)) + 2)
         return f"{self.mean:.{digits}g} +- {self.half_width:.2g} (95 % interval, {runs})"
 
+    def __format__(self, form: str) -> str:
+        """Return "mean +- half width", both in the form of a number; a sign is that of the mean. Without: `str`."""
+        return f"{self.mean:{form}} +- {self.half_width:{form.lstrip('+')}}" if form else str(self)
+
     def __repr__(self) -> str:
         width = f"half_width={self.half_width:.6g}, standard_error={self.standard_error:.6g}"
         return f"{type(self).__name__}(mean={self.mean:.6g}, {width}, count={self.count})"

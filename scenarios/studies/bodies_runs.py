@@ -6,10 +6,13 @@ from math import inf, nan
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from desim import Result, Scenario
 from desim.analysis.activity import evader_pursuits
 from desim.analysis.metrics import active_time, captured, end_time
-from desim.analysis.statistics import Estimate, estimate
+from desim.analysis.statistics import Estimate, estimate, paired
+from desim.config.arrays import Floats
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import seconds
 from desim.kernel.models.latency import Constant
@@ -116,18 +119,16 @@ def measure(options: Options) -> list[Cell]:
     """Run each rule with each motion at each latency, and return the results."""
     keys = [(rule, motion, latency) for rule in RULES for motion in MOTIONS for latency in LATENCIES]
     runs = dict(zip(keys, options.measure([pursuit(*key) for key in keys], "bodies", _measured), strict=True))
-    times = {key: [run.active_time for run in runs_of_key] for key, runs_of_key in runs.items()}
+    times = {key: np.array([run.active_time for run in runs_of_key]) for key, runs_of_key in runs.items()}
     return [_cell(key, runs[key], times) for key in keys]
 
 
-def _cell(
-    key: tuple[str, str, float], runs: Sequence[Run], times: Mapping[tuple[str, str, float], Sequence[float]]
-) -> Cell:
+def _cell(key: tuple[str, str, float], runs: Sequence[Run], times: Mapping[tuple[str, str, float], Floats]) -> Cell:
     """Return the results of one combination; `times` has the active times of all."""
     rule, motion, latency = key
 
-    def late(moving: str) -> list[float]:
-        return differences(times[rule, moving, latency], times[rule, moving, 0.0])
+    def late(moving: str) -> Floats:
+        return times[rule, moving, latency] - times[rule, moving, 0.0]
 
     return Cell(
         *key,
@@ -135,16 +136,11 @@ def _cell(
         estimate([run.duration for run in runs]),
         estimate(times[key]),
         estimate(late(motion)),
-        estimate(differences(late(motion), late(SIMPLE))),
-        estimate(differences(times[key], times[ONE, motion, latency])),
+        paired(late(motion), late(SIMPLE)),
+        paired(times[key], times[ONE, motion, latency]),
         estimate([float(run.handovers.number) for run in runs]),
         ratio([run.handovers.excess for run in runs], [run.handovers.number for run in runs]),
     )
-
-
-def differences(some: Sequence[float], subtrahends: Sequence[float]) -> list[float]:
-    """Return the differences of paired values."""
-    return [value - other for value, other in zip(some, subtrahends, strict=True)]
 
 
 def ratio(parts: Sequence[float], counts: Sequence[int]) -> Estimate:

@@ -11,7 +11,8 @@ import numpy as np
 
 from desim import Result, Scenario, Team, bench, load, run
 from desim.analysis.metrics import active_time, end_time, excess_time, idle_time
-from desim.analysis.statistics import Estimate, mean, paired, wilson
+from desim.analysis.statistics import Estimate, mean, paired
+from desim.analysis.statistics import share as share_of
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.pursuit.core.events import Estimated, Sampled
@@ -69,8 +70,7 @@ def share(metric: Callable[[Any], bool], scenario: Scenario) -> Number:
     """Return what measures the share of runs for which a metric is true, with half of its Wilson interval."""
 
     def number(options: Options) -> tuple[float, float]:
-        (values,) = options.measure([scenario], "", metric)
-        return in_trials(values.count(True), len(values))
+        return of(share_of(options.measure([scenario], "", metric)[0]))
 
     return number
 
@@ -88,8 +88,7 @@ def covered(law: str, size: int, first_look: int) -> Number:
 
 def in_trials(count: int, trials: int) -> tuple[float, float]:
     """Return a share, and half the width of its Wilson interval."""
-    low, high = wilson(count, trials)
-    return count / trials, (high - low) / 2.0
+    return of(share_of([True] * count + [False] * (trials - count)))
 
 
 def cost(team: str, rule: str, latency: float, start: Start = "announced") -> Number:
@@ -173,8 +172,7 @@ def unsettled(team: str, distance: float) -> Number:
     """Return what measures the share of games without an equilibrium if pursuers count their neighbours only."""
 
     def number(options: Options) -> tuple[float, float]:
-        games = range_runs.games(team, distance, options)
-        return games.unsettled, (games.unsettled_high - games.unsettled_low) / 2.0
+        return of(range_runs.games(team, distance, options).unsettled)
 
     return number
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from desim import Result, Scenario, summary
 from desim.analysis.metrics import Summary, active_time, captured, end_time
-from desim.analysis.statistics import estimate, wilson
+from desim.analysis.statistics import Estimate, estimate, paired, share
 from desim.kernel.core.events import Sent
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.models.latency import Constant
@@ -95,17 +95,13 @@ class Cell:
     protocol: str
     latency: float
     """One-way latency, s."""
-    survival: float
+    survival: Estimate
     """Time to capture, or the horizon without capture, s."""
-    half_width: float
-    """Half width of the 95 % interval of the survival, s."""
-    difference: float
+    difference: Estimate
     """Paired difference from the survival of pure evasion, s."""
-    difference_half_width: float
     captured: float
     """Share of the runs with capture."""
-    active_time: float
-    active_half_width: float
+    active_time: Estimate
     handovers: float
 
 
@@ -116,22 +112,15 @@ class Sighted:
     radius: float
     """Sensing radius R_s, m."""
     estimate: str
-    captured: float
+    captured: Estimate
     """Share of the runs with capture."""
-    captured_low: float
-    """Lower end of the 95 % Wilson interval of this share."""
-    captured_high: float
-    survival: float
+    survival: Estimate
     """Time to capture, or the horizon without capture, s."""
-    half_width: float
-    difference: float
+    difference: Estimate
     """Paired difference from the survival with the estimate "hold", s."""
-    difference_half_width: float
-    active_time: float
-    active_half_width: float
-    active_difference: float
+    active_time: Estimate
+    active_difference: Estimate
     """Paired difference from the active time with the estimate "hold", s."""
-    active_difference_half_width: float
     never_seen: float
     """Share of the runs in which no pursuer ever saw the evader."""
     lost: float
@@ -185,18 +174,14 @@ def measure_chases(options: Options, latency: float) -> list[Cell]:
 
 def cell(key: tuple[str, str], latency: float, runs: Sequence[Summary], *, reference: Sequence[Summary]) -> Cell:
     """Return the results of a strategy against a protocol, and the difference from pure evasion with equal seeds."""
-    survival, active = estimate([run.end_time for run in runs]), estimate([run.active_time for run in runs])
-    paired = estimate([run.end_time - other.end_time for run, other in zip(runs, reference, strict=True)])
+    times = [run.end_time for run in runs]
     return Cell(
         *key,
         0.0 if key[1] == IDEAL else latency,
-        survival.mean,
-        survival.half_width,
-        paired.mean,
-        paired.half_width,
+        estimate(times),
+        paired(times, [run.end_time for run in reference]),
         portable_sum(run.captured for run in runs) / len(runs),
-        active.mean,
-        active.half_width,
+        estimate([run.active_time for run in runs]),
         estimate([run.handovers for run in runs]).mean,
     )
 
@@ -240,25 +225,16 @@ def _is_seen(sample: Sampled, radius: float) -> bool:
 
 def sighted(radius: float, made: str, runs: Sequence[Watched], *, reference: Sequence[Watched]) -> Sighted:
     """Return the results of one radius and one estimate, and the differences from "hold" with equal seeds."""
-    survival, active = estimate([run.survival for run in runs]), estimate([run.active_time for run in runs])
-    pairs = list(zip(runs, reference, strict=True))
-    longer = estimate([run.survival - other.survival for run, other in pairs])
-    more = estimate([run.active_time - other.active_time for run, other in pairs])
-    count, duration = len(runs), portable_sum(run.survival for run in runs)
-    caught = portable_sum(run.captured for run in runs)
+    times, active = [run.survival for run in runs], [run.active_time for run in runs]
+    count, duration = len(runs), portable_sum(times)
     return Sighted(
         radius,
         made,
-        caught / count,
-        *wilson(caught, count),
-        survival.mean,
-        survival.half_width,
-        longer.mean,
-        longer.half_width,
-        active.mean,
-        active.half_width,
-        more.mean,
-        more.half_width,
+        share([run.captured for run in runs]),
+        estimate(times),
+        paired(times, [run.survival for run in reference]),
+        estimate(active),
+        paired(active, [run.active_time for run in reference]),
         portable_sum(run.never_seen for run in runs) / count,
         portable_sum(run.lost for run in runs) / count,
         portable_sum(run.reports for run in runs) / duration,

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -220,6 +220,6 @@ def in_words(weights: Sequence[float]) -> list[tuple[str, float, str]]:
 def document(generations: Sequence[Generation], cells: Sequence[Cell]) -> dict[str, Any]:
     """Return the results as JSON types."""
     return {
-        "training": [asdict(generation) for generation in generations],
-        "costs": [asdict(cell) for cell in cells],
+        "training": generations,
+        "costs": cells,
     }

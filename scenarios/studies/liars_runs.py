@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 from desim import Result, Scenario
 from desim.analysis.deception import false_accusations
 from desim.analysis.metrics import active_time, captured, end_time
-from desim.analysis.statistics import Estimate, estimate, wilson
-from desim.kernel.core.portable_math import portable_sum
+from desim.analysis.statistics import Estimate, estimate, paired, share
 from desim.kernel.models.clock_skew import ClockSkew
 from desim.kernel.models.latency import Lognormal
 from desim.kernel.models.links import Links
@@ -100,10 +99,8 @@ class Cell:
     defence: str
     value: float
     """Number of liars, deviation of the clocks, s, or mean latency, s."""
-    captured: float
+    captured: Estimate
     """Share of the pursuits that end with a capture."""
-    interval: tuple[float, float]
-    """95 % Wilson interval of this share."""
     delay: Estimate
     """Paired difference of the duration from that of the honest team without a defence, s."""
     active_time: Estimate
@@ -167,12 +164,10 @@ def _reference(key: tuple[str, str, str, str, float]) -> tuple[str, str, str, st
 
 
 def _cell(key: tuple[str, str, str, str, float], runs: Sequence[Run], reference: Sequence[Run]) -> Cell:
-    caught = portable_sum(run.captured for run in runs)
     return Cell(
         *key,
-        caught / len(runs),
-        wilson(caught, len(runs)),
-        estimate([run.duration - other.duration for run, other in zip(runs, reference, strict=True)]),
+        share([run.captured for run in runs]),
+        paired([run.duration for run in runs], [run.duration for run in reference]),
         estimate([run.active_time for run in runs]),
         estimate([float(run.false_accusations) for run in runs]),
     )

@@ -5,7 +5,7 @@ start. Its schedule is `rounds`, because these libraries let all agents act at o
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from types import MappingProxyType
 
@@ -128,6 +128,6 @@ def show(options: Options, name: str, rule: Policy, curve: Sequence[Progress]) -
     ]
     rows = [("steps of pursuers", "cost in training"), *((f"{p.steps:,}", f"{p.cost:.2f} s") for p in curve)]
     options.show(
-        {"training": [asdict(progress) for progress in curve], "costs": [asdict(cell) for cell in cells]},
+        {"training": curve, "costs": cells},
         f"{aligned(rows)}\n\n{costs_table(cells, options.runs)}",
     )

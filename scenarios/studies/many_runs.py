@@ -9,9 +9,8 @@ import numpy as np
 
 from desim import Result, Scenario
 from desim.analysis.metrics import end_time
-from desim.analysis.statistics import estimate, wilson
+from desim.analysis.statistics import Estimate, estimate, paired, share
 from desim.config.arrays import Floats
-from desim.kernel.core.portable_math import portable_sum
 from desim.pursuit.core.events import Captured, Decided, Started
 from desim.pursuit.game.game import optimum, welfare
 from desim.pursuit.motion.capture import capture_time
@@ -94,17 +93,12 @@ class NegotiationSummary:
     slots: int
     temperature: float | None
     """The constant temperature, s; None for a contender of `CONTENDERS`."""
-    share: float
+    share: Estimate
     """Mean of welfare / optimum over the games."""
-    half_width: float
-    """Half width of the 95 % interval of `share`."""
     least: float
     """Least welfare / optimum of a game."""
-    best: float
+    best: Estimate
     """Share of the games that end in the best assignment."""
-    best_low: float
-    """Lower end of the 95 % Wilson interval of `best`; the upper end is `best_high`."""
-    best_high: float
 
 
 @dataclass(frozen=True)
@@ -124,18 +118,14 @@ class PursuitSummary:
     pursuers: int
     evaders: int
     protocol: str
-    captured: float
+    captured: Estimate
     """Mean share of the evaders captured by the horizon."""
-    captured_half_width: float
     all_captured: float
     """Share of the runs in which all evaders were captured."""
-    duration: float
+    duration: Estimate
     """Mean time until all evaders were captured, or the horizon if not all were, s."""
-    half_width: float
-    """Half width of the 95 % interval of `duration`, s."""
-    difference: float
-    """Mean paired difference of `duration` from that of `REFERENCE`, slowly cooled Spatial Adaptive Play, s."""
-    difference_half_width: float
+    difference: Estimate
+    """Paired difference of `duration` from that of `REFERENCE`, slowly cooled Spatial Adaptive Play, s."""
 
 
 def slow(slots: int) -> GeometricTau:
@@ -242,11 +232,8 @@ def summarize_negotiations(key: Key, outcomes: Sequence[Outcome]) -> Negotiation
     """Return the results of the static games of one key."""
     size, name, slots, tau = key
     shares = [outcome.share for outcome in outcomes]
-    count, mean = portable_sum(outcome.best for outcome in outcomes), estimate(shares)
-    ends = wilson(count, len(outcomes))
-    return NegotiationSummary(
-        *size, name, slots, tau, mean.mean, mean.half_width, min(shares), count / len(outcomes), *ends
-    )
+    best = share([outcome.best for outcome in outcomes])
+    return NegotiationSummary(*size, name, slots, tau, estimate(shares), min(shares), best)
 
 
 def run_pursuits(options: Options) -> list[PursuitSummary]:
@@ -261,17 +248,12 @@ def summarize_pursuits(
     size: tuple[int, int], name: str, candidate: Sequence[Chase], reference: Sequence[Chase]
 ) -> PursuitSummary:
     """Return the results of pursuits, with the paired difference from reference runs with the same seeds."""
-    captured = estimate([run.captured for run in candidate])
-    duration = estimate([run.duration for run in candidate])
-    paired = estimate([run.duration - other.duration for run, other in zip(candidate, reference, strict=True)])
+    durations = [run.duration for run in candidate]
     return PursuitSummary(
         *size,
         name,
-        captured.mean,
-        captured.half_width,
+        estimate([run.captured for run in candidate]),
         sum(run.captured == 1.0 for run in candidate) / len(candidate),
-        duration.mean,
-        duration.half_width,
-        paired.mean,
-        paired.half_width,
+        estimate(durations),
+        paired(durations, [run.duration for run in reference]),
     )

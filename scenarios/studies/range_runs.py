@@ -10,7 +10,7 @@ import numpy as np
 
 from desim import Scenario
 from desim.analysis.metrics import active_time
-from desim.analysis.statistics import estimate, wilson
+from desim.analysis.statistics import Estimate, estimate, paired, share
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
@@ -57,11 +57,8 @@ class Games:
     team: str
     range: float
     games: int
-    unsettled: float
-    """Share of the games without a pure equilibrium if only neighbours count (utility `LocalMean`), in [0, 1]."""
-    unsettled_low: float
-    """Lower end of the 95 % Wilson interval of `unsettled`; the upper end is `unsettled_high`."""
-    unsettled_high: float
+    unsettled: Estimate
+    """Share of the games without a pure equilibrium if only neighbours count (utility `LocalMean`)."""
     components: float
     """Mean number of network components."""
     independent: float
@@ -75,12 +72,9 @@ class Pursuits:
     team: str
     range: float
     protocol: str
-    active_time: float
-    half_width: float
-    """Half width of the 95 % interval of `active_time`, s."""
-    difference: float
-    """Mean paired difference of the active time from that of `REFERENCE`, s."""
-    difference_half_width: float
+    active_time: Estimate
+    difference: Estimate
+    """Paired difference of the active time from that of `REFERENCE`, s."""
 
 
 def scenario(team: str, range: float, protocol: str) -> Scenario:  # noqa: A002
@@ -108,23 +102,16 @@ def games(team: str, range: float, options: Options) -> Games:  # noqa: A002
     """Return the statistics of the games at t = 0 of a team at one range, m."""
     base = scenario(team, range, "local mean")
     seeds = seeds_from(options.seed, options.runs * GAMES_PER_RUN)
-    unsettled, components, independent = 0, [], []
+    unsettled, components, independent = [], [], []
     for phi, hearing, graph in (game(base, seed) for seed in seeds):
-        unsettled += not equilibria(phi, base.horizon, LocalMean(), hearing)
+        unsettled.append(not equilibria(phi, base.horizon, LocalMean(), hearing))
         components.append(nx.number_weakly_connected_components(graph))
         independent.append(portable_sum(greedy_maximal_independent_set(phi, base.horizon, hearing)))
-    low, high = wilson(unsettled, len(seeds))
-    share = unsettled / len(seeds)
-    return Games(team, range, len(seeds), share, low, high, float(np.mean(components)), float(np.mean(independent)))
+    return Games(team, range, len(seeds), share(unsettled), float(np.mean(components)), float(np.mean(independent)))
 
 
 def measure(options: Options) -> list[Pursuits]:
     """Run each protocol for each team at each range."""
     keys = [(team, range_, protocol) for team in TEAMS for range_ in RANGES for protocol in PROTOCOLS]
     times = dict(zip(keys, options.measure([scenario(*key) for key in keys], "ranges", active_time), strict=True))
-    pursuits = []
-    for key in keys:
-        values, other = times[key], times[(*key[:2], REFERENCE)]
-        active, paired = estimate(values), estimate([a - b for a, b in zip(values, other, strict=True)])
-        pursuits.append(Pursuits(*key, active.mean, active.half_width, paired.mean, paired.half_width))
-    return pursuits
+    return [Pursuits(*key, estimate(times[key]), paired(times[key], times[(*key[:2], REFERENCE)])) for key in keys]

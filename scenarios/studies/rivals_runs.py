@@ -6,7 +6,7 @@ from types import MappingProxyType
 
 from desim import Result, Scenario, summary
 from desim.analysis.metrics import Summary, time_to_relay
-from desim.analysis.statistics import estimate
+from desim.analysis.statistics import Estimate, estimate, paired
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
@@ -56,12 +56,9 @@ class Cell:
     world: str
     protocol: str
     latency: float
-    active_time: float
-    half_width: float
-    """Half width of the 95 % interval of `active_time`, s."""
-    difference: float
-    """Mean paired difference of the active time from that of Spatial Adaptive Play, s."""
-    difference_half_width: float
+    active_time: Estimate
+    difference: Estimate
+    """Paired difference of the active time from that of Spatial Adaptive Play, s."""
     captured: float
     """Share of the runs with capture."""
     relayed: float
@@ -148,18 +145,15 @@ def cell(
     """
     runs = [run for run, _ in outcomes]
     relays = [time for _, time in outcomes if time is not None]
-    active = estimate([run.active_time for run in runs])
-    paired = estimate([run.active_time - other.active_time for run, (other, _) in zip(runs, reference, strict=True)])
+    times = [run.active_time for run in runs]
     regrets = [_gap(run) - _gap(other) for run, (other, _) in zip(runs, prompt, strict=True)]
     sent = portable_sum(run.transmissions for run in runs)
     kilobytes = portable_sum(run.bytes_sent for run in runs) / 1000.0
     duration = portable_sum(run.end_time for run in runs)
     return Cell(
         *key,
-        active.mean,
-        active.half_width,
-        paired.mean,
-        paired.half_width,
+        estimate(times),
+        paired(times, [run.active_time for run, _ in reference]),
         _mean([float(run.captured) for run in runs]),
         len(relays) / len(runs),
         _mean(relays) if relays else None,

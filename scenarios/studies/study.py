@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from desim.analysis.statistics import Estimate
+from desim.analysis.tables import as_json
 from desim.cli.program import Program
 from desim.config.json_numbers import to_json
 from desim.config.whole_files import write_whole
@@ -17,6 +19,7 @@ from desim.results.run_folder import can_plot
 from desim.study.workers.batch import run_many, seeds_from
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from desim import Result, Scenario
@@ -52,11 +55,12 @@ class Options:
     def show(self, document: dict[str, Any], table: str, figure: Callable[[], "Figure"] | None = None) -> None:
         """Print the table, or the document as JSON if requested; write both, and any figure, to the folder `out`.
 
+        An object in the document, such as the results of one setting, is written as its attributes by name.
         NAME.run.json, where NAME is the name of the study, records the provenance of these files. Studies can share a
         folder, because the names of all files of a study begin with NAME.
         """
         whole = {"study": self.name, "runs": self.runs, "seed": self.seed} | document
-        text = json.dumps(to_json(whole), indent=2, allow_nan=False)
+        text = json.dumps(to_json(whole), indent=2, allow_nan=False, default=_in_json_types)
         click.echo(text if self.as_json else table)
         self.out.mkdir(parents=True, exist_ok=True)
         stem = self.out / self.name
@@ -81,6 +85,16 @@ class Options:
         for name, figure in figures():
             for path in save(figure, self.out / name, dpi=dpi):
                 click.echo(f"wrote {path}", err=True)
+
+
+def draw_estimates(axes: "Axes", x: Sequence[float], estimates: Sequence[Estimate], **look: Any) -> None:
+    """Draw estimates as a line with marks, and their 95 % intervals as bars."""
+    bars = list(zip(*(estimate.bars for estimate in estimates), strict=True))
+    axes.errorbar(x, [estimate.mean for estimate in estimates], bars, **{"ms": 3, "lw": 1.0, "elinewidth": 0.7} | look)
+
+
+def _in_json_types(value: Any) -> Any:
+    return as_json(value) if isinstance(value, Estimate) else to_json(vars(value))
 
 
 def expected_time(seconds: float, runs: int, jobs: int, once: float = 0.0) -> str:

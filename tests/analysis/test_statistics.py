@@ -537,3 +537,9 @@ def test_a_rare_capture_is_covered_if_truth_values_are_judged_as_such():
         as_numbers += abs(found.mean - p) <= found.half_width
     assert covered / 1000 > 0.95 - four_errors(0.95, 1000)
     assert as_numbers / 1000 < 1.0 - 0.95**30 + four_errors(0.79, 1000) < 0.95 - four_errors(0.95, 1000)
+
+
+def test_an_estimate_has_the_form_of_a_number():
+    """1 and 3: the mean is 2, and half the width of its interval 12.706 * 1."""
+    assert f"{estimate([1.0, 3.0]):+.1f}" == "+2.0 +- 12.7"
+    assert f"{estimate([1.0, 3.0])}" == str(estimate([1.0, 3.0]))

@@ -6,7 +6,7 @@ import pytest
 from desim import run, summary
 from desim.analysis.drawing.plots import COLUMN
 from desim.analysis.metrics import end_time
-from desim.analysis.statistics import estimate
+from desim.analysis.statistics import NORMAL_975, Estimate, estimate, share
 from desim.kernel.core.events import Sent, Trace
 from desim.pursuit.core.events import Ended, Sampled, Started
 from desim.pursuit.sensing.sensing import Sighting
@@ -46,10 +46,14 @@ def test_every_strategy_meets_every_protocol_and_every_estimate_every_radius(tin
     assert list(cells) == [(name, protocol) for name in TINY for protocol in evaders_runs.PROTOCOLS]
     assert all(each["latency"] == (0.0 if each["protocol"] == IDEAL else 0.2) for each in cells.values())
     alone = summary(run(cut(evaders_runs.chase("still", "sap", 0.2)), 1_000_000))
-    assert cells["still", "sap"]["survival"] == alone.end_time
-    assert cells["still", "sap"]["active_time"] == alone.active_time
-    assert cells["still", "sap"]["difference"] == alone.end_time - cells[REFERENCE, "sap"]["survival"] < 0.0
-    assert all(cells[REFERENCE, protocol]["difference"] == 0.0 for protocol in evaders_runs.PROTOCOLS)
+    assert cells["still", "sap"]["survival"]["mean"] == alone.end_time
+    assert cells["still", "sap"]["active_time"]["mean"] == alone.active_time
+    assert (
+        cells["still", "sap"]["difference"]["mean"]
+        == alone.end_time - cells[REFERENCE, "sap"]["survival"]["mean"]
+        < 0.0
+    )
+    assert all(cells[REFERENCE, protocol]["difference"]["mean"] == 0.0 for protocol in evaders_runs.PROTOCOLS)
     sight = [(each["radius"], each["estimate"]) for each in document["sight"]]
     assert sight == [*((2.0, made) for made in evaders_runs.ESTIMATES), ("Infinity", "hold")]
     assert text.count("\nstill ") == 4
@@ -77,8 +81,8 @@ def test_a_cell_is_compared_with_pure_evasion_run_by_run():
     one = summary(run(evaders_runs.chase("still", "voronoi").model_copy(update={"horizon": 0.02}), 0))
     runs, reference = ([changed(one, end_time=t) for t in times] for times in ((5.0, 7.0), (4.0, 5.0)))
     found = evaders_runs.cell(("still", "sap"), 0.1, runs, reference=reference)
-    assert (found.survival, found.difference, found.captured) == (6.0, 1.5, 0.0)
-    assert found.difference_half_width == pytest.approx(12.706 * 0.5, rel=1e-4)
+    assert (found.survival.mean, found.difference.mean, found.captured) == (6.0, 1.5, 0.0)
+    assert found.difference.half_width == pytest.approx(12.706 * 0.5, rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +97,8 @@ def test_the_table_claims_what_its_interval_allows(difference, half_width, verdi
 
 def made(strategy, protocol, difference, half_width=0.5):
     """Return a cell of which only the paired difference matters, s."""
-    return evaders_runs.Cell(strategy, protocol, 0.0, 6.0, 1.0, difference, half_width, 1.0, 9.0, 1.0, 0.0)
+    estimates = [Estimate(mean, width / NORMAL_975, 10**9) for mean, width in ((6.0, 1.0), (difference, half_width))]
+    return evaders_runs.Cell(strategy, protocol, 0.0, *estimates, 1.0, estimates[0], 0.0)
 
 
 @pytest.mark.own_trace
@@ -129,9 +134,9 @@ def test_reports_are_counted_per_second_of_the_pursuits():
     ]
     held = [each._replace(survival=each.survival - k, active_time=0.5) for k, each in enumerate(runs)]
     found = evaders_runs.sighted(4.0, "worst_case", runs, reference=held)
-    assert (found.difference, found.active_difference) == (0.5, 1.0)
+    assert (found.difference.mean, found.active_difference.mean) == (0.5, 1.0)
     assert (found.reports, found.report_transmissions) == (10.0, 2.0)
-    assert (found.captured, found.lost, found.never_seen, found.survival) == (0.5, 0.5, 0.0, 3.0)
+    assert (found.captured.mean, found.lost, found.never_seen, found.survival.mean) == (0.5, 0.5, 0.0, 3.0)
 
 
 def errors_from_0(differences):
@@ -171,8 +176,11 @@ def test_fleeing_active_or_all_pursuers_is_the_same_if_all_chase():
 def test_the_picture_is_as_wide_as_a_column_and_its_text_lies_clear():
     rows = enumerate(evaders_runs.STRATEGIES)
     cells = [made(name, protocol, 0.3 * k) for k, name in rows for protocol in evaders_runs.PROTOCOLS]
+    half = share([True, False])
     sight = [
-        evaders_runs.Sighted(radius, name, 0.5, 0.3, 0.7, 9.0, 1.0, 0.0, 1.0, 5.0, 1.0, 0.0, 1.0, 0.1, 0.2, 40.0, 4.0)
+        evaders_runs.Sighted(
+            radius, name, half, *(estimate([t, t + 1.0]) for t in (9.0, 0.0, 5.0, 0.0)), 0.1, 0.2, 40.0, 4.0
+        )
         for radius in evaders_runs.RADII[:-1]
         for name in evaders_runs.ESTIMATES
     ]
