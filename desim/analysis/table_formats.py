@@ -143,7 +143,7 @@ def _latex_number(number: str) -> str:
 
 def _markdown(title: str, rows: Sequence[Sequence[str]], right_from: int) -> str:
     """Return a table as a Markdown table below its title."""
-    head, *body = ([_markdown_cell(cell) for cell in row] for row in rows)
+    head, *body = ([markdown_text(cell) or " " for cell in row] for row in rows)
     rule = ["---:" if k >= right_from else ":---" for k in range(len(head))]
     lines = [f"| {' | '.join(row)} |" for row in (head, rule, *body)]
     return "\n".join([markdown_text(title), "", *lines])
@@ -152,10 +152,6 @@ def _markdown(title: str, rows: Sequence[Sequence[str]], right_from: int) -> str
 def markdown_text(text: str) -> str:
     """Return a text such that Markdown shows it as it is."""
     return MARKDOWN.sub(r"\\\1", _line(text)).replace("+-", "±")
-
-
-def _markdown_cell(cell: str) -> str:
-    return markdown_text(cell) or " "
 
 
 def _line(text: str) -> str:

@@ -309,7 +309,9 @@ def _checked_delays(answer: Any, receivers: list[int], delays: Delays) -> dict[i
     """Return what a function of an interception has answered, all as lists; see `FaultState.intercept`."""
     try:
         checked = {
-            index(node): [real(delay, "an extra delay, in s,") for delay in (late if _is_list(late) else [late])]
+            index(node): [
+                real(delay, "an extra delay, in s,") for delay in (late if isinstance(late, list | tuple) else [late])
+            ]
             for node, late in answer.items()
         }
     except (AttributeError, TypeError, ValueError) as error:
@@ -322,7 +324,3 @@ def _checked_delays(answer: Any, receivers: list[int], delays: Delays) -> dict[i
     if strange := [node for node in checked if node not in receivers]:
         raise wrong_answer("delays(src, receivers, body) should name receivers of the message", strange[0], delays)
     return checked
-
-
-def _is_list(value: Any) -> bool:
-    return isinstance(value, list | tuple)

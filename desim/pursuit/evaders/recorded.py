@@ -37,13 +37,9 @@ Point = tuple[Coordinate, Coordinate]
 """A position [x, y], m."""
 
 
-def _form_of_node(value: Any) -> str:
-    return "name" if isinstance(value, str) else "number"
-
-
 NodeKey = Annotated[
     Annotated[Node, Tag("number")] | Annotated[Annotated[str, Field(min_length=1)], Tag("name")],
-    Discriminator(_form_of_node),
+    Discriminator(lambda value: "name" if isinstance(value, str) else "number"),
 ]
 """The number or the name of a node in a mobility file."""
 Waypoints = Sequence[tuple[float, float, float]]

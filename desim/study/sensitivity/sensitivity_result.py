@@ -87,12 +87,11 @@ class SensitivityResult(TabularResult):
             is_rest = alone.high < 1.0
             rest = "the rest is interaction among them" if is_rest else "no interaction among them is told apart from 0"
             sentences.append(f"alone the keys cause {share} % ({low} to {high} %); {rest}")
-        within = [] if self.effects is None else self.effects.within_chance()
-        apart = {key for key, total in self.total.items() if total.low > 0.0}  # indices do not count chance
-        if listed := [
-            f"{self.keys[k]} ({self._of_chance(k)})" for k in within if k in self.kept and self.keys[k] not in apart
-        ]:
-            sentences.append(f"effects not told apart from what chance alone makes: {_listed(listed)}")
+        if self.effects is not None:
+            apart = {key for key, total in self.total.items() if total.low > 0.0}  # indices do not count chance
+            within = [k for k in self.effects.within_chance() if k in self.kept and self.keys[k] not in apart]
+            if listed := [f"{self.keys[k]} ({self._effect(self.effects.of_chance[k])})" for k in within]:
+                sentences.append(f"effects not told apart from what chance alone makes: {_listed(listed)}")
         if self.runs_at_point == 1:
             sentences.append("one run at each point: chance counts as an effect of the keys; take several")
         elif not isnan(self.chance):
@@ -123,9 +122,6 @@ class SensitivityResult(TabularResult):
         order = sorted(self.kept, key=lambda k: -sizes[k].value)
         listed = [f"{self.keys[k]} ({self._effect(sizes[k].value)} over its range)" for k in order]
         return f"{metric} changes most with {_listed(listed)}"
-
-    def _of_chance(self, k: int) -> str:
-        return "" if self.effects is None else self._effect(self.effects.of_chance[k])
 
     def _effect(self, size: float) -> str:
         return f"{size:.3g} {self.unit}".rstrip()

@@ -60,7 +60,8 @@ def link_traces(scenario: Scenario) -> Figure:
         for axes, (key, trace) in zip(panels, traces.items(), strict=True):
             _draw(axes, trace)
             axes.set_title(escaped(f"{key}: {trace.name}, column {trace.value}"), fontsize=9, **as_it_is(trace.name))
-            axes.set(xlabel="time of the measurements (s)", ylabel=_y_label(trace))
+            label = next(label for kind, label in Y_LABELS.items() if isinstance(trace, kind))
+            axes.set(xlabel="time of the measurements (s)", ylabel=label)
         handles = handles_of(panels)
         columns = 5 if max(map(len, handles)) <= SHORT else 3
         figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns, fontsize=8)
@@ -75,11 +76,6 @@ def _traces(scenario: Scenario) -> Iterator[tuple[str, LinkTrace]]:
         for name in ("latency", "loss"):
             if isinstance(model := getattr(owner, name), LinkTrace) and model.is_replayed:
                 yield f"{key}.{name}", model
-
-
-def _y_label(trace: LinkTrace) -> str:
-    """Return the label of the values of a trace, or of a class that is derived from one."""
-    return next(label for kind, label in Y_LABELS.items() if isinstance(trace, kind))
 
 
 def _links(trace: LinkTrace) -> list[_Link]:
