@@ -95,10 +95,9 @@ class AgentMessages(EnvNetwork):
         for node, received in self.network.latest(self.node(agent)).items():
             row = self.row[node] if self._has_graph else node
             messages[row], ages[row] = received.body, self.network.now - received.sent
-        rows: Any = create_empty_array(self._message, len(messages))
-        return joined(
-            observation, "observation", {"messages": concatenate(self._message, messages, rows), "ages": ages}
-        )
+        heard: Any = create_empty_array(self._message, len(messages))
+        heard = concatenate(self._message, messages, heard)
+        return joined(observation, "observation", {"messages": heard, "ages": ages})
 
 
 def _in_box(message: Any, dtype: Any) -> Any:

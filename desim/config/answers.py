@@ -44,7 +44,7 @@ def value_text(value: object) -> str:
 
 
 def name_and_place(model: object) -> str:
-    """Return the name of a model, with its parameters if it is a frozen model; of a user's, also its file and line."""
+    """Return the name of a model: of a frozen model with its parameters, of a user's model with its file and line."""
     while isinstance(model, partial):
         model = model.func
     if isinstance(model, FunctionType | MethodType | type):
@@ -60,17 +60,17 @@ def _place(model: object) -> str:
     """Return the file and the line where the class or function of a user begins; "" if they are not known."""
     if isinstance(model, FunctionType | MethodType):
         code: Any = getattr(model, "__code__", None)
-        return "" if code is None or str(model.__module__).partition(".")[0] in OURS else _named(code)
-    theirs = model if isinstance(model, type) else type(model)
-    if is_ours(theirs):
+        return "" if code is None or str(model.__module__).partition(".")[0] in OURS else _place_of(code)
+    kind = model if isinstance(model, type) else type(model)
+    if is_ours(kind):
         return ""
-    methods = (getattr(getattr(value, "__func__", value), "__code__", None) for value in vars(theirs).values())
-    codes = [code for code in methods if code is not None and code.co_name in vars(theirs)]
-    return _named(min(codes, key=lambda code: code.co_firstlineno)) if codes else ""
+    methods = (getattr(getattr(value, "__func__", value), "__code__", None) for value in vars(kind).values())
+    codes = [code for code in methods if code is not None and code.co_name in vars(kind)]
+    return _place_of(min(codes, key=lambda code: code.co_firstlineno)) if codes else ""
 
 
-def _named(code: Any) -> str:
+def _place_of(code: Any) -> str:
     """Return the file, relative to the working directory if it is below it, and the line of a function."""
     file = Path(code.co_filename)
-    with_folder = file.is_absolute() and file.is_relative_to(Path.cwd())
-    return f"{os.path.relpath(file) if with_folder else file}, line {code.co_firstlineno}"
+    is_below = file.is_absolute() and file.is_relative_to(Path.cwd())
+    return f"{os.path.relpath(file) if is_below else file}, line {code.co_firstlineno}"

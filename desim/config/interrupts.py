@@ -54,7 +54,7 @@ def raising() -> Iterator[None]:
 
 @contextmanager
 def deferred() -> Iterator[None]:
-    """Raise a signal that arrives while the block runs after its end; only the first of several.
+    """Hold back the signals that arrive while the block runs, and raise the first of them at its end.
 
     A library that calls Python code may swallow the exception of a signal, or wrap it in another exception.
     """

@@ -19,7 +19,7 @@ def value_at(tables: Any, place: KeyPath) -> Any:
 
 
 def nested(node: Any, place: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
-    """Yield the place and the value of all that a table or list contains, what contains other values before these."""
+    """Yield the place and the value of everything in a table or list; a table or list comes before its content."""
     inner = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list | tuple) else ()
     for key, value in inner:
         yield (*place, key), value
@@ -27,7 +27,7 @@ def nested(node: Any, place: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
 
 
 def check_once(names: Iterable[str | None], owner: str) -> None:
-    """Raise ValueError if a name is given twice: a reader would take one of the values."""
+    """Raise ValueError if a name is given twice: of its two values, readers would take either."""
     seen = set[str | None]()
     for name in names:
         if name is not None and name in seen:

@@ -45,7 +45,7 @@ class SteppedPositions(PositionSource):
         Raises:
             ValueError: as in `begin_step`.
         """
-        array = _kept(positions)
+        array = _readable_again(positions)
         self._first, self._array = self._read(array), array
 
     def begin_step(self, end: int, positions: Any) -> None:
@@ -58,7 +58,7 @@ class SteppedPositions(PositionSource):
         Raises:
             ValueError: if the positions are not finite numbers, (n, 2).
         """
-        array = self._array if positions is None else _kept(positions)
+        array = self._array if positions is None else _readable_again(positions)
         if array is None:
             return
         last = self._read(array)
@@ -104,7 +104,7 @@ class SteppedPositions(PositionSource):
     def before_change(self, act: Callable[[], object]) -> None:
         """Register a function to call before the motion of a node changes, at the end of each step in which one moves.
 
-        A caller that decides what happens before this instant does so once a step.
+        In it, the network decides once a step what has happened before this instant.
         """
         self._before_change.append(act)
 
@@ -122,8 +122,8 @@ class SteppedPositions(PositionSource):
         if rows is not None and len(rows) == self._size and {*rows} == {*self._nodes}:  # of pandas
             positions = positions.loc[[*self._nodes]]
         elif isinstance(positions, Mapping):
-            if (missing := next((node for node in self._nodes if node not in positions), self)) is not self:
-                raise ValueError(f"positions should have a place for each node: there is none for {missing!r}")
+            if missing := [node for node in self._nodes if node not in positions]:
+                raise ValueError(f"positions should have a place for each node: there is none for {missing[0]!r}")
             positions = [positions[node] for node in self._nodes]
         view = array_of(positions)
         if view.shape != (self._size, 2) or view.dtype.kind not in "iuf":
@@ -142,6 +142,6 @@ class SteppedPositions(PositionSource):
         return copy
 
 
-def _kept(positions: Any) -> Any:
+def _readable_again(positions: Any) -> Any:
     """Return positions that can be read again at each step."""
     return [*positions] if isinstance(positions, Iterator) else positions

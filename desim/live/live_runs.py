@@ -1,14 +1,14 @@
 """Live runs from Python: one, or several one after another."""
 
 import asyncio
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from threading import Event, Thread
 from typing import Any, Literal, get_args
 
 from desim.config.arguments import naming_arguments, scenario_argument
 from desim.config.python_numbers import whole
-from desim.kernel.core.seeds import seed_of
+from desim.kernel.core.seeds import seed_list, seed_of
 from desim.live.lobby import LOCAL
 from desim.live.namespaces import Places, namespaces
 from desim.live.nursery import Nursery
@@ -76,7 +76,7 @@ def runs(
     """
     scenario_argument(Scenario).check(scenario, "run")
     check_live(scenario)
-    seeds, size = _checked_seeds(seeds), scenario.team.count
+    seeds, size = [None if seed is None else seed_of(seed) for seed in seed_list(seeds)], scenario.team.count
     if (at_once := whole(at_once, "at_once")) < 1:
         raise ValueError(f"at_once should be at least 1 (got {at_once})")
     if links not in get_args(LinkKind):
@@ -91,13 +91,6 @@ def runs(
     with _places(scenario, links, hosts) as places:
         options: Any = {"hosts": places.hosts, "namespaces": places.namespaces, "draws": links != "netem"}
         return _play([(scenario, seed) for seed in seeds], at_once, finished, tell=tell, **options)
-
-
-def _checked_seeds(seeds: Any) -> list[int | None]:
-    """Return the seeds of runs; raise ValueError if they are none."""
-    if isinstance(seeds, str | Mapping) or not isinstance(seeds, Iterable):
-        raise ValueError(f"seeds should be a list of integers (got {seeds!r})")
-    return [None if seed is None else seed_of(seed) for seed in seeds]
 
 
 def _check_hosts(hosts: Any, size: int) -> None:

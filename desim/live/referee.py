@@ -37,7 +37,7 @@ LEAD = 0.05
 LINGER = 2.0
 """Time in which the pursuers should have reported at the end, s."""
 STALL = 0.5
-"""Lateness of a timer of the referee that is told, s."""
+"""Lateness of a timer of the referee, s, above which a note of the result says that it stalled."""
 
 
 class Referee:
@@ -133,7 +133,7 @@ class Referee:
             self._show_soon()
 
     def _obey(self, pursuer: int, decided: int, action: int) -> None:
-        """Let a pursuer act as it has decided at a time, ns."""
+        """Let a pursuer act as its protocol decided at the time `decided`, ns."""
         self._obeyed[pursuer] += 1
         before = self._state.profile[pursuer]
         self._world.set_action(pursuer, action)

@@ -185,7 +185,7 @@ def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_i
         by = shlex.join(map(str, made["argv"]))
         raise ProvenanceError(f"{path}: {origin}, which desim run cannot repeat; it was made by: {by}")
     folder = home(path, made) if allow_import else path.parent
-    recorded = Source(str(path), _given(made["scenario"]), Scenario, folder=folder, allow_import=allow_import)
+    recorded = Source(str(path), _overridable(made["scenario"]), Scenario, folder=folder, allow_import=allow_import)
     for override in overrides:
         recorded.override(override)
     if not_importable := list(_not_importable(recorded.tables)):
@@ -223,7 +223,7 @@ def _errors(made: Document) -> Iterator[str]:
         yield f"seed: should equal the seed of the scenario, {json.dumps(scenario['seed'])} (got {seed})"
 
 
-def _given(scenario: Document) -> Document:
+def _overridable(scenario: Document) -> Document:
     """Return the tables of a recorded scenario, in which each key can be overridden as in a scenario file.
 
     The string "Infinity" becomes a number again. A recorded network has all values, those of its preset included.

@@ -44,6 +44,7 @@ class RestartableProcess(simpy.Process):
             try:
                 value = yield awaited
             except simpy.Interrupt as crash:
+                # The cause of the interrupt is the recovery, an event whose value is whether the robot kept its memory.
                 remembers = yield cast("simpy.Event", crash.cause)
                 if remembers:
                     missed = awaited if missed is None and awaited.processed else missed
@@ -65,10 +66,10 @@ class RestartableProcess(simpy.Process):
                 if not isinstance(awaited, simpy.Event):
                     raise wrong_answer(f"{PROCESS} should yield events such as me.sleep(0.1)", awaited, protocol)
                 if agent.id != pursuer:  # a property would make each of its many uses slower
-                    raise _other_id(agent, pursuer)
+                    raise _id_was_set(agent, pursuer)
             except StopIteration:
                 if agent.id != pursuer:
-                    raise _other_id(agent, pursuer) from None
+                    raise _id_was_set(agent, pursuer) from None
                 return
             except (Exception, SystemExit) as error:
                 error.add_note(f"(pursuer {agent.id}, at {agent.now:g} s of its clock)")
@@ -77,7 +78,7 @@ class RestartableProcess(simpy.Process):
                 raise
 
 
-def _other_id(agent: Agent, pursuer: int) -> AttributeError:
+def _id_was_set(agent: Agent, pursuer: int) -> AttributeError:
     """Give an agent its id again, and return the error of a protocol that has changed it."""
     agent.id, other = pursuer, agent.id
     return AttributeError(f"pursuer {pursuer}: the protocol has set me.id to {other!r}; the id of an agent stays")
@@ -126,4 +127,6 @@ def _start_behaviour(protocol: Behaviour, agent: Agent) -> Process:
         raise wrong_answer(why, behaviour, protocol)
     if not isinstance(behaviour, Iterator):
         raise wrong_answer(f"{PROCESS} should be a generator that yields the events it waits for", behaviour, protocol)
-    return behaviour if hasattr(behaviour, "send") else (event for event in behaviour)  # as of a list
+    return (
+        behaviour if hasattr(behaviour, "send") else (event for event in behaviour)
+    )  # an iterator of a list has no `send`

@@ -2,10 +2,10 @@
 
 import shlex
 from collections.abc import Iterable
-from typing import Any
 
 from desim.analysis.properties import Stated, judge, stated
 from desim.config.arguments import naming_arguments, scenario_argument
+from desim.kernel.core.seeds import seed_list
 from desim.scenario.properties import CANNOT_FAIL, recording
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import run
@@ -33,11 +33,7 @@ def assert_holds(scenario: Scenario, prop: Stated, seeds: Iterable[int] = range(
     if not prop.can_fail(scenario):
         raise ValueError(f"property {prop.text!r} says nothing: {CANNOT_FAIL}")
     recorded = recording(scenario, [prop])
-    numbers: Any = seeds
-    if isinstance(numbers, str) or not isinstance(numbers, Iterable):
-        raise ValueError(f"seeds should be a list of integers (got {seeds!r})")
-    seeds = [*seeds]
-    if not seeds:
+    if not (seeds := seed_list(seeds)):
         raise ValueError("assert_holds needs a seed: without a run, any property holds")
     for seed in seeds:
         verdict = judge(prop, run(recorded, seed))

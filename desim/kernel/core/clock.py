@@ -221,8 +221,8 @@ class FirstOf(simpy.Event):
 class Timer:
     """Calls a function at the earliest of the times to which it has been set, with one scheduled event at a time.
 
-    An event that an earlier time has replaced has no effect. A time later than the present one has no effect either:
-    the function that is called sets the timer anew.
+    If it is set to an earlier time than before, the event of the later time has no effect. Setting it to a later time
+    has no effect, either: the function that is called can set the timer again.
 
     Args:
         env: the clock.

@@ -5,7 +5,9 @@ the same seed therefore use common random numbers.
 """
 
 import zlib
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,17 @@ from desim.config.python_numbers import whole
 
 ROOM = 2**22
 """Maximum number of values in a cache with one value per pair of nodes; further values are computed at each use."""
+
+
+def seed_list(seeds: Any) -> list[Any]:
+    """Return seeds of any kind, such as a range, as a list.
+
+    Raises:
+        ValueError: if they are a text or a table, or one number.
+    """
+    if isinstance(seeds, str | Mapping) or not isinstance(seeds, Iterable):
+        raise ValueError(f"seeds should be a list of integers (got {seeds!r})")
+    return list(seeds)
 
 
 def seed_of(value: int) -> int:

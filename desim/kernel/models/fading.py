@@ -36,8 +36,8 @@ def nakagami_survival(m: float, ratios: Floats) -> Floats:
 def rice_survival(k: float, ratios: Floats) -> Floats:
     """Return (k,) the probability that the power exceeds its mean times each of (k,) ratios.
 
-    It is Marcum's Q_1(sqrt(2 K), sqrt(2 (K + 1) x)). Small probabilities, which are no differences from 1, are summed
-    over the Poisson distribution of a chi-squared mixture, of which all terms are positive.
+    It is Marcum's Q_1(sqrt(2 K), sqrt(2 (K + 1) x)), the tail of a Poisson mixture of chi-squared distributions. Where
+    it is small, the difference from 1 would lose its digits, so the tails of the mixture are summed instead.
     """
     from scipy.special import chndtr
 
@@ -58,7 +58,7 @@ def _rice_tail(k: float, ratios: Floats) -> Floats:
 
 @lru_cache(maxsize=16)
 def _poisson(mean: float) -> tuple[Floats, Floats]:
-    """Return (n, 1) numbers and their Poisson probabilities, without those that do not matter."""
+    """Return (n, 1) numbers, those within 9 standard deviations of the mean, and their Poisson probabilities."""
     reach = 9.0 * math.sqrt(mean) + 20.0
     numbers = range(max(math.floor(mean - reach), 0), math.ceil(mean + reach))
     weights = [math.exp(n * math.log(mean) - mean - math.lgamma(n + 1)) if mean else float(n == 0) for n in numbers]
@@ -91,8 +91,8 @@ def nakagami_powers(m: float, normals: Callable[[int], Floats]) -> Floats:
     If 2 m is an integer of at most `MAX_NORMALS`, the power is the mean of so many squares (Nakagami 1960), and its
     crossings of levels are those of Yacoub, Bautista & Guedes 1999, "On Higher Order Statistics of the Nakagami-m
     Distribution". For another m the mean of the nearest number of squares is transformed by the distribution functions
-    (Beaulieu & Cheng 2005, "Efficient Nakagami-m Fading Channel Simulation"): the distribution is exact, and fades are
-    as frequent as they are at the same quantile with the nearest m.
+    (Beaulieu & Cheng 2005, "Efficient Nakagami-m Fading Channel Simulation"): the distribution is exact, and each
+    quantile is crossed as often as that of the nearest m.
 
     Args:
         m: the shape.

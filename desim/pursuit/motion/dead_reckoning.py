@@ -6,7 +6,7 @@ that has observed the evader can therefore retrace the path of a teammate.
 
 This is exact for simple motion. A teammate with inertia follows, up to the end of the motion step, the command that it
 was given at the start of the step or as its action changed. From an announcement at any other instant, the command is
-computed anew, which is a small error.
+computed anew, with a small error.
 
 Kept equal to a path from its beginning by
 `tests/pursuit/test_dead_reckoning.py::test_an_incremental_query_equals_a_fresh_one`.
@@ -106,7 +106,8 @@ class EvaderTrack:
         """
         assert self._remembers
         chase = (start, speed, since)
-        began, origin = t, motion = self._retracings.pop(chase, (max(since, 0), start))
+        began, origin = self._retracings.pop(chase, (max(since, 0), start))
+        t, motion = began, origin
         first = bisect_right(self._starts, t) - 1
         last = bisect_left(self._starts, now)  # `now` is in the past if the chase has ended
         ends = [*self._starts[first + 1 : last], now]

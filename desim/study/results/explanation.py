@@ -179,8 +179,8 @@ class Explanation(TabularResult):
 
     def _interaction(self, metric: str, cost: Cost) -> Iterator[str]:
         """Yield the note on whether the parts of a cost interact, if the interaction is not 0 in every run."""
-        unit, number_of = f" {cost.unit}".rstrip(), len(self.costs)
-        interval = f"the {100 * cost.confidence:.4g} % interval" + f" (99 % over {number_of} metrics)" * (number_of > 1)
+        unit, metrics = f" {cost.unit}".rstrip(), len(self.costs)
+        interval = f"the {100 * cost.confidence:.4g} % interval" + f" (99 % over {metrics} metrics)" * (metrics > 1)
         interaction = cost.interaction.mean
         digits = digits_of([interaction])
         if cost.interacts:
@@ -237,7 +237,7 @@ def _network(metric: str, bounds: Bounds, unit: str) -> Iterator[str]:
 
 
 def _width(estimate: Estimate, unit: str) -> str:
-    """Return the half width of the interval of a mean as text; if all values are equal, there is none."""
+    """Return the half width of the interval of a mean as text; if all values are equal, their value instead."""
     digits = digits_of([estimate])
     if estimate.others is not None:
         return f"{estimate.mean:+.{digits}f} {unit}".rstrip() + f" in all of {counted(estimate.count, 'run')}"

@@ -1,6 +1,6 @@
 """The result of a sensitivity analysis: what decides a metric, as sentences, tables, a figure and JSON."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isnan
 from typing import TYPE_CHECKING, Any
@@ -33,7 +33,7 @@ class SensitivityResult(TabularResult):
     runs_at_point: int
     """The number of runs at each point."""
     runs: int
-    """The number of runs at all points; a point that occurs several times counts as often, and is run once."""
+    """The number of runs at all points. A point that occurs several times is run once, and counts each time."""
     effects: ElementaryEffects | None
     """The effects of all keys; None without screening."""
     kept: tuple[int, ...]
@@ -49,20 +49,15 @@ class SensitivityResult(TabularResult):
     @property
     def total(self) -> dict[str, IndexEstimate]:
         """The total index of each key that has one."""
-        return (
-            {}
-            if self.indices is None
-            else dict(zip(map(self.keys.__getitem__, self.kept), self.indices.total, strict=True))
-        )
+        return {} if self.indices is None else self._by_key(self.indices.total)
 
     @property
     def first(self) -> dict[str, IndexEstimate]:
         """The first-order index of each key that has one."""
-        return (
-            {}
-            if self.indices is None
-            else dict(zip(map(self.keys.__getitem__, self.kept), self.indices.first, strict=True))
-        )
+        return {} if self.indices is None else self._by_key(self.indices.first)
+
+    def _by_key(self, indices: Sequence[IndexEstimate]) -> dict[str, IndexEstimate]:
+        return {self.keys[k]: index for k, index in zip(self.kept, indices, strict=True)}
 
     @property
     def chance(self) -> float:

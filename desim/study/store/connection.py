@@ -23,7 +23,7 @@ def address_of(path: Path, read_only: bool, network: str = "") -> str:
     or -journal) has content, the file is therefore opened read-only instead.
 
     On a network file system, a reader never writes: without locks, it could take the journal of a living writer on
-    another host for that of a dead one, and undo it. There, a file that can be locked by nobody is not locked.
+    another host for that of a dead one, and undo it. Where the file system has no locks, SQLite opens the file without.
 
     Args:
         path: the path of the file.
@@ -104,7 +104,7 @@ def use_write_ahead_log(database: sqlite3.Connection) -> str:
 def use_rollback_journal(path: Path | None, network: str = "") -> None:
     """Give a file a rollback journal; with an exclusive lock on the file, SQLite needs no shared memory for this.
 
-    What a process that died has left in the journal is undone, or taken over from a write-ahead log.
+    What a process that died has left in a rollback journal is undone; what it has left in a write-ahead log is kept.
     """
     database = connected(path, network=network)
     try:
