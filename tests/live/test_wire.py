@@ -20,7 +20,7 @@ from desim.kernel.state.inbox import Message
 from desim.kernel.transport.frames import SKIP_SIZE, Acknowledgement, CodedPiece, Segment, Skip, acknowledgement_size
 from desim.kernel.transport.layer import PORT as FRAMES
 from desim.live import wire as wire_module
-from desim.live.layouts import WireError
+from desim.live.layouts import WireError, _form_of
 from desim.live.own_bodies import OwnBodies
 from desim.live.wire import ADMITTED, ANNOUNCED, BODIES, PORTS, Wire, datagram_number
 from desim.pursuit.team import announcements
@@ -456,3 +456,82 @@ def test_more_nodes_than_a_header_can_name_are_refused():
 def test_a_number_that_its_layout_cannot_hold_is_refused_when_it_is_sent(wire, body):
     with pytest.raises(WireError, match=f"{type(body).__name__} .* cannot be sent: "):
         wire.encode(Message(4, 123_456, body), port_of(body), size_of(body), to_one=True)
+
+
+FORWARDED = Forwarded((record(Assignment(1)),), 3)
+UNSENT = {
+    "a node without its memory": (
+        Message(4, 77, Segment(ANNOUNCEMENTS, True, 1, 3, 3, 1, Assignment(1))),
+        FRAMES,
+        32,
+        "a node that has lost its memory cannot number its messages anew live",
+    ),
+    "too few bytes": (record(Assignment(1)), "", 23, "Assignment counts 23 bytes, and has 24"),
+    "too many bytes": (record(Assignment(1)), "", 25, "Assignment counts 25 bytes, and has 24"),
+    **{
+        f"a record of another {what}": (
+            Message(4, 77, Segment(ANNOUNCEMENTS, True, 0, 3, 3, 1, Forwarded((other,)))),
+            FRAMES,
+            32,
+            "a record whose number or time is not that of its message cannot be sent live",
+        )
+        for what, other in {
+            "source": Record(3, 3, 77, Assignment(1)),
+            "number": Record(4, 2, 77, Assignment(1)),
+            "time": Record(4, 3, 78, Assignment(1)),
+        }.items()
+    },
+}
+
+
+@pytest.mark.parametrize(("content", "port", "size", "why"), UNSENT.values(), ids=UNSENT)
+def test_what_cannot_be_a_datagram_is_refused_with_a_reason(wire, content, port, size, why):
+    with pytest.raises(WireError, match=f"^{why}$"):
+        wire.encode(content, port, size, to_one=False)
+
+
+WRONG_RECORDS = {
+    "of a node that does not exist": lambda head: bytes([head[0] | 0x7F, head[1] | 0xC0]) + head[2:],
+    "without a body": lambda head: head[:2] + bytes([head[2] & ~0x1F | 0x1F]) + head[3:],
+    "of records": lambda head: head[:2] + bytes([head[2] & ~0x1F | BODIES.index(Forwarded)]) + head[3:],
+}
+
+
+@pytest.mark.parametrize("change", WRONG_RECORDS.values(), ids=WRONG_RECORDS)
+def test_a_wrong_record_within_a_datagram_is_malformed(wire, change):
+    datagram = wire.encode(Message(4, 77, FORWARDED), ANNOUNCEMENTS, size_of(FORWARDED), to_one=False)
+    begin = len(datagram) - 24
+    assert wire.decode(datagram).content.body == FORWARDED
+    with pytest.raises(WireError, match=r"(not a record|a record within a record)$"):
+        wire.decode(datagram[:begin] + change(datagram[begin:]))
+
+
+def test_an_announcement_of_a_class_of_a_user_arrives_as_a_record():
+    pytest.importorskip("msgspec")
+    wire = Wire(NODES, EVADERS, OwnBodies(protocol))
+    sent = record(Plan(1, ((0.5, 1.0),), "x"))
+    parcel = wire.decode(wire.encode(sent, "", 60, to_one=False))
+    assert (parcel.content, parcel.src, parcel.port) == (sent, 1, "")
+
+
+def test_the_oldest_answers_about_the_time_are_forgotten(monkeypatch):
+    monkeypatch.setattr(wire_module, "MAX_ANSWERED", 2)
+    asking, answering = (Wire(NODES, EVADERS, OwnBodies(None)) for _ in range(2))
+    for number in (6, 7, 8):
+        answering.answered[number] = 100 + number
+        asking.decode(answering.encode(Message(0, 5, TimeAnswer(number, 9)), wire_module.CLOCKS, SIZE, to_one=True))
+    assert asking.answered == {7: 107, 8: 108}
+
+
+def test_without_msgspec_a_body_of_a_user_is_malformed_where_it_arrives(monkeypatch):
+    pytest.importorskip("msgspec")
+    data = OwnBodies(protocol).pack("x", Plan(1, ()))
+    monkeypatch.setitem(__import__("sys").modules, "msgspec", None)
+    with pytest.raises(ValueError, match=r"^a body of a user, without msgspec$"):
+        OwnBodies(protocol).unpack(data)
+
+
+@pytest.mark.parametrize("hint", [complex, list[int], dict[str, int], tuple])
+def test_a_field_without_a_form_has_no_layout(hint):
+    with pytest.raises(TypeError, match=r"^no layout for "):
+        _form_of(hint, None)
