@@ -55,6 +55,17 @@ def test_a_key_of_the_grid_is_completed():
     assert completed("sweep", "f.toml", "-g", "network.ran") == ["network.range=", "network.range_check="]
 
 
+@pytest.mark.slow
+def test_each_kind_is_completed_with_the_key_that_takes_it():
+    """A fault is one of a list, so its kind is that of the first."""
+    words = completion.all_completions()
+    assert words == sorted(set(words))
+    assert {"fault=", "fault.0.kind=crash", "network.loss.kind=bernoulli", "protocol.kind=sap"} <= set(words)
+    keyed = [word for word in words if not word.endswith("=")]
+    assert not any(word.startswith("fault.kind=") for word in keyed)
+    assert {word.partition(".kind=")[0] for word in keyed} - {"fault.0"} <= {word.removesuffix("=") for word in words}
+
+
 def test_the_kinds_of_protocols_are_completed():
     assert completed("protocols", "s") == ["sap", "selective_sap", "server"]
     assert completed("protocols", "") == sorted(PROTOCOLS.choices())

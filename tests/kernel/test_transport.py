@@ -444,9 +444,10 @@ def delivered(t, seq, created=0, **changes):
 )
 def test_a_delivery_that_breaks_a_promise_is_noticed(events, wrong):
     watch = DeliveredOnce(["port"])
-    with nullcontext() if wrong is None else pytest.raises(AssertionError, match=wrong):
+    with nullcontext() if wrong is None else pytest.raises(AssertionError, match=wrong) as failure:
         for event in events:
             watch(event)
+    assert wrong is None or str(failure.value).endswith(f": {events[-1]}")
 
 
 # Theory.

@@ -43,6 +43,7 @@ from desim.study.breaking.copies import ReadingTime, copies, looks, readings
 from desim.study.breaking.features import FEATURES, applied, drawn
 from desim.study.breaking.found import case_text, command_for, protocols_text, scenario_text, search_text
 from desim.study.breaking.judging import JudgementError, failure_of
+from desim.study.breaking.losses import hides_old_news
 from desim.study.breaking.search import Search, Violation, _Cases
 from desim.study.breaking.shrinking import Tried, _simplifications, shrunk
 from desim.study.breaking.sightings import SIGHTINGS, seen_in
@@ -730,3 +731,28 @@ def test_a_run_fails_by_its_exception_or_its_limit(outcome, timeout, told):
 def test_what_is_no_failure_of_a_run_ends_the_search(error):
     with pytest.raises(type(error)):
         failure_of(Outcome("error", error=error), None)
+
+
+class Theirs(type(SMALL.protocol)):
+    """A protocol of a user, which may read whenever it wants."""
+
+
+NEWS = {
+    "a protocol of a user": {"protocol": Theirs()},
+    "a protocol that is a function": {"protocol": lambda me: iter(())},
+    "records that are forwarded": {"announce.dissemination": "flooding"},
+    "judges": {"announce.trust": "plausible"},
+    "order": {"network.order": "fifo"},
+    "an evader that overhears": {"evader.strategy": "listener"},
+}
+
+
+@pytest.mark.parametrize("name", NEWS)
+def test_old_news_that_nobody_reads_may_matter(name):
+    prop = property_of(IDLE)
+    assert hides_old_news(SMALL, prop)
+    assert not hides_old_news(SMALL.with_(NEWS[name]), prop)
+
+
+def test_old_news_matters_for_a_property_about_messages():
+    assert not hides_old_news(SMALL, property_of("age at most 3 in total"))

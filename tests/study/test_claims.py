@@ -91,6 +91,15 @@ def test_a_lot_that_another_worker_ends_while_it_is_claimed_is_released(tmp_path
     assert not (claims.folder / "0.claim").exists()
 
 
+def test_a_lot_that_is_not_ended_is_got_once_by_each_worker(tmp_path):
+    claims, taken = Claims(tmp_path, plan()), []
+    for number, lock in claims:
+        taken.append(number)
+        lock.release()
+    assert taken == list(range(len(claims.lots)))
+    assert (claims.held(), claims.done()) == ([], [])
+
+
 @pytest.mark.slow
 def test_two_workers_have_the_runs_of_one_sweep_together(tmp_path):
     """The first ends after three lots, as one that is killed."""

@@ -144,3 +144,11 @@ def test_a_table_of_runs_needs_less_than_half_a_kilobyte_each():
     columns = [table.column(name) for name in METRICS]
     held = sum(each._numbers.buffer_info()[1] * 8 + len(each._kinds) for each in columns)
     assert held < 500 * len(table)
+
+
+def test_a_part_of_a_table_is_the_list_of_its_rows():
+    rows = [Row(k, k, "ok", Summary({"energy": 1.0 * k})) for k in range(3)]
+    rows.insert(1, Row(7, 7, "error", None, "trace"))
+    table = RunTable(rows)
+    for part in (slice(None), slice(1, 3), slice(None, None, -1), slice(5, 9)):
+        assert table[part] == rows[part]

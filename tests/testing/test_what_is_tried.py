@@ -6,6 +6,7 @@ A situation that is left out, or is another one, lets a wrong model pass; the te
 import re
 from contextlib import contextmanager
 
+import numpy as np
 import pytest
 
 from desim.kernel.models.faults import Crash
@@ -158,4 +159,6 @@ def test_a_strategy_is_asked_about_each_number_of_pursuers_heading_and_handover(
         for handover in (False, True)
     }
     assert all(len(state.speeds) == len(state.active) == len(state.pursuers) for state in seen)
+    everywhere = np.concatenate([state.pursuers for state in seen])
+    assert np.corrcoef(everywhere.real, everywhere.imag)[0, 1] < 0.9
     assert {(state.stamp, state.speed, state.radius) for state in seen} == {(300_000_000, 0.9, 0.1)}

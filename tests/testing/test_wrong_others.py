@@ -1,15 +1,19 @@
 """Wrong faults, trusts, flows and exporters: each is told what is wrong with it."""
 
 import random
+import re
 from math import nan
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 import pytest
 
+import desim.testing
 from desim import Crash, Fault, Scenario
 from desim.config.model import Value
 from desim.kernel.core.units import SECOND
+from desim.kernel.models.latency_by_link import LATENCIES
 from desim.pursuit.motion.flow import SteadyFlow, UniformFlow
 from desim.pursuit.team.judges import Judge
 from desim.testing import (
@@ -26,7 +30,9 @@ from desim.testing import (
     check_trust,
     watched,
 )
+from desim.testing.judging import subject
 from tests.command import JARGON
+from tests.golden import golden
 
 
 def a_kind(base, **methods):
@@ -241,3 +247,34 @@ def test_a_wrong_call_of_a_check_says_what_to_write_and_blames_no_model(call, ki
         call()
     assert not JARGON.search(str(refused.value))
     assert "Input tag" not in str(refused.value)
+
+
+class NeedsMore:
+    """A class whose objects need a parameter."""
+
+    def __init__(self, parameter):
+        self.parameter = parameter
+
+
+NO_MODELS = {"a number": -1, "a text": "nope", "a class with parameters": NeedsMore, "an object": object()}
+CHECKS = [getattr(desim.testing, name) for name in desim.testing.__all__ if name.startswith("check_")]
+
+
+def test_what_each_check_says_of_what_is_no_model_is_golden():
+    parts = {}
+    for check in CHECKS:
+        lines = []
+        for what, model in NO_MODELS.items():
+            with pytest.raises((ContractError, TypeError, ValueError)) as refused:
+                check(model)
+            text = re.sub(r" at 0x[0-9a-f]+", "", str(refused.value))
+            lines.append(f"{what}: {type(refused.value).__name__}: {text.replace(str(Path.cwd()), 'FOLDER')}")
+        parts[check.__name__] = "\n".join(lines)
+    assert len(parts) == 11
+    golden("checks/no_models.txt", parts)
+
+
+def test_a_model_is_found_by_its_name_in_the_working_directory(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "theirs.py").write_text("def late(context, rng):\n    return [0.1] * len(context.dst)\n")
+    assert subject("theirs:late", LATENCIES, "latency").model.__name__ == "late"

@@ -46,7 +46,7 @@ from desim.view.pages.headline import conditions
 from desim.view.pages.replay import missing_recordings, replay, replay_page, size_warning, with_recordings
 from desim.view.pages.replay_columns import DIFFERENCES, MAX_REPLAY_TIME, RUNS, Ticks, packed_column
 from desim.view.pages.replay_data import replay_data
-from desim.view.pages.replay_plane import FLOW_MARGIN, FLOW_TIMES, all_places, flow_data
+from desim.view.pages.replay_plane import FLOW_MARGIN, FLOW_POINTS, FLOW_TIMES, all_places, flow_data
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson
 from tests.golden import golden
@@ -248,6 +248,7 @@ def test_the_flow_is_that_at_the_points_of_the_grid():
             1j * (low + edge * np.arange(velocities.shape[1])), left + edge * np.arange(shown["columns"])
         )
         assert (grid[-1, -1].real, grid[-1, -1].imag) >= tuple(places.max(axis=(0, 1)))
+        assert edge * FLOW_POINTS == pytest.approx((np.ptp(places, axis=(0, 1)) + 2.0 * FLOW_MARGIN).max())
         for t, shown_then in zip(shown["t"], velocities, strict=True):
             wanted = flow(grid.ravel(), t / SECOND).reshape(grid.shape) + np.zeros(grid.shape)
             assert shown_then @ [1.0, 1j] == pytest.approx(wanted, abs=1e-6)
