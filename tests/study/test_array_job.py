@@ -10,6 +10,7 @@ import pytest
 
 from desim.study.sweeps import array_job
 from desim.study.sweeps.array_job import ArrayJob, _ranges
+from desim.study.sweeps.status import SweepStatus
 from tests.command import accepted, refused
 from tests.study import slurm
 from tests.study.sweeps import count, rows
@@ -177,3 +178,20 @@ def test_a_sweep_that_slurm_performs_in_parts_is_the_serial_sweep(tmp_path, monk
         slurm.wait_for(lambda: count(tmp_path / "out/claimed/sweep.sqlite") == 24, tmp_path / "slurm", 600.0)
     accepted("sweep", *words[:-2], "-o", "serial")
     assert rows(tmp_path / "serial" / "sweep.sqlite") == rows(merged) == rows(tmp_path / "out/claimed/sweep.sqlite")
+
+
+def test_a_slurm_that_does_not_answer_is_told(monkeypatch):
+    def run(words, **options):
+        assert options == {"capture_output": True, "text": True, "timeout": array_job.SLURM_TIMEOUT, "check": False}
+        raise subprocess.TimeoutExpired(words, 1.0)
+
+    monkeypatch.setattr(array_job.subprocess, "run", run)
+    with pytest.raises(
+        array_job.SlurmError, match=rf"^squeue: Slurm does not answer within {array_job.SLURM_TIMEOUT:g} s$"
+    ):
+        array_job.slurm("squeue")
+
+
+@pytest.mark.parametrize(("planned", "done", "ended"), [(None, 3, False), (4, 3, False), (3, 3, True), (3, 4, True)])
+def test_a_sweep_has_ended_with_all_its_planned_runs(planned, done, ended):
+    assert SweepStatus("name", planned, done, 0, ()).is_complete is ended

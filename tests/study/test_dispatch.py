@@ -353,3 +353,34 @@ def test_only_a_memory_error_without_a_text_gets_one():
     ):
         dispatch._explain(error)
         assert error.args == args
+
+
+@pytest.mark.parametrize("error", [ConnectionError("gone"), ValueError("no way")])
+def test_a_run_alone_that_fails_is_an_outcome_unless_the_workers_are_gone(error):
+    class Failing(InProcess):
+        def result(self, future):
+            raise error
+
+    workers = Failing()
+    if isinstance(error, ConnectionError):
+        with pytest.raises(ConnectionError, match="gone"):
+            dispatch._run_alone(0, lambda _: workers.submit(partial(int)), workers)
+    else:
+        outcome = dispatch._run_alone(0, lambda _: workers.submit(partial(int)), workers)
+        assert (outcome.status, outcome.error, outcome.traceback) == ("error", error, "ValueError: no way\n")
+
+
+def test_workers_that_are_gone_end_all_runs():
+    class Gone(InProcess):
+        stopped = False
+
+        def result(self, future):
+            raise ConnectionError("gone")
+
+        def stop(self):
+            self.stopped = True
+
+    workers = Gone()
+    with pytest.raises(ConnectionError, match="gone"):
+        list(drive([(None, 0), (None, 1)], workers))
+    assert workers.stopped

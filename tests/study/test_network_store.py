@@ -1,13 +1,16 @@
 """Stores on network file systems: a fake table of mounts, other hosts, and writers that are killed."""
 
+import fcntl
 import json
 import os
+import sqlite3
 import subprocess
 import sys
 import threading
 import time
 import warnings
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import pytest
 
@@ -423,3 +426,59 @@ def test_hosts_whose_file_locks_are_not_seen_by_the_others_take_turns(tmp_path):
     locked, alone = of_hosts("rivals", tmp_path, 15).splitlines()
     assert locked == "0 failed; all there"
     assert "damaged" in alone
+
+
+@pytest.mark.parametrize(
+    ("error", "runs"),
+    [(None, True), (ProcessLookupError(), False), (OverflowError(), False), (PermissionError(), True)],
+)
+def test_a_process_runs_unless_the_system_does_not_know_it(error, runs, monkeypatch):
+    """Where there is no /proc, as on macOS; a process of another user may not be asked."""
+
+    def kill(pid, number):
+        assert (pid, number) == (7, 0)
+        if error:
+            raise error
+
+    monkeypatch.setattr(lock_file, "Path", lambda _: tmp)
+    monkeypatch.setattr(lock_file.os, "kill", kill)
+    tmp = SimpleNamespace(read_text=lambda: (_ for _ in ()).throw(FileNotFoundError()))
+    assert lock_file._runs(7) is runs
+    monkeypatch.setattr(lock_file.os, "name", "nt")
+    assert lock_file._runs(7)
+
+
+@pytest.mark.parametrize(("state", "runs"), [("S", True), ("R", True), ("Z", False), ("X", False)])
+def test_a_process_that_has_ended_and_was_not_asked_for_does_not_run(state, runs, monkeypatch):
+    monkeypatch.setattr(lock_file, "Path", lambda _: SimpleNamespace(read_text=lambda: f"7 (a ) S) {state} 1 2"))
+    assert lock_file._runs(7) is runs
+
+
+def test_a_folder_that_cannot_be_probed_counts_as_one_with_locks(tmp_path, monkeypatch):
+    assert file_systems.has_locks(tmp_path)
+    assert file_systems.has_locks(tmp_path / "missing")
+    probed = []
+    make = file_systems.tempfile.TemporaryFile
+    monkeypatch.setattr(file_systems.tempfile, "TemporaryFile", lambda **named: probed.append(named) or make(**named))
+    monkeypatch.setattr(file_systems, "_locks", lambda lock: probed.append(lock.args[1:]))
+    assert not file_systems.has_locks(tmp_path)
+    assert probed == [{"dir": tmp_path}, (fcntl.LOCK_EX | fcntl.LOCK_NB,)]
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    assert file_systems.has_locks(tmp_path)
+
+
+def test_a_database_that_refuses_the_first_command_is_closed(monkeypatch):
+    class Database:
+        is_closed = False
+
+        def execute(self, _):
+            raise sqlite3.OperationalError("no way")
+
+        def close(self):
+            self.is_closed = True
+
+    made = Database()
+    monkeypatch.setattr(connection.sqlite3, "connect", lambda *_, **__: made)
+    with pytest.raises(sqlite3.OperationalError, match="no way"):
+        connection.connected(None)
+    assert made.is_closed

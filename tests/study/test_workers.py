@@ -9,10 +9,11 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
+from types import SimpleNamespace
 
 import cloudpickle
 import pytest
@@ -357,3 +358,159 @@ def test_ctrl_c_waits_until_workers_have_started_whichever_thread_receives_it():
 def test_where_the_number_of_cores_is_unknown_there_is_one_worker(monkeypatch):
     monkeypatch.setattr("os.cpu_count", lambda: None)
     assert places.Workers(object()).count == 1
+
+
+# A cluster, and processes, without a process.
+
+
+class Client:
+    """A client of a scheduler without one; `fails` has what its calls raise."""
+
+    def __init__(self, fails=None, cores=(2, 3)):
+        self.fails, self.cores, self.calls, self.is_closed = fails or {}, cores, [], False
+
+    def __call__(self, address, **options):
+        self.calls.append(("Client", address, options))
+        if "Client" in self.fails:
+            raise self.fails["Client"]
+        return self
+
+    def wait_for_workers(self, count, timeout):
+        self.calls.append(("wait", count, timeout))
+        if "wait" in self.fails:
+            raise self.fails["wait"]
+
+    def get_executor(self, **options):
+        self.calls.append(("executor", options))
+        return ThreadPoolExecutor(1)
+
+    def nthreads(self):
+        return dict(enumerate(self.cores))
+
+    def close(self):
+        self.is_closed = True
+
+
+@pytest.fixture
+def client(monkeypatch):
+    """Return the client that clusters have."""
+    made = Client()
+    monkeypatch.setitem(sys.modules, "distributed", SimpleNamespace(Client=made))
+    return made
+
+
+def test_a_cluster_asks_its_scheduler_and_has_the_threads_of_all_workers(client):
+    with places.Cluster("tcp://h:1", 0.5) as cluster:
+        assert (cluster.count, cluster.max_pending) == (5, 10)
+        future = cluster.submit(partial(abs, -3))
+        assert cluster.done([future]) == {future}
+        assert cluster.result(future) == 3
+        cluster.renew()
+        assert not client.is_closed
+    assert client.is_closed
+    assert client.calls == [
+        ("Client", "tcp://h:1", {"timeout": 0.5, "set_as_default": False}),
+        ("wait", 1, 0.5),
+        ("executor", {"pure": False}),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "told"),
+    [
+        ("Client", OSError("no way"), "tcp://h:1: no scheduler answers within 0.5 s (no way)"),
+        ("Client", TimeoutError(), "tcp://h:1: no scheduler answers within 0.5 s"),
+        ("Client", ValueError("scheme"), "tcp://h:1: no scheduler answers within 0.5 s (scheme)"),
+        ("wait", TimeoutError(), "tcp://h:1: has no workers within 0.5 s"),
+    ],
+)
+def test_a_cluster_that_cannot_be_used_is_told_and_left(call, error, told, client):
+    client.fails[call] = error
+    with pytest.raises(ConnectionError) as failed:
+        places.Cluster("tcp://h:1", 0.5)
+    assert str(failed.value) == told
+    assert client.is_closed == (call == "wait")
+
+
+def test_calls_that_no_worker_can_end_are_told(client):
+    with places.Cluster("tcp://h:1", 0.01) as cluster:
+        client.fails["wait"] = TimeoutError()
+        with pytest.raises(ConnectionError, match=r"^tcp://h:1: has no workers within 0\.01 s$"):
+            cluster.done([Future()])
+
+
+def test_a_call_that_is_cancelled_is_a_lost_connection(client):
+    with places.Cluster("tcp://h:1", 0.5) as cluster:
+        future = Future()
+        future.cancel()
+        with pytest.raises(ConnectionError, match=r"^tcp://h:1: disconnected before the runs were done$"):
+            cluster.result(future)
+
+
+def test_a_call_that_cannot_be_sent_fails_as_one_that_raises():
+    with ThreadPoolExecutor(1) as executor:
+        future = places.Workers(executor).submit(partial(abs, threading.Lock()))
+    assert isinstance(future.exception(), TypeError)
+
+
+def test_a_call_in_this_process_that_raises_has_failed():
+    future = InProcess().submit(partial(int, "x"))
+    assert isinstance(future.exception(), ValueError)
+
+
+def test_an_executor_of_a_user_is_not_replaced():
+    with pytest.raises(BrokenExecutor, match="a worker died, so theirs accepts no more calls: pass a number"):
+        places.Workers(ThreadPoolExecutor(1), 1, "theirs").renew()
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_processes_are_made_anew_as_they_were(kept, monkeypatch):
+    made = []
+    monkeypatch.setattr(places, "_pool", lambda count, *, kept: made.append((count, kept)) or len(made))
+    workers = Processes(3, kept=kept)
+    workers.renew()
+    assert made == [(3, kept)] * 2
+    assert workers.executor == 2
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_pool_imports_nothing_from_the_working_folder_and_knows_its_driver(kept, monkeypatch):
+    import loky
+
+    made = []
+    for name in ("ProcessPoolExecutor", "get_reusable_executor"):
+        monkeypatch.setattr(loky, name, lambda name=name, **options: made.append((name, options)))
+    places._pool(3, kept=kept)
+    options = {"max_workers": 3, "initializer": places._init_worker, "initargs": (os.getpid(),)}
+    assert made == [
+        ("ProcessPoolExecutor" if kept else "get_reusable_executor", options | {"env": places.NO_CWD_IMPORT})
+    ]
+
+
+def test_a_worker_ignores_signals_and_ends_with_its_driver(monkeypatch):
+    ignored, parents, ends = [], iter([7, 7, 1]), []
+    monkeypatch.setattr(places.signal, "signal", lambda *words: ignored.append(words))
+    monkeypatch.setattr(places.os, "getppid", lambda: next(parents))
+    monkeypatch.setattr(places.os, "_exit", ends.append)
+    monkeypatch.setattr(places, "WATCH", 0.0)
+    threads = []
+    monkeypatch.setattr(
+        places.threading, "Thread", lambda **options: threads.append(options) or SimpleNamespace(start=list)
+    )
+    places._init_worker(7)
+    assert ignored == [(number, signal.SIG_IGN) for number in places.SIGNALS]
+    options, was_started = threads
+    assert was_started == "started"
+    assert options["daemon"] is True
+    options["target"]()
+    assert ends == [1]
+
+
+def test_signals_are_blocked_where_the_system_can_and_until_processes_have_started(monkeypatch):
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    with places._block_signals():
+        assert signal.pthread_sigmask(signal.SIG_BLOCK, []) >= set(places.SIGNALS)
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == before
+    monkeypatch.delattr(signal, "pthread_sigmask")
+    with places._block_signals():
+        pass
