@@ -494,9 +494,8 @@ def test_a_worker_ignores_signals_and_ends_with_its_driver(monkeypatch):
     monkeypatch.setattr(places.os, "_exit", ends.append)
     monkeypatch.setattr(places, "WATCH", 0.0)
     threads = []
-    monkeypatch.setattr(
-        places.threading, "Thread", lambda **options: threads.append(options) or SimpleNamespace(start=list)
-    )
+    thread = SimpleNamespace(start=lambda: threads.append("started"))
+    monkeypatch.setattr(places.threading, "Thread", lambda **options: threads.append(options) or thread)
     places._init_worker(7)
     assert ignored == [(number, signal.SIG_IGN) for number in places.SIGNALS]
     options, was_started = threads
