@@ -1,0 +1,184 @@
+"""Branches that runs seldom reach, asked for directly: of each an expression and its value, or what it refuses."""
+
+import pickle
+from dataclasses import replace
+from io import BytesIO
+from math import inf, isnan
+from queue import SimpleQueue
+
+import numpy as np
+import pytest
+
+import desim
+from desim import Crash, Fault, Scenario
+from desim.analysis.control_variates import ControlledEstimate
+from desim.analysis.drawing.plots import in_style
+from desim.analysis.metrics import Summary
+from desim.analysis.properties import margin
+from desim.analysis.statistics import differences, mean
+from desim.config.copier import Describer
+from desim.config.errors import KeyedError, NoMetricError, Problem
+from desim.config.json_numbers import to_json
+from desim.kernel.core.link_context import LinkContext
+from desim.kernel.core.units import SECOND
+from desim.kernel.models.interference import unknown_channel
+from desim.kernel.models.link_draws import as_booleans
+from desim.kernel.models.reception import Disk
+from desim.kernel.state.inbox import Message
+from desim.kernel.topology.correlated_channel import unknown_fading
+from desim.kernel.transport.frames import CodedPiece
+from desim.kernel.transport.receiver import REMEMBERED, CodedReceiver
+from desim.pursuit.byzantine.lies import Liar, draw_lies
+from desim.pursuit.mobility.bonnmotion_file import _increase
+from desim.pursuit.motion.environment import Environment
+from desim.pursuit.motion.flow import NoFlow, RecordedFlow
+from desim.pursuit.motion.turning import shortest_path
+from desim.pursuit.paths.space import PLANE
+from desim.pursuit.team.targeted_faults import NewsFault
+from desim.scenario.assumptions import times_known
+from desim.simulation.restartable import _start_behaviour
+from desim.study.comparing.scores import Ratio
+from desim.study.results.explanation import Explanation
+from desim.study.store.file import view_of
+from desim.study.sweeps.sweep_plan import SweepPlan
+from desim.view.formats.trace_table import _is_event
+from protocols.schedules.synchronous import Synchronous
+
+SHORT = Scenario(horizon=0.01, team={"count": 2})
+CONTEXT = {"src": 0, "dst": np.array([1, 2]), "now": 0.0}
+
+
+class Mine(Fault):
+    """A fault of a user without parameters."""
+
+    kind: str = "mine"
+
+
+class Lying(Liar):
+    """A lie whose plan has something else."""
+
+    def __call__(self, size, horizon, rng):
+        """Return a crash."""
+        return [Crash(node=0, start=0.1)]
+
+
+class Infinity(float):
+    """A float of a class of its own."""
+
+
+async def coroutine(_):
+    """A behaviour that awaits."""
+
+
+def raising(act):
+    """Return the type and the text of what a call raises."""
+    with pytest.raises(Exception, match=r".") as raised:
+        act()
+    return type(raised.value).__name__, str(raised.value)
+
+
+VALUES = {
+    "distances that are known": lambda: (
+        LinkContext(**CONTEXT, known_distances=np.array([2.0, 3.0])).distances.tolist(),
+        [2.0, 3.0],
+    ),
+    "the border of a disk": lambda: (
+        Disk().received(np.array([1.0, 2.0, 2.1]), 2.0, None).tolist(),
+        [True, True, False],
+    ),
+    "random parameters of a fault without any": lambda: (Mine.random_parameters(None), {}),
+    "the pursuer of a lie": lambda: (Liar(node=1, start=0.0).named(), {"node": [1]}),
+    "when a message was sent": lambda: (Message(0, 3 * SECOND // 2, None).sent, 1.5),
+    "no flow": lambda: ((Environment().drift(1j, 1j, 0, 1.0), NoFlow().trend(0.0)), (0j, (0j, 0.0))),
+    "straight ahead": lambda: (shortest_path(3.0 + 0j, 1.0), (3.0, 1.0)),
+    "nearly straight ahead": lambda: (shortest_path(complex(3.0, -1e-17), 1.0)[0], 3.0),
+    "a leg in the plane": lambda: (PLANE.leg(1 + 1j, 4 + 5j, 1.0), (3 + 4j, True)),
+    "texts that are no times": lambda: (_increase(["a", "b"]), True),
+    "late news": lambda: (NewsFault(start=0.0, delay=0.5).label, "news late"),
+    "lost news": lambda: (NewsFault(start=0.0).label, "news lost"),
+    "a schedule of all": lambda: (Synchronous().for_all(), Synchronous()),
+    "an estimate without an error": lambda: (
+        ControlledEstimate(1.0, 0.0, 5, mean([1.0, 2.0, 3.0]), 0.5, 0.1, 3, 2.0).worth,
+        inf,
+    ),
+    "no pairs": lambda: (differences(np.array([]), np.array([])).tolist(), []),
+    "infinity of another class": lambda: (
+        to_json([Infinity("inf"), Infinity(1.5), Infinity("-inf")]),
+        ["Infinity", 1.5, "-Infinity"],
+    ),
+    "the first of several keys": lambda: (KeyedError(Problem("a", "first"), Problem("b", "second")).key, "first"),
+    "an error that was sent": lambda: (
+        (error := pickle.loads(pickle.dumps(NoMetricError("heat", "no heat"))))
+        and (type(error), error.name, str(error)),
+        (NoMetricError, "heat", "no heat"),
+    ),
+    "a queue that cannot be read": lambda: (Describer(BytesIO()).reducer_override(SimpleQueue()), (int, (0,))),
+    "a ratio to nothing": lambda: (isnan(Ratio.of(np.ones(3), np.zeros(3)).value), True),
+}
+
+
+@pytest.mark.parametrize("name", VALUES)
+def test_a_branch_that_is_seldom_reached_has_this_value(name):
+    value, wanted = VALUES[name]()
+    assert value == wanted
+
+
+def test_a_piece_that_is_too_old_is_dropped():
+    receiver = CodedReceiver(0, 1)
+    pieces = [CodedPiece("port", True, 0, seq, 1, "body") for seq in (500, 500 - REMEMBERED, 501 - REMEMBERED)]
+    assert [len(list(receiver.receive(0, 7, piece))) for piece in pieces] == [1, 0, 1]
+
+
+REFUSED = {
+    "losses that are numbers": (lambda: as_booleans([1, 0], desim.Bernoulli()), "losses should be booleans"),
+    "an overlap without channels": (lambda: unknown_channel(None), "shadowing needs the states of the channels"),
+    "a fading without processes": (lambda: unknown_fading(3), "the fading has no processes unless network.fading"),
+    "lies that are none": (
+        lambda: draw_lies([Lying(node=0, start=0.0)], 2, 1.0, 1),
+        "a plan of lies should return or yield Byzantine faults",
+    ),
+    "velocities out of order": (
+        lambda: RecordedFlow(velocities=[(1.0, 0.0, 0.0), (1.0, 1.0, 0.0)]),
+        "the times of velocities should increase; after 1 s comes 1 s",
+    ),
+    "a behaviour that awaits": (lambda: _start_behaviour(coroutine, None), "should have `def` and `yield` in place of"),
+    "an unknown property": (
+        lambda: margin(desim.run(SHORT, 1), "nope"),
+        "the scenario has no property 'nope'; it has none",
+    ),
+    "a metric of before": (
+        lambda: Summary({}).energy,
+        "the run has no 'energy': it was stored before this metric existed",
+    ),
+    "an explanation of nothing": (
+        lambda: Explanation.of({"name": "a", "runs": 1, "failed": 0, "absent": [], "costs": {}}),
+        "is not an explanation: has no costs",
+    ),
+    "a metric that is no name": (lambda: view_of(["a", "b c"]), "metrics: name b c: should be a Python identifier"),
+    "unknown events": (lambda: _is_event("Nope"), "there are no events Nope; there are "),
+    "pairs of independent runs": (
+        lambda: replace(SweepPlan.of(SHORT, {"team.count": [2, 3]}, 2), common=False).check_reference(
+            {"team.count": 2}
+        ),
+        "runs with independent seeds cannot be paired",
+    ),
+    "an exception within the usual style": (lambda: fail_in_style(), "of the caller"),
+}
+
+
+def fail_in_style():
+    with in_style(None):
+        raise KeyError("of the caller")
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_seldom_wrong_is_refused_with_its_reason(name):
+    act, text = REFUSED[name]
+    assert text in raising(act)[1]
+
+
+def test_assumptions_about_what_is_seen_are_told():
+    walled = SHORT.with_({"wall": [{"line": [[50.0, 0.0], [50.0, 5.0]], "blocks": ["sight"]}]})
+    assert times_known(walled) == "pursuers do not see the evader through walls (`wall`)"
+    noisy = SHORT.with_({"sensing.noise": 0.1, "sensing.estimate": "hold"})
+    assert times_known(noisy) == "pursuers do not see the evader exactly (`sensing.noise`)"
