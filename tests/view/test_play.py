@@ -4,6 +4,7 @@ import http.client
 import json
 import math
 import os
+import re
 import select
 import signal
 import socket
@@ -14,6 +15,7 @@ import tomllib
 from concurrent.futures import Future
 from contextlib import closing, contextmanager, suppress
 from functools import partial
+from importlib.resources import files
 from pathlib import Path
 from threading import Thread
 from types import SimpleNamespace
@@ -28,6 +30,7 @@ from desim.analysis.metrics import Summary
 from desim.analysis.statistics import paired
 from desim.scenario.overrides import Source
 from desim.scenario.toml import read_source
+from desim.simulation.watchdog import TimedOut
 from desim.study.workers.batch import seeds_from
 from desim.study.workers.workers import InProcess, Processes
 from desim.view.pages import play_server
@@ -79,6 +82,58 @@ def test_an_answer_has_the_metrics_of_the_run_and_their_differences(answer):
 
 def test_an_answer_is_json(answer):
     assert json.loads(json.dumps(answer, allow_nan=False)) == answer
+
+
+def keys_in(document):
+    """Yield the keys of the tables in a JSON document, but those that are keys of a scenario."""
+    if isinstance(document, dict):
+        yield from (key for key in document if "." not in key)
+        document = document.values()
+    if isinstance(document, (list, type({}.values()))):
+        for part in document:
+            yield from keys_in(part)
+
+
+@pytest.mark.slow
+def test_the_page_reads_each_key_of_an_answer_and_no_other(small, answer, monkeypatch):
+    """Answers to a right change, a wrong one and one that fails, to a comparison, and to a run that is saved."""
+    monkeypatch.setattr(play.run_folder, "write", lambda *_: None)
+    wrong = small.answer([*SMALL, "team.count=x"], None)
+    session = Session(small, InProcess())
+    compared = list(session.compare(SMALL, ["seed=4", *SMALL], 1))
+    shown = [answer | {"page": ""}, wrong, *compared, session.save(SMALL), {"error": "", "errors": {}}]
+    script = (files("desim.view.pages") / "play.js").read_text(encoding="utf-8")
+    read = set(re.findall(r"\w+", script))
+    of_answers = {key for key in {*keys_in(shown)} - {*small.values} if key.isidentifier()}
+    assert of_answers - read == set()
+    assert {"controls", "texts", "page", "metrics", "seeds", "warnings", "errors", "folder", "error"} <= of_answers
+    asked = set(re.findall(r"\banswer\.(\w+)", script))
+    assert asked - of_answers == set()
+
+
+def test_a_run_of_a_pair_that_takes_too_long_says_so(small, monkeypatch):
+    def late(*_):
+        raise TimedOut("is not over after 1 s")
+
+    monkeypatch.setattr(play, "run", late)
+    assert small.pair(SMALL, SMALL, 3) == "The run is not over after 1 s"
+
+
+def test_each_worker_is_warmed_up_by_a_run_of_the_start():
+    calls = []
+    ground = SimpleNamespace(start=("seed=3",), answer=lambda *given: calls.append(given))
+    workers = InProcess()
+    workers.count = 3
+    Session(ground, workers).warm_up()
+    assert calls == [(("seed=3",), None)] * 3
+
+
+def test_a_call_that_cannot_be_submitted_to_workers_that_live_is_an_error(small, monkeypatch):
+    def submit(*_):
+        raise ValueError("no way")
+
+    monkeypatch.setattr(InProcess, "submit", submit)
+    assert Session(small, InProcess()).save(SMALL) == {"error": "ValueError: no way"}
 
 
 def test_a_run_that_is_its_own_reference_has_no_ghost_and_no_differences(small):
