@@ -21,7 +21,7 @@ Assumes: links in both directions between the host and every other pursuer, and 
     the host is down, each pursuer continues with its last order. A host that has lost its memory has lost its orders,
     too, and extrapolates the reported actions until it sends new ones. Reports are extrapolated from their time stamps,
     so differences between the clocks cause errors of the predicted positions.
-Takeover: with `takeover`, a pursuer that has had no order for 3 periods and a round trip reports to the next pursuer by
+Takeover: with `takeover`, a pursuer that has had no new order for 3 periods and a round trip reports to the next one by
     id, and the one whose turn it is becomes the server. All obey the first server in turn, counted from the host, that
     is not silent, and a server follows another one before it. So the host is the server again as soon as it is up. Each
     side of a partition has a server of its own.
@@ -53,6 +53,9 @@ from protocols.schedules.periodic import ticks
 
 PORT = ReservedPort("server", __name__)
 """The port at which reports and orders arrive."""
+
+NewestOrders = dict[int, tuple[int, int]]
+"""The newest order received from each server, as (time of sending in ns, number)."""
 
 
 class TeamOrder(NamedTuple):
@@ -86,7 +89,7 @@ class Server(Value):
     If in doubt, use 0.1 for speeds of about 1 m/s.
     """
     takeover: Flag = False
-    """Whether another pursuer becomes the server when no order has come for 3 periods and a round trip.
+    """Whether another pursuer becomes the server when no new order has come for 3 periods and a round trip.
 
     If in doubt, use true where pursuers may crash.
     """
@@ -99,23 +102,23 @@ class Server(Value):
     def __call__(self, me: Agent) -> Process:
         """Run the server on the host; report and obey on the other pursuers."""
         server = self.host
+        newest: NewestOrders = {}
         while True:
-            server = yield from self._lead(me) if me.id == server else self._follow(me, server)
+            server = yield from self._lead(me, newest) if me.id == server else self._follow(me, server, newest)
 
-    def _follow(self, me: Agent, server: int) -> Generator[Any, Any, int]:
+    def _follow(self, me: Agent, server: int, newest: NewestOrders) -> Generator[Any, Any, int]:
         """Report at every tick, obey the newest order received, and return when its turn as the server has come."""
-        newest = -1
         last_order = me.now
         timeout = self._timeout(me)
         for tick in self._ticks(me):
             alarm = me.at(tick)
             while not alarm.processed:
                 yield FirstOf(me.arrival(PORT), alarm)
-                for src, order in orders_among(me.mail(PORT)):
+                for src, order in new_orders(me.mail(PORT), newest):
                     if self._turn(me, src) < self._turn(me, server) or me.now > last_order + timeout:
-                        server, newest = src, -1
-                    if src == server and order.number >= newest:
-                        newest, last_order = order.number, me.now
+                        server = src
+                    if src == server:
+                        last_order = me.now
                         apply_order(me, order)
             if self.takeover and me.now > last_order + timeout:
                 server, last_order = (server + 1) % me.team_size, me.now
@@ -124,7 +127,7 @@ class Server(Value):
             me.send(server, Forwarded((me.record(me.located()),)), PORT)
         return server
 
-    def _lead(self, me: Agent) -> Generator[Any, Any, int]:
+    def _lead(self, me: Agent, newest: NewestOrders) -> Generator[Any, Any, int]:
         """Decide when reports have arrived, obey the decision, and send it to the others.
 
         Return the pursuer to follow, if an order of one comes whose turn as the server is before its own.
@@ -142,7 +145,7 @@ class Server(Value):
                 yield me.after_decisions()  # all reports of this instant have arrived
                 due = alarm.processed
                 mail = me.mail(PORT)
-                for src, order in orders_among(mail):
+                for src, order in new_orders(mail, newest):
                     if self._turn(me, src) < self._turn(me, me.id):
                         apply_order(me, order)
                         return src
@@ -213,9 +216,19 @@ class Server(Value):
         return tuple(map(chasers.get, range(1, me.evader_count + 1)))
 
 
-def orders_among(messages: Iterable[Message]) -> list[tuple[int, TeamOrder]]:
-    """Return the orders among the messages, as (sender, order)."""
-    return [(message.src, message.body) for message in messages if isinstance(message.body, TeamOrder)]
+def new_orders(messages: Iterable[Message], newest: NewestOrders) -> Iterator[tuple[int, TeamOrder]]:
+    """Yield the orders among the messages that are newer than all from the same sender before, as (sender, order).
+
+    An older one that arrives late or twice is no sign that its sender is still there (Chen, Toueg & Aguilera 2002).
+
+    Args:
+        messages: in the order of their arrival.
+        newest: what was received before. It is updated.
+    """
+    for src, stamp, body in messages:
+        if isinstance(body, TeamOrder) and (stamp, body.number) > newest.get(src, (-1, -1)):
+            newest[src] = stamp, body.number
+            yield src, body
 
 
 def since(sent: int, orders: list[tuple[int, int]]) -> list[tuple[int, int]]:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from desim import Scenario, run
+from desim import MessageFault, Scenario, run
 from desim.kernel.core.events import ClockCorrected, Sent
 from desim.kernel.core.seeds import stream
 from desim.kernel.models.access import Tdma
@@ -536,6 +536,21 @@ def test_each_side_of_a_partition_has_a_server():
     cut = Partition(groups=[[0, 1, 2], [3, 4, 5]], start=1.0, end=9.0)
     result = run(static(Server(takeover=True), latency=0.1, horizon=6.0, fault=[cut]))
     assert profile(result) == (True, False, False, True, False, False)
+
+
+def test_orders_that_arrive_late_are_no_sign_of_a_host_that_is_down():
+    """The orders of .7 to .8 s arrive after 2.7 s, those of .8 to 1 s in time: the takeover is that without delays."""
+    crash = Crash(node=0, start=1.0)
+    prompt, late = (
+        run(static(Server(takeover=True), latency=0.1, horizon=6.0, fault=(crash, *more)))
+        for more in ((), (MessageFault(start=0.7, end=0.8, messages=range(1, 11), delay=2.0),))
+    )
+    arrivals = [sent.arrival for sent in orders(late) if sent.src == 0]
+    assert max(arrivals) > 2.7 * SECOND
+    assert changes(late) == changes(prompt)
+    assert changes(late)[-1][1:] == (1, True)
+    servers = {sent.src for sent in orders(late) if sent.t > 1.5 * SECOND}
+    assert servers == {1}, "nor do they depose the new server"
 
 
 @pytest.mark.slow
