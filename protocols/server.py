@@ -30,8 +30,9 @@ Messages: a first report of each pursuer but the host; per period, N - 1 reports
 Robust to loss: yes. Reports and orders are repeated every period, and an order older than the newest received is
     discarded. The server assumes that its orders are obeyed. If an order is lost or late, the predicted position is
     wrong by at most the distance covered since the last report, and only until the order is repeated. A pursuer without
-    a recent report (`announce.belief_timeout`, where "auto" uses the period of the reports) is left out. If no reports
-    arrive for 3 periods and a round trip, the server decides without them.
+    a recent report (`announce.belief_timeout`, where "auto" uses the period of the reports) is left out, but for the
+    chaser of an evader that nobody else would capture in time. If no reports arrive for 3 periods and a round trip, the
+    server decides without them.
 """
 
 from collections.abc import Generator, Iterable, Iterator, Sequence
@@ -160,6 +161,8 @@ class Server(Value):
                 changed = False
                 if reports or me.now >= last_report + report_timeout:
                     chasers = self._chasers(me, orders, delay)
+                    if None in chasers and current.number >= 0:
+                        chasers = self._kept(me, current.chasers, chasers)
                     if changed := current.number < 0 or chasers != current.chasers:
                         # Orders are numbered by the clock, so that numbers increase even after a loss of memory.
                         current = TeamOrder(max(nanoseconds(me.now), current.number + 1, 0), chasers)
@@ -214,6 +217,22 @@ class Server(Value):
         rows = [[times.get(j, inf) for j in ids] for times in phi]
         chasers = {evader: ids[row] for row, evader in matching(rows, me.time_left()).items()}
         return tuple(map(chasers.get, range(1, me.evader_count + 1)))
+
+    def _kept(self, me: Agent, present: Sequence[int | None], chasers: Sequence[int | None]) -> tuple[int | None, ...]:
+        """Return the new (M,) chasers; an evader without one keeps its present chaser as long as that is silent.
+
+        Its reports may be lost while it chases, and to stop it helps nobody.
+
+        Args:
+            me: the host.
+            present: (M,) the present chasers.
+            chasers: (M,) the best chasers among the host and the pursuers with a recent report.
+        """
+        heard, at_large = {None, me.id, *me.trusted(self.period)}, me.evaders()
+        pairs = enumerate(zip(present, chasers, strict=True), start=1)
+        return tuple(
+            old if new is None and old not in heard and evader in at_large else new for evader, (old, new) in pairs
+        )
 
 
 def new_orders(messages: Iterable[Message], newest: NewestOrders) -> Iterator[tuple[int, TeamOrder]]:

@@ -13,7 +13,7 @@ from desim.kernel.core.events import ClockCorrected, Sent
 from desim.kernel.core.seeds import stream
 from desim.kernel.models.access import Tdma
 from desim.kernel.models.clock_skew import ClockSkew
-from desim.kernel.models.faults import Crash, Partition
+from desim.kernel.models.faults import Crash, Jamming, Partition
 from desim.kernel.models.graphs import Ring, Star
 from desim.kernel.models.latency import Constant, Lognormal, Uniform
 from desim.kernel.models.links import Links
@@ -551,6 +551,14 @@ def test_orders_that_arrive_late_are_no_sign_of_a_host_that_is_down():
     assert changes(late)[-1][1:] == (1, True)
     servers = {sent.src for sent in orders(late) if sent.t > 1.5 * SECOND}
     assert servers == {1}, "nor do they depose the new server"
+
+
+@pytest.mark.parametrize(("horizon", "chasers"), [(5.0, [0]), (9.0, [5])])
+def test_a_silent_chaser_keeps_its_order_unless_another_would_be_in_time(horizon, chasers):
+    """The host, 6 m from the evader, hears nobody from 1 s on; pursuer 0, 1 m from it, still hears the host."""
+    jammed = Jamming(start=1.0, centre=(6.0, 0.0), radius=0.5)
+    final = profile(run(static(Server(host=5), latency=0.05, horizon=horizon, fault=(jammed,))))
+    assert [j for j, active in enumerate(final) if active] == chasers
 
 
 @pytest.mark.slow
