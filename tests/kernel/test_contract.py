@@ -59,6 +59,7 @@ from desim.kernel.models.reception import Disk, QuasiUnitDisk, Rice
 from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.kernel.stepped_network import SteppedNetwork
+from desim.kernel.topology.kept_receivers import KeptReceivers
 from tests.kernel.layers import network_over
 from tests.kernel.test_network import Uniform
 
@@ -371,10 +372,31 @@ class Swinging(PositionSource):
         self.acts.append(act)
 
 
-def observe(make, graph, links, acts, seed, faults=None, traced=True, reads_early=False, **options):
+class Turning(Swinging):
+    """Nodes go straight at one speed, m/s; every 7 ms each goes on in another direction."""
+
+    def __init__(self, clock, places, speed):
+        self.max_speed = speed
+        self._turn(0)
+        super().__init__(clock, places)
+
+    def _turn(self, now):
+        angles = 2.4 * (now // 7_000_000) + 1.7 * np.arange(5)
+        self.velocity = self.max_speed * np.column_stack([np.cos(angles), np.sin(angles)])
+
+    def turn(self, _):
+        super().turn(_)
+        self._turn(self.clock.now)
+
+    def at(self, nodes, times):
+        return self.places[nodes] + self.velocity[nodes] * (np.atleast_1d(times - self.since) / SECOND)[:, np.newaxis]
+
+
+def observe(make, graph, links, acts, seed, faults=None, traced=True, reads_early=False, speed=None, **options):
     """Return all that is read in a history, when a listener is woken, what is counted and what is traced."""
     clock, trace = Clock(), Trace(messages=traced)
-    positions = Swinging(clock, np.random.default_rng(seed).random((len(graph), 2)))
+    places = np.random.default_rng(seed).random((len(graph), 2))
+    positions = Swinging(clock, places) if speed is None else Turning(clock, places, speed)
     if faults is not None:
         options["fault_state"] = FaultState(positions)
     network = make(clock, graph, links, seed=seed, positions=positions, trace=trace, **options)
@@ -559,6 +581,58 @@ def test_arrivals_decided_together_are_observationally_equal_to_one_event_each(d
     for layer in (Arrivals, OnArrival, Tidy):
         options = {"faults": faults, "traced": False, "reads_early": data.draw(st.booleans())}
         assert observe(network_over(layer), *history, **options) == expected
+
+
+class Unsure(MessageDelivery):
+    """Whether a receiver is within range is always decided on arrival."""
+
+    def _in_range(self, transmission, reached, arrival, airtime):
+        self.arrivals.schedule(transmission, reached, arrival, airtime)
+        return [], []
+
+
+class Hasty(MessageDelivery):
+    """Who is within range when a message is sent is taken to stay there."""
+
+    def _in_range(self, transmission, reached, arrival, airtime):
+        with patch.object(KeptReceivers, "until", lambda *_: inf):
+            return super()._in_range(transmission, reached, arrival, airtime)
+
+
+@pytest.mark.whole
+@settings(max_examples=100, deadline=None)
+@given(st.data(), histories(), st.sampled_from([0.0, 1.0, 10.0, 100.0]), st.booleans())
+def test_arrivals_certain_to_be_in_range_are_observationally_equal_to_decisions(data, history, speed, traced):
+    """The longest latency is 50 ms."""
+    graph, links, *more = with_losses_on_arrival(data, history)
+    links = links.model_copy(update={"range": data.draw(st.sampled_from([0.5, 2.0]))})
+    faults = data.draw(st.one_of(st.none(), plans(len(graph))))
+    given = {"faults": faults, "traced": traced, "speed": speed}
+    history = graph, links, *more
+    assert observe(Network, *history, **given) == observe(network_over(Unsure), *history, **given)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("latency", [Constant(value=0.004), Uniform(0.008)])
+@pytest.mark.parametrize("check", ["delivery", "both"])
+def test_the_comparison_detects_a_node_that_leaves_the_range_while_a_message_flies(latency, check):
+    """The control: at 5 m/s some arrivals are certain, some are not, and some are too late."""
+    links = Links(latency=latency, range=0.4, range_check=check, order="fifo")
+    acts = [(k * SECOND // 1000, k % 5, 0, ACTS[k % 3 * (k % 5 > 0)]) for k in range(100)]
+    acts += [(k * SECOND // 1000, k % 5, 0, ("read", "drain")[k % 2]) for k in range(120)]
+    history, asked = (nx.complete_graph(5), links, acts, 3), []
+
+    class Counting(MessageDelivery):
+        def _in_range(self, transmission, reached, arrival, airtime):
+            certain = super()._in_range(transmission, reached, arrival, airtime)
+            asked.append((len(certain[0]), len(reached)))
+            return certain
+
+    layers = (Counting, Unsure, Hasty)
+    first, second, wrong = [observe(network_over(layer), *history, speed=5.0) for layer in layers]
+    assert first == second != wrong
+    certain, reached = map(sum, zip(*asked, strict=True))
+    assert 0 < certain < 0.5 * reached
 
 
 class Careless(OnArrival):

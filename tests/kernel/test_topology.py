@@ -287,6 +287,30 @@ def test_receivers_are_wrong_after_a_time_if_nodes_are_faster_than_they_claim():
     assert differences(Wandering(8, claimed=0.2), Complete()(8), None)[0] > 10
 
 
+def early_changes(wandering, steps=1000):
+    """Return how often receivers changed before the time that was told, and how often there was such a time."""
+    topology, wrong, certain = Topology(Complete()(8), 6.0, wandering, now=lambda: wandering.now), 0, 0
+    searches = Topology(Complete()(8), 6.0, wandering)
+    since = [(set(), 0.0)] * 8
+    for step in range(steps):
+        for node, (receivers, until) in enumerate(since):
+            wrong += wandering.now * SECOND < until and set(searches.hearers(node)) != receivers
+        node = step % 8
+        since[node] = topology.steady_receivers(node)
+        certain += since[node][1] > wandering.now * SECOND
+        wandering.step(0.01)
+    return wrong, certain
+
+
+@pytest.mark.slow
+def test_receivers_stay_the_same_until_the_time_that_is_told():
+    """The control: nodes that are ten times as fast as they claim."""
+    wrong, certain = early_changes(Wandering(8))
+    assert wrong == 0
+    assert certain > 200
+    assert early_changes(Wandering(8, claimed=0.2))[0] > 10
+
+
 @pytest.mark.parametrize(
     "given", [{"max_speed": inf}, {"reception": LogDistance()}, {"per_link": False, "reception": QuasiUnitDisk()}, {}]
 )
@@ -296,6 +320,7 @@ def test_nothing_is_kept_if_links_may_change_at_any_time_or_have_no_border(given
     knows_time = bool(given) or wandering.max_speed == inf
     topology = Topology(Complete()(4), 6.0, wandering, **given, now=(lambda: 0.0) if knows_time else None)
     assert topology._kept is None
+    assert topology.steady_receivers(0) == (set(), 0.0)
 
 
 def test_receivers_of_nodes_that_stand_still_are_searched_for_once():

@@ -44,6 +44,10 @@ class KeptReceivers:
         self._pause = self._left = 0
         return self._receivers[node]
 
+    def until(self, node: int) -> float:
+        """Return the time, s, before which the receivers of a node that are kept are certain."""
+        return self._until[node]
+
     def is_worthwhile(self) -> bool:
         """Return whether to keep what a search finds now."""
         self._left -= 1

@@ -184,6 +184,21 @@ class Topology:
             received = self._received.through(self.channel.between(pairs), apart).tolist()
         return received
 
+    def steady_receivers(self, node: int) -> tuple[set[int], float]:
+        """Return the nodes that receive from a node now, and the time, ns, before which they certainly stay the same.
+
+        The time is 0 if nothing is known; the search for receivers is not repeated for it each time.
+        """
+        kept = self._kept
+        if kept is None:
+            return set(), 0.0
+        receivers = kept.of(node)
+        if receivers is None:
+            if not kept.is_worthwhile():
+                return set(), 0.0
+            receivers = self._search(node, kept)
+        return set(receivers), kept.until(node) * SECOND
+
     def _seconds(self, times: int | Integers | None = None) -> float | Floats:
         """Return the times, s, of some times in ns; those of the present if None."""
         if times is None:
@@ -272,15 +287,18 @@ class Topology:
         """Return the nodes that receive from a node now, ascending; read-only."""
         if (same := kept.of(node)) is not None:
             return same
+        if kept.is_worthwhile():
+            return self._search(node, kept)
+        receivers: list[int] = self._near(node, self._candidates(node)).tolist()
+        return receivers
+
+    def _search(self, node: int, kept: KeptReceivers) -> list[int]:
+        """Search for the nodes that receive from a node now, and keep them."""
         candidates = self._candidates(node)
-        receivers: list[int]
-        if not kept.is_worthwhile():
-            receivers = self._near(node, candidates).tolist()
-            return receivers
         index, _, apart = self._distances(node, candidates)
         beyond = apart - self._received.border(node, candidates)
         beyond[index] = inf
-        receivers = candidates[beyond <= 0.0].tolist()
+        receivers: list[int] = candidates[beyond <= 0.0].tolist()
         kept.keep(node, receivers, np.abs(beyond).min().item())
         return receivers
 
