@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from math import isnan
 from typing import TYPE_CHECKING
 
+from desim.analysis.drawing import palette
 from desim.analysis.statistics import Estimate
 from desim.analysis.tables import aligned
 from scenarios.studies.bodies_runs import ALL, LATENCIES, MOTIONS, ONE, RULES, SIMPLE, SPEED, Cell, N, measure
@@ -83,8 +84,6 @@ def _draw(
     axes: "Axes", cells: Sequence[Cell], motions: Sequence[str], rule: str, value: Callable[[Cell], Estimate]
 ) -> None:
     """Draw a value over the latency, a line per motion, side by side so that equal lines are seen."""
-    from desim.analysis.drawing import palette
-
     looks = dict(zip(MOTIONS, zip((palette.GREY, *palette.SERIES), "xooosss", strict=True), strict=False))
     span = LATENCIES[-1] - LATENCIES[0]
     for k, motion in enumerate(motions):

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING
 
+from desim.analysis.drawing import palette
 from desim.analysis.tables import aligned
 from scenarios.studies.contention_runs import (
     ACCESSES,
@@ -119,8 +120,6 @@ def picture(pursuits: Sequence[Pursuits], ages: Sequence[Age]) -> "Figure":
 
 def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
     """Draw the paired difference of the active time over the offered load, a line per access model."""
-    from desim.analysis.drawing import palette
-
     for k, (colour, mark, access) in enumerate(zip(palette.SERIES, palette.MARKERS, ACCESSES, strict=False)):
         line = [pursuit for pursuit in pursuits if pursuit.access == access]
         x = [pursuit.load * 1.04 ** (k - 1.5) for pursuit in line]  # shifted, so that error bars do not overlap
@@ -132,8 +131,6 @@ def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
 
 def draw_ages(axes: "Axes", ages: Sequence[Age], size: int) -> None:
     """Draw the mean age of information of a team over the heartbeat, a line per access model."""
-    from desim.analysis.drawing import palette
-
     for colour, mark, access in zip(palette.SERIES, palette.MARKERS, ACCESSES, strict=False):
         line = _of(ages, access, size)
         x = [age.heartbeat for age in line]

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
+from desim.analysis.drawing import palette
 from desim.analysis.tables import aligned
 from scenarios.studies.evaders_runs import (
     CHASERS,
@@ -142,8 +143,6 @@ def draw_strategies(axes: "Axes", cells: Sequence[Cell]) -> None:
 
     Only the points of SAP have intervals.
     """
-    from desim.analysis.drawing import palette
-
     here = {(cell.strategy, cell.protocol): cell for cell in cells if cell.strategy != REFERENCE}
     names = sorted({name for name, _ in here}, key=lambda name: here[name, IDEAL].difference.mean)
     latency = max(cell.latency for cell in cells)
@@ -169,8 +168,6 @@ def draw_strategies(axes: "Axes", cells: Sequence[Cell]) -> None:
 def draw_sight(shares: "Axes", times: "Axes", sight: Sequence[Sighted]) -> None:
     """Draw the share of captures and the active time over the sensing radius, a line per estimate."""
     from matplotlib.ticker import PercentFormatter
-
-    from desim.analysis.drawing import palette
 
     radii = [radius for radius in RADII if radius < inf]
     styles = zip((palette.BLUE, palette.VERMILION, palette.GREEN), "osv", ESTIMATES, strict=True)

@@ -15,6 +15,7 @@ import numpy as np
 
 from desim import Result, Scenario, run
 from desim.analysis.activity import active_time, handovers, relays
+from desim.analysis.drawing import palette
 from desim.analysis.hindsight import gains
 from desim.analysis.statistics import estimate
 from desim.analysis.tables import aligned
@@ -96,7 +97,7 @@ def individual_utilities(result: Result) -> IndividualUtilities:
 
 def draw_initial(result: Result) -> "Figure":
     """Draw the initial positions of all players, with the ids of the pursuers."""
-    from desim.analysis.drawing import palette, plots
+    from desim.analysis.drawing import plots
     from desim.view.pictures.paths import label_points
 
     start = started(result)
@@ -174,7 +175,6 @@ def _label_handovers(axes: "Axes", chain: "Sequence[tuple[int, int]]", utilities
 
     `chain` is the return value of `desim.analysis.activity.relays`.
     """
-    from desim.analysis.drawing import palette
     from desim.view.pictures.paths import label_points
 
     begin, end = axes.get_xlim()
@@ -197,8 +197,6 @@ def _draw_beginning(axes: "Axes", utilities: IndividualUtilities, until: float) 
 
 def draw_utility_panel(axes: "Axes", panel: IndividualUtilities) -> None:
     """Draw the utility of each active pursuer, bold while no other is active, and a line at 0 for the inactive ones."""
-    from desim.analysis.drawing import palette
-
     times, active, utilities = panel
     t = np.repeat(times, 2)[1:-1] / SECOND
     is_alone = active & (active.sum(axis=1) == 1)[:, None]

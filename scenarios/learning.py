@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click import Option
 
+from desim.analysis.drawing import palette
 from desim.analysis.tables import aligned
 from scenarios.studies.learning_runs import (
     DELAY,
@@ -50,7 +51,7 @@ def weights_table(weights: Sequence[float]) -> str:
 
 def picture(generations: Sequence[Generation], cells: Sequence[Cell]) -> "Figure":
     """Draw the learning curve, the costs over the latency, and the weights in words."""
-    from desim.analysis.drawing import palette, plots
+    from desim.analysis.drawing import plots
 
     with plots.styled(figsize=(9.0, 6.0)) as figure:
         rows: Any = figure.subfigures(2, 1)
@@ -72,8 +73,6 @@ def picture(generations: Sequence[Generation], cells: Sequence[Cell]) -> "Figure
 
 def _draw_costs(axes: "Axes", cells: Sequence[Cell]) -> None:
     """Draw the cost of each rule over the latency."""
-    from desim.analysis.drawing import palette
-
     rules = dict.fromkeys(cell.rule for cell in cells)
     for colour, mark, rule in zip(palette.SERIES, palette.MARKERS, rules, strict=False):
         here = [cell for cell in cells if cell.rule == rule]
@@ -92,8 +91,6 @@ def _draw_costs(axes: "Axes", cells: Sequence[Cell]) -> None:
 
 def _draw_words(axes: "Axes", weights: Sequence[float]) -> None:
     """Draw each weight as a bar, with its meaning."""
-    from desim.analysis.drawing import palette
-
     named = in_words(weights)
     axes.barh(range(len(named)), [weight for _, weight, _ in named], color=palette.SERIES[0])
     axes.set_yticks(range(len(named)), [meaning for _, _, meaning in named])

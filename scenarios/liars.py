@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from desim.analysis.drawing import palette
 from desim.analysis.tables import aligned
 from scenarios.studies.liars_runs import (
     DEFENCES,
@@ -110,8 +111,6 @@ def picture(cells: Sequence[Cell]) -> "Figure":
 
 
 def _draw_lies(axes: "Axes", cells: Sequence[Cell]) -> None:
-    from desim.analysis.drawing import palette
-
     names = [name for name in LIES if name != HONEST]
     for k, (protocol, colour) in enumerate(zip(PROTOCOLS, palette.SERIES, strict=False)):
         here = {cell.lie: cell for cell in cells if cell.part == "lies" and cell.protocol == protocol}
@@ -127,8 +126,6 @@ def _draw_lies(axes: "Axes", cells: Sequence[Cell]) -> None:
 
 def _draw(axes: "Axes", lines: Mapping[str, Sequence[Cell]], measure: str) -> None:
     """Draw a result over the value that varies, a line per defence."""
-    from desim.analysis.drawing import palette
-
     for k, (colour, mark, defence) in enumerate(zip(palette.SERIES, palette.MARKERS, DEFENCES, strict=False)):
         here = lines.get(defence, ())
         if not here:

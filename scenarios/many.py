@@ -14,6 +14,7 @@ is measured.
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from desim.analysis.drawing import palette
 from desim.analysis.tables import aligned
 from scenarios.studies.many_runs import (
     BUDGET,
@@ -120,8 +121,6 @@ def draw_cooling(axes: "Axes", games: Sequence[NegotiationSummary]) -> None:
     """Draw, over the number of slots, the share of games that end in the best assignment."""
     from matplotlib.ticker import PercentFormatter
 
-    from desim.analysis.drawing import palette
-
     styles = zip(COOLED, "oDs^", (0.94, 0.98, 1.02, 1.06), palette.SERIES, strict=False)
     for name, marker, aside, colour in styles:
         line = [game for game in games if game.protocol == name]
@@ -140,8 +139,6 @@ def draw_cooling(axes: "Axes", games: Sequence[NegotiationSummary]) -> None:
 
 def draw_temperatures(axes: "Axes", games: Sequence[NegotiationSummary]) -> None:
     """Draw, over the constant temperature, the welfare divided by its optimum, a line per protocol."""
-    from desim.analysis.drawing import palette
-
     kinds = {
         "sap": ("SAP", "o", 0.97, palette.SERIES[0]),
         "selective_sap": ("Selective SAP", "s", 1.03, palette.SERIES[2]),
@@ -158,8 +155,6 @@ def draw_temperatures(axes: "Axes", games: Sequence[NegotiationSummary]) -> None
 
 def draw_pursuits(axes: "Axes", moved: Sequence[PursuitSummary]) -> None:
     """Draw the durations of the pursuits, a row per protocol, a mark per size."""
-    from desim.analysis.drawing import palette
-
     rows = {name: row for row, name in enumerate(CONTENDERS)}
     for k, ((n, m), marker, colour) in enumerate(zip(SIZES, "oDs^", palette.SERIES, strict=False)):
         line = [pursuit for pursuit in moved if (pursuit.pursuers, pursuit.evaders) == (n, m)]

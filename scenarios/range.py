@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from desim.analysis.drawing import palette
 from desim.analysis.tables import aligned
 from scenarios.studies.study import Options, draw_estimates, study
 
@@ -68,7 +69,7 @@ def _tables(team: str, pursuits: Sequence[Pursuits], static: Sequence[Games], ru
 
 def picture(pursuits: Sequence[Pursuits], static: Sequence[Games]) -> "Figure":
     """Draw the active time by protocol, and below it the statistics of the games at t = 0."""
-    from desim.analysis.drawing import palette, plots
+    from desim.analysis.drawing import plots
 
     with plots.styled(figsize=(9.0, 6.4)) as figure:
         grid = figure.subplots(2, len(TEAMS), sharex=True, height_ratios=(3, 2))
@@ -86,8 +87,6 @@ def picture(pursuits: Sequence[Pursuits], static: Sequence[Games]) -> "Figure":
 
 def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
     """Draw the active time over the range, a line per protocol."""
-    from desim.analysis.drawing import palette
-
     for k, (colour, mark, name) in enumerate(zip(palette.SERIES, palette.MARKERS, PROTOCOLS, strict=False)):
         line = [pursuit for pursuit in pursuits if pursuit.protocol == name]
         x = [pursuit.range * 1.03 ** (k - 2) for pursuit in line]  # shifted, so that error bars do not overlap
@@ -99,8 +98,6 @@ def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
 
 def draw_games(axes: "Axes", static: Sequence[Games]) -> None:
     """Draw the share of games without equilibrium, the number of components and the size of the independent set."""
-    from desim.analysis.drawing import palette
-
     share = 100.0 * np.array([(game.unsettled.mean, *game.unsettled.interval) for game in static])
     axes.fill_between(RANGES, share[:, 1], share[:, 2], color=palette.SERIES[1], alpha=0.25, lw=0)
     axes.plot(RANGES, share[:, 0], color=palette.SERIES[1], marker="o", ms=3, lw=1.2)

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from desim.analysis.drawing import palette
 from desim.analysis.statistics import Estimate
 from desim.analysis.tables import aligned
 from scenarios.studies.study import Options, draw_estimates, study
@@ -110,8 +111,6 @@ def picture(cells: Sequence[Cell]) -> "Figure":
 
 def draw(axes: "Axes", swept: str, lines: Mapping[str, Sequence[Estimate]]) -> None:
     """Draw estimates over the property that varies, a line per way to announce."""
-    from desim.analysis.drawing import palette
-
     values = SWEEPS[swept]
     for k, (colour, mark, way) in enumerate(zip(palette.SERIES, palette.MARKERS, WAYS, strict=False)):
         if way not in lines:

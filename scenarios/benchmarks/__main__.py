@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from tqdm import tqdm
 
+from desim.analysis.drawing import palette
 from desim.analysis.tables import aligned
 from scenarios.benchmarks import costs, measuring
 from scenarios.benchmarks.peers.elsewhere import PEERS
@@ -63,7 +64,7 @@ def _quotient(value: float | None, unit: float, digits: int) -> str:
 
 def picture(rates: Sequence[Rate]) -> "Figure":
     """Draw a panel per workload with a bar per way, the fastest at the top."""
-    from desim.analysis.drawing import palette, plots
+    from desim.analysis.drawing import plots
 
     works = list(dict.fromkeys(rate.workload for rate in rates))
     columns = min(2, len(works))
