@@ -1,4 +1,4 @@
 """Recorded paths from files: tables of times and places, ns-2, BonnMotion and SUMO.
 
-A new format is one reader here; `mobility` chooses it and puts the places on one time axis.
+A new format is one reader here; `mobility_file` chooses it by the content of the file.
 """
