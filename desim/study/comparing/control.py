@@ -202,8 +202,7 @@ class Controlled(TabularResult):
 
     _between_notes = "\n"
 
-    def _notes(self) -> Iterator[str]:
-        return self.remarks()
+    _notes = remarks
 
     def _right_from(self) -> int:
         return len(self.result.keys)

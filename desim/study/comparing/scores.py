@@ -245,8 +245,7 @@ class Benchmark(TabularResult):
 
     _between_notes = "\n"
 
-    def _notes(self) -> list[str]:
-        return self.remarks()
+    _notes = remarks
 
     def __repr__(self) -> str:
         protocols = counted(len(self.scores), "protocol")

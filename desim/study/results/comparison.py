@@ -141,6 +141,8 @@ class Comparison(TabularResult):
             if count:
                 yield f"{counted(count, 'configuration')} of {name} left out: the other sweep does not have it"
 
+    _notes = notes
+
     def tables(self) -> list[Table]:
         """Return the table as its title and rows of text; the first row is the header."""
         first, second = self.names
@@ -166,9 +168,6 @@ class Comparison(TabularResult):
         for compared, *texts in zip(self.configurations, *columns, strict=True):
             rows.append((*map(text, compared.settings.values()), str(compared.pairs or "-"), *texts))
         return [(heading, rows)]
-
-    def _notes(self) -> Iterator[str]:
-        return self.notes()
 
     def _right_from(self) -> int:
         return len(self.keys)

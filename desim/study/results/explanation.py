@@ -65,9 +65,6 @@ class Explanation(TabularResult):
         """Return the table of costs as its title and rows of text; the first row is the header."""
         return [(self._head(), self.rows())]
 
-    def _notes(self) -> list[str]:
-        return self.remarks()
-
     def table(self, *, format: TableFormat = "text") -> str:  # noqa: A002 - the word of users
         """Return the costs as a table: text, latex (booktabs) or markdown.
 
@@ -167,6 +164,8 @@ class Explanation(TabularResult):
         interactions = [note for metric, cost in self.costs.items() for note in self._interaction(words(metric), cost)]
         remarks += unseen + unchanging + interactions
         return remarks + ([f"left out because a run failed: {counted(self.failed, 'seed')}"] if self.failed else [])
+
+    _notes = remarks
 
     def _signs(self) -> str:
         """Return a note that says for each metric whether a positive cost is good or bad."""

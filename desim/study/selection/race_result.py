@@ -120,6 +120,8 @@ class RaceResult(TabularResult):
         seeds = f"{self.plain_runs:,} with the same seeds, and {self.independent_runs:,} if each run has its own"
         return [verdict, how, f"{runs} {seeds} (Clark & Yang 1986)"]
 
+    _notes = sentences
+
     def tables(self) -> list[Table]:
         """Return the table as its title and rows of text; the first row is the header."""
         keys, lost = list(self.settings[0]), {dropped.system: dropped for dropped in self.selection.dropped}
@@ -138,9 +140,6 @@ class RaceResult(TabularResult):
         seeds = "the same seeds" if self.common else "independent seeds"
         head = f"{self.name}: a race of {len(self.settings)} configurations, {seeds}; +- is half a 95 % t interval"
         return [(head, rows)]
-
-    def _notes(self) -> list[str]:
-        return self.sentences()
 
     def _right_from(self) -> int:
         return 1 + len(self.settings[0])

@@ -95,6 +95,8 @@ class SensitivityResult(TabularResult):
             )
         return sentences
 
+    _notes = sentences
+
     def _what_decides(self) -> str:
         metric, indices = words(self.metric), self.indices
         if indices is None or not indices.is_varied:
@@ -140,9 +142,6 @@ class SensitivityResult(TabularResult):
             " at each point; in brackets 95 % bootstrap intervals"
         )
         return [(title, rows)]
-
-    def _notes(self) -> list[str]:
-        return self.sentences()
 
     def _right_from(self) -> int:
         return 2
