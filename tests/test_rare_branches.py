@@ -102,6 +102,10 @@ VALUES = {
         inf,
     ),
     "no pairs": lambda: (differences(np.array([]), np.array([])).tolist(), []),
+    "no reference of independent runs": lambda: (
+        replace(SweepPlan.of(SHORT, {"team.count": [2, 3]}, 2), common=False).check_reference(None),
+        None,
+    ),
     "infinity of another class": lambda: (
         to_json([Infinity("inf"), Infinity(1.5), Infinity("-inf")]),
         ["Infinity", 1.5, "-Infinity"],

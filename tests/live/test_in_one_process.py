@@ -394,7 +394,9 @@ class Shell:
     def __init__(self, fails=None, output=""):
         self.lines, self.tables, self._fails, self._output = [], [], fails, output
 
-    def __call__(self, words, *, env=None, **_):
+    def __call__(self, words, *, env=None, **options):
+        assert options.items() <= {"check": False, "capture_output": True, "text": True}.items()
+        assert options["capture_output"], "what a command says is for a message, and not for the terminal"
         line = " ".join(words)
         self.lines.append(line)
         self.tables.append((env or {}).get("TC_LIB_DIR") is not None)

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+from itertools import product
 
 import pytest
 
@@ -132,9 +133,9 @@ def test_a_process_that_may_not_join_is_told_why(said, why):
     assert asyncio.run(refused())
 
 
-@pytest.mark.parametrize("may_skip", [False, True])
-@pytest.mark.parametrize("unread", [0, BACKLOG, BACKLOG + 1])
-@pytest.mark.parametrize("is_done", [False, True])
+@pytest.mark.parametrize(
+    ("is_done", "unread", "may_skip"), [*product([False, True], [0, BACKLOG, BACKLOG + 1], [False, True])]
+)
 def test_a_pursuer_that_has_ended_is_told_nothing_and_one_that_is_behind_may_be_skipped(is_done, unread, may_skip):
     async def told():
         made, heard, _ = lobby()
@@ -184,6 +185,22 @@ def test_a_pursuer_that_leaves_before_its_end_is_lost_and_one_that_leaves_after_
         return [pursuer for pursuer, _ in lost]
 
     assert asyncio.run(lost_ones()) == [1]
+
+
+def test_a_process_that_leaves_once_all_have_reported_or_the_lobby_is_closed_is_not_lost():
+    async def lost_after(end):
+        made, _, lost = lobby(1)
+        lines, _ = hello(made, 0)
+        await end(made)
+        lines.connection_lost(None)
+        await asyncio.sleep(0.0)
+        return lost, made._joined[0].loss
+
+    async def closed(made):
+        made.close()
+
+    for end in (lambda made: made.reports(0.0), closed):
+        assert asyncio.run(lost_after(end)) == ([], None)
 
 
 def test_who_has_not_joined_in_time_or_has_ended_is_named():

@@ -158,12 +158,13 @@ class Process:
 
     def __init__(self, is_gone=False):
         self.stdout, self.stdin, self.written = asyncio.StreamReader(), self, b""
-        self.is_closed, self.was_waited_for, self._is_gone = False, False, is_gone
+        self.is_closed, self.was_waited_for, self._is_gone, self.drained = False, False, is_gone, 0
 
     def write(self, data):
         self.written += data
 
     async def drain(self):
+        self.drained += 1
         await asyncio.sleep(0)
         if self._is_gone:
             raise ConnectionResetError
@@ -202,12 +203,13 @@ def test_a_caller_hands_over_tasks_and_hears_of_each_end_once(monkeypatch):
             await asyncio.sleep(0.001)
             assert ends == [("second", 0, -9), ("first", 1, 4)]
         assert process.was_waited_for
+        assert process.drained == 2
+        assert ends[2:] == [("first", 0, None)]
         return calls, process.written
 
     ((words, options),), written = asyncio.run(play())
     assert words == (sys.executable, "-m", "desim.live.nursery")
     assert options == {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "start_new_session": True}
-    assert ends[2:] == [("first", 0, None)]
     runs = []
     while written:
         length = int.from_bytes(written[:8], "big")

@@ -3,6 +3,7 @@
 import os
 import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
@@ -154,3 +155,37 @@ def test_the_command_claims_lots_and_leaves_the_rest_to_others(tmp_path, monkeyp
     assert "0 runs in" in accepted("sweep", *words, "--claim", "claims", "-o", "two").output
     told = refused("sweep", *words, "--claim", "claims", "--shard", "1/2")
     assert "--claim shares the runs with other commands: it excludes --shard" in told
+
+
+def descriptors():
+    """Return the number of open files of this process."""
+    return len([*Path("/dev/fd").iterdir()])
+
+
+def contested(path):
+    lock = LockFile(path)
+    assert lock.try_acquire() is None
+    assert LockFile(path).try_acquire() is not None
+    lock.release()
+
+
+def damaged(path):
+    path.write_bytes(b"no database" * 100)
+    with pytest.raises(OSError, match=r"damaged|not a database"):
+        Store(path)
+
+
+def of_another_sweep(path):
+    with Store(path) as store:
+        plan().register(store)
+        with pytest.raises(OSError, match="another"):
+            plan(7, {"network.loss.p": [0.5]}).register(store)
+
+
+@pytest.mark.skipif(not Path("/dev/fd").is_dir(), reason="no list of open files")
+@pytest.mark.parametrize("act", [contested, damaged, of_another_sweep])
+def test_what_fails_leaves_no_file_open(act, tmp_path):
+    act(tmp_path / "first.sqlite")
+    before = descriptors()
+    act(tmp_path / "second.sqlite")
+    assert descriptors() == before

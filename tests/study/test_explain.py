@@ -990,3 +990,13 @@ def test_a_model_whose_data_file_is_missing_is_refused_with_its_place(file):
     result = command(file, "-n", 2, "--allow-import", "--set", 'protocol.kind="declaring:rule"')
     assert result.exit_code == 2
     assert '--set protocol.kind="declaring:rule": protocol: depends_on: none.txt cannot be read: No' in result.stderr
+
+
+def test_metrics_that_cannot_be_compared_are_refused_before_a_run(tmp_path):
+    variants = Variants.of(Scenario(network={"loss": 0.1}), 2)
+    with Store(tmp_path / "s.sqlite") as store, workers_for(1) as workers:
+        variants.plan.register(store)
+        for shown in ([], ["nope"]):
+            with pytest.raises(ValueError, match=r"metric"):
+                variants.carry_out(store, workers, shown)
+        assert len(store) == 0
