@@ -2,6 +2,7 @@
 
 import json
 from functools import cached_property
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from desim.study.comparing.bench import Entrants, frozen_matches
 from desim.study.comparing.scores import APART, OMNISCIENT, Benchmark, Ratio
 from desim.study.comparing.suite import AS_IT_IS, PERFECT, REFERENCE, SILENT, Suite, cost_of_runs, frozen_text
 from desim.study.sweeps.sweep import RunError
+from desim.study.workers.batch import seeds_from
 from desim.study.workers.executors import workers_for
 from scenarios.freeze import differences
 
@@ -50,6 +52,21 @@ def test_the_reference_repeats_its_first_frozen_runs():
     costs = {name: {REFERENCE: {AS_IT_IS: SUITE.costs[name][REFERENCE][AS_IT_IS] + 1e-6}} for name in SUITE.costs}
     vars(other)["costs"] = costs
     assert not frozen_matches(other, ["latency"])
+
+
+@pytest.mark.parametrize("asked", [None, ["latency", "partition"], []])
+def test_the_runs_that_are_repeated_are_those_of_all_scenarios_or_of_some(asked, monkeypatch):
+    ran = []
+    suite = SimpleNamespace(
+        scenarios={name: SimpleNamespace(seed=k, name=name) for k, name in enumerate(["latency", "partition", "loss"])},
+        costs={name: {REFERENCE: {AS_IT_IS: [2.0]}} for name in ("latency", "partition", "loss")},
+    )
+    monkeypatch.setattr("desim.simulation.run.run", lambda scenario, seed: ran.append((scenario.name, seed)))
+    monkeypatch.setattr("desim.analysis.measuring.summary", lambda _: SimpleNamespace(active_time=1.0, idle_time=2.0))
+    monkeypatch.setattr("desim.study.comparing.bench.cost_of_runs", lambda _, active, idle: active * idle)
+    assert frozen_matches(suite, asked)
+    names = list(suite.scenarios) if asked is None else asked
+    assert ran == [(name, seeds_from(suite.scenarios[name].seed, 1)[0]) for name in names]
 
 
 def test_few_runs_are_scored_in_the_same_scenarios():

@@ -18,7 +18,7 @@ from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import run
 from desim.study.results.costs import AS_IT_IS, IDEAL
-from desim.study.results.figures import _label_outer, _mark_flat, is_wide, legend, means, multiples
+from desim.study.results.figures import _apart, _label_outer, _mark_flat, is_wide, legend, means, multiples
 from desim.study.results.heat_maps import INK, _cell_format, _cell_text, phase
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import Group
@@ -116,6 +116,18 @@ def test_infinity_stands_to_the_right_of_all():
 def test_one_value_and_infinity_are_apart():
     axes, _ = drawn({"network.range": [inf, 4.0]})
     assert ticks(axes.xaxis) == {"4": 4.0, "inf": 5.0}
+
+
+def test_a_label_is_left_out_where_it_would_touch_the_one_before_or_the_last():
+    axes = Figure(figsize=(4.0, 3.0)).add_subplot()
+    for values, kept in (
+        ([0, 5, 10], [0, 5, 10]),
+        ([0, 5, 5.2, 10], [0, 5, 10]),
+        ([0, 0.1, 5, 10], [0, 5, 10]),
+        ([0, 5, 9.9, 10], [0, 5, 10]),
+        ([3], [3]),
+    ):
+        assert _apart(axes, values, {value: float(value) for value in values}) == kept
 
 
 def test_values_of_several_magnitudes_are_equally_far_apart_with_0_and_infinity_at_the_ends():

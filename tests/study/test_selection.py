@@ -52,6 +52,14 @@ def test_the_constants_are_those_of_the_formula():
     assert square == pytest.approx(2 * eta * 19)
 
 
+@pytest.mark.parametrize("unit", [0.01, 3.0])
+def test_a_selection_does_not_depend_on_the_unit_of_the_samples(unit):
+    samples = drawn(np.random.default_rng(5), 1500, np.array([0.0, 0.0, 0.5]), np.ones(3), 0.3)
+    here, there = selected(samples, zone=0.5), selected(samples * unit, zone=0.5 * unit)
+    assert (here.selected, here.left, here.dropped) == (there.selected, there.left, there.dropped)
+    assert here.dropped
+
+
 def as_in_the_paper(samples, zone, confidence, first):
     """Return the selected system and the times of elimination: section 3 of Kim & Nelson, step by step."""
     k = samples.shape[1]

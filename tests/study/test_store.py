@@ -764,3 +764,13 @@ def test_a_settled_file_with_a_log_is_immutable_on_a_network_file_system(tmp_pat
     path.write_bytes(bytes(18) + header)
     monkeypatch.setattr(store_connection, "has_locks", lambda _: False)
     assert store_connection.address_of(path, True, "NFS") == f"{path.as_uri()}?mode={mode}&vfs=unix-none"
+
+
+@pytest.mark.slow
+def test_stores_without_runs_are_merged_into_one_without_a_root_seed(tmp_path):
+    for name in ("a.sqlite", "b.sqlite"):
+        with Store(tmp_path / name):
+            pass
+    made = command("merge", tmp_path / "a.sqlite", tmp_path / "b.sqlite", "-o", tmp_path / "all")
+    assert made.exit_code == 0
+    assert json.loads((tmp_path / "all" / "run.json").read_text())["seed"] == 0

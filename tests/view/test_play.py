@@ -671,6 +671,15 @@ def test_a_request_that_takes_too_long_to_arrive_is_ended(small, monkeypatch):
         assert not made._incoming
 
 
+def test_a_connection_that_is_closed_is_no_longer_awaited(small, monkeypatch):
+    closed = []
+    monkeypatch.setattr(play_server.ThreadingHTTPServer, "shutdown_request", lambda _, request: closed.append(request))
+    with PlayServer(Session(small, InProcess())) as made:
+        made._incoming |= {"first": 1.0, "second": 2.0}
+        made.shutdown_request("first")
+        assert (closed, made._incoming) == (["first"], {"second": 2.0})
+
+
 @pytest.mark.parametrize(("error", "is_told"), [(ConnectionResetError("gone"), False), (KeyError("rgb"), True)])
 def test_an_error_in_a_request_is_told_unless_the_browser_has_closed_the_connection(small, capsys, error, is_told):
     with PlayServer(Session(small, InProcess())) as made:

@@ -117,6 +117,8 @@ def test_the_text_of_a_page_is_golden(full):
     end = lines.index("h2: Means and 95 % intervals")
     said = {f"dt: {key}" for key in full.study.fixed.keys() - fixed.keys()}
     kept = [k for k in range(len(lines)) if lines[k] not in said and not (k and lines[k - 1] in said)]
+    assert full.text.lstrip().startswith("<!doctype html>\n")
+    assert full.text.endswith("</html>\n")
     golden("report.txt", "\n".join(lines[k] for k in kept if not begin < k < end) + "\n")
 
 
