@@ -21,9 +21,11 @@ from desim.config.errors import KeyedError, NoMetricError, Problem
 from desim.config.json_numbers import to_json
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.core.units import SECOND
+from desim.kernel.measured.models import LatencyTrace, LossTrace
 from desim.kernel.models.interference import unknown_channel
 from desim.kernel.models.link_draws import as_booleans
 from desim.kernel.models.reception import Disk
+from desim.kernel.state.fault_state import _checked_delays
 from desim.kernel.state.inbox import Message
 from desim.kernel.topology.correlated_channel import unknown_fading
 from desim.kernel.transport.frames import CodedPiece
@@ -46,6 +48,7 @@ from protocols.schedules.synchronous import Synchronous
 
 SHORT = Scenario(horizon=0.01, team={"count": 2})
 CONTEXT = {"src": 0, "dst": np.array([1, 2]), "now": 0.0}
+LINKS = LinkContext(**CONTEXT)
 
 
 class Mine(Fault):
@@ -81,6 +84,13 @@ VALUES = {
     "distances that are known": lambda: (
         LinkContext(**CONTEXT, known_distances=np.array([2.0, 3.0])).distances.tolist(),
         [2.0, 3.0],
+    ),
+    "a trace that is asked without a run": lambda: (
+        (
+            LatencyTrace(table="t,value\n0,0.5\n")(LINKS, None),
+            LossTrace(table="t,value\n0,1\n")(LINKS, np.random.default_rng(1)).tolist(),
+        ),
+        (0.5, [True, True]),
     ),
     "the border of a disk": lambda: (
         Disk().received(np.array([1.0, 2.0, 2.1]), 2.0, None).tolist(),
@@ -133,7 +143,30 @@ def test_a_piece_that_is_too_old_is_dropped():
     assert [len(list(receiver.receive(0, 7, piece))) for piece in pieces] == [1, 0, 1]
 
 
+def step_of_closed_networks():
+    with desim.SteppedNetworks(2, 3) as networks:
+        assert [messages for messages in networks.step(0.1) if messages] == []
+    networks.step(0.1)
+
+
 REFUSED = {
+    "a delay of no copy": (
+        lambda: _checked_delays({1: []}, [1, 2], print),
+        "a list of extra delays, in s, should not be empty, got {1: []} from",
+    ),
+    "a delay to another node": (
+        lambda: _checked_delays({3: 0.5}, [1, 2], print),
+        "delays(src, receivers, body) should name receivers of the message, got 3 from",
+    ),
+    "a negative delay": (
+        lambda: _checked_delays({1: [0.5, -1.0]}, [1, 2], print),
+        "an extra delay, in s, should be at least 0, got -1.0 from",
+    ),
+    "too few names of nodes": (
+        lambda: desim.Edges(nodes=3, edges=[{"src": 0, "dst": 1}], names=("a", "b")),
+        "names should be one per node: there are 3 nodes and 2 names",
+    ),
+    "networks that are closed": (step_of_closed_networks, "closed"),
     "losses that are numbers": (lambda: as_booleans([1, 0], desim.Bernoulli()), "losses should be booleans"),
     "an overlap without channels": (lambda: unknown_channel(None), "shadowing needs the states of the channels"),
     "a fading without processes": (lambda: unknown_fading(3), "the fading has no processes unless network.fading"),
