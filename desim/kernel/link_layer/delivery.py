@@ -4,9 +4,9 @@ Records and messages whose arrival is certain at transmission are stored at once
 is not certain if a fault, a range check on arrival or half duplex can still prevent it;
 `desim.kernel.link_layer.arrivals` then decides it when it is due.
 
-A range check cannot prevent an arrival for as long as no link of the sender can have crossed its border, because the speed
-of the nodes is bounded (`desim.kernel.topology.kept_receivers`). With 40 nodes that stay far within range, lognormal
-latencies take 0.4 of the time that decisions on arrival take.
+A range check cannot prevent an arrival for as long as no link of the sender can have crossed its border, because the
+speed of the nodes is bounded (`desim.kernel.topology.kept_receivers`). With 40 nodes that stay far within range,
+lognormal latencies take 0.4 of the time that decisions on arrival take.
 
 With planned faults, an arrival at a node that is up is certain if it is due before the next fault begins or ends. The
 exception is a jamming disc: nodes may move into it.
