@@ -79,70 +79,101 @@ class MobilityTable(MobilityFile):
         *,
         needs_times: bool = True,
     ):
-        self._file = file
-        width = len(header.names)
+        self._file, width = file, len(header.names)
         if not (needs_times or header.columns("t")):
             header = header.extended("t", *([] if header.columns("node") else ["node"]))
-        columns = {key: self._column(header, key) for key in COLUMNS}
-        if missing := [key for key in ("t", "x", "y") if columns[key] is None]:
-            if DEGREES & set(header.names):
-                raise ValueError(f"{file} has positions in degrees; project them to m, as columns x and y")
-            raise ValueError(
-                f"{file}, line {first + 1}: has no column {missing[0]}; the first line should name the columns, t, x"
-                f" and y (s, m), and those of several nodes also node; it has {', '.join(filter(None, header.names))}"
-            )
-        self._t, self._x, self._y = (columns[key] or 0 for key in "txy")
-        time_column = header.names[self._t]
-        if (rest := sorted(FRACTIONS & set(header.names))) and time_column in WHOLE_SECONDS:
-            names = f"{time_column} and {rest[0]}"
-            raise ValueError(f"{file}, line {first + 1}: columns {names} have the time together: give it in one, in s")
+        self._header, self._header_line = header, f"{file}, line {first + 1}"
+        self._columns = {key: self._column(key) for key in COLUMNS}
+        self._check_columns()
+        self._t, self._x, self._y = (self._columns[key] or 0 for key in "txy")
+        self._check_time_column()
         units = [header.units[k] for k in (self._t, self._x, self._y)]
-        node_columns = [k for k, name in enumerate(header.names) if name in COLUMNS["node"]]
-        groups = set[tuple[str, ...]]()
-        self._columns, self._rows = columns, dict[str, list[tuple[int, list[str]]]]()
-        used = [column for column in columns.values() if column is not None]
-        rows = _cells(file, lines, first, delimiter)
-        if delimiter in {";", "\t"}:
-            rows = with_points(rows, lambda cells: [cells[k] for k in used if k < len(cells)], str(file))
-        for number, (line, cells) in enumerate(rows):
+        rows: list[tuple[int, list[str]]] = []
+        for line, cells in self._points(_cells(file, lines, first, delimiter), delimiter):
             if len(cells) != width:
                 raise ValueError(f"{file}, line {line}: has {len(cells)} cells, but the header {width}")
-            cells += ["0", str(number)][: len(header.names) - width]
-            if not self._rows and cells[self._t].strip().lower() in TIME_UNITS:  # a second line of units
+            if not rows and self._t < width and cells[self._t].strip().lower() in TIME_UNITS:  # a second line of units
                 units = [cells[k].strip() for k in (self._t, self._x, self._y)]
                 continue
-            groups.add(tuple(cells[k] for k in node_columns))
-            node = "0" if columns["node"] is None else cells[columns["node"]].strip()
-            self._rows.setdefault(node, []).append((line, cells))
-        if any(len({group[k] for group in groups}) < len(groups) for k in range(len(node_columns))):
-            names = " and ".join(header.names[k] for k in node_columns)
-            raise ValueError(f"{file}: the columns {names} may name the nodes, and differ: leave out all but one")
-        if not self._rows:
+            rows.append((line, [*cells, *["0", str(len(rows))][: len(header.names) - width]]))
+        if not rows:
             raise ValueError(f"{file} has no rows below its header")
-        if columns["node"] is None and (name := _column_of_names(header, [cells for _, cells in self._rows["0"]])):
-            raise ValueError(
-                f"{file}: column {name!r} has several texts: if they name the nodes, call it node, else leave it out"
-            )
+        self._check_names(rows)
+        self._rows = dict[str, list[tuple[int, list[str]]]]()
+        for line, cells in rows:
+            node = "0" if self._columns["node"] is None else cells[self._columns["node"]].strip()
+            self._rows.setdefault(node, []).append((line, cells))
         super().__init__(file, sorted(map(int, self._rows)) if all(map(_is_number, self._rows)) else self._rows)
-        _, cells = next(iter(self._rows.values()))[0]
-        self._unit = self._unit_of(units[0], cells[self._t])
-        for k, unit in zip((self._x, self._y), units[1:], strict=True):
-            if unit and not re.fullmatch(SAME_UNIT["m"], unit, re.IGNORECASE):
-                hint = "name it without its unit, and set scale"
-                raise ValueError(f"{file}: column {header.names[k]!r} is in {unit}, and should be in m; {hint}")
-        is_single = len(self._rows) > 1 and all(len(rows) == 1 for rows in self._rows.values())
-        if is_single and len({self._time(rows[0]) for rows in self._rows.values()}) > 1:
-            name = header.names[columns["node"] or 0]
-            raise ValueError(f"{file}: column {name!r} is different in each row, so it does not name the nodes")
+        self._unit = self._unit_of(units[0], rows[0][1][self._t])
+        self._check_units_of_places(units[1:])
+        self._check_nodes_have_tracks()
 
-    def _column(self, header: Header, key: str) -> int | None:
+    def _column(self, key: str) -> int | None:
         """Return the index of a column; None if the table lacks it."""
-        indices = header.columns(key)
+        indices = self._header.columns(key)
         if len(indices) > 1 and key != "z":
-            names = [header.names[k] for k in indices]
+            names = [self._header.names[k] for k in indices]
             which = f"several columns {names[0]!r}" if len(set(names)) == 1 else f"columns {' and '.join(names)}"
             raise ValueError(f"{self._file} has {which}: which of them is {key}? Leave out the others")
         return indices[0] if indices else None
+
+    def _points(self, rows: Iterator[tuple[int, list[str]]], delimiter: str) -> Iterator[tuple[int, list[str]]]:
+        """Yield rows with decimal points: cells that a comma does not separate may have decimal commas."""
+        if delimiter not in {";", "\t"}:
+            return rows
+        used = [column for column in self._columns.values() if column is not None]
+        return with_points(rows, lambda cells: [cells[k] for k in used if k < len(cells)], str(self._file))
+
+    def _check_columns(self) -> None:
+        """Raise ValueError if a column is missing."""
+        missing = [key for key in ("t", "x", "y") if self._columns[key] is None]
+        if not missing:
+            return
+        names = self._header.names
+        if DEGREES & set(names):
+            raise ValueError(f"{self._file} has positions in degrees; project them to m, as columns x and y")
+        raise ValueError(
+            f"{self._header_line}: has no column {missing[0]}; the first line should name the columns, t, x and y (s, m), and"
+            f" those of several nodes also node; it has {', '.join(filter(None, names))}"
+        )
+
+    def _check_time_column(self) -> None:
+        """Raise ValueError if the column of times has whole seconds, and another one the rest."""
+        names = self._header.names
+        if (rest := sorted(FRACTIONS & set(names))) and names[self._t] in WHOLE_SECONDS:
+            both = f"{names[self._t]} and {rest[0]}"
+            raise ValueError(f"{self._header_line}: columns {both} have the time together: give it in one, in s")
+
+    def _check_names(self, rows: Sequence[tuple[int, list[str]]]) -> None:
+        """Raise ValueError if it is not clear which column names the nodes."""
+        names = self._header.names
+        node_columns = [k for k, name in enumerate(names) if name in COLUMNS["node"]]
+        groups = {tuple(cells[k] for k in node_columns) for _, cells in rows}
+        if any(len({group[k] for group in groups}) < len(groups) for k in range(len(node_columns))):
+            listed = " and ".join(names[k] for k in node_columns)
+            raise ValueError(
+                f"{self._file}: the columns {listed} may name the nodes, and differ: leave out all but one"
+            )
+        if self._columns["node"] is None and (name := _column_of_names(self._header, [cells for _, cells in rows])):
+            raise ValueError(
+                f"{self._file}: column {name!r} has several texts: if they name the nodes, call it node, else leave it"
+                " out"
+            )
+
+    def _check_units_of_places(self, units: Sequence[str]) -> None:
+        """Raise ValueError if x or y have another unit than m."""
+        for k, unit in zip((self._x, self._y), units, strict=True):
+            if unit and not re.fullmatch(SAME_UNIT["m"], unit, re.IGNORECASE):
+                name = self._header.names[k]
+                hint = "name it without its unit, and set scale"
+                raise ValueError(f"{self._file}: column {name!r} is in {unit}, and should be in m; {hint}")
+
+    def _check_nodes_have_tracks(self) -> None:
+        """Raise ValueError if each row has another node and another time: the column of nodes then counts the rows."""
+        is_single = len(self._rows) > 1 and all(len(rows) == 1 for rows in self._rows.values())
+        if is_single and len({self._time(rows[0]) for rows in self._rows.values()}) > 1:
+            name = self._header.names[self._columns["node"] or 0]
+            raise ValueError(f"{self._file}: column {name!r} is different in each row, so it does not name the nodes")
 
     def _unit_of(self, name: str, first: str) -> Unit:
         """Return the unit of the times, given that of the header, which may have none, and the first time."""
