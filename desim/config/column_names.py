@@ -44,10 +44,22 @@ SAME_UNIT = {"s": TIME_UNITS["s"], "m": "m|met(?:er|re)s?"}
 """Expressions for the names of a unit."""
 NAMES_OF_UNITS = {unit: f"{SAME_UNIT[unit]}|{OTHER_UNITS[unit]}" for unit in SAME_UNIT}
 LABEL = re.compile(
-    r"(?P<name>.*?)(?:\s*[\[(]\s*(?P<bracketed>[^\])]*?)\s*[\])]"
-    r"|(?:\s*[/,:]\s*|\s+in\s+|_in_|\s+|_|(?-i:(?<=[a-zXYZ])(?=[A-Z])(?!Min))|(?<=^[xyz])(?=[a-z]?m$|ft|px)|(?<=^t)(?=[mun]s))"
-    rf"(?P<unit>{'|'.join(NAMES_OF_UNITS.values())}|m|mi|dm|min|h))?\s*",
-    re.IGNORECASE,
+    rf"""
+    (?P<name>.*?)
+    (?:
+        \s* [\[(] \s* (?P<bracketed>[^\])]*?) \s* [\])]
+    |
+        (?:
+            \s*[/,:]\s* | \s+in\s+ | _in_ | \s+ | _
+        |   (?-i:(?<=[a-zXYZ])(?=[A-Z])(?!Min))  # posCm, but not posMin
+        |   (?<=^[xyz])(?=[a-z]?m$|ft|px)  # xcm
+        |   (?<=^t)(?=[mun]s)  # tms
+        )
+        (?P<unit>{"|".join(NAMES_OF_UNITS.values())}|m|mi|dm|min|h)
+    )?
+    \s*
+    """,
+    re.IGNORECASE | re.VERBOSE,
 )
 """Matches the label of a column with its unit, as in `x [cm]`, `x_cm`, `x / cm`, `x in cm`, `xcm` or `posCm`."""
 WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?(?:(?![A-Z])[^\W\d_])+|\d+")

@@ -133,8 +133,8 @@ class MobilityTable(MobilityFile):
         if DEGREES & set(names):
             raise ValueError(f"{self._file} has positions in degrees; project them to m, as columns x and y")
         raise ValueError(
-            f"{self._header_line}: has no column {missing[0]}; the first line should name the columns, t, x and y (s, m), and"
-            f" those of several nodes also node; it has {', '.join(filter(None, names))}"
+            f"{self._header_line}: has no column {missing[0]}; the first line should name the columns, t, x and y (s,"
+            f" m), and those of several nodes also node; it has {', '.join(filter(None, names))}"
         )
 
     def _check_time_column(self) -> None:
