@@ -8,7 +8,9 @@ from typing import Any
 from desim.config.model import RESOLUTION
 from desim.config.traits import inherits
 from desim.kernel.clock_sync import Unsynchronised
-from desim.kernel.core.units import SECOND, nanoseconds
+from desim.kernel.core.message_size import size_of
+from desim.kernel.core.records import Record
+from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.kernel.graph_files.graph_attributes import unread_attributes
 from desim.kernel.measured.base import LinkTrace
 from desim.kernel.models.access import SlottedAloha, Tdma
@@ -17,13 +19,14 @@ from desim.kernel.models.faults import Window
 from desim.kernel.models.graphs import Complete, Edges, links_with_attributes
 from desim.kernel.models.interference import Collision
 from desim.kernel.models.links import Links
-from desim.kernel.models.medium import LoRa, Radio, contends
+from desim.kernel.models.medium import LoRa, Radio, airtime_of, contends
 from desim.kernel.models.presets import PRESETS
 from desim.kernel.models.reception import Disk, QuasiUnitDisk
 from desim.kernel.models.traits import InterferenceTraits, ReceptionTraits
 from desim.kernel.models.transport import BestEffort, Reliable
 from desim.kernel.walls.materials import MATERIALS
 from desim.pursuit.core.traits import DisseminationTraits
+from desim.pursuit.team.announcements import Forwarded, LocatedAssignment
 from desim.scenario.scenario import Scenario
 from desim.scenario.telling import announces_start, has_heartbeats, is_built_in, sends_announcements
 
@@ -33,6 +36,8 @@ MANY_ROWS = 10
 """The number of rows of a table, and the number for each row before the horizon, from which on it is doubted."""
 SPARSE = 5.0
 """The mean time between two rows, s, from which on a table that is much longer than a run is doubted."""
+REPORT = size_of(Forwarded((Record(0, 0, 0, LocatedAssignment(0, 0.0, 0.0, 0.0)),)))
+"""Least size of a report to a server (`protocols.server`), bytes."""
 ROUNDS_TO_0 = "rounds to 0, because time is counted in nanoseconds"
 
 
@@ -63,14 +68,29 @@ def network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     size, airtime = scenario.announcement_size, scenario.announcement_airtime
     if 0.0 < airtime <= RESOLUTION / 2:
         yield "network.medium", f"the airtime of {size} bytes, {airtime:.1g} s, {ROUNDS_TO_0}"
+    if has_heartbeats(scenario):
+        yield from _load_warnings(scenario, "announce.heartbeat", "heartbeats", size, announce.heartbeat)
+    protocol = scenario.protocol_traits
+    if protocol.host is not None and protocol.period is not None and is_built_in(scenario):
+        yield from _load_warnings(scenario, "protocol.period", "reports", REPORT, protocol.period, silent=1)
+
+
+def _load_warnings(
+    scenario: Scenario, key: str, messages: str, size: int, period: float, silent: int = 0
+) -> Iterator[tuple[str, str]]:
+    """Yield a warning if the messages of a size (bytes) that pursuers send each period (s) overload the channel.
+
+    `silent`: the number of pursuers that do not send them.
+    """
+    network, count = scenario.network, scenario.team.count
     contend = contends(network.medium)
     all_hear_all = network.range == inf and inherits(network.graph, Complete)
     is_one_channel = network.medium.shared or (contend and all_hear_all)
-    load = airtime / announce.heartbeat * (scenario.team.count if is_one_channel else 1)
-    if has_heartbeats(scenario) and load > 1.0:
+    load = airtime_of(network.medium, size, count) / period * (count - silent if is_one_channel else 1)
+    if load > 1.0:
         yield (
-            "announce.heartbeat",
-            f"heartbeats of {size} bytes alone need {load:.1f} times the capacity of the channel: queues grow without"
+            key,
+            f"{messages} of {size} bytes alone need {load:.1f} times the capacity of the channel: queues grow without"
             f" bound, or messages {'collide or ' if contend else ''}are dropped",
         )
 

@@ -224,6 +224,11 @@ def test_of_several_players_the_fastest_counts(speeds):
             "heartbeats of 200 bytes alone need 8.3 times the capacity of the channel",
         ),
         (
+            {"network": Links(medium=BITS | {"shared": True}), "team": Team(count=3), "protocol": Server(period=0.5)},
+            "protocol.period",
+            "reports of 72 bytes alone need 1.2 times the capacity of the channel",
+        ),
+        (
             {"protocol": SpatialAdaptivePlay(schedule=Periodic(period=0.2, jitter=0.0)), "motion": Motion(step=0.05)},
             "protocol.schedule.jitter",
             "4 motion steps",
