@@ -505,6 +505,118 @@ def test_a_token_that_is_stuck_is_found():
     assert search.violation is not None
 
 
+def is_first(me, times):
+    """Return whether a pursuer would be in time, and before all others with these capture times, s."""
+    return me.capture_time() < me.time_left() and all(me.capture_time() <= time for time in times)
+
+
+def deaf_to_one(me):
+    """Chase if no believed chaser is faster, but for pursuer 2, whom nobody heeds."""
+    while True:
+        yield me.sleep(0.1 * me.rng.uniform(0.5, 1.5))
+        me.assign(is_first(me, [time for j, time in me.believed_chasers().items() if j != 2]))
+        me.announce()
+
+
+def never_forgets(me):
+    """Chase if no chaser is faster, and take a pursuer for one until it says that it stays."""
+    chasers = {}
+    while True:
+        yield me.sleep(0.1 * me.rng.uniform(0.5, 1.5))
+        for j, belief in me.beliefs().items():
+            chasers |= {j: belief.capture_time if belief.active else inf}
+        me.assign(is_first(me, chasers.values()))
+        me.announce()
+
+
+def sends_its_token_once(me):
+    """Decide while it has the token, which is lost with the first holder that crashes."""
+    if me.id == 0:
+        me.send(1, "token")
+    while True:
+        yield me.arrival()
+        me.mail()
+        yield me.sleep(0.02)
+        me.assign(is_first(me, me.believed_chasers().values()))
+        me.announce()
+        me.send((me.id + 1) % me.team_size, "token")
+
+
+def obeys_odd_orders(me):
+    """Report to pursuer 0, and obey every second of its orders, of which there is one for each new chaser."""
+    times, orders, told = {}, 0, None
+    while True:
+        yield me.sleep(0.1)
+        if me.id:
+            me.send(0, me.capture_time())
+        for message in me.mail():
+            if message.src:
+                times[message.src] = message.body
+            elif (orders := orders + 1) % 2:
+                me.assign(message.body == me.id)
+        if me.id == 0 and len(times) == me.team_size - 1:
+            times[0] = me.capture_time()
+            best = min(times, key=times.get)
+            me.assign(best == 0)
+            if best != told:
+                me.send(None, best)
+                told = best
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize(
+    ("rule", "prop", "needs"),
+    [
+        (deaf_to_one, "crowded never longer than 2 against local_min", set()),
+        (never_forgets, "idle never longer than 2 against centralised", {"chaser crash"}),
+        (sends_its_token_once, "idle leads to not idle within 2 against centralised", {"chaser crash"}),
+        (obeys_odd_orders, "idle never longer than 2 against centralised", {"chaser crash"}),
+    ],
+)
+def test_a_planted_fault_is_found_and_nothing_else_is_left(rule, prop, needs):
+    """The first is seen in any game; the others need that the chaser crashes."""
+    scenario = Scenario(team=Team(count=5, speeds=2.5), horizon=12.0, network=Links(latency=0.05), protocol=rule)
+    violation = find_violation(scenario, prop, runs=100, seed=1, jobs=1).violation
+    assert {*violation.case} - {"team", "horizon"} == needs
+    sound = judge(prop, run(violation.scenario.with_({"protocol": "sap"}), violation.seed))
+    assert sound.holds
+
+
+def toggles(me):
+    """Pursuer 0 tells all but the best one to change what they do: told twice, one chases again."""
+    if me.id:
+        me.send(0, me.capture_time())
+    times = {0: me.capture_time()}
+    while True:
+        yield me.arrival()
+        for message in me.mail():
+            if me.id:
+                me.assign(not me.action)
+            else:
+                times[message.src] = message.body
+        if me.id == 0 and len(times) == me.team_size:
+            best = min(times, key=times.get)
+            me.assign(best == 0)
+            for j in times.keys() - {0, best}:
+                me.send(j, "change")
+
+
+@pytest.mark.whole
+def test_a_message_that_must_not_come_twice_is_found():
+    """Two reports and an order: without a report no order comes, a repeated one makes another, late ones do no harm."""
+    scenario = Scenario(
+        team=Team(count=3, speeds=2.5),
+        horizon=2.0,
+        network=Links(latency=0.05),
+        announce=Announcements(start="known", trigger="change"),
+        protocol=toggles,
+    )
+    table = fatal_losses(scenario, "crowded at most 1 in total", fates=("lost", "late", "twice"), delay=0.3, jobs=1)
+    fatal = [(one.messages[0].number, one.messages[0].src, *one.fates) for one in table.fatal]
+    assert fatal == [(number, src, fate) for number, src in enumerate((1, 2, 0), start=1) for fate in ("lost", "twice")]
+    assert table.runs == 10, "the run without faults, and each message with each fate"
+
+
 QUICK = {"runs": 20, "seed": 3, "features": ["latency", "loss", "chaser crash"]}
 
 
