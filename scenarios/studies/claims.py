@@ -641,8 +641,41 @@ CLAIMS = (
     Claim(
         "breaking",
         BREAKING,
-        '<a href="broken/server-4.html#t=0.5">film</a>) | {5.5}; {6.0}; {5.0} |',
-        [*map(alone, ("server-2", "server-3", "server-4"))],
+        "number 1, the chaser, crashes at {0.5} s ([file](../_static/broken/jsfp-2.toml), "
+        '<a href="broken/jsfp-2.html#t=0.5">film</a>) | {5.1} |',
+        (crash_time("jsfp-2"), alone("jsfp-2")),
+    ),
+    Claim(
+        "breaking",
+        BREAKING,
+        "number 2, the chaser, crashes at {0.8} s ([file](../_static/broken/selective_sap-2.toml), "
+        '<a href="broken/selective_sap-2.html#t=0.8">film</a>) | {6.7} |',
+        (crash_time("selective_sap-2"), alone("selective_sap-2")),
+    ),
+    Claim("breaking", BREAKING, 'href="broken/server-2.html#t=2">film</a>) | {5.5} |', [alone("server-2")]),
+    Claim("breaking", BREAKING, 'href="broken/server-3.html#t=0.5">film</a>) | {5.05} |', [alone("server-3")]),
+    Claim(
+        "breaking",
+        BREAKING,
+        "alone for {0.4} s in the first row, for {0.9} s under `jsfp` on change only, for {0.9} s in case 6,363, for"
+        " {1.0} s under `selective_sap`, and never under `local_min` with trust `trimmed`. If `cbba` drops a silent"
+        " winner after 0.5 s (`winner_timeout`), it is alone for {0.6} s. With bursts and a server that does not chase"
+        " (`host = 2`) it is alone for {0.2} s, and if the jamming begins at 2 s, for {0.6} s",
+        (
+            *(
+                alone(name, {"announce.belief_timeout": 1.0})
+                for name in ("argmin", "jsfp-2", "sap-2", "selective_sap-2")
+            ),
+            alone("cbba", {"protocol.winner_timeout": 0.5}),
+            alone("server-2", {"protocol.host": 2}),
+            alone("server-3", {"fault.0.start": 2.0}),
+        ),
+    ),
+    Claim(
+        "breaking",
+        BREAKING,
+        "nobody would be in time any more; in 15 s instead of 11 s the evader is alone for {0.7} s",
+        [alone("server", {"protocol.takeover": True, "horizon": 15.0})],
     ),
     Claim(
         "breaking",

@@ -4,6 +4,10 @@ import pytest
 
 from desim import judge, load, run
 from scenarios import breaking
+from scenarios.studies.study import SCENARIOS
+
+SHOWN = sorted((SCENARIOS.parent / "docs" / "_static" / "broken").glob("*.toml"))
+"""The scenarios of the page on what breaks protocols."""
 
 
 def test_a_search_begins_for_each_protocol_and_each_kind_of_trust():
@@ -55,3 +59,13 @@ def test_a_protocol_that_is_not_searched_is_told():
     told = CliRunner().invoke(breaking.main, ["--protocol", "centralised"])
     assert told.exit_code == 2
     assert "there is no 'centralised'; there are argmin" in told.output
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("file", SHOWN, ids=lambda file: file.stem)
+def test_a_scenario_of_the_page_breaks_its_protocol_with_the_margin_that_it_says(file):
+    scenario = load(file)
+    verdict = judge(breaking.PROPERTY, run(scenario))
+    first = file.read_text().splitlines()[0]
+    assert f"margin {verdict.margin:.3g} s (it has {verdict.measure:.3g} s, " in first
+    assert not verdict.holds
