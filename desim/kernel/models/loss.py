@@ -22,6 +22,8 @@ from desim.kernel.models.common_losses import Common, CommonBursts, CommonCause,
 from desim.kernel.models.correlation import RANGE, CorrelatedNumbers, LinkMemory
 from desim.kernel.models.traits import LinkTraits
 
+FEW = 16
+"""Number of receivers up to which the links of a broadcast are drawn one by one after messages to one node."""
 PositiveProbability = Annotated[float, Field(gt=0, le=1, strict=True)]
 
 
@@ -124,6 +126,8 @@ class Bursts:
         failure = recovery * model.share / (1.0 - model.share)  # p
         self._rate = failure + recovery
         self._loss_good, self._loss_bad = model.loss_good, model.loss_bad
+        self._loses_all = model.loss_good == 0.0 and model.loss_bad == 1.0
+        """Whether exactly the messages in the bad state are lost, so that each takes one random number."""
         # The chance of a link that was good at its last message, and of one that was bad; see `_rows`.
         self._after_good, self._after_bad = (0.0, 1.0) if self._in_time else (failure, 1.0 - recovery)
         self._rows: defaultdict[int, LinkMemory] = defaultdict(partial(LinkMemory, model.share))
@@ -137,21 +141,23 @@ class Bursts:
         Kept equal to draws link by link by
         `tests/kernel/test_propagation.py::test_losses_are_those_of_a_plain_model_that_draws_link_by_link`.
         """
-        dst = context.dst
+        dst, src, now = context.dst, context.src, context.now
         if len(dst) == 1:
-            return self.to_one(context.src, dst.item(), context.now, rng)
-        row = self._rows[context.src]
+            return self.to_one(src, dst.item(), now, rng)
+        row = self._rows[src]
+        if row.ones and len(dst) <= FEW and self._loses_all:  # else the links would be put aside for each other
+            return np.array([self.to_one(src, node, now, rng) for node in dst.tolist()])
         row.select(dst)
         chance = row.value
         if self._in_time:
             # In continuous time P(bad) tends exponentially to the share of bad time, with the rate p + r.
-            exponent = self._rate * (row.since - context.now)
+            exponent = self._rate * (row.since - now)
             fading = math.exp(exponent) if isinstance(exponent, float) else exp(exponent)
-            chance, row.since = self._share + (chance - self._share) * fading, context.now
+            chance, row.since = self._share + (chance - self._share) * fading, now
         bad: Bools = rng.random(len(dst)) < chance
         row.value.fill(self._after_good)  # half the time of `take` or `where`
         row.value[bad] = self._after_bad
-        if self._loss_good == 0.0 and self._loss_bad == 1.0:
+        if self._loses_all:
             return bad
         lost: Bools = rng.random(len(bad)) < np.where(bad, self._loss_bad, self._loss_good)
         return lost
@@ -164,7 +170,7 @@ class Bursts:
             chance = self._share + (chance - self._share) * math.exp(self._rate * (since - now))
         bad = rng.random() < chance
         row.ones[node] = self._after_bad if bad else self._after_good, now
-        if self._loss_good == 0.0 and self._loss_bad == 1.0:
+        if self._loses_all:
             return bad
         return rng.random() < (self._loss_bad if bad else self._loss_good)
 
