@@ -232,6 +232,7 @@ def test_labels_of_narrow_panels_do_not_touch(kind, name):
     assert not [1 for k, box in enumerate(seen) for other in seen[k + 1 :] if box.overlaps(other)]
 
 
+@pytest.mark.slow
 def test_each_figure_has_an_entry():
     """What draws a figure returns one, or opens one by `styled`. A new one belongs in `FIGURES`."""
     found = set()
@@ -252,6 +253,7 @@ def test_each_golden_figure_has_a_case():
     assert {path.name for path in (FOLDER / "figures").iterdir()} == {Path(file_of(*case)).name for case in CASES}
 
 
+@pytest.mark.slow
 def test_panels_share_both_axes():
     """So that their curves are compared by eye."""
     first, *others = several().plot(x=LATENCY, by="protocol").axes

@@ -199,6 +199,7 @@ def file_of(kind, name):
     return f"results/{kind}, {name}.txt"
 
 
+@pytest.mark.slow
 def test_each_result_has_an_entry():
     """A class with a table, a text or a document of its own is a result, or a part of one."""
     found = set()

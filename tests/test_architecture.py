@@ -166,6 +166,7 @@ def wrong_arrows(name, modules):
     return sorted(module for module in modules if module.split(".")[0] in OURS and not may_import(name, module))
 
 
+@pytest.mark.slow
 def test_every_module_imports_only_what_lies_below_it():
     wrong = {}
     for path in MODULES:

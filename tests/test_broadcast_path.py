@@ -25,6 +25,7 @@ def walked() -> list[str]:
     return [f"{path.replace('/', '.')}:{name}" for name, path in links]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scenario", "most"), [(PLAIN, MOST_MODULES["plain"]), (SHARED, MOST_MODULES["shared"])])
 def test_a_broadcast_crosses_few_modules(scenario, most):
     modules = modules_of(_traced(scenario))

@@ -562,6 +562,7 @@ def test_several_runs_have_seeds_of_their_root_seed_and_each_equals_the_single_r
     assert len({run["active_time"] for run in runs}) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3])
 def test_the_seed_of_the_command_line_replaces_that_of_the_file(file, seed):
     path = file(RANDOM)
@@ -571,6 +572,7 @@ def test_the_seed_of_the_command_line_replaces_that_of_the_file(file, seed):
     assert changed == runs
 
 
+@pytest.mark.slow
 def test_the_table_of_several_runs_has_means_with_intervals(file):
     result = accepted("run", file(RANDOM), "-n", 3)
     assert result.stderr == ""
@@ -630,6 +632,7 @@ def test_the_folder_of_a_run_holds_its_trace_numbers_scenario_and_picture(file, 
     assert "<svg" in (out / "trajectory.svg").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_scenario_that_is_written_repeats_the_run_exactly(file, tmp_path):
     """Its seed is that of the command line, and what was overridden stays so."""
     first, second = tmp_path / "first", tmp_path / "second"
@@ -693,6 +696,7 @@ def test_the_default_scenario_needs_no_key_at_all(file):
     assert load(file("")) == Scenario()
 
 
+@pytest.mark.slow
 def test_a_folder_that_cannot_be_created_for_one_of_several_runs_is_reported(file, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "seed-7000001").touch()
@@ -1134,6 +1138,7 @@ def test_a_dry_run_says_at_how_many_runs_a_target_is_first_judged(file):
     assert result.stdout.startswith(f"coins: 4 configurations, 2,000 runs {rule}; 0 are stored")
 
 
+@pytest.mark.slow
 def test_a_dry_run_prints_the_plan_and_writes_nothing(file, tmp_path):
     out = tmp_path / "out"
     result = accepted("sweep", file(COINS), "-o", out, "--dry-run")
@@ -1222,6 +1227,7 @@ def test_a_merged_store_has_the_command_of_each_part(file, tmp_path, typed):
     assert asked(tmp_path / "parts") == [*parts, together]
 
 
+@pytest.mark.slow
 def test_a_run_json_that_cannot_be_read_is_written_anew(file, tmp_path, typed):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "run.json").write_text('{"what": "swe')

@@ -50,17 +50,17 @@ def printed(*arguments, environment):
     ).stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("names", "options", "environment"),
     [
         pytest.param(QUICK, (), NO_LOOPS | KERNEL, id="quick"),
-        pytest.param(("long",), (), KERNEL, id="one thread of BLAS", marks=pytest.mark.slow),
+        pytest.param(("long",), (), KERNEL, id="one thread of BLAS"),
         pytest.param(
             NAMES,
             ("-O",),
             NO_LOOPS | LOCALE | {"OPENBLAS_CORETYPE": KERNEL["OPENBLAS_CORETYPE"]},
             id="kernel, loops of numpy, two threads, time zone, -O and locale",
-            marks=pytest.mark.slow,
         ),
     ],
 )

@@ -106,6 +106,7 @@ def test_the_names_are_known_without_importing_their_modules():
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 
+@pytest.mark.slow
 def test_the_example_of_the_package_runs(monkeypatch, capsys):
     monkeypatch.chdir(SCENARIOS.parent)
     _, example, _ = (desim.__doc__ or "").split("```")

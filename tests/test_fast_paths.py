@@ -49,6 +49,7 @@ def test_every_test_that_keeps_a_fast_way_equal_exists(file, name):
     assert name in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
 
 
+@pytest.mark.slow
 def test_every_fast_way_that_is_kept_equal_names_its_test_in_full():
     """A reference that the pattern does not match would not be tested."""
     named = list(references())
@@ -56,6 +57,7 @@ def test_every_fast_way_that_is_kept_equal_names_its_test_in_full():
     assert len(named) >= 25
 
 
+@pytest.mark.slow
 def test_every_module_that_speaks_of_two_ways_names_a_test():
     with_tests = {module for module, *_ in references()}
     in_runs = {module: re.sub(r"\s+", " ", text) for module, text in sources().items() if module.startswith(SEARCHED)}
@@ -63,6 +65,7 @@ def test_every_module_that_speaks_of_two_ways_names_a_test():
     assert claiming - with_tests == NO_PAIR.keys()
 
 
+@pytest.mark.slow
 def test_the_table_of_fast_paths_is_that_of_the_docstrings():
     page = (ROOT / "docs/explanation/packages.md").read_text(encoding="utf-8").partition("## Fast paths\n")[2]
     rows = re.findall(r"^\| `([\w/.]+)` \| [^|]+ \| ([^|]+) \| `(\w+)` \|$", page, re.MULTILINE)

@@ -154,7 +154,7 @@ def test_announced_courses_are_worth_as_much_as_sight_if_they_arrive_at_once(dyn
     assert placed != seen
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("reckoning", ["exact", "straight_line"])
 @pytest.mark.parametrize("latency", [0.0, 0.2])
 def test_without_inertia_courses_are_worth_no_more_than_states(reckoning, latency):

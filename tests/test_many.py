@@ -149,6 +149,7 @@ def test_an_action_that_is_no_number_is_refused(action):
         assigned(action)
 
 
+@pytest.mark.slow
 def test_an_action_is_a_number_or_a_boolean_of_any_kind():
     for action in (2.0, np.int8(2), np.array(2)):
         assert [each.active for each in assigned(action).trace.of(Decided)] == [2]

@@ -276,6 +276,7 @@ class AtPath:
         return self._path
 
 
+@pytest.mark.slow
 def test_a_path_may_be_any_object_that_tells_it(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "s.toml").write_text("horizon = 0.1\nteam.count = 2\n")

@@ -157,6 +157,7 @@ def test_an_evader_is_captured_round_a_corner_when_the_path_is_short_enough():
     assert summary(run(shorter, 0)).capture_time == pytest.approx(0.02 / SPEED, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_an_evader_slides_along_a_wall_and_stays_on_its_side():
     made = scenario(
         {

@@ -41,6 +41,7 @@ def bindings(tree):
             yield node.name
 
 
+@pytest.mark.slow
 def test_variables_say_what_they_hold():
     modules = defaultdict(Counter)
     for path in MODULES:
@@ -109,6 +110,7 @@ def _private(): pass
     assert list(public_names(ast.parse(source))) == ["f", "C", "Alias", "Other"]
 
 
+@pytest.mark.slow
 def test_a_sentence_about_what_to_choose_begins_a_paragraph():
     """An error message shows the first paragraph of a field, which says what the field is."""
     texts = [

@@ -555,6 +555,7 @@ def test_an_inherited_mean_is_not_that_of_what_is_overridden(kind, method):
         assert mean_latency(derived(kind, **{method: lambda _, *given: None})) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [Lognormal, GilbertElliott])
 def test_the_class_below_and_a_class_mixed_in_override_as_well(kind):
     def late(_, context, rng):

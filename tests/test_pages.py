@@ -186,6 +186,7 @@ def test_every_file_a_page_links_to_exists(path):
         assert (ROOT / found).exists() or found.as_posix().startswith(GENERATED), link
 
 
+@pytest.mark.slow
 def test_every_paper_that_the_code_or_a_page_cites_is_in_the_bibliography():
     """A citation is the names of the authors and the year."""
     text = (ROOT / "docs/references.bib").read_text(encoding="utf-8")

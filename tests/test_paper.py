@@ -116,6 +116,7 @@ def compare(case, result, owners=None, draws=None):
     assert ours == pytest.approx(paths, abs=1e-9)
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(pursuits(), st.sampled_from(["revision", "change", "both"]))
 def test_algorithm_2_is_the_plain_loop_step_for_step(case, trigger):
@@ -170,7 +171,7 @@ def test_every_decision_is_broadcast_to_all_and_arrives_at_once():
     assert len(decided) == 49
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [1.5, 2.0])
 @pytest.mark.parametrize("test", ["segment", "sample"])
 def test_one_pursuer_captures_after_the_closed_form(speed, test):

@@ -136,6 +136,7 @@ def test_a_pool_of_multiprocessing_performs_runs(method):
     subprocess.run([sys.executable, "-c", POOL.replace("METHOD", method)], check=True, timeout=120)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("raises", [False, True])
 def test_a_result_holds_no_simulation(monkeypatch, raises):
     """Neither do the traces that are left of a run that raised."""
@@ -186,6 +187,7 @@ scenario = Scenario(team=Team(count=2), horizon=0.2, protocol=protocol, network=
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("names", [{}, {"__name__": None}, {"__name__": 3}, {"__name__": "<cell>"}], ids=repr)
 def test_code_without_a_module_can_be_swept_and_recorded(tmp_path, names):
     """Code that `exec` runs has the module that its dict names, often none."""

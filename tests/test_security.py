@@ -165,6 +165,7 @@ def test_no_command_runs_code_named_in_a_file(mark, written, words):
     assert not mark.exists()
 
 
+@pytest.mark.slow
 def test_code_named_in_an_override_needs_the_option_too(mark, written):
     file = written("")
     said = refused("run", file, "--set", "network.latency.kind=evil:late")
@@ -407,7 +408,7 @@ def _known(name: str, file: str) -> bool:
     return name in ALLOWED.get(file, set()) or (file in ENTRY_POINTS and name.endswith(".load"))
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("package", ["desim", "protocols"])
 def test_nothing_makes_code_of_what_is_on_a_disk(package):
     """No pickle is read from a file, and nothing evaluated: what may do so is named above, with what it reads."""
@@ -452,6 +453,7 @@ def test_a_graph_declares_no_document_type(written, tmp_path, name):
     accepted("check", written('network.graph = { kind = "edges", file = "g.graphml" }'))
 
 
+@pytest.mark.slow
 def test_a_graph_with_too_many_nodes_is_reported_in_one_line(written, tmp_path):
     nodes = [{"id": f"{k}{'x' * 100}"} for k in range(10_000)]
     (tmp_path / "g.json").write_text(json.dumps({"nodes": nodes, "edges": []}))
@@ -602,6 +604,7 @@ def test_a_record_sends_a_terminal_only_plain_text(ran):
     assert harmless(done.stderr)
 
 
+@pytest.mark.slow
 def test_no_command_prints_without_escaping():
     """All output goes through the function that escapes it."""
     for path in (ROOT / "desim" / "cli").glob("*.py"):

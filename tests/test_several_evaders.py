@@ -152,6 +152,7 @@ def test_each_evader_flees_its_nearest_pursuer_and_its_chasers():
     assert last.evaders == ((2.0, 0.0), (pytest.approx(102.5), 0.0))
 
 
+@pytest.mark.slow
 def test_captured_and_unknown_evaders_cannot_be_chased():
     seen = []
 
@@ -292,6 +293,7 @@ def test_alike_evaders_start_apart_and_the_first_is_where_one_would_be_and_do_no
     assert len(set(last.evaders)) == 3
 
 
+@pytest.mark.slow
 def test_a_list_with_one_table_is_that_table(tmp_path):
     path = tmp_path / "one.toml"
     path.write_text("horizon = 2.0\n[[evader]]\nspeed = 0.5\n")

@@ -285,6 +285,7 @@ def test_a_returned_number_may_be_of_any_kind(name):
         assert events(answered(name, answer)) == expected[plainly]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["strategy", "noise", "false position", "steered"])
 def test_a_returned_vector_may_be_of_any_precision(name):
     vector = np.complex64(0.3 + 0.4j)
@@ -654,6 +655,7 @@ class Table(dict):
         return np.full(len(context.dst), self["mean"])
 
 
+@pytest.mark.slow_cases("[0.1]", "{'mean': 0.1}")
 @pytest.mark.parametrize("model", [Tuple(0.1), Lists([0.1]), Table(mean=0.1)], ids=repr)
 def test_a_model_may_be_a_tuple_a_list_or_a_dict_that_can_be_called(model):
     plain = Scenario(team=Team(count=2), horizon=0.25, network=Links(latency=0.1))

@@ -10,7 +10,7 @@ from desim.config.traits import inherits
 from desim.kernel.clock_sync import Unsynchronised
 from desim.kernel.core.message_size import size_of
 from desim.kernel.core.records import Record
-from desim.kernel.core.units import SECOND, nanoseconds, seconds
+from desim.kernel.core.units import SECOND, nanoseconds
 from desim.kernel.graph_files.graph_attributes import unread_attributes
 from desim.kernel.measured.base import LinkTrace
 from desim.kernel.models.access import SlottedAloha, Tdma

@@ -30,6 +30,7 @@ def test_an_environment_of_gymnasium_passes_its_check(name):
     checked(desim.wrap(gymnasium.make(name).unwrapped, LINKS))
 
 
+@pytest.mark.slow_cases("Pendulum-v1")
 @pytest.mark.parametrize("name", ["CartPole-v1", "Pendulum-v1", "FrozenLake-v1"])
 def test_over_ideal_links_it_is_the_environment_itself(name):
     """The control has a latency."""

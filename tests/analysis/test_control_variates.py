@@ -15,6 +15,7 @@ NUMBERS = st.floats(-1e3, 1e3).map(lambda value: round(value, 3))
 PAIRS = st.lists(st.tuples(NUMBERS, NUMBERS), min_size=4, max_size=12, unique_by=lambda pair: pair[1])
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(PAIRS, st.lists(NUMBERS, min_size=2, max_size=8, unique=True))
 def test_each_value_is_corrected_by_the_slope_of_all_others(pairs, others):

@@ -162,6 +162,7 @@ def test_pieces_of_the_same_kind_make_one_window():
     assert time_to_relay(result, window=3.5) == 1.0
 
 
+@pytest.mark.slow
 def test_the_window_is_twice_the_latency_and_the_mean_time_between_decisions_of_one_pursuer():
     """Four decisions of three pursuers in 6 s: one in 4.5 s each; latency 0.25 s: W = 9.5 s."""
     result = by_hand(*GAME)
@@ -381,6 +382,7 @@ def test_the_timeline_has_the_active_time_of_the_run():
     assert whole.durations @ whole.active.sum(axis=1) == pytest.approx(active_time(result), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_between_samples_the_times_of_capture_are_nearly_those_of_fine_samples():
     """Sampled every 0.05 s and at every motion step, 0.01 s: the gap differs by < 0.1 %, sampled once by > 1 %."""
     gaps = [

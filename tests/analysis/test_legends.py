@@ -58,6 +58,7 @@ def test_a_moved_legend_keeps_the_marks_of_lines_with_error_bars():
     assert {"s", "D"} <= marks
 
 
+@pytest.mark.slow
 def test_a_legend_beside_data_stays():
     with styled(figsize=(3.0, 2.0)) as figure:
         axes = figure.add_subplot()
@@ -67,6 +68,7 @@ def test_a_legend_beside_data_stays():
     assert not figure.legends
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("look", [{"ls": "none", "marker": "o"}, {"ls": "", "marker": "s"}, {"marker": ""}])
 def test_a_legend_between_marks_and_beside_a_line_stays(look):
     """Marks that are not joined lie on both sides of it; a line without marks passes below."""

@@ -337,6 +337,7 @@ def test_the_timeline_of_each_evader_has_the_same_pieces_and_its_own_chasers():
         assert (np.isinf(mine.phi).all(axis=1) == (mine.times[:-1] >= capture.t)).all()
 
 
+@pytest.mark.slow
 def test_the_regret_of_a_network_can_be_had_with_several_evaders():
     ideal = run(Scenario(**BASE | CASES["crashes"] | {"evader": EVADERS, "network": Links(), "fault": ()}), 1)
     result = negotiated("crashes", 3, 1)

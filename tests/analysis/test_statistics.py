@@ -155,7 +155,7 @@ def four_errors(probability, trials):
     return 4.0 * sqrt(probability * (1.0 - probability) / trials)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "count", "expected"),
     [
@@ -184,6 +184,7 @@ def test_the_t_interval_covers_the_mean_as_often_as_the_header_says(law, count, 
         assert too_narrow < 0.95 - four_errors(0.95, 2000)
 
 
+@pytest.mark.slow
 def test_the_t_interval_of_two_exponential_times_has_the_coverage_of_theory():
     """Their sum S ~ Gamma(2) and |x - y| / S ~ U(0, 1) are independent, and 1 is covered if |S - 2| <= c |x - y|.
 

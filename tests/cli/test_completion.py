@@ -40,6 +40,7 @@ def test_the_keys_are_completed_without_a_cache(monkeypatch):
     assert completed("run", "f.toml", "--set", "hori") == ["horizon="]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["run", "check", "sweep", "explain", "replay", "plot"])
 def test_a_key_is_completed(command):
     found = completed(command, "f.toml", "--set", "network.latency.")

@@ -333,6 +333,7 @@ def test_samples_that_fill_the_memory_are_told_before_the_run(tmp_path):
     assert accepted("check", scenario, "--set", "record.trajectory=2e-6").stderr == f"{scenario} is valid\n"
 
 
+@pytest.mark.slow
 def test_an_error_repeats_no_name_of_a_hundred_thousand_characters(tmp_path):
     scenario = tmp_path / "long.toml"
     scenario.write_text(f"{'x' * 10**6} = 1\nhorizonn = 1\n")

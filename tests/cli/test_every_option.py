@@ -58,6 +58,7 @@ schedule = { kind = "rounds", period = 0.01 }
 [announce]
 trigger = "both"
 heartbeat = 0.01
+belief_timeout = 1.0
 
 [network]
 latency = { kind = "trace", table = "t,value\\n0,0.001\\n0.01,0.002" }

@@ -131,6 +131,7 @@ def test_a_template_with_another_name_keeps_nothing_of_its_own(what, folder):
     assert not any(f"my_{what}" in text or f"My{what.title()}" in text for text in texts)
 
 
+@pytest.mark.slow
 def test_a_class_is_named_after_its_module(folder):
     for name, expected in [("none", "none:none"), ("a__b", "a__b:AB"), ("_1", "_1:_1"), ("myRule", "myRule:MyRule")]:
         accepted("new", "protocol", name)

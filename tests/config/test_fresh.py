@@ -393,6 +393,7 @@ def reporting(state, rng):
     return 1j
 
 
+@pytest.mark.slow
 def test_a_function_may_report_to_its_caller_as_often_as_it_is_run():
     seen = []
     scenario = game(lambda state, rng: seen.append(state) or 1j)
@@ -904,6 +905,7 @@ MEASURED = {
 """Metrics that remember earlier calls."""
 
 
+@pytest.mark.slow_cases("method", "with a unit", "in what decides whether it is given", "nonlocal")
 @pytest.mark.parametrize("make", MEASURED.values(), ids=MEASURED)
 def test_a_metric_starts_afresh_at_each_measurement(make):
     """Alone, in each run of a sweep, and in the next one: it could otherwise depend on the number of workers."""
@@ -937,6 +939,7 @@ def test_a_metric_that_reads_a_list_of_its_earlier_values_is_warned_of():
         summary(result, {"mine": measured_so_far})
 
 
+@pytest.mark.slow
 def test_state_that_metrics_change_between_runs_is_warned_of():
     Counting.calls.clear()  # as other tests of this process may have left it
     scenario = Scenario(team=Team(count=2), network=Links(latency=Counting()), horizon=0.3)
@@ -948,6 +951,7 @@ def test_state_that_metrics_change_between_runs_is_warned_of():
         run(scenario, 1)
 
 
+@pytest.mark.slow
 def test_state_that_the_caller_changes_between_runs_is_not_warned_of():
     scenario = Scenario(team=Team(count=2), network=Links(latency=Counting()), horizon=0.3)
     for _ in range(2):

@@ -93,6 +93,7 @@ def lines(result):
     return "".join(map(line_of, result.trace))
 
 
+@pytest.mark.slow
 def test_each_folder_runs_its_own_code_in_any_order(folders):
     path, imported = [*sys.path], set(sys.modules)  # another test may have imported one of them plainly
     scenarios = [loaded(folder) for folder in folders]
@@ -117,6 +118,7 @@ def test_identities_and_files_do_not_depend_on_the_folder(folders, tmp_path):
     assert 'kind = "myrule:Rule"' in dump(scenarios[0])
 
 
+@pytest.mark.slow
 def test_a_plain_import_of_the_same_file_gives_the_same_module_and_identity(folders, monkeypatch):
     """As in a script beside its scenario file."""
     own = identify(loaded(folders[0]))
@@ -184,6 +186,7 @@ def test_names_can_be_read_back(folders):
     assert folder_in_name("shapes.names") is None
 
 
+@pytest.mark.slow
 def test_a_call_that_was_packed_runs_the_code_of_its_folder(folders):
     from functools import partial
 

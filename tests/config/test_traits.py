@@ -119,6 +119,7 @@ def misspellings(word):
     } - {word}
 
 
+@pytest.mark.slow
 def test_each_word_one_letter_off_is_told_with_the_word_that_was_meant():
     for name in sorted(misspellings("melodic")):
         for bird in (type("Bird", (), {name: True})(), made_function(name)):

@@ -142,6 +142,7 @@ def in_python():
     return {"flow": flow, "inertia": inertia, "noise": noise, "channel": channel}
 
 
+@pytest.mark.slow_cases("flow", "channel")
 @pytest.mark.filterwarnings("ignore:announce")
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_and_a_script_give_the_same_run(own, name):
@@ -287,6 +288,7 @@ def test_a_fault_that_is_written_wrongly_is_told_what_is_wrong(body, why):
         run(Scenario(horizon=1.0, fault=(wrong,)), 1)
 
 
+@pytest.mark.slow
 def test_a_fault_may_begin_others(own):
     """They are recorded, too: a crash that is a part of a fault is a crash to all pages and metrics."""
 

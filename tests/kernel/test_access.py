@@ -909,7 +909,7 @@ def frames_of(trace, medium):
 
 @pytest.mark.parametrize("interference", INTERFERENCES)
 @pytest.mark.parametrize("access", ACCESSES)
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 def test_every_message_is_delivered_lost_or_in_flight_and_the_same_seed_gives_the_same_trace(access, interference):
     models = ACCESSES[access], INTERFERENCES[interference]
 

@@ -102,6 +102,7 @@ def test_pairs_of_flows_deliver_what_plain_loops_do(graph, flows):
     assert (abs(found - theory) < 4 * error + 1e-9).all()
 
 
+@pytest.mark.slow
 def test_the_extended_space_protects_acknowledgements_from_a_node_that_could_not_receive_the_frame():
     """Node 2 hears the frames of 1 and 3 at once. With DIFS it disturbs the acknowledgement of node 0 at node 1."""
     lost = [saturated(hears(path(5)), FLOWS, 60_000, 1, replace(TIMING, eifs=eifs))[2] for eifs in (88, 28)]

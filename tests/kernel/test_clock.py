@@ -189,6 +189,7 @@ PRIVATE = re.compile(
 )
 
 
+@pytest.mark.slow
 def test_no_other_module_uses_private_parts_of_simpy():
     users = [path.name for path in SOURCE.rglob("*.py") if PRIVATE.search(path.read_text(encoding="utf-8"))]
     assert users == ["clock.py"]

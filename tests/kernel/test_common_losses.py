@@ -119,7 +119,7 @@ def test_links_with_a_node_in_common_are_bad_together():
     assert abs(deviation(products(alone, shared, SHARE), 0.0)) < 3.0
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("common", [COMMON, 0.05, max_common(SHARE)])
 def test_bursts_have_their_share_and_mean_duration(common):
     """A link is bad for `burst` on average, and good for (1 - share) / share of that: 9 runs of 15 s and 20 links."""

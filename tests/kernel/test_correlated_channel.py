@@ -52,6 +52,7 @@ def deviation(samples, expected):
 # Autocorrelation.
 
 
+@pytest.mark.slow
 def test_the_gain_has_the_autocorrelation_of_clarke_in_time():
     """J0(2 pi f_d t), of 3000 pairs: s.e. 0.013. The control is new at each time."""
     model, pairs = Coherence(doppler=DOPPLER), 3000
@@ -111,7 +112,7 @@ def test_shadowing_decorrelates_exponentially_along_the_path_of_either_node():
             assert abs(deviation(other, exp(-path / 10.0))) > 3.0
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("shared", [0.8, 0.3, 0.0])
 def test_links_with_one_node_in_common_share_half_of_the_shared_variance(shared):
     """Four nodes are scattered, 1500 times: s.e. at most 0.02. Links without a node in common share nothing."""
@@ -129,6 +130,7 @@ def test_links_with_one_node_in_common_share_half_of_the_shared_variance(shared)
         assert abs(deviation(np.mean(common, axis=0), shared)) > 3.0
 
 
+@pytest.mark.slow
 def test_what_surrounds_a_node_stays_while_the_other_moves_away():
     """(1 - s / 2) exp(-|dx| / d) + s / 2."""
     model, pairs = Coherence(decorrelation=10.0, shared=0.6), 4000
@@ -143,7 +145,7 @@ def test_what_surrounds_a_node_stays_while_the_other_moves_away():
 NAKAGAMI = [0.7, 0.5, 1.0, 1.5, 2.2, 4.0, 12.0]
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("m", NAKAGAMI)
 def test_the_outage_of_nakagami_fading_is_that_of_a_gamma_distribution(m):
     """P(m, m x), of 12,000 pairs: s.e. at most 0.0046; the control has 1.3 m."""
@@ -204,7 +206,7 @@ def test_the_rates_of_the_literature_agree_where_models_do():
     assert 10.0 * of_nakagami(1.0, 0.5) == pytest.approx(9.761, abs=5e-4)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CROSSED)
 def test_fades_are_as_frequent_and_as_long_as_the_theory_says(name):
     """The power falls below a quarter of its mean with the rate of the theory; fades last for the outage divided by it.
@@ -233,6 +235,7 @@ def test_fades_are_as_frequent_and_as_long_as_the_theory_says(name):
 # Reproducibility.
 
 
+@pytest.mark.slow
 @given(st.data())
 @settings(max_examples=10, deadline=None)
 def test_states_do_not_depend_on_who_asks_when_and_for_how_many(data):

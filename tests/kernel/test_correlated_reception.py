@@ -138,6 +138,7 @@ def contending(drawn="correlated", **model):
     return Links(fading=drawn, coherence=COHERENCE if drawn == "correlated" else Coherence(), medium=radio)
 
 
+@pytest.mark.slow_cases("shadowing", "rice and shadowing", "nakagami")
 @pytest.mark.parametrize(
     ("model", "power"),
     [
@@ -180,6 +181,7 @@ def test_uncorrelated_shadowing_of_frames_is_that_of_the_pair_or_of_the_frame():
             assert got[0, 1] == back[0, 0]
 
 
+@pytest.mark.slow
 def test_a_stronger_frame_is_one_whose_channel_is_better():
     """Nodes 1 and 2 transmit at once; receiver 0 gets the one that the state of its channel favours by 1 dB."""
     radio = Bitrate(

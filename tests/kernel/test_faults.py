@@ -270,6 +270,7 @@ def test_the_share_of_downtime_in_the_long_run_is_rate_times_downtime_over_one_p
     assert abs(share - 1 / 3) < 5 * error < 0.03
 
 
+@pytest.mark.slow
 def test_random_crashes_of_a_node_do_not_overlap_and_begin_before_the_horizon():
     plan = RandomCrashes(rate=5.0, mean_downtime=0.1, scope="radio", memory=False)
     for crashes in [[c for c in draw_faults([plan], 4, 20.0, 7) if c.node == node] for node in range(4)]:
@@ -307,6 +308,7 @@ def test_a_random_plan_keeps_to_its_kinds_its_box_and_its_end(kinds, until):
             assert 1.0 <= fault.radius <= 5.0
 
 
+@pytest.mark.slow
 def test_a_random_plan_has_faults_at_its_rate():
     """20 1/s over 100 s are 2000 faults with a standard deviation of 45; and a mean duration of 0.5 s.
 

@@ -122,8 +122,8 @@ def graphs(draw):
     return graph
 
 
+@pytest.mark.slow
 @pytest.mark.whole_but_one
-@pytest.mark.slow_but_one
 @pytest.mark.parametrize("kind", WRITERS)
 @settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(graph=graphs())
@@ -140,6 +140,7 @@ def test_any_graph_comes_back_from_every_format(tmp_path, kind, graph):
     assert Edges.model_validate(edges.plain()) == edges
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(graph=graphs())
 def test_a_networkx_graph_is_the_graph_of_a_network_with_its_names(graph):

@@ -79,6 +79,7 @@ def test_a_constant_delay_is_that_of_a_model_that_always_draws_it(medium):
     assert arrivals(0.5) == arrivals(Uniform(low=0.5, high=0.5))
 
 
+@pytest.mark.slow
 def test_the_delays_have_the_distribution_of_the_model():
     """Moments of 4000 messages of as many senders, and the typical latency; the control is 5 % off."""
     clock, net, trace = network(Unlimited(), ShiftedExponential(offset=0.01, mean=0.02), nx.cycle_graph(4000))

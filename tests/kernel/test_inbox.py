@@ -3,6 +3,7 @@
 from functools import partial
 from unittest.mock import patch
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -63,6 +64,7 @@ def test_a_message_is_not_compared_with_all_that_are_in_flight():
     assert Compared.count < 200 * 60
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.tuples(st.integers(0, 9), st.integers(0, 5), st.integers(0, 1), st.integers(0, 2)), max_size=20),
     st.integers(0, 9),

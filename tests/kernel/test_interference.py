@@ -216,6 +216,7 @@ def shares(model, ratio, frames=20_000, **given):
     return received.mean(), sqrt(received.mean() * (1.0 - received.mean()) / frames)
 
 
+@pytest.mark.slow_cases("0.5-CaptureEffect")
 @pytest.mark.parametrize("kind", [CaptureEffect, Sinr])
 @pytest.mark.parametrize("m", [0.5, 1.0, 4.0])
 def test_two_nakagami_powers_have_a_ratio_of_fishers_distribution(kind, m):
@@ -226,6 +227,7 @@ def test_two_nakagami_powers_have_a_ratio_of_fishers_distribution(kind, m):
     assert abs(found - f.sf(10**0.6 / 8.0, 4 * m, 4 * m)) > 4 * error
 
 
+@pytest.mark.slow_cases("1.0-Sinr", "8.0-CaptureEffect")
 @pytest.mark.parametrize("kind", [CaptureEffect, Sinr])
 @pytest.mark.parametrize("k", [0.0, 1.0, 8.0])
 def test_two_rician_powers_are_compared_as_their_distributions_say(kind, k):
@@ -243,6 +245,7 @@ def test_two_rician_powers_are_compared_as_their_distributions_say(kind, k):
     assert abs(found - theory(2 * k + 1)) > 4 * error
 
 
+@pytest.mark.slow_cases("fading3-<lambda>")
 @pytest.mark.parametrize(
     ("fading", "survival"),
     [
@@ -458,6 +461,7 @@ def test_lora_frames_interfere_up_to_a_separation_of_their_frequencies(bandwidth
         assert lora({"bw": bandwidth, "f": 868e6}, other, (1.0, 1.0), [(0, 99), (0, 99)]) == survives
 
 
+@pytest.mark.slow_cases("8-8-goursaud")
 @pytest.mark.parametrize("isolation", sorted(ISOLATION))
 @pytest.mark.parametrize("own", range(7, 13))
 @pytest.mark.parametrize("other", range(7, 13))

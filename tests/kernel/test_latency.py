@@ -98,7 +98,7 @@ def drawn(model, seeds=SEEDS, context=MANY):
     return np.array([model(context, np.random.default_rng(seed)) for seed in seeds])
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DRAWN)
 def test_mean_and_variance_are_those_of_the_theory(name):
     """3 seeds x 10^5 draws, each seed and all of them within 5 standard errors; 3 % off are more than 5."""
@@ -108,7 +108,7 @@ def test_mean_and_variance_are_those_of_the_theory(name):
     assert np.abs(errors(drawn(off).ravel(), mean, variance)).min() > 5
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DISTRIBUTIONS)
 def test_the_whole_distribution_is_that_of_the_theory(name):
     """Kolmogorov-Smirnov: sqrt(n) D exceeds 2.2 in 1 of 8000 samples; the control, 3 % off, is seen."""
@@ -187,6 +187,7 @@ def test_propagation_follows_the_positions():
     assert Propagation()(context, None) == pytest.approx(0.4)
 
 
+@pytest.mark.slow
 def test_the_mean_and_variance_of_propagation_are_those_of_the_distances():
     """From the middle of a square of side a to anywhere in it: E d = a (sqrt 2 + ln(1 + sqrt 2)) / 6, E d^2 = a^2 / 6.
 
@@ -238,7 +239,7 @@ def test_another_seed_gives_every_pair_another_latency():
     assert not (first == second).any()
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("symmetric", [True, False])
 def test_the_latencies_of_the_pairs_are_distributed_as_their_base(symmetric):
     """Kolmogorov-Smirnov over 20 000 pairs, 3 seeds: sqrt(n) D < 2.2; the control is a base 5 % off."""

@@ -193,7 +193,7 @@ def test_the_mean_over_random_starts_is_the_mean_over_time():
     assert mean_latency(trace.model_copy(update={"table": "t,value\n0,0.1\n1,\n7,0.2\n"})) == pytest.approx(0.8 / 4.5)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"after": "hold", "start": 1.0}, {"after": "error"}])
 def test_the_typical_latency_is_a_mean_over_the_trace(options):
     """It is estimated from draws at 2002 times that are spread evenly, so within .001 s."""

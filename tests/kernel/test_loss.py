@@ -140,6 +140,7 @@ def test_losses_in_either_state_have_their_mean_and_their_correlation(advance):
     assert abs(errors(alone.sum(), 40_000, 0.28)) < 5
 
 
+@pytest.mark.slow
 def test_shares_differ_and_the_stationary_law_is_there_from_the_first_message_on():
     """The control is the share 10 % off."""
     for share in (0.05, 0.5, 0.8):
@@ -159,7 +160,7 @@ IN_TIME = GilbertElliott(share=SHARE, burst=2.0, advance="time")
 """r = 0.5 /s, p = 0.5 x 0.2 / 0.8 = 0.125 /s, so that the memory fades as exp(-0.625 t)."""
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [1, 4, 16, 64])
 def test_a_link_that_advances_in_time_forgets_exponentially(steps):
     """Sampled every 0.05 s: of the links that are bad, pi + (1 - pi) exp(-(p + r) k dt) are bad k samples later.

@@ -73,7 +73,7 @@ def talking(port):
     return talk, got
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("port", PORTS, ids=str)
 def test_a_protocol_may_use_the_text_of_a_reserved_port_for_its_own(port):
     """All parts that have ports take part: transports, clocks, sensors, liars, trust and dissemination."""

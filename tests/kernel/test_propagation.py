@@ -67,6 +67,7 @@ def test_latencies_are_exactly_the_draws_that_their_stream_gives(model, own):
     assert found != np.rint(model.draw(len(found), stream(8, "latency")) * SECOND).astype(int).tolist()
 
 
+@pytest.mark.slow
 def test_losses_are_exactly_the_draws_that_their_stream_gives():
     trip = sampler(Links(loss=Bernoulli(p=0.3)), graph=nx.star_graph([1, *range(2, 9001), 0]))
     found = [lost for count in COUNTS for lost in trip.losses(0, list(range(1, count + 1)), 0, 24)]
@@ -193,6 +194,7 @@ def test_links_of_their_own_are_those_of_a_whole_network():
 MESSAGES = st.lists(st.tuples(st.integers(0, 3), st.integers(0, 30), st.integers(0, 500)), min_size=1, max_size=30)
 
 
+@pytest.mark.slow
 @given(MESSAGES, st.integers(0, 99), st.sampled_from([Uniform(high=1.0), PerPair(jitter=Uniform(high=1.0)), Gamma()]))
 def test_with_fifo_no_message_of_a_link_arrives_before_an_earlier_one(messages, seed, model):
     """A message waits for those of its link before it and for nothing else: it arrives with the latest of them."""

@@ -127,6 +127,7 @@ def topology(at, model, seed=0, *, per_link=True, reach=10.0):
     return Topology(nx.complete_graph(len(at)), reach, lambda: at, model, per_link=per_link, seed=seed)
 
 
+@pytest.mark.slow_cases("model5", "model6")
 @pytest.mark.parametrize("model", MODELS)
 def test_per_link_faded_links_are_symmetric_and_the_same_at_every_call(model):
     at = scattered(60, 1)
@@ -141,6 +142,7 @@ def test_per_link_faded_links_are_symmetric_and_the_same_at_every_call(model):
     assert set(topology(at, model, seed=5).graph().edges) == set(first.edges)
 
 
+@pytest.mark.slow_cases("model4", "model5")
 @pytest.mark.parametrize("model", MODELS[1:])
 def test_another_seed_draws_other_links(model):
     at = scattered(60, 1)

@@ -48,7 +48,7 @@ def departure(sample):
     return max((steps[1:] - ordered).max(), (ordered - steps[:-1]).max()) * np.sqrt(sample.size)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("symmetric", [True, False])
 def test_pair_uniforms_are_uniformly_distributed(symmetric):
     """Over 10^5 receivers of a sender, of 3 senders and 5 seeds; the control is a uniform to the power of 1.05."""

@@ -159,7 +159,7 @@ def answers(topology, message):
     )
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("per_link", [True, False])
 @pytest.mark.parametrize("model", [Disk(), QuasiUnitDisk(), LogDistance(), lambda d, r: np.exp(-d / r)])
 @pytest.mark.parametrize("knows", ["speed", "all", "in place"])
@@ -275,13 +275,14 @@ def differences(wandering, graph, model, steps=400):
 
 @pytest.mark.parametrize("graph", [nx.complete_graph(8), nx.cycle_graph(8), Complete()(8)])
 @pytest.mark.parametrize("model", [None, QuasiUnitDisk(certain=0.6), QuasiUnitDisk(certain=1.0), QuasiUnitDisk(p=1.0)])
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 def test_receivers_that_are_kept_are_those_of_a_search_at_each_query(graph, model):
     wrong, share = differences(Wandering(8), graph, model)
     assert wrong == 0
     assert share < 0.6
 
 
+@pytest.mark.slow
 def test_receivers_are_wrong_after_a_time_if_nodes_are_faster_than_they_claim():
     """The control of the test above."""
     assert differences(Wandering(8, claimed=0.2), Complete()(8), None)[0] > 10

@@ -480,6 +480,7 @@ def test_a_message_that_waits_costs_the_same_whatever_the_queue_holds(shared, li
     assert len(dropped) == (0 if limit == inf else 400 - len(left))
 
 
+@pytest.mark.slow
 @given(st.data(), st.booleans(), st.sampled_from([0.0, 1.0, 3.0, inf]))
 def test_queues_are_those_of_lists(data, shared, limit):
     """The plain way: each channel has a list, and a full node removes its first transmission in it."""

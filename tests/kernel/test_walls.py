@@ -435,6 +435,7 @@ def exact(start, end, first, second):
     return apart and left(first, second, start) != left(first, second, end)
 
 
+@pytest.mark.slow
 @given(GRID, GRID, st.lists(st.tuples(GRID, GRID).filter(lambda wall: wall[0] != wall[1]), min_size=1, max_size=5))
 def test_crossings_are_those_of_exact_arithmetic_and_do_not_depend_on_the_direction(start, end, walls):
     rays = np.array([start, end], dtype=float), np.array([end, start], dtype=float)

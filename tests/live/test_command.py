@@ -183,6 +183,7 @@ def test_runs_that_are_equal_agree_and_late_timers_give_no_verdict(simulated):
     assert "no verdict: timers were late by more than 20 ms" in late.table()
 
 
+@pytest.mark.slow
 def test_other_runs_differ_beyond_their_errors_and_the_margin(simulated):
     slow = [pretended(run(game("sap"), seed + 100)) for seed in range(2)]
     rows = {row.metric: row for row in Agreement(game("sap"), slow, simulated).rows}

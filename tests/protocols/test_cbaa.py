@@ -747,6 +747,7 @@ def test_the_greatest_bid_does_not_depend_on_the_order_of_claims(best, received)
     assert found <= {best, *received.values(), NO_BID}
 
 
+@pytest.mark.slow
 @given(BIDS, RECEIVED_BIDS)
 def test_no_bid_that_counts_is_greater_than_the_greatest(best, received):
     """Written out: a bid counts if its bidder claims it, or if there is no claim of its bidder."""

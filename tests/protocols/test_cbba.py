@@ -180,6 +180,7 @@ def test_when_the_winner_of_one_of_several_evaders_breaks_down_the_others_agree_
         assert len(chased(result)) == len(chased(before))
 
 
+@pytest.mark.slow
 def test_a_winner_that_comes_back_wins_again():
     """Pursuer 1 breaks down from 2 to 6 s, with its memory or without: until then 2 takes over."""
     for memory in (True, False):
@@ -189,6 +190,7 @@ def test_a_winner_that_comes_back_wins_again():
         assert chasing(result) == [1]
 
 
+@pytest.mark.slow
 def test_a_failed_winner_times_out_everywhere_within_a_delay_per_hop():
     """On a path of 8 the winner, at one end, breaks down at 5 s: each hop and round is 0.1 s, the winner timeout 1 s.
 

@@ -71,6 +71,7 @@ def test_a_broken_down_pursuer_is_assigned_no_evader():
     assert chased(run(scenario)) == {1: 1}
 
 
+@pytest.mark.slow
 def test_a_pursuer_that_would_be_late_is_assigned_no_evader():
     """phi = (5 - 0.1) / 0.1 = 49 s, and 30 s are left."""
     scenario = Scenario(

@@ -519,6 +519,7 @@ def test_the_age_of_heartbeats_is_that_of_a_renewal_process(attempts):
     assert abs(found.mean() - {1: 0.0887, 4: 0.16}[attempts]) > 3 * error
 
 
+@pytest.mark.slow_cases("flooding-coded")
 @pytest.mark.parametrize(
     "transport", [Reliable(timeout=0.5), Reliable(ordered=False), Coded(pieces=2)], ids=lambda each: each.kind
 )

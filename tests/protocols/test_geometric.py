@@ -75,6 +75,7 @@ def scattered(protocol, seed, *, count=12, horizon=2000.0, speeds=0.91, **change
 # The owner.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 3])
 def test_the_owner_of_the_voronoi_cell_of_the_evader_chases_from_every_slot_on(seed):
     """Positions as recorded at every slot; the nearest by a k-d tree, and the chaser, compared at all slots."""
@@ -339,7 +340,7 @@ def test_the_announced_chasers_of_an_evader_include_oneself():
     assert [announced_chasers(me, evader) for evader in (1, 2, 3)] == [[0], [1, 4, 3], []]
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("payload", ["action", "state"])
 @pytest.mark.parametrize("protocol", [Voronoi(slot=0.5), Argmin(slot=0.5), Argmin(slot=0.5, by="intercept_time")])
 def test_at_rest_the_owners_are_those_of_the_greedy_assignment(protocol, payload):

@@ -293,8 +293,8 @@ def test_of_several_evaders_it_chases_the_first_of_which_it_is_first(beliefs, ph
 # argmin_known.
 
 
+@pytest.mark.slow
 @pytest.mark.whole_but_one
-@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("graph", "dissemination", "profile"),
     [
@@ -332,6 +332,7 @@ def test_argmin_known_may_leave_a_neighbourhood_without_a_chaser_unlike_local_mi
         assert is_maximal_independent(ends, graph) == (rule is LocalMin)
 
 
+@pytest.mark.slow
 def test_argmin_known_with_one_hop_or_all_is_the_relay_profile_of_a_complete_graph():
     for number in range(5, 30, 6):
         graph, phi = random_graph(number)

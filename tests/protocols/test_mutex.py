@@ -186,6 +186,7 @@ def test_with_a_third_of_messages_lost_all_keep_deciding_and_few_decide_on_stale
     assert np.mean([believed != true for believed, true in log]) < 0.03
 
 
+@pytest.mark.slow
 def test_a_neighbour_that_broke_down_is_waited_for_once_and_excludes_again_when_it_is_back():
     """Ten requests in vain take 10 x 2.5 L = 1.25 s; after that no pursuer waits for it."""
     log = []

@@ -21,6 +21,7 @@ def test_no_time_out_is_shorter_than_the_floor_however_many_there_were():
     assert {time_out(attempt) for attempt in (0, 1, 10_000)} == {0.1}
 
 
+@pytest.mark.slow
 def test_waiting_ends_with_the_first_message_or_at_its_deadline():
     """Sent at 1 s, it arrives at 1.5 s; then nothing comes until 3 s, and what is past is not waited for."""
 

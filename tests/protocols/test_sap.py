@@ -84,6 +84,7 @@ def test_a_team_that_cannot_capture_stays_and_announces_it():
     assert numbers.messages_sent == 2 * numbers.decisions > 0
 
 
+@pytest.mark.slow
 def test_a_clock_that_is_behind_does_not_count_slots_below_zero():
     """Clocks 3 s slow show -3 s to 3 s: as long as they are below 0 the temperature is that of 0, and chance decides.
 

@@ -82,6 +82,7 @@ def test_successive_owners_are_independent():
     assert chi_squared(sorted(owners)) > 37.7
 
 
+@pytest.mark.slow
 def test_poisson_waits_are_exponential():
     """Mean and standard deviation of the waits of a pursuer are both 1/rate; n = 4,000, standard error 1/sqrt(n).
 
@@ -150,7 +151,7 @@ def one_by_one(phi, profile):
     return profile
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("latency", [0.0, 1e-9, 0.0999])
 def test_a_round_is_simultaneous_best_response_even_without_latency(latency):
     """All respond to the profile of the round before. The control: one by one goes another way."""

@@ -275,6 +275,7 @@ def test_without_the_host_no_orders_are_sent_until_it_is_repaired():
     assert min(later) > max(set(numbers) - set(later))  # although it has forgotten the old ones
 
 
+@pytest.mark.slow
 def test_a_repaired_pursuer_obeys_the_order_as_it_is_repeated():
     """Pursuer 0 is down from 1 to 1.18 s, for less than it is remembered."""
     result = run(static(Server(host=5), latency=0.05, fault=(Crash(node=0, start=1.0, end=1.18),)))
@@ -302,6 +303,7 @@ def test_a_round_trip_is_longer_by_the_time_that_a_report_takes_to_be_sent_and_t
     assert alone(3, network=slow) == pytest.approx(0.6 + phase(0))
 
 
+@pytest.mark.slow
 def test_reports_of_one_instant_make_one_decision():
     """Without latency the reports of 1, 2, 3 come one by one at every tick, each better than the one before."""
     team = Team(positions=[(9.1 - j, 0.0) for j in range(4)], speeds=1.0)
@@ -466,6 +468,7 @@ def judged(draw):
     return [{j: draw(times) for j in range(count) if j == 0 or draw(st.integers(0, 2))} for _ in range(evaders)]
 
 
+@pytest.mark.slow
 @given(judged())
 @settings(max_examples=60)
 def test_orders_go_to_the_best_of_the_pursuers_that_are_trusted_for_each_evader(believed):

@@ -425,6 +425,7 @@ def test_a_partition_has_two_tokens_and_one_after_it_heals(schedule):
         assert watchers[2].fault(12.0, 16.0) is None
 
 
+@pytest.mark.slow
 def test_a_pursuer_without_a_radio_goes_on_alone():
     fault = Crash(start=1.0, end=8.0, node=1, scope="radio")
     everyone = Circulation(range(4))
@@ -549,7 +550,7 @@ THIN = {
 NARROW = [(way, count) for way in ("a radio each", "one channel") for count in (5, 20)] + [("lora", 5)]
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("schedule", [TokenRing(), TokenWalk()], ids=lambda schedule: schedule.kind)
 @pytest.mark.parametrize(("way", "count"), NARROW)
 def test_on_a_narrow_channel_there_is_one_token_without_extra_messages(schedule, way, count):

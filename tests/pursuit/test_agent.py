@@ -578,7 +578,7 @@ def test_a_claim_made_before_a_restart_is_not_repeated(memory):
     assert set(said) == {(False, Claim(False, 7)), (True, Claim(False, 7) if memory else Assignment(False))}
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("payload", ["action", "state", "time"])
 @pytest.mark.parametrize("dissemination", [OneHop(), Flooding(hops=2), Gossip()])
 @pytest.mark.parametrize("scope", ["radio", "robot"])

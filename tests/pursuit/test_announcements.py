@@ -333,6 +333,7 @@ def decide(me):
             me.announce()
 
 
+@pytest.mark.slow_cases("revision-9-0")
 @pytest.mark.parametrize(
     ("trigger", "deciding", "others"),
     [("change", 4, 0), ("heartbeat", 4, 4), ("both", 8, 4), ("revision", 9, 0), ("never", 0, 0)],

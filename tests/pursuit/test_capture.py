@@ -29,6 +29,7 @@ def test_radial_capture_time_solves_its_equation(evader, team, v_e):
             assert time * (v - v_e) == pytest.approx(d - 0.1, rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.slow
 @given(points, points, points, speeds_of_players, st.floats(0.01, 1.0))
 def test_intercept_time_is_the_first_time_at_which_the_evader_can_be_reached(evader, velocity, at, speed, eps):
     """|x_e + w t - x_i| <= v t + eps holds at phi and at no sampled earlier time."""

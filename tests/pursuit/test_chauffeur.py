@@ -118,7 +118,7 @@ def test_below_the_barrier_the_evader_escapes_for_ever(ratio):
     assert min(dodger.distances) == pytest.approx(0.95 * least_capture_radius(1.0, ratio), rel=0.01)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", RATIOS)
 def test_above_the_barrier_the_pursuer_captures_it_at_the_first_dodge(ratio):
     """With 10 % more, no dodge on the barrier is in time, and no other at any distance."""

@@ -62,6 +62,7 @@ def test_an_acceleration_solves_its_equation_of_motion(place, velocity, command,
     assert all(abs(piece.velocity_at(t)) <= max(abs(velocity), abs(command)) + 1e-12 for t in TIMES)
 
 
+@pytest.mark.slow
 @given(complexes, headings, st.floats(0.1, 3.0), headings, limits)
 def test_a_turn_solves_the_equations_of_the_unicycle(place, heading, speed, ahead, limit):
     """x' = v h, h' = i omega h with |omega| = limit, towards the commanded direction and no farther."""

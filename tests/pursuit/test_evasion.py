@@ -83,7 +83,7 @@ headings = st.just(0j) | angles.map(lambda angle: rect(1.0, angle))
 # What holds of all of them.
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", ALL, ids=named)
 @settings(max_examples=25)
 @given(teams, points, headings, st.floats(0.0, 5.0), st.booleans(), st.integers(0, 10**10), st.data())
@@ -120,7 +120,7 @@ def test_an_evader_that_flees_active_pursuers_ignores_the_others(strategy, team,
     assert heading_of(active_only, *team, active=np.array(active)) == heading_of(strategy, *alone)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", [PureEvasion(), WeightedFlee(), Zigzag()], ids=named)
 @settings(max_examples=50)
 @given(crowds, points, points, angles)
@@ -198,6 +198,7 @@ def test_pushes_that_cancel_leave_it_where_it_is():
     assert heading_of(WeightedFlee(), *(rect(3.0, 2 * pi * k / 5) for k in range(5))) == 0j
 
 
+@pytest.mark.slow
 @given(crowds, points, st.floats(0.0, 3.0))
 def test_max_min_is_at_least_as_good_as_pure_evasion_by_its_own_measure(team, evader, speed):
     """And than any of its candidates: the grid begins with pure evasion."""
@@ -344,6 +345,7 @@ def test_from_outside_it_goes_to_the_nearest_point_of_the_arena(evader, nearest)
     assert heading_of(VoronoiVertex(arena=ARENA), 0j, evader=evader) == pytest.approx(way / abs(way))
 
 
+@pytest.mark.slow
 def test_between_two_vertices_it_turns_as_often_whatever_the_step():
     """One pursuer below, so that both upper corners are equally far, for 12 s; without hysteresis it chatters."""
 

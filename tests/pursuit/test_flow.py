@@ -289,7 +289,7 @@ def test_an_omniscient_assignment_in_wind_is_right_in_hindsight(wind, capturer, 
     assert min(other.misassigned_time, other.potential_gap) > 0.1
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("environment", "tolerance"),
     [
@@ -342,8 +342,8 @@ def test_the_table_of_what_guidances_attain_in_wind(wind, phi, bearing, pure):
         assert summary(run(one, 1))["capture_time"] == pytest.approx(expected, abs=error)
 
 
+@pytest.mark.slow
 @pytest.mark.whole_but_one
-@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("flow", "on", "payload"),
     [  # each two values together

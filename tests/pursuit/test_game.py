@@ -36,6 +36,7 @@ def games(draw, most=6):
     return phi, active, draw(rewards)
 
 
+@pytest.mark.slow
 @given(games(), st.data())
 def test_the_global_utility_is_an_exact_potential(game, data):
     """When one pursuer changes its action, its own utility changes by as much as U_E."""
@@ -48,6 +49,7 @@ def test_the_global_utility_is_an_exact_potential(game, data):
     assert isclose(own, everyones, abs_tol=1e-9)
 
 
+@pytest.mark.slow
 @given(games(), st.data())
 def test_the_gain_is_the_difference_of_the_wonderful_life_utilities(game, data):
     phi, active, reward = game

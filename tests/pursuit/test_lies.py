@@ -342,7 +342,7 @@ WAYS = {
 }
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("network", WAYS.values(), ids=WAYS)
 def test_every_lie_is_sent_in_the_way_of_the_honest(network):
     """Of as many bytes, as often, and never repeated: only silence is less, and equivocation two broadcasts."""
@@ -436,6 +436,7 @@ def test_the_window_of_a_lie_is_in_the_trace():
     assert [(event.t, event.fault.model) for event in trace.of(FaultEnded)] == [(0.75e9, "silent")]
 
 
+@pytest.mark.slow
 def test_a_lie_changes_no_other_random_draw():
     """Up to a lie without an effect the positions are those of the honest run, and after it, too."""
     for lie in (Liar(node=2, start=0.5), Selective(node=2, start=0.3), ReplayAttack(node=2, start=0.9, delay=0.001)):

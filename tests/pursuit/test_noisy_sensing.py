@@ -213,6 +213,7 @@ def test_a_pursuer_whose_track_is_too_old_stays_or_searches_from_where_the_track
     assert after - (2.9 + 0.5 * 0.7) == pytest.approx(spiral(0.15, 2.0 * 3.001), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_captures_follow_the_truth():
     """A pursuer that stands where it believes the evader to be captures it only where it is."""
     result = run(scenario(Sensing(noise=PositionNoise(deviation=2.0), estimate="hold")), 3)
@@ -232,8 +233,8 @@ def test_less_noise_costs_less_time():
     assert times[1.0] > 1.1 * times[None]
 
 
+@pytest.mark.slow
 @pytest.mark.whole_but_one
-@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("kind", "fusion"), [*zip(PROTOCOLS.choices(), cycle(["by_stamp", "covariance_intersection"]), strict=False)]
 )

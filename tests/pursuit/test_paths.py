@@ -129,6 +129,7 @@ def test_a_hole_is_free_and_closed():
 BOXES = [[[x, y], [x + 2, y], [x + 2, y + 2], [x, y + 2]] for x in (1, 6, 11, 16) for y in (1, 7, 13)]
 
 
+@pytest.mark.slow
 def test_a_query_with_48_corners_takes_less_than_a_millisecond():
     shortest = paths(polygons(*BOXES))
     assert len(shortest.obstacles.bends) == 48

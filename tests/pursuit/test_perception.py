@@ -275,7 +275,7 @@ def test_the_sensing_range_applies_to_the_delayed_positions():
 # In a run.
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "time"),
     [({}, 5.8), ({"sensing_range": 2.0}, 4.467), ({"sensing_range": 2.0, "reaction_delay": 0.2}, 4.067)],

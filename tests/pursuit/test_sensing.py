@@ -94,6 +94,7 @@ def test_the_centralised_benchmark_ignores_the_sensing_radius(evaders):
     assert limited == full
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimate", ["hold", "constant_velocity", "worst_case"])
 def test_a_pursuer_without_sightings_never_moves(estimate):
     result = desim.run(scenario(Sensing(radius=0.0, estimate=estimate)))
@@ -143,6 +144,7 @@ def seen_once(sensing, strategy, asks, *, who=0, **keys):
     return {round(t, 1): answer for t, pursuer, answer in found if pursuer == who}
 
 
+@pytest.mark.slow
 def test_the_evader_is_where_its_velocity_says_or_where_it_was_last_seen():
     """It leaves the sight of 3 m after 1.111 s; what is remembered is the last motion step before that."""
     straight = ConstantHeading(angle=0.0)
@@ -226,6 +228,7 @@ def on_a_line(count, *, relay):
     return [min((t for t, j, able in found if j == k and able), default=inf) for k in range(count)]
 
 
+@pytest.mark.slow
 def test_sightings_travel_hop_by_hop_as_messages_only_if_relayed():
     """Each hop takes the latency and, on the way, what is left of a period; one that does not see it does not know
     before.
@@ -282,6 +285,7 @@ def test_recovery_without_memory_forgets_own_and_reported_sightings(who, scope, 
     assert answers[4.5] == knows
 
 
+@pytest.mark.slow
 def test_a_lost_report_is_repeated_until_it_is_too_old():
     """Cut off until 4 s, pursuer 1 receives within a period of 0.1 s the sighting of 1.11 s, if still reported."""
     cut = Partition(start=1e-4, end=4.0, groups=((0,),))
@@ -303,6 +307,7 @@ def test_a_sighting_is_reported_every_period_until_it_is_too_old():
     assert sent[-1].body[0].seen == 1.11
 
 
+@pytest.mark.slow
 def test_a_broken_down_pursuer_sees_nothing():
     """The evader is within 2 m of the pursuer, which is broken from 1 to 5 s, for |2 t - 5| <= sqrt(3)."""
     behaviour, found = looks(lambda me: me.may_chase())

@@ -38,6 +38,7 @@ def is_target(event):
     return isinstance(event, FaultStarted | FaultEnded) and isinstance(event.fault, CustomFault)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FIXED)
 def test_the_run_is_that_of_a_fault_of_the_pursuer_that_chases(kind):
     targeted = events([kind(start=2.0, end=4.0)])
@@ -55,6 +56,7 @@ def test_several_chasers_are_taken_in_the_order_of_their_capture_times(kind):
     assert (len(nodes), nodes[0]) == (2, 4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FIXED)
 def test_without_a_chaser_nothing_happens(kind):
     idle = {"protocol": lambda me: iter(()), "team": Team(count=5, active_at_start=0.0)}

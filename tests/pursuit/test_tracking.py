@@ -121,6 +121,7 @@ def is_positive(covariance):
     return (found == found.T).all() and found.diagonal().min() > 0.0 and values[0] >= -1e-15 * values[-1]
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(st.integers(0, 2**32))
 def test_every_covariance_is_positive_however_exact_the_sightings_are(seed):

@@ -178,7 +178,7 @@ def distrusted(scenario, seed, until=1.0):
     return {(event.suspect, event.distrusted) for event in result.trace.of(Distrusted)}
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("trust", [Plausible(), Accusations(), Reputation()], ids=lambda each: each.kind)
 def test_impossible_times_and_chases_without_motion_are_found(trust):
     """Where a rule reads the records of inactive teammates, too, a time that is impossible is found without a chase."""

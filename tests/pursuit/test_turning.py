@@ -100,6 +100,7 @@ def test_paths_are_as_short_as_brute_force_finds(seed, radius, spread):
     assert found == pytest.approx([brute_force(each, radius) for each in (x + 1j * y).tolist()], rel=1e-8, abs=1e-8)
 
 
+@pytest.mark.slow
 @given(seeds, st.sampled_from([0.3, 1.0, 2.5]), st.sampled_from([-1, 0, 1]), st.floats(0.0, 3.0))
 def test_no_first_move_makes_a_path_shorter(seed, radius, side, share):
     """Bellman's inequality L(z) <= s + L(z as seen after s), with equality for the turn to the left or to the right.
@@ -197,7 +198,7 @@ def test_captures_are_the_first_in_a_scan(seed, spread):
         assert (missing(np.linspace(0.0, time * (1.0 - 1e-9), 2_000), *own) > -1e-8 * scale).all()
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("offset", [0.6 + 0.6j, 0.3 + 0.2j, 0.3 - 0.2j])
 def test_a_capture_as_the_evader_leaves_a_turning_circle(offset):
     """Within the circle the pursuer needs two arcs. On it, L falls by more than 4 m at once, to below v t.

@@ -585,8 +585,8 @@ def repeated(tmp_path: Path, *args: object) -> tuple[dict[str, object], dict[str
     return found[0], found[1]
 
 
+@pytest.mark.slow
 @pytest.mark.whole_but_one
-@pytest.mark.slow_but_one
 @pytest.mark.usefixtures("_no_pictures")
 @pytest.mark.parametrize("file", SCENARIOS, ids=lambda file: file.stem)
 def test_a_run_of_a_scenario_file_is_repeated_byte_for_byte(file, tmp_path):
@@ -623,7 +623,7 @@ end = inf
 """
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.usefixtures("_no_pictures")
 @pytest.mark.parametrize(
     "options",
@@ -649,6 +649,7 @@ def test_infinities_files_seeds_and_overrides_are_repeated_byte_for_byte(tmp_pat
     assert len({name for name in first if name.endswith("trace.jsonl")}) == len(runs)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_no_pictures")
 def test_a_module_beside_the_file_is_repeated_byte_for_byte(beside, tmp_path):
     file = beside("home", "rules_to_repeat")

@@ -131,8 +131,8 @@ FILES = ("relay", "faults", "radio", "soak", "auction", "flooding", "token_ring"
 PACK = ("evader.count=3", "evader.box=[1, 19]", "team.speeds=4.0")
 
 
+@pytest.mark.slow
 @pytest.mark.whole_but_one
-@pytest.mark.slow_but_one
 @pytest.mark.parametrize(("name", "pack"), [*((name, ()) for name in FILES), ("reckoning", PACK)])
 @pytest.mark.usefixtures("_undrawn")
 def test_a_run_that_was_written_is_read_again(run_of, name, pack, tmp_path):

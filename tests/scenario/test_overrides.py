@@ -61,6 +61,7 @@ def changed(scenario: Scenario, **settings) -> Scenario:
 # There and back.
 
 
+@pytest.mark.slow_cases("office")
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
 def test_the_source_of_a_scenario_describes_that_scenario(path):
     scenario = load(path)

@@ -161,6 +161,7 @@ def test_rounds_lose_most_messages_on_just_those_channels(channel):
     assert (lost >= 0.5) is (channel in LOSES)
 
 
+@pytest.mark.slow_cases("slots of a geometric rule", "first reports", "recoveries", "acknowledgements of a broadcast")
 @pytest.mark.parametrize("cause", CAUSES)
 def test_each_cause_loses_most_messages_where_nothing_separates_them(cause):
     """On nonpersistent CSMA; the control is the same channel with a random delay of the hosts."""

@@ -47,8 +47,8 @@ PLACES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.whole_but_one
-@pytest.mark.slow_but_one
 @pytest.mark.parametrize("place", PLACES)
 @given(text=TEXTS)
 def test_what_a_user_wrote_is_in_the_message_as_it_was_written(tmp_path_factory, place, text):

@@ -27,6 +27,7 @@ def test_a_scenario_runs_without_a_warning_and_no_message_goes_astray(name, run_
     assert numbers.messages_lost == sum(numbers.messages_lost_by.values())
 
 
+@pytest.mark.slow
 def test_a_sweep_of_a_scenario_gives_no_warning():
     swept = [scenario for name in FILES if (scenario := load(SCENARIOS / name)).sweep.grid]
     assert swept

@@ -83,6 +83,7 @@ def test_the_game_of_the_study_is_that_of_the_runs():
     assert many_runs.capture_times(scenario, 5) == pytest.approx((gaps - 0.1) / (2.0 - 0.9))
 
 
+@pytest.mark.slow
 def test_a_chase_counts_the_evaders_captured_until_the_horizon():
     short = many_runs.moving_game(3, 6, "sap").model_copy(update={"horizon": 4.0})
     result = run(short, 2)
@@ -100,6 +101,7 @@ def test_the_temperature_of_slow_cooling_has_fallen_when_a_tenth_of_the_slots_is
     assert 1.0 / many_runs.FAST(10) == pytest.approx(many_runs.COLD)
 
 
+@pytest.mark.slow
 def test_the_example_has_six_pursuers_and_captures_three_evaders(run_of):
     result = run_of("many.toml")
     assert (result.scenario.team.count, len(result.scenario.evaders)) == (6, 3)

@@ -131,6 +131,7 @@ def test_the_centralised_cells_of_table_1_are_within_1_percent(cells):
     assert {(cell["runs"], cell["standard_error"]) for cell in central} == {(1, 0.0)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [20, 40])
 def test_the_centralised_cells_of_table_1_depend_on_neither_seed_nor_start(count):
     def found(scenario, seed):
@@ -154,6 +155,7 @@ def test_the_decentralised_cells_of_table_1_are_near_if_all_start_active_and_far
     assert ratios["random"] < 1.0 - 3 * 0.044
 
 
+@pytest.mark.slow
 def test_heartbeats_that_table_1_does_without_would_change_nothing_but_the_number_of_messages():
     base = table1.configuration(20)
     without = table1.decentralised(base, 0.01, 0.5)
@@ -560,6 +562,7 @@ def test_the_games_of_the_range_study_are_those_of_the_runs():
     assert len(graph) == range_runs.N
 
 
+@pytest.mark.slow
 def test_active_times_are_divided_by_who_could_capture_in_time():
     """Their sum is that of the team. With a horizon of 1e6 s, all could."""
     for horizon, some_late in ((5.0, True), (1e6, False)):

@@ -123,6 +123,7 @@ def test_first_actions_arrive_after_one_latency_if_they_are_announced(start):
         assert all(event.body == Assignment(result.trace.of(Started)[0].active[event.src]) for event in told)
 
 
+@pytest.mark.slow
 def test_first_announcements_are_lost_as_any_message():
     """p = 0.3, 30 pairs in each of 40 runs: the share of the pairs that know is 0.7, s.e. 0.013. The control: all."""
     counts = {
@@ -229,6 +230,7 @@ def starts(jitter, start="announced", **medium):
     return np.array(times), counts
 
 
+@pytest.mark.slow
 def test_on_a_contended_channel_jitter_separates_the_first_announcements():
     """Uniform up to 0.05 s: mean 0.025, s.e. 0.05 / sqrt(12 x 60). Of two frames of 0.19 ms, one pair in 130 overlaps.
 

@@ -93,6 +93,7 @@ for limit in (99.0, 0.01):
 """
 
 
+@pytest.mark.slow
 def test_a_limit_ends_under_a_profiler():
     """In Python 3.11 a traced call never begins once an asynchronous exception was withdrawn, so none is."""
     subprocess.run([sys.executable, "-c", TRACED], check=True, timeout=120)
@@ -395,6 +396,7 @@ def test_the_time_limit_of_one_run_covers_the_whole_command(tmp_path, monkeypatc
     assert found == limits
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("runs", "during"), [(1, [True]), (2, [False, False])])
 def test_the_time_limit_of_a_recorded_batch_ends_before_its_first_run(tmp_path, monkeypatch, runs, during):
     """How many runs there are is known only when the file is read, within the limit; one run is within it, too."""

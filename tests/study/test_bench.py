@@ -332,6 +332,7 @@ def command(*arguments):
     return CliRunner().invoke(main, ["bench", *map(str, arguments)])
 
 
+@pytest.mark.slow
 def test_the_command_prints_the_table_of_the_version():
     result = command()
     assert result.exit_code == 0

@@ -85,6 +85,7 @@ NETWORKS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.whole_but_one
 @pytest.mark.parametrize(
     "name", [*islice(NETWORKS, 2), *(pytest.param(name, marks=pytest.mark.slow) for name in islice(NETWORKS, 2, None))]
@@ -129,6 +130,7 @@ def without_copies(result):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.whole_but_one
 @pytest.mark.parametrize(
     "name", ["plain", *(pytest.param(name, marks=pytest.mark.slow) for name in NETWORKS if name != "plain")]
@@ -178,6 +180,7 @@ def test_a_copy_should_arrive():
     assert MessageFault(messages=(2, 1), delay=0.1, duplicate=True).label == "twice: message 1, 2"
 
 
+@pytest.mark.slow
 def test_a_message_is_read_in_time_if_its_receiver_looks_before_a_newer_one_arrives():
     result = run(SMALL.with_({"announce.trigger": "revision"}), 2)
     sent, seen = copies(result), looks(result)
@@ -294,6 +297,7 @@ def test_bad_choices_are_told(choices, message):
 # Cases.
 
 
+@pytest.mark.slow
 def test_each_feature_makes_a_valid_scenario_and_is_in_half_of_the_cases():
     number = 200
     cases = [drawn(FEATURES, stream(k, "break"), SMALL) for k in range(number)]
@@ -354,6 +358,7 @@ def test_a_feature_that_another_one_overrides_is_left_out_without_a_run():
     assert runs == 3, "without any latency, and with two shorter horizons"
 
 
+@pytest.mark.slow
 def test_a_case_that_is_broken_otherwise_is_not_smaller():
     """The search has found an exception; without the latency, the run only violates the property."""
     case = {"latency": {"network.latency": 0.5}}

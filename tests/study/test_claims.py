@@ -29,6 +29,7 @@ def runs(lots):
     return sorted((configuration.key, k) for lot in lots for configuration, k in lot)
 
 
+@pytest.mark.slow_cases("10000")
 @pytest.mark.parametrize("reps", [1, 6, 1000, 10_000])
 def test_lots_are_small_and_hold_each_run_once_whatever_the_order_of_the_grid(reps):
     lots = lots_of(plan(reps))

@@ -72,8 +72,8 @@ def test_the_interval_of_two_points_is_fiellers_closed_form():
     assert sign_changes([0.0, 1.0], differences.mean(axis=0).tolist()) == (pytest.approx(ratio),)
 
 
+@pytest.mark.slow
 @pytest.mark.whole_but_one
-@pytest.mark.slow_but_one
 @pytest.mark.parametrize("seed", range(8))
 def test_the_interval_holds_the_points_at_which_a_t_test_does_not_decide(seed):
     """A loop over a fine grid, with scipy's t test of the differences that are interpolated run by run."""

@@ -74,6 +74,7 @@ def test_equal_points_are_run_once():
     assert len(settings_of({"team.count": [2, 3]}, Design(size=16, drawn=("team.count",)))) == 2
 
 
+@pytest.mark.slow
 def test_a_design_resumes_from_the_store_of_a_smaller_one(tmp_path):
     store = tmp_path / "sweep.sqlite"
     sweep(SHORT, {"network.loss.p": "0:0.5"}, reps=2, design="sobol:2", store=store)

@@ -141,8 +141,8 @@ ONLY = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.whole_but_one
-@pytest.mark.slow_but_one
 @pytest.mark.parametrize(("scenario", "name"), ONLY)
 def test_if_only_one_thing_is_imperfect_all_is_due_to_it(scenario, name):
     """Exactly, for the scenario without it is the ideal one."""
@@ -174,6 +174,7 @@ def test_a_server_does_not_use_announcements():
     assert line.count("0 in every run") == 2
 
 
+@pytest.mark.slow_cases("sap", "server", "local_min")
 @pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
 def test_in_an_ideal_scenario_there_is_nothing_to_explain(rule):
     found = explain(GOOD.model_copy(update={"protocol": rule}), 2)
@@ -266,6 +267,7 @@ def test_additive_costs_do_not_interact():
     assert "interact " not in found.table()
 
 
+@pytest.mark.slow
 def test_costs_that_do_not_add_up_interact_and_the_table_reports_it():
     """One saves 1 s, the other costs 2 s, both together save 5 s, in every run; of 10 and 12 s, 5 and 7 s are left.
 
@@ -306,6 +308,7 @@ def test_costs_that_do_not_add_up_interact_and_the_table_reports_it():
     )
 
 
+@pytest.mark.slow
 def test_bounds_that_cannot_be_told_apart_say_that_the_network_hardly_matters():
     """9 and 10 s on a perfect network, 10 and 10.5 s without messages: 0.75 +- 12.706 x 0.25."""
     times = {"as_it_is": [9.0, 9.0], "latency": [8.0, 8.0], "loss": [8.0, 8.0], "ideal": [9.0, 10.0]}
@@ -458,6 +461,7 @@ def test_an_interaction_is_declared_without_one_at_most_at_the_nominal_rate():
     assert control == pytest.approx(0.0975, abs=4.0 * error_of_control)
 
 
+@pytest.mark.slow
 def test_an_interaction_of_one_standard_deviation_is_declared():
     """Of 30 runs, t is about sqrt(30) = 5.5, and should exceed 3.04: the power is 0.99 in a single metric."""
     share, error = declared(np.random.default_rng(0), 1.0, 1.0 - INTERACTION_RISK / 2, metrics=1)
@@ -471,6 +475,7 @@ def test_the_confidence_of_an_interaction_is_corrected_for_the_number_of_metrics
     assert cost.confidence == 0.99
 
 
+@pytest.mark.slow
 def test_parts_that_cannot_be_told_from_0_are_named_with_the_smallest_effect_that_is_found():
     """Latency saves 1 and 2 s, 1.5 +- 6.353; loss 1 s in both runs, which chance does with a probability of 1/2. The
     interaction is -0.5 and -1.5 s, whose 99.5 % interval has the half width 127.321 / 2."""
@@ -712,12 +717,14 @@ def test_no_metrics_are_refused_before_the_first_run(tmp_path):
     assert not any(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_store_of_a_sweep_is_none_of_an_explanation(tmp_path):
     store = tmp_path / "s.sqlite"
     sweep(LATE, {"network.latency.value": [0.0, 0.4]}, 1, store=store)
     refuses(LATE, store, r'grid was \["network\.latency\.value"\], is \["without"\]')
 
 
+@pytest.mark.slow
 def test_a_store_of_other_code_is_refused(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     file = tmp_path / "f.toml"
@@ -752,6 +759,7 @@ def test_the_picture_has_a_bar_per_part_between_the_two_ends():
     assert bars == steps | {6: (0.0, 4.5), 7: (0.0, 20.0)}
 
 
+@pytest.mark.slow
 def test_what_makes_a_metric_worse_is_red_in_a_picture():
     """Latency adds 3 s, loss takes away 2 s."""
     plus, minus = Saving.of([3.0, 3.0]), Saving.of([-2.0, -2.0])

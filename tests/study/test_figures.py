@@ -53,6 +53,7 @@ def ticks(axis):
     return dict(zip([text.get_text() for text in axis.get_ticklabels()], axis.get_ticklocs(), strict=True))
 
 
+@pytest.mark.slow
 def test_one_key_is_a_line_over_its_values():
     axes, (line,) = drawn({"horizon": [1.0, 2.0, 5.0]})
     assert line.get_xdata().tolist() == [1.0, 2.0, 5.0]
@@ -64,6 +65,7 @@ def test_one_key_is_a_line_over_its_values():
     assert not axes.figure.legends
 
 
+@pytest.mark.slow
 def test_error_bars_are_intervals():
     """Of k, k + 1, k + 2: 4.303 / sqrt(3) = 2.484 to either side."""
     axes, _ = drawn({"horizon": [1.0, 2.0]})
@@ -73,6 +75,7 @@ def test_error_bars_are_intervals():
     ]
 
 
+@pytest.mark.slow
 def test_values_out_of_order_are_drawn_from_left_to_right():
     _, (line,) = drawn({"horizon": [5.0, 1.0, 2.0]})
     assert line.get_xdata().tolist() == [1.0, 2.0, 5.0]
@@ -107,12 +110,14 @@ def test_many_lines_look_different():
     assert len({line.get_marker() for line in lines[:5]}) == 5, "in grey, too"
 
 
+@pytest.mark.slow
 def test_infinity_stands_to_the_right_of_all():
     axes, (line,) = drawn({"network.range": [4.0, inf, 8.0]})
     assert ticks(axes.xaxis) == pytest.approx({"4": 4.0, "8": 8.0, "inf": 8.8})
     assert line.get_ydata().tolist() == [1.0, 3.0, 2.0]
 
 
+@pytest.mark.slow
 def test_one_value_and_infinity_are_apart():
     axes, _ = drawn({"network.range": [inf, 4.0]})
     assert ticks(axes.xaxis) == {"4": 4.0, "inf": 5.0}
@@ -130,6 +135,7 @@ def test_a_label_is_left_out_where_it_would_touch_the_one_before_or_the_last():
         assert _apart(axes, values, {value: float(value) for value in values}) == kept
 
 
+@pytest.mark.slow
 def test_values_of_several_magnitudes_are_equally_far_apart_with_0_and_infinity_at_the_ends():
     """From 0.01 to 10 three decades: a fifth of them, 0.6, lies before and after."""
     axes, (line,) = drawn({"x": [0.0, 0.01, 0.1, 1.0, 10.0, inf]})
@@ -137,7 +143,7 @@ def test_values_of_several_magnitudes_are_equally_far_apart_with_0_and_infinity_
     assert line.get_xdata() == pytest.approx([-2.6, -2.0, -1.0, 0.0, 1.0, 1.6])
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("values", [[float(k) for k in range(30)], [-100.0, 0.1, 1.0, 10.0], [1.0, 25.0], [0.0, 0.5]])
 def test_other_values_are_drawn_as_they_are(values):
     _, (line,) = drawn({"x": values})
@@ -156,7 +162,7 @@ def test_not_every_one_of_many_values_has_a_tick():
 LABELS = {"labels": ["sap", "best_response"], "truths": [True, False], "one number": [3.0], "infinity": [inf]}
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("values", LABELS.values(), ids=LABELS)
 def test_values_that_are_not_numeric_are_rows_with_the_first_on_top(values):
     axes, (line,) = drawn({"x": values, "y": ["a", "b"]})
@@ -218,6 +224,7 @@ def test_names_are_drawn_as_they_are():
     assert [each.get_text() for each in legend_of(axes).get_texts()] == [" _own", r"\$a_\$"]
 
 
+@pytest.mark.slow
 def test_unmeasured_values_are_not_drawn():
     _, (line,) = drawn({"x": [1.0, 2.0]}, "capture_time")
     assert len(line.get_ydata()) == 2
@@ -393,7 +400,7 @@ def test_an_unmeasured_value_is_a_dash_in_a_phase_diagram():
     assert {patch.get_facecolor()[3] for patch in axes.patches} == {0.0}
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(("panels", "size"), [(1, 3), (3, 8)])
 def test_the_text_of_a_cell_fits_into_it(panels, size):
     """Values of up to 20,000, and panels of one width beside each other."""
@@ -451,7 +458,7 @@ def test_the_abscissa_may_be_any_key():
     assert {each.lines[0].get_linestyle() for each in axes.containers} == {"None"}, "there is nothing between them"
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(("value", "step"), [("sap", 6.0), ("cbba", -6.0)])
 def test_differences_are_from_any_value_of_any_key_and_paired(value, step):
     """Run k of cbba is 6 s longer than that of sap with equal x and y, so no difference has a width."""
@@ -605,7 +612,7 @@ def boxes_of_data(axes):
 SIZES = {"usual": None, "column": "8.5cm", "square": "8.5cmx8.5cm", "wide": "17cmx6cm"}
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, 6, 9])
 @pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
 def test_a_legend_is_not_on_data_and_within_the_figure(size, count):
@@ -747,6 +754,7 @@ def test_what_does_not_fit_into_axes_is_refused():
         swept.plot(style="seaborn-v9")
 
 
+@pytest.mark.slow
 def test_a_style_is_on_top_of_that_of_desim():
     (axes,) = result(GRID).plot(style={"axes.spines.top": True, "font.size": 13.0}).axes
     assert axes.spines["top"].get_visible()

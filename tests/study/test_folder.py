@@ -31,6 +31,7 @@ def test_a_run_is_read_without_its_scenario_file(tmp_path):
         assert list(found.trace) == list(written.trace)
 
 
+@pytest.mark.slow
 def test_a_sweep_is_read_without_its_scenario_file(tmp_path):
     made = sweep(SCENARIO, GRID, 2, store=tmp_path / "sweep.sqlite")
     for path in (tmp_path, tmp_path / "sweep.sqlite"):

@@ -281,8 +281,8 @@ def test_only_the_given_imperfection_is_removed(name):
     assert changes(WORST, removed(WORST, [name])) == CHANGES[name]
 
 
+@pytest.mark.slow
 @pytest.mark.whole_but_one
-@pytest.mark.slow_but_one
 @pytest.mark.parametrize("scenario", [WORST, *FILES], ids=lambda each: getattr(each, "stem", "worst"))
 def test_removing_all_imperfections_in_any_order_leaves_none(scenario):
     scenario = without_contention(scenario if isinstance(scenario, Scenario) else load(scenario))
@@ -348,6 +348,7 @@ THERE = {
 """The imperfections of each file, as one reads it; that the start is not known for free comes on top."""
 
 
+@pytest.mark.slow_cases("forest", "table1_40")
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_an_imperfection_is_present_if_the_file_has_it(path):
     scenario = load(path)
@@ -402,6 +403,7 @@ def test_on_a_perfect_network_all_arrives_at_once_and_without_messages_nothing(p
     assert perfect.announce.model_copy(update=same) == silent.announce.model_copy(update=same) == scenario.announce
 
 
+@pytest.mark.slow
 def test_a_perfect_network_keeps_broken_robots_lies_and_clocks():
     radio, plan = Crash(node=1, start=0.5, scope="radio"), RandomFaults(kinds=("partition", "jamming"))
     faults = (*WORST.fault, radio, RandomCrashes(scope="radio"), plan, ChaserCut(start=1.0), NewsFault())
@@ -646,6 +648,7 @@ def test_removing_faults_leaves_none(fault):
     assert without_lies(without_faults(scenario)) == Scenario()
 
 
+@pytest.mark.slow
 def test_without_latency_frames_of_one_instant_still_do_not_collide():
     """Rounds over the preset wifi: the random delay of the hosts belongs to the channel, and goes with it.
 

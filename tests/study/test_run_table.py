@@ -51,6 +51,7 @@ def typed(value):
     return type(value), inner
 
 
+@pytest.mark.slow
 @given(st.lists(LISTS, max_size=3))
 def test_a_column_returns_each_value_with_its_type(parts):
     column, values = Column(), [value for part in parts for value in part]

@@ -86,6 +86,7 @@ def as_in_the_paper(samples, zone, confidence, first):
             return max(left, key=lambda i: samples[:r, i].mean()), times
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlation", [0.0, 0.64])
 def test_the_procedure_is_that_of_the_paper_step_by_step(correlation):
     for seed in range(20):
@@ -265,6 +266,7 @@ def raced(**options):
     return race(SHORT, COUNTS, "score", **(usual | options))
 
 
+@pytest.mark.slow
 def test_a_race_finds_the_best_and_says_who_was_dropped_when():
     result = raced()
     assert result.best == {"team.count": 4}
@@ -407,6 +409,7 @@ def test_a_run_that_fails_ends_the_race_with_a_sentence():
     assert raised.value.__notes__[0].startswith("Traceback")
 
 
+@pytest.mark.slow
 def test_a_race_over_a_design_is_one_over_its_points():
     points = {"network.loss.p": "0:0.5"}
     result = race(SHORT, points, "score", zone=1.0, first=3, maximise=True, design="sobol:2", metrics={"score": luck})

@@ -49,6 +49,7 @@ def luck(shares, seeds):
     return np.array(numbers).reshape(*shares.shape, seeds)
 
 
+@pytest.mark.slow
 def test_the_indices_of_a_known_function():
     indices = sobol_indices(ishigami(saltelli_points(8192, 4))[..., None], resamples=60)
     assert [index.value for index in indices.first] == pytest.approx([*FIRST, 0.0], abs=0.01)
@@ -61,6 +62,7 @@ def test_the_indices_of_a_known_function():
     assert not any(index.has_0 for index in indices.total[:3])
 
 
+@pytest.mark.slow
 def test_what_is_left_of_the_variance_is_called_interaction_if_it_is_told_apart():
     """Of the variance of the product 0.4 is interaction, of that of the sum nothing; few points cannot tell."""
     told = {}
@@ -227,6 +229,7 @@ def test_the_effects_of_a_linear_model_are_its_slopes_and_interactions_spread():
     assert effects.matters(0.1) == [0, 1, 2]
 
 
+@pytest.mark.slow_cases("2", "4", "5", "7")
 @pytest.mark.parametrize("count", [2, 3, 4, 5, 7, 11])
 def test_each_item_of_a_list_is_as_probable_and_a_step_leads_to_another_one(count):
     """Of 4,000 shares at starts and ends each. The control is a list at the levels themselves."""
@@ -344,6 +347,7 @@ def test_an_analysis_of_a_known_function_is_golden(monkeypatch):
     golden("sensitivity.txt", f"{result}\n{result.runs} runs\n")
 
 
+@pytest.mark.slow
 def test_screening_in_two_runs_at_each_point():
     """The runs themselves are made: 2 trajectories of 2 keys have 6 points, some of them equal."""
     pair = {key: RANGES[key] for key in ("network.latency.value", "prune")}

@@ -80,7 +80,14 @@ def shown(text):
     return "\n".join(line.rstrip() for line in text.replace("</tr>", "</tr>\n").splitlines()[:60])
 
 
-@pytest.mark.slow_cases("a control", "an explanation")
+@pytest.mark.slow_cases(
+    "a control",
+    "an explanation",
+    "a sweep of a design",
+    "a comparison of other seeds",
+    "a race",
+    "a screening",
+)
 @pytest.mark.parametrize("name", RESULTS)
 def test_a_result_is_shown_as_it_was(name):
     result = RESULTS[name]()

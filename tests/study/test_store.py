@@ -302,6 +302,7 @@ def test_a_store_merged_into_itself_stays_as_it_is(tmp_path, good):
     assert sweeps.rows(path) == before
 
 
+@pytest.mark.slow
 def test_a_run_that_failed_in_one_shard_and_not_in_another_did_not_fail(tmp_path, file):
     plan = SweepPlan.of(load(file, allow_import=True))
     stores = [tmp_path / f"{k}.sqlite" for k in range(2)]
@@ -375,6 +376,7 @@ def test_a_store_can_be_made_by_many_at_the_same_moment(tmp_path):
             assert list(threads.map(make, [lap] * 8)) == ["ok"] * 8
 
 
+@pytest.mark.slow
 def test_the_view_has_a_column_per_metric_and_a_row_per_run(tmp_path, file):
     found = sweep(read_source(file, allow_import=True), store=tmp_path / "store.sqlite")
     with closing(sqlite3.connect(tmp_path / "store.sqlite")) as database:

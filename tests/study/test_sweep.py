@@ -288,6 +288,7 @@ def test_numbers_of_runs_and_seeds_may_be_numpys(tmp_path):
         sweep(BASE, GRID, 2.5)
 
 
+@pytest.mark.slow
 def test_options_that_are_not_given_are_those_of_the_scenario():
     scenario = BASE.model_copy(update={"sweep": Sweep(reps=2, grid={"capture.radius": [0.1, 0.2]})})
     assert sweep_of_package(scenario) == sweep(BASE, {"capture.radius": [0.1, 0.2]}, 2)
@@ -296,6 +297,7 @@ def test_options_that_are_not_given_are_those_of_the_scenario():
 # Failures.
 
 
+@pytest.mark.slow
 def test_a_run_that_raises_is_a_row_and_ends_nothing():
     found = sweep(BASE, {"protocol": [Moody(), BASE.protocol]}, 4)
     assert [[row.status for row in group.rows] for group in found.groups] == [["ok", "error", "ok", "ok"], ["ok"] * 4]
@@ -303,6 +305,7 @@ def test_a_run_that_raises_is_a_row_and_ends_nothing():
     assert (row.seed, row.error, row.summary) == (5_000_001, "ValueError: not today", None)
 
 
+@pytest.mark.slow
 def test_runs_that_failed_are_tried_again_and_only_those(tmp_path, monkeypatch):
     scenario = BASE.model_copy(update={"protocol": Moody()})
     before = sweep(scenario, {"capture.radius": [0.1]}, 6, store=tmp_path / "s.sqlite")
@@ -423,7 +426,7 @@ CHANGED = {
 }
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(("change", "grid", "options", "why"), CHANGED.values(), ids=CHANGED)
 def test_a_store_of_another_sweep_is_refused_with_the_differences(tmp_path, change, grid, options, why):
     store = tmp_path / "s.sqlite"
@@ -541,7 +544,7 @@ def measured(tmp_path, monkeypatch):
         sys.modules.pop(name, None)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "text", "why"),
     [

@@ -112,6 +112,7 @@ def test_metrics_of_a_script_are_computed_by_other_processes():
     assert sweep(BASE, GRID, 4, executor=2, metrics=metrics) == sweep(BASE, GRID, 4, metrics=metrics)
 
 
+@pytest.mark.slow
 def test_infinity_is_kept(tmp_path):
     for _ in range(2):
         found = sweep(BASE, GRID, 1, store=tmp_path / "s.sqlite", metrics={"x": lambda result: -inf})
@@ -387,6 +388,7 @@ TRUSTED = "--allow-import"
 TWICE = ("--metric", "mine_of_commands:twice")
 
 
+@pytest.mark.slow
 def test_a_run_shows_metrics_of_its_file_and_of_the_command_line(file):
     shown = accepted("run", file, TRUSTED, *TWICE, "--metric", "excess_time").stdout
     lines = {line.split("  ")[0]: line.split() for line in shown.splitlines()}
@@ -398,6 +400,7 @@ def test_a_run_shows_metrics_of_its_file_and_of_the_command_line(file):
     assert "twice, s" in accepted("run", file, TRUSTED, *TWICE, "-n", 2).stdout
 
 
+@pytest.mark.slow
 def test_a_run_in_a_folder_has_its_metrics_and_so_has_its_repetition(file, tmp_path):
     accepted("run", file, TRUSTED, *TWICE, "-o", tmp_path / "out")
     numbers = json.loads((tmp_path / "out" / "summary.json").read_text())

@@ -299,7 +299,7 @@ METRICS = {
 """Wrong metrics, and what each is told."""
 
 
-@pytest.mark.slow_cases("lost messages", "never decides", "short sight")
+@pytest.mark.slow_cases("lost messages", "never decides", "short sight", "stands still")
 @pytest.mark.parametrize("name", PROTOCOLS)
 def test_a_wrong_protocol_is_told_what_is_wrong_with_it(name):
     model, what = PROTOCOLS[name]

@@ -324,6 +324,7 @@ def test_few_draws_tell_much(name):
         check_latency(model, draws=draws)
 
 
+@pytest.mark.slow
 def test_a_few_losses_tell_a_state_that_all_links_share():
     with pytest.raises(ContractError, match=r"a first message in 0\.[23]\d* of the runs .* and in 1\.000"):
         check_loss(AtMostOne(), draws=40)

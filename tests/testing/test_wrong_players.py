@@ -332,7 +332,7 @@ def test_dynamics_that_say_so_take_a_command_at_once():
         check_body(Slow())
 
 
-@pytest.mark.slow_cases("random")
+@pytest.mark.slow_cases("endless", "random")
 @pytest.mark.parametrize("name", EVADERS)
 def test_a_wrong_strategy_is_told_what_is_wrong_with_it(name):
     model, what = EVADERS[name]

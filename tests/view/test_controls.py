@@ -138,7 +138,7 @@ def test_metrics_that_a_scenario_names_have_one_control():
     assert not any(key.startswith("record.metrics.") for key in found)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("typed", ["0,5", "", "abc", "[1, 2]", "{a = 1}", "true"])
 def test_a_page_draws_its_controls_whatever_was_typed_into_one(typed):
     """A value that is not valid is one of any TOML type."""

@@ -173,12 +173,14 @@ def test_two_folders_become_a_page_in_the_working_directory(two):
     assert not (two / "one" / "replay.html").exists()
 
 
+@pytest.mark.slow
 def test_a_folder_and_a_file_become_a_page_under_a_given_name(two):
     (two / "a.toml").write_text(SMALL)
     accepted("replay", "a.toml", "one", "-o", "x.html")
     assert "unnamed, seed 0 and brief, seed 0" in Elements((two / "x.html").read_text(encoding="utf-8")).title
 
 
+@pytest.mark.slow
 def test_overrides_and_the_seed_apply_to_both_scenario_files(two):
     (two / "a.toml").write_text(SMALL)
     (two / "b.toml").write_text(f"{SMALL}network.range = 5.0\n")

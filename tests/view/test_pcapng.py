@@ -117,6 +117,7 @@ def test_a_run_without_recorded_messages_is_refused(tmp_path):
     assert packets_of(silent, tmp_path) == ([], [])
 
 
+@pytest.mark.slow
 def test_the_comment_of_a_packet_is_json(run_of, tmp_path):
     result = run_of("recorded.toml", "horizon=0.2")
     packets, _ = packets_of(result.trace, tmp_path)

@@ -261,6 +261,7 @@ def test_the_texts_make_the_same_scenario_again(small, answer, tmp_path):
     assert made["result"].scenario == own
 
 
+@pytest.mark.slow
 def test_a_scenario_made_in_python_can_be_played_with(tmp_path):
     scenario = Scenario(team=Team(count=4, speeds=1.2), horizon=1.0)
     ground = Playground(Source.of(scenario), None)
@@ -790,6 +791,7 @@ SLIDE = """(key, position) => {
 }"""
 
 
+@pytest.mark.slow
 @in_chromium
 def test_a_slider_that_is_released_shows_the_new_run_at_the_same_instant(played):
     played.value("play.replay.speed = 0.005")

@@ -234,6 +234,7 @@ def test_headings_estimates_and_the_flow_are_in_the_page_only_where_there_are_an
     assert (document["headings"], document["estimates"], document["flow"]) == (None, None, None)
 
 
+@pytest.mark.slow
 def test_the_flow_is_that_at_the_points_of_the_grid():
     """Row by row from the lower left; a gyre depends on x, on y and on time, and a steady flow has one time."""
     gyre = GyreFlow(speed=0.5, size=6.0, shift=1.0, period=4.0)
@@ -455,6 +456,7 @@ def test_a_column_has_no_number_that_it_does_not_hold():
         packed_column([1, 65536], "<u2")
 
 
+@pytest.mark.slow
 @given(st.lists(st.integers(-(2**31), 2**31 - 1) | st.integers(-2, 2), max_size=40), st.integers(1, 300))
 def test_a_column_holds_the_numbers_that_were_packed(numbers, times):
     numbers = np.repeat(numbers, times)
@@ -565,6 +567,7 @@ def test_the_data_of_a_ghost_are_its_positions_and_its_number_of_active_pursuers
 SHORT_GHOST = Scenario(name="short", team=Team(count=5), evader=Evader(position=(60.0, 60.0)), horizon=0.5)
 
 
+@pytest.mark.slow
 def test_a_run_and_its_ghost_have_the_same_ticks_which_fit_the_longer_of_them():
     """5 s are more than 2^31 ns, so a tick is 10 ns; of two short runs it is 1 ns."""
     long = run(SHORT_GHOST.model_copy(update={"horizon": 5.0}))
@@ -684,6 +687,7 @@ def test_the_header_names_the_conditions_of_the_network(change, said):
     assert conditions(FORTY.model_copy(update=change)) == said
 
 
+@pytest.mark.slow
 def test_the_key_has_only_what_the_run_contains():
     """By hand: a crash and jamming. With two evaders: neither fault nor loss."""
     one, two = ([line.removeprefix(": ") for line in Elements(replay_page(each)).lines] for each in (history(), pair()))
@@ -822,6 +826,7 @@ def test_without_jinja_the_command_names_the_package_to_install(tmp_path, monkey
     assert "no replay: jinja2 is missing: pip install" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_page_that_cannot_be_written_is_refused(tmp_path):
     (tmp_path / "no").touch()
     done = invoke(SCENARIOS / "relay.toml", "--set", "horizon=0.1", "-o", tmp_path / "no" / "x.html")
@@ -1549,6 +1554,7 @@ CROWD = Scenario(
 )
 
 
+@pytest.mark.slow
 def test_messages_that_arrive_alike_take_less_than_two_bytes_each():
     data = replay_data(run(CROWD))
     assert len(json.dumps([data["messages"], data["beliefs"]])) / messages(run(CROWD)).sent < 2.0

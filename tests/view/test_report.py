@@ -345,6 +345,7 @@ def folder(small, tmp_path):
     return shutil.copytree(small, tmp_path / "swept")
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_page(folder):
     done = invoke(folder)
     assert done.exit_code == 0, done.output

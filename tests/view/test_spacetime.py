@@ -161,6 +161,7 @@ def test_without_messages_lines_and_decisions_remain(run_of):
     assert "active" in {line.get_label() for line in figure.axes[0].lines}
 
 
+@pytest.mark.slow
 def test_without_an_end_the_window_ends_after_half_of_the_messages_that_fit(monkeypatch):
     """Of seven messages two are sent at 100 ms, one at 300 ms, two each at 750 and 900 ms; those of one time stay."""
     for most, until in ((2, 0.1), (4, 0.3), (6, 0.75), (12, 0.9), (14, 1.0)):

@@ -181,6 +181,7 @@ def test_a_front_page_without_its_examples_says_so_and_shows_the_recorded_run(si
         tab.until(f"{text('status')}.includes('opened as a file only shows this run: serve its folder')")
 
 
+@pytest.mark.slow
 def test_the_archive_has_all_that_a_run_reads(tmp_path):
     """Code, templates, scripts and the examples; no figures, and the same bytes each time."""
     trial.write_archive(tmp_path / "a.zip")

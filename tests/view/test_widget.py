@@ -35,6 +35,7 @@ def until(condition):
         time.sleep(0.01)
 
 
+@pytest.mark.slow
 def test_a_scenario_makes_its_widget():
     made = desim.play(SMALL)
     assert isinstance(made, PlayWidget)
