@@ -32,6 +32,7 @@ def test_a_broadcast_crosses_few_modules(scenario, most):
     assert len(modules) <= most, "\n".join([f"a broadcast crosses {len(modules)} modules:", *modules])
 
 
+@pytest.mark.slow
 def test_the_page_walks_the_path_of_a_broadcast_in_its_order():
     """First the path on an ideal network, then what a shared channel adds."""
     plain, shared = _traced(PLAIN), _traced(SHARED)

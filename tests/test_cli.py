@@ -1345,6 +1345,7 @@ def test_a_file_that_cannot_be_exported_to_is_refused(coins, tmp_path):
     assert why == f"{tmp_path}/none/x.csv: cannot be written: No such file or directory"
 
 
+@pytest.mark.slow
 def test_without_matplotlib_a_sweep_has_no_picture(file, tmp_path, pictures, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     accepted("sweep", file(COINS), "-o", tmp_path / "out", "-n", 1)

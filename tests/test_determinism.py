@@ -110,7 +110,7 @@ def test_traces_are_equal_for_one_worker_and_two():
     assert len(set(one)) == 4
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("schedule", [SharedSeed(slot=0.05), Poisson(rate=2.0), "all at once", "by message"])
 @pytest.mark.parametrize("latency", [0.0, 0.05])
 def test_the_order_of_registration_does_not_matter(schedule, latency, monkeypatch):
@@ -162,6 +162,7 @@ def test_two_runs_share_nothing():
     assert lines(run(scenario, 3)) == first
 
 
+@pytest.mark.slow
 def test_the_global_random_generators_are_untouched():
     np.random.seed(1)  # noqa: NPY002
     random.seed(1)

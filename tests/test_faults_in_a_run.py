@@ -300,6 +300,7 @@ def test_a_wrong_clock_shows_its_own_time_and_wakes_by_it():
     assert decided(result, 1) == pytest.approx([0.4, 0.4 + 0.96], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_clock_errors_of_one_node_add_up_and_those_of_all_are_drawn():
     def shown(*skews, **changes):
         """Return the time that the clock of each pursuer shows at the start."""

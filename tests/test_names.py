@@ -85,6 +85,7 @@ def public_names(tree):
         yield from (name for name in names if not name.startswith("_"))
 
 
+@pytest.mark.slow
 def test_a_public_name_is_defined_in_one_module():
     """Constants are not counted: those that one module uses alone are called after their part in it."""
     modules = defaultdict(set)

@@ -59,8 +59,8 @@ def lines(result):
     return "".join(map(line_of, result.trace))
 
 
+@pytest.mark.slow
 @pytest.mark.whole_but_one
-@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("file", "copied"),
     [*zip(FILES, cycle([copy.deepcopy, lambda held: pickle.loads(pickle.dumps(held))]), strict=False)],

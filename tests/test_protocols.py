@@ -107,8 +107,8 @@ def test_a_protocol_keeps_the_contract_in_every_scenario(kind, schedule, file):
     assert (np.random.get_state()[1].tolist(), random.getstate()) == before  # noqa: NPY002
 
 
+@pytest.mark.slow
 @pytest.mark.whole_but_one
-@pytest.mark.slow_but_one
 @pytest.mark.parametrize("kind", KINDS)
 def test_in_the_contract_each_protocol_starts_and_stops_pursuers(kind):
     """Or the contract would be about nothing."""

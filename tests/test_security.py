@@ -294,6 +294,7 @@ def changed(path: Path, change) -> None:
     path.write_text(json.dumps(made))
 
 
+@pytest.mark.slow
 def test_a_run_json_names_no_code(mark, ran):
     (ran / "evil.py").write_text((ran.parent / "evil.py").read_text())
     changed(ran / "run.json", lambda made: made["scenario"]["network"].update(latency={"kind": "evil:late"}))
@@ -304,6 +305,7 @@ def test_a_run_json_names_no_code(mark, ran):
     assert not mark.exists()
 
 
+@pytest.mark.slow
 def test_a_trace_names_no_code(mark, ran, monkeypatch):
     monkeypatch.syspath_prepend(mark.parent)
     text = (ran / "trace.jsonl").read_text()

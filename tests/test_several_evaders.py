@@ -152,7 +152,6 @@ def test_each_evader_flees_its_nearest_pursuer_and_its_chasers():
     assert last.evaders == ((2.0, 0.0), (pytest.approx(102.5), 0.0))
 
 
-@pytest.mark.slow
 def test_captured_and_unknown_evaders_cannot_be_chased():
     seen = []
 
@@ -302,6 +301,7 @@ def test_a_list_with_one_table_is_that_table(tmp_path):
     assert one == other
 
 
+@pytest.mark.slow
 def test_a_start_at_random_chases_every_evader_alike():
     """Of 4,000 starts of one pursuer a third each, within 4 standard errors of 0.0075. The control has 2 of the 3."""
     base = Scenario(team=Team(count=400, speeds=1.0), evader=Evader(count=3))

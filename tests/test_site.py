@@ -62,7 +62,6 @@ def test_every_metric_is_in_one_group_and_said_in_one_way():
     assert all(re.match(r"[A-Z]", meaning) and not re.match(r"The |Return|How", meaning) for meaning in meanings)
 
 
-@pytest.mark.slow
 def test_every_key_has_an_anchor_of_its_own_on_the_page_of_the_keys():
     text, anchors = pages.keys(), pages.key_anchors()
     assert {"network.latency", "network.latency.kind", "protocol.kind", "protocol.sap", "seed"} <= anchors.keys()

@@ -54,6 +54,7 @@ def test_an_environment_of_pettingzoo_passes_its_tests(name):
         checked(parallel_seed_test, lambda: desim.wrap(pettingzoo.make("parallel", name), LINKS), num_cycles=5)
 
 
+@pytest.mark.slow
 def test_small_environments_pass_the_tests_of_pettingzoo():
     checked(parallel_api_test, desim.wrap(Line(), LINKS), num_cycles=40)
     checked(parallel_seed_test, lambda: desim.wrap(Line(), LINKS), num_cycles=20)

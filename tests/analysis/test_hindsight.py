@@ -408,6 +408,7 @@ def test_the_regret_of_a_network_is_the_excess_of_a_metric_over_the_ideal_networ
     assert min(faults, network) > 0  # it takes both, that network and no faults
 
 
+@pytest.mark.slow
 def test_an_ideal_network_leaves_nothing_to_regret():
     for seed in (0, 1):
         assert network_regret(negotiated("pursuit", seed, network=Links())) == 0.0

@@ -91,6 +91,7 @@ def test_a_moved_legend_is_golden():
     golden("legend.txt", described(figure) + "\n")
 
 
+@pytest.mark.slow
 def test_data_of_axes_with_another_ordinate_count_and_the_title_is_kept():
     with styled(figsize=(3.0, 2.0)) as figure:
         axes = figure.add_subplot()

@@ -144,6 +144,7 @@ def test_teammates_agree_on_an_ideal_network_and_not_while_an_announcement_trave
     assert judge("always age <= 0.5", run(SMALL.with_({"network.latency.value": 0.4}), 1)).measure >= -0.1
 
 
+@pytest.mark.slow
 def test_a_quantity_of_one_evader_adds_up_to_that_of_all():
     result = run(LOSSY.with_({"evader.count": 3, "evader.box": [0.0, 8.0]}), 2)
     for name in ("active", "idle", "crowded", "captured"):

@@ -91,6 +91,7 @@ def test_the_interval_of_wilson_is_that_of_the_books(successes, trials, low, hig
     assert wilson(successes, trials) == pytest.approx((low, high), abs=5e-5)
 
 
+@pytest.mark.slow
 @given(st.integers(1, 1000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
 def test_the_ends_of_the_wilson_interval_solve_its_equation(case):
     """(p^ - p)^2 = z^2 p (1 - p) / n at both, one on either side of p^; failures mirror successes."""
@@ -324,6 +325,7 @@ def false_positives(judge, draw, studies=1000):
     return np.mean([judge(draw(rng)) for _ in range(studies)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, 3, 5, 6, 10])
 def test_differences_that_are_all_equal_are_no_effect_if_there_are_few(count):
     """Each pair differs by 1 or -1, equally probable: all by the same with probability 2^(1 - n), 0.5 for two pairs.

@@ -325,6 +325,7 @@ class Growing(Remembering):
         return 0.01 * super().__call__()
 
 
+@pytest.mark.slow
 def test_a_second_summary_equals_the_first_and_the_object_of_the_caller_stays_as_it_was():
     latency = Growing()
     result = run(Scenario(team=Team(count=3), network=Links(latency=latency), horizon=0.5), 1)

@@ -142,7 +142,7 @@ def in_python():
     return {"flow": flow, "inertia": inertia, "noise": noise, "channel": channel}
 
 
-@pytest.mark.slow_cases("flow", "channel")
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:announce")
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_and_a_script_give_the_same_run(own, name):

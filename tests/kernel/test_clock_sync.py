@@ -89,6 +89,7 @@ def test_waiting_for_the_channel_is_no_error_and_messages_are_counted():
 # In a run.
 
 
+@pytest.mark.slow
 def test_frames_of_a_tdma_collide_no_more_once_clocks_agree():
     """The clock of pursuer 2 is 4 ms fast in slots of 5 ms. In the last three of six seconds nothing collides."""
     medium = Bitrate(bitrate=100_000.0, access=Tdma(slot=0.005, guard=0.001))

@@ -65,6 +65,7 @@ def test_the_number_of_losses_without_a_common_part_is_binomial():
         assert abs(deviation(same == number, expected)) < 3.0
 
 
+@pytest.mark.slow
 def test_in_a_network_receivers_lose_broadcasts_together_and_messages_to_one_node_alone():
     """With a correlation of 0.9 most of 2000 broadcasts reach all of 4 receivers or none; 0.08 se for a message."""
     clock = Clock()

@@ -98,6 +98,7 @@ def test_each_pair_has_the_autocorrelation_within_a_few_wavelengths():
         assert products.std() < 0.1
 
 
+@pytest.mark.slow
 def test_shadowing_decorrelates_exponentially_along_the_path_of_either_node():
     """exp(-|dx| / d) and exp(-(|dx| + |dy|) / d) with d = 10 m, of 4000 pairs: s.e. 0.016; the control has d = 20 m."""
     model, pairs = Coherence(decorrelation=10.0), 4000
@@ -156,7 +157,7 @@ def test_the_outage_of_nakagami_fading_is_that_of_a_gamma_distribution(m):
     assert max(off) > 3.0
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [3.0, 0.0, 0.5, 20.0])
 def test_the_outage_of_rice_fading_is_marcums_function(k):
     """1 - Q_1(sqrt(2 K), sqrt(2 (K + 1) x)); the control has 1.5 K + 1."""

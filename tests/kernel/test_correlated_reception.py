@@ -138,7 +138,7 @@ def contending(drawn="correlated", **model):
     return Links(fading=drawn, coherence=COHERENCE if drawn == "correlated" else Coherence(), medium=radio)
 
 
-@pytest.mark.slow_cases("shadowing", "rice and shadowing", "nakagami")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "power"),
     [

@@ -193,7 +193,7 @@ def outcome(make, call, error):
     return "failed"
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("part", "error"), [*((part, ValueError) for part in PARTS), *(("loss", error) for error in RAISED[1:])]
 )

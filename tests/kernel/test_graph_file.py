@@ -582,6 +582,7 @@ def test_nodes_may_have_the_names_of_columns(tmp_path, ends, mark):
     assert Edges(file=str(file)).names == ()
 
 
+@pytest.mark.slow
 @settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     ends=st.sets(st.tuples(st.integers(1, 5), st.integers(1, 5)).filter(lambda pair: pair[0] < pair[1]), min_size=1),

@@ -16,6 +16,7 @@ def put(boxes, arrival, number):
     boxes.deliver(Message(0, 0, None), "", [0], arrival, number)
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(st.integers(0, 30), st.integers(1, 3)), max_size=60))
 def test_an_inbox_is_drained_in_the_order_of_arrival_however_few_messages_are_new(messages):
     """After each message or few of them what has arrived is drained; the plain way sorts all letters."""

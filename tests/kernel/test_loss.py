@@ -115,7 +115,7 @@ def bursts_off(lost):
     return (lengths.mean() - 5.0) / sqrt(20.0 / lengths.size)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("advance", ["message", "time"])
 def test_losses_in_either_state_have_their_mean_and_their_correlation(advance):
     """With s = 0.3, r = 0.25 and p = r s / (1 - s): the mean is m = 0.3 x 0.7 + 0.7 x 0.1 = 0.28, and both of two
@@ -200,6 +200,7 @@ def test_within_an_instant_a_link_does_not_change():
     assert (lost == lost[0]).all()
 
 
+@pytest.mark.slow
 def test_after_a_long_time_a_link_has_forgotten_how_it_was():
     """exp(-0.625 x 100) is nothing: both bad with probability share^2, the standard error is binomial."""
     first, last = history(IN_TIME, [0.0, 100.0], 1, links=100_000)

@@ -73,6 +73,7 @@ def data_sheet(size, factor, bandwidth, rate, preamble, crc, implicit):
     return (preamble + Fraction(17, 4) + 8 + max(blocks * (4 + rate), 0)) * symbol
 
 
+@pytest.mark.slow
 @given(
     size=st.integers(0, 255),
     factor=st.integers(7, 12),

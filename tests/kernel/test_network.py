@@ -382,6 +382,7 @@ def test_a_duplicate_is_a_message_of_its_own(medium):
     assert counts.bytes_sent == 4 * size_of(0)
 
 
+@pytest.mark.slow
 def test_the_copy_has_a_loss_and_a_latency_of_its_own():
     """Half of the messages to 1000 nodes are lost, so 3/4 of the nodes get the message or its copy. Of the nodes that
     get both, half get the copy first. Within 3 standard errors of a binomial; the control has no copies.
@@ -485,6 +486,7 @@ def test_messages_that_arrive_at_one_instant_arrive_in_the_order_in_which_they_w
     assert [message.body for message in network.inbox(2).drain()] == ["first", "second"]
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(st.integers(0, 5), st.lists(st.integers(0, 9), max_size=5)), max_size=20))
 def test_messages_are_read_in_order_of_arrival_however_late_they_are_read(steps):
     """In each step so many ns pass, the box is emptied, and messages leave that arrive so many ns later."""

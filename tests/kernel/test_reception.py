@@ -92,6 +92,7 @@ def test_both_are_rayleigh_fading_at_one_end_and_none_at_the_other():
         assert model(near, 10.0).tolist() == pytest.approx([1.0, 0.0], abs=1e-9)
 
 
+@pytest.mark.slow_cases("model1", "model2", "model3", "model4", "model5", "model6")
 @pytest.mark.parametrize("model", MODELS)
 @given(st.lists(st.floats(0.0, 1e9), min_size=2, max_size=20), st.floats(1e-3, 1e6), st.sampled_from([0.25, 2.0, 8.0]))
 def test_reception_is_a_decreasing_probability_of_the_distance_in_units_of_the_range(model, apart, reach, factor):

@@ -250,6 +250,7 @@ def repeated(scenario, sent, seed):
     return kept(trace)
 
 
+@pytest.mark.slow
 def test_a_loop_sees_the_mean_latency_and_half_a_step():
     """A message waits for the end of its step; the control is the exact time of its arrival."""
     dt, mean = 0.02, 0.1
@@ -601,6 +602,7 @@ def episode(network):
     return messages, network.lost(), network.ages().tolist(), network.counts()
 
 
+@pytest.mark.slow
 def test_a_network_that_is_reset_is_a_new_one():
     arguments = {"links": LINKS["range"], "faults": [RandomCrashes(rate=1.0)], "horizon": 5.0, "positions": START}
     network = SteppedNetwork(SIZE, seed=1, **arguments)

@@ -570,6 +570,7 @@ def test_scripts_of_any_form_mean_what_their_commands_do(steps):
             read_script(text)
 
 
+@pytest.mark.slow
 @given(st.sampled_from(["gemodel", "state"]), st.lists(st.integers(1, 9999), min_size=1, max_size=2))
 @example("gemodel", [300, 4000])
 @example("state", [100])

@@ -517,6 +517,7 @@ def test_many_resets_need_neither_memory_nor_threads():
     assert after[1] - before[1] < 2000
 
 
+@pytest.mark.slow
 def test_an_environment_that_is_forgotten_ends_its_run():
     for _ in range(3):
         env = desim.env(small(), 1)

@@ -398,6 +398,7 @@ def _difference(values: list[float], zeros: list[float]) -> Row:
     return Row("end_time", "s", difference, difference, difference, 0.0)
 
 
+@pytest.mark.slow
 def test_late_actions_explain_differences_of_times_only():
     runs = [summary(desim.run(game("sap"), seed)) for seed in (1, 2)]
     margins = {name: _row(name, runs, runs, 0.5).margin for name in SHOWN}

@@ -98,6 +98,7 @@ def test_every_body_of_desim_that_is_sent_has_a_layout():
     assert payloads | sent - {Record} <= set(BODIES)
 
 
+@pytest.mark.slow
 @given(
     st.integers(0, EVADERS),
     st.floats(allow_nan=False),

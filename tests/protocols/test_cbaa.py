@@ -740,6 +740,7 @@ def test_the_bid_of_a_sender_is_taken_only_from_its_own_claim():
     assert greatest(NO_BID, {0: NO_BID, 2: Bid(0, -1.0)}) == NO_BID
 
 
+@pytest.mark.slow
 @given(BIDS, RECEIVED_BIDS)
 def test_the_greatest_bid_does_not_depend_on_the_order_of_claims(best, received):
     found = {greatest(best, dict(order)) for order in permutations(received.items())}

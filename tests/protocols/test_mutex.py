@@ -103,6 +103,7 @@ def test_of_simultaneous_requests_the_lower_id_has_priority():
     assert entered == list(range(7))
 
 
+@pytest.mark.slow
 def test_a_request_is_answered_once_though_its_answer_had_to_wait():
     result = run(frozen(flips(LocalMutex()), latency=0.1), 0)
     asked = Counter((each.src, each.dst, each.body.stamp) for each in bodies(result, Request))

@@ -80,6 +80,7 @@ def test_it_is_rounds_of_that_period():
     assert decisions(Synchronous(schedule=SharedSeed(slot=SLOT))) != decisions(Rounds(period=2 * SLOT))
 
 
+@pytest.mark.slow
 def test_no_token_is_sent():
     """Announcements are broadcast, tokens and receipts are sent."""
     ring = TokenRing(holding_time=SLOT)
@@ -157,6 +158,7 @@ def test_it_replaces_schedules_with_slots_when_turns_are_removed(other):
     assert without_serial_decisions(without_serial_decisions(scenario)) == without_serial_decisions(scenario)
 
 
+@pytest.mark.slow
 def test_without_turns_local_mutex_decides_by_its_clocks_and_sends_no_requests():
     """At 6 x 3 = 18 decisions per second, of which 54 +- 3 x 7.3 are expected in 3 s; and no requests are sent."""
     free = without_serial_decisions(frozen(LocalMutex(rate=3.0)))

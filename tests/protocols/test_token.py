@@ -144,6 +144,7 @@ def test_announcements_and_clocks_do_not_make_the_ring_stale(skew):
     assert [d.pursuer for d in decided(result)] == [k % 7 for k in range(len(log))]
 
 
+@pytest.mark.slow
 def test_decisions_by_timers_are_stale_on_a_slow_network():
     """The control: the same coins, tossed at the ticks of Poisson clocks and announced, are mostly known too late."""
     log = []
@@ -311,6 +312,7 @@ def test_a_lost_acknowledgement_is_repeated_and_the_duplicate_token_rejected(lat
     assert [sent.body.hop for sent in bodies(result, Token)].count(1) == 2
 
 
+@pytest.mark.slow
 def test_a_duplicate_token_does_not_prolong_the_holding_time():
     """The first token takes 0.34 s; its repetition, sent after 2.5 L, comes 0.01 s later."""
 
@@ -322,6 +324,7 @@ def test_a_duplicate_token_does_not_prolong_the_holding_time():
     assert [d.t for d in decided(result)][:2] == [0.05 * SECOND, 0.44 * SECOND]
 
 
+@pytest.mark.slow
 def test_an_unresponsive_neighbour_is_skipped_and_included_again_later():
     """A radio fails for a second: 5 tries of 2.5 L cost 0.625 s once, then the ring goes on without it, and with it."""
     group = Circulation({0, 1, 2, 4})

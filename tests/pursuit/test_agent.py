@@ -429,6 +429,7 @@ class Claim(NamedTuple):
     news: int = 0
 
 
+@pytest.mark.slow
 def test_a_claim_does_not_reveal_the_position_of_its_sender():
     """Unless positions are sensed."""
 

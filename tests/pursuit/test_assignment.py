@@ -48,6 +48,7 @@ def best_of_all(phi, reward):
     return max(welfare(phi, actions, reward) for actions in profiles(*phi.shape))
 
 
+@pytest.mark.slow
 @given(games(), st.data())
 def test_the_global_utility_is_an_exact_potential(drawn_game, data):
     """When one pursuer changes its action, its own utility changes by as much as Phi."""
@@ -69,6 +70,7 @@ def test_the_wonderful_life_utility_is_the_loss_of_welfare_if_a_pursuer_stays(dr
     assert wonderful_life_utility(phi, actions, reward, i) == pytest.approx(lost, abs=1e-9)
 
 
+@pytest.mark.slow
 @given(games(evaders=1))
 def test_with_one_evader_it_is_the_game_of_the_paper(drawn_game):
     """U_E(S) = r - mean of phi over S; the capture times may then be N numbers, and the profile truth values."""
@@ -80,6 +82,7 @@ def test_with_one_evader_it_is_the_game_of_the_paper(drawn_game):
     assert equilibria(phi, reward) == equilibria(one, reward)
 
 
+@pytest.mark.slow
 @given(games(evaders=1))
 def test_with_one_evader_the_best_assignment_is_the_relay_pursuer(drawn_game):
     """Or another that is as fast."""
@@ -147,6 +150,7 @@ def test_the_best_assignment_is_the_best_of_all_profiles_and_an_equilibrium(size
         assert is_equilibrium(phi, best, REWARD)
 
 
+@pytest.mark.slow
 @given(games(most=3))
 def test_the_best_assignment_is_the_best_if_some_can_never_capture_some(drawn_game):
     phi, _, reward = drawn_game

@@ -74,6 +74,7 @@ def test_shapes_and_radius_are_checked(evader, pursuers, speeds, radius, text):
         intercept_time(evader, [0.0, 0.0], pursuers, speeds, radius)
 
 
+@pytest.mark.slow
 @given(points, st.lists(st.tuples(points, speeds_of_players), min_size=1, max_size=5), st.floats(0.0, 2.0))
 def test_the_time_of_one_is_that_of_all_to_the_last_bit(evader, team, v_e):
     """RadialTime as a whole, one by one, and capture_time are one function; they are asked at distances of their own.
@@ -141,6 +142,7 @@ def test_the_formula_of_the_paper_is_the_smallest_root():
         assert found in {0.0, inf} or hypot(*(e + w * found)) == pytest.approx(v * found + eps, rel=1e-9)
 
 
+@pytest.mark.slow
 @given(speeds_of_players, st.floats(0.0, 2.0), st.floats(0.0, 50.0))
 def test_the_least_time_is_that_of_the_fastest_to_the_last_bit(speed, v_e, distance):
     """The bound of a claim and the capture time of a pursuer of the greatest speed are one formula."""

@@ -130,7 +130,7 @@ def test_above_the_barrier_the_pursuer_captures_it_at_the_first_dodge(ratio):
         assert len(dodger.dodges) <= 1
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", RATIOS)
 def test_below_the_barrier_an_evader_that_does_not_dodge_or_dodges_late_is_captured(ratio):
     """The control: what saves it is the dodge in time."""

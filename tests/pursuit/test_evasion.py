@@ -211,6 +211,7 @@ def test_max_min_is_at_least_as_good_as_pure_evasion_by_its_own_measure(team, ev
     assert found >= first_captures(here, others).max() * (1 - 1e-6)
 
 
+@pytest.mark.slow
 @given(points, points, st.floats(0.0, 3.0))
 def test_max_min_of_one_pursuer_is_pure_evasion(pursuer, evader, speed):
     assume(pursuer != evader)

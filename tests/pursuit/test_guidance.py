@@ -43,6 +43,7 @@ def test_the_course_leads_to_the_intercept_point_or_else_straight_to_the_evader(
     assert found == pytest.approx(speed * goal / abs(goal), abs=1e-6)
 
 
+@pytest.mark.slow
 @given(plane, plane, st.floats(0.1, 5.0))
 def test_the_line_of_sight_keeps_its_direction_and_the_speed_is_used_up(gap, flight, faster):
     """The relative velocity w - u is along the gap, and closes it."""

@@ -38,7 +38,7 @@ def length(path):
     return sum(abs(end - begin) for begin, end in pairwise(path))
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("world", range(5))
 def test_lengths_are_those_of_another_library(world):
     shapes, queries = ORACLE["polygons"][world].values()

@@ -335,6 +335,7 @@ def flight_distance(*changes, dissemination=None, **keys):
     return pytest.approx(result.trace.of(Sampled)[-1].evaders[0][0], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_listener_moves_exactly_while_an_announcement_of_a_change_is_in_flight():
     assert flight_distance() == 0.0
     assert flight_distance((1.0, 0, 1)) == LATENCY
@@ -359,6 +360,7 @@ def test_the_initial_actions_are_known():
     assert flight_distance((1.0, 0, 0), team=CHASING) == LATENCY
 
 
+@pytest.mark.slow
 def test_to_chase_another_evader_is_a_change():
     listens = Evader(position=(0.0, 0.0), speed=1.0, strategy=Listener(during_handover=ConstantHeading(angle=0.0)))
     two = (listens, Evader(position=(0.0, 90.0), speed=1.0, strategy=Still()))

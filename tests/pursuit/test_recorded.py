@@ -124,6 +124,7 @@ def test_nobody_waits_for_a_relay_to_capture_an_evader(world):
     assert (found.idle_time, found.misassigned_time, found.time_to_relay, found.potential_gap) == (0.0, 0.0, 0.0, 0.0)
 
 
+@pytest.mark.slow
 def test_a_relay_carries_announcements_between_pursuers_out_of_range():
     """Three in a row with 10 m between neighbours and a range of 11 m: only through the one in the middle."""
 
@@ -262,6 +263,7 @@ def test_a_record_is_scaled_moved_and_cut(written, keys, right):
     assert written(text, "1 0 4 3 2 4 4 2 6\n").evader.strategy == made
 
 
+@pytest.mark.slow
 @given(records(), st.floats(0.0, 4.0), st.floats(0.1, 10.0), places, st.floats(0.0, 4.0))
 def test_a_cut_record_is_where_the_whole_one_is(record, start_time, scale, offset, t):
     """x(t) of the new record is scale x(t + start_time) + offset."""
@@ -303,6 +305,7 @@ def test_dropped_heights_give_a_warning_wherever_a_record_is_used(written, key, 
 POSITIONS = 'team.positions = { kind = "recorded", file = "walk.txt" }'
 
 
+@pytest.mark.slow
 def test_pursuers_begin_where_a_record_does_and_chase(written):
     """Their number is that of the nodes, and the file is not needed to repeat the run."""
     scenario = written(f'{POSITIONS}\nprune = "none"\nteam.speeds = 2.0')

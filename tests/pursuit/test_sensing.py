@@ -156,6 +156,7 @@ def test_the_evader_is_where_its_velocity_says_or_where_it_was_last_seen():
     assert [place[t] for t in place if t >= 1.2] == [pytest.approx(2.999)] * 68
 
 
+@pytest.mark.slow
 def test_the_worst_case_grows_with_age():
     """From 3 m on phi = (d + v_e age - eps) / (v - v_e): it rises by v_e / (v - v_e) = 9 s per s."""
     sensing = Sensing(radius=3.0, estimate="worst_case", track_timeout=inf)
@@ -258,8 +259,8 @@ def test_a_report_has_its_size_and_carries_the_newest_sighting():
     assert str(PORT) == "sightings"
 
 
+@pytest.mark.slow
 @pytest.mark.whole_but_one
-@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("who", "scope", "memory", "knows"),
     [
@@ -296,6 +297,7 @@ def test_a_lost_report_is_repeated_until_it_is_too_old():
         assert [isnan(answers[t].real) for t in (4.2, 7.9)] == [not knows] * 2
 
 
+@pytest.mark.slow
 def test_a_sighting_is_reported_every_period_until_it_is_too_old():
     """Seen until 1.11 s, and reported for 2 s more: the last time within a period of 3.11 s."""
     team = Team(positions=((0.0, 0.0), (50.0, 0.0)), speeds=1.0, active_at_start=0.0)
@@ -548,6 +550,7 @@ def test_lateness_is_evaluated_with_the_believed_position_of_the_evader(x, able)
     assert rig.state.profile[0] == able
 
 
+@pytest.mark.slow
 def test_a_pursuer_does_not_overshoot_the_believed_position_of_the_evader():
     """The evader is last seen at 3.25 m, 3 m from the pursuer, which waits there: else it would go to and fro."""
 

@@ -194,6 +194,7 @@ def test_a_position_that_cannot_be_is_found():
         assert distrusted(team(Plausible(), lie, payload="state", rule=ArgminKnown), 1) == found
 
 
+@pytest.mark.slow
 def test_a_sender_that_the_flow_carries_can_be_farther_away():
     """States that are 0.2 s old, in a medium that is twice as fast as the pursuers; a lie of 5 m is one there, too."""
     flow = {"environment": {"flow": {"kind": "uniform", "velocity": [3.0, 0.0]}}, "network": Links(latency=0.2)}

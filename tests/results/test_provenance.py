@@ -754,6 +754,7 @@ def test_an_override_of_a_repetition_is_recorded_in_turn(earlier, tmp_path):
     assert again["scenario"]["seed"] == 9
 
 
+@pytest.mark.slow
 def test_a_repetition_on_the_same_machine_is_not_warned_of(earlier):
     assert accepted("run", "--from", earlier).stderr == ""
 
@@ -834,12 +835,14 @@ def test_a_record_that_is_wrong_is_refused(kept, made, change, said, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_without_an_output_folder_the_provenance_is_not_collected(earlier, monkeypatch):
     """It takes a while to ask git."""
     monkeypatch.setattr(provenance, "document", lambda *_, **__: pytest.fail("it asked"))
     accepted("run", SCENARIOS[0], "--set", "horizon=0.3")
 
 
+@pytest.mark.slow
 def test_a_record_that_cannot_be_written_at_the_top_is_reported(earlier, tmp_path, monkeypatch):
     (tmp_path / "out" / "run.json").mkdir(parents=True)
     monkeypatch.setattr("desim.results.run_folder.can_plot", lambda: True)

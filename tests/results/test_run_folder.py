@@ -530,6 +530,7 @@ def test_runs_of_any_kind_with_wrong_lines_are_refused_or_shown(name, tmp_path, 
     shown_or_refused(short, tmp_path, range(1000, 1004))
 
 
+@pytest.mark.slow
 def test_the_traces_of_two_runs_in_one_file_are_refused_event_by_event_too(tmp_path):
     """An exporter reads a trace as a stream: `cat` of two would be rows of both."""
     write(run(Scenario(horizon=0.1, team=Team(count=2)), 1), tmp_path)

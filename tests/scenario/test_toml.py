@@ -263,7 +263,7 @@ def test_a_deep_key_of_an_override_is_refused(text, tmp_path):
         load(tmp_path / "f.toml", [text])
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("text", ['"' + '\\"' * 200_000, '""\\"""\n' * 100_000, ('"' + "a" * 10_000 + '".') * 90])
 def test_a_file_without_deep_keys_is_refused_soon(text, tmp_path):
     """Not in a time that grows with the square of its size."""

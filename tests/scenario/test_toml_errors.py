@@ -136,6 +136,7 @@ class Wrong(BaseModel):
         raise AssertionError(value)
 
 
+@pytest.mark.slow
 @given(text=TEXTS)
 def test_the_text_of_an_exception_is_unchanged(text):
     with pytest.raises(ValidationError) as refused:

@@ -33,6 +33,7 @@ def test_intervals_cover_as_often_as_the_table_says(law, size):
     assert abs(found.bias - bias) < 4.0 * 0.6 / sqrt(STUDIES)
 
 
+@pytest.mark.slow
 def test_a_first_look_at_three_values_covers_too_rarely():
     """The control: 80 % of exponential values, and a mean that is too low by a third of a half width."""
     found = coverage(LAWS["exponential"], 30, 3, 300)

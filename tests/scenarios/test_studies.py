@@ -165,6 +165,7 @@ def test_heartbeats_that_table_1_does_without_would_change_nothing_but_the_numbe
     assert silent.messages_sent < repeated.messages_sent / 2
 
 
+@pytest.mark.slow
 def test_a_cell_of_table_1_is_the_mean_of_the_runs_it_names():
     scenario = table1.decentralised(table1.configuration(20), 0.1, 0.5)
     times = [summary(run(scenario, seed)).active_time for seed in (4, 5, 6)]

@@ -49,6 +49,7 @@ def test_run_k_of_the_root_seed_s_has_the_seed_s_million_and_k():
     assert seeds_from(2, 1_000_000)[-1] < seeds_from(3, 1)[0]
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.tuples(st.integers(0, 2**70), st.integers(1, 1_000_000)), min_size=2, unique_by=lambda each: each[0])
 )

@@ -684,6 +684,7 @@ def test_a_search_tells_what_it_has_seen():
     assert "never seen: a fault began" in quiet.warnings(property_of(IDLE))
 
 
+@pytest.mark.slow
 def test_what_is_seen_in_a_run():
     busy = SMALL.with_({"horizon": 8.0, "team.count": 5, "announce.trigger": "revision"})
     scenario = busy.with_({"fault": [{"kind": "chaser_crash", "start": 1.0}]})

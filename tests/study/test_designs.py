@@ -28,6 +28,7 @@ def settings_of(grid, design):
     return [one.settings for one in SweepPlan.of(SHORT, grid, design=design).configurations]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["sobol", "latin_hypercube", "random"])
 def test_a_design_has_its_points_within_the_ranges_and_is_repeatable(method):
     design = Design(method=method, size=8)

@@ -129,6 +129,7 @@ def simulate(scenario, seed):
     return seed
 
 
+@pytest.mark.slow
 def test_what_runs_warn_of_in_workers_is_told_once_here():
     """Whoever performs them: in a process nobody would read the warning."""
 

@@ -475,7 +475,6 @@ def test_the_confidence_of_an_interaction_is_corrected_for_the_number_of_metrics
     assert cost.confidence == 0.99
 
 
-@pytest.mark.slow
 def test_parts_that_cannot_be_told_from_0_are_named_with_the_smallest_effect_that_is_found():
     """Latency saves 1 and 2 s, 1.5 +- 6.353; loss 1 s in both runs, which chance does with a probability of 1/2. The
     interaction is -0.5 and -1.5 s, whose 99.5 % interval has the half width 127.321 / 2."""

@@ -643,6 +643,7 @@ def test_the_reference_has_its_label_in_the_label_of_the_axis():
     assert axes.get_ylabel() == "difference in active time from SAP (ours) (s)"
 
 
+@pytest.mark.slow
 def test_a_reference_of_several_keys_is_named_with_them():
     """A label of a value alone, such as "unlimited, 0", would not say what is 0."""
     swept = result({"x": [0.0, 2.0], "protocol": ["sap", "cbaa"]})
@@ -707,7 +708,7 @@ DRAWN = {
 }
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("draw", DRAWN.values(), ids=DRAWN)
 def test_a_figure_is_drawn_on_given_axes_and_nowhere_else(draw):
     figure, (left, right) = two_axes()

@@ -266,6 +266,7 @@ def test_walls_that_block_nothing_any_longer_are_removed_and_starts_stay_outside
     assert removed(Scenario(wall=(radio,)), ["walls (radio)"]) == Scenario()
 
 
+@pytest.mark.slow
 def test_players_start_among_walls_as_where_these_have_become_places_without_starts():
     """Of 20 pursuers some would start inside the wall, which is half of the box."""
     walls = Wall(polygon=((0.0, 0.0), (10.0, 0.0), (10.0, 20.0), (0.0, 20.0)), blocks=("motion",))
@@ -387,7 +388,7 @@ def test_it_starts_as_it_would_and_no_message_is_late_or_lost(path):
     assert (unideal(before)[0] > 0) is (contended or "latency" in THERE[path.stem])
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_on_a_perfect_network_all_arrives_at_once_and_without_messages_nothing(path):
     """Also where nodes contend. All else is kept: the players, what they announce, and whose robots break down."""

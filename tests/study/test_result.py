@@ -176,6 +176,7 @@ def test_means_over_different_numbers_of_runs_are_not_for_comparison():
     assert note in failing.table(), "a run that failed is in no mean, and slow runs may fail"
 
 
+@pytest.mark.slow
 def test_the_share_of_truth_values_has_the_interval_of_wilson():
     """Two of three, and all: the t interval of the first is from -0.77 to 2.1."""
     first, second = PLAIN.estimates("captured")

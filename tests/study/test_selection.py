@@ -386,6 +386,7 @@ def test_a_race_of_a_file_says_how_to_load_it():
         race("game.toml", COUNTS, zone=0.1)
 
 
+@pytest.mark.slow
 def test_a_race_with_independent_seeds_says_so():
     result = race(
         SHORT.with_({"sweep.seeds": "independent"}),
@@ -452,6 +453,7 @@ class SeveralInProcess(InProcess):
         self.count = count
 
 
+@pytest.mark.slow_cases("1-1", "3-3", "5-5")
 @pytest.mark.parametrize(("workers", "ahead"), [(1, 1), (2, 2), (3, 3), (5, 5)])
 def test_a_race_performs_two_runs_for_each_worker_at_a_time(workers, ahead, monkeypatch):
     """After the first runs of all; with two systems, one run of both for each worker."""

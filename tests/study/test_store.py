@@ -86,6 +86,7 @@ def test_the_error_of_a_run_is_the_first_line_after_its_calls(line):
     assert Row(0, 0, "error", traceback=text).error.startswith(line)
 
 
+@pytest.mark.slow
 def test_a_file_that_is_not_a_store_is_named(tmp_path, file):
     folder, text = tmp_path / "folder", tmp_path / "text"
     (folder / "sweep.sqlite").mkdir(parents=True)

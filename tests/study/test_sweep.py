@@ -130,6 +130,7 @@ def test_independent_seeds_are_the_same_in_another_process():
     assert not plan.common
 
 
+@pytest.mark.slow
 def test_independent_runs_are_no_pairs():
     found = sweep(BASE.model_copy(update={"sweep": Sweep(seeds="independent")}), GRID, 2)
     with pytest.raises(ValueError, match="cannot be paired"):
@@ -463,6 +464,7 @@ def test_a_table_that_is_empty_in_one_scenario_is_a_difference(tmp_path, one, ot
         sweep(second, {"team.count": [2]}, 1, store=tmp_path / "s.sqlite")
 
 
+@pytest.mark.slow
 def test_values_of_swept_keys_in_the_scenario_do_not_matter(tmp_path):
     """They are replaced by those of the grid."""
     store = tmp_path / "s.sqlite"
@@ -607,6 +609,7 @@ def test_a_store_is_not_continued_with_an_edited_table_of_measurements(tmp_path)
             sweep(read_source(tmp_path / "f.toml"), **options)
 
 
+@pytest.mark.slow
 def test_more_user_protocols_may_be_added(tmp_path):
     store = tmp_path / "s.sqlite"
     sweep(BASE, {"protocol": [Moody()]}, 2, store=store)
@@ -614,6 +617,7 @@ def test_more_user_protocols_may_be_added(tmp_path):
     assert [group.settings["protocol"] for group in found.groups] == ["moody", "chases"]
 
 
+@pytest.mark.slow
 def test_more_lambdas_may_be_added(tmp_path):
     """They have one name, and each its own code."""
     one, other = lambda me: iter(()), lambda me: iter((1,)[1:])
@@ -677,7 +681,7 @@ def test_parts_and_a_precision_exclude_each_other(tmp_path):
 # What pursuers know at the start.
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize("key", ["network.latency.value", "network.loss.p", "team.count", "announce.start"])
 def test_a_sweep_over_properties_of_the_network_names_the_start(key, start):

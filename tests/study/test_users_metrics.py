@@ -157,6 +157,7 @@ def test_runs_are_repeated_only_for_a_metric_that_is_asked_for_and_keep_what_the
     assert both.units == {"half": "", "end": ""}
 
 
+@pytest.mark.slow
 def test_an_older_row_without_a_metric_is_missing_and_not_0(tmp_path):
     store = tmp_path / "s.sqlite"
     sweep(BASE, GRID, 1, store=store)

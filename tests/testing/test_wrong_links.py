@@ -342,6 +342,7 @@ def test_the_run_of_a_check_asks_the_model_often(monkeypatch):
     assert {event.src for event in result.trace.of(Broadcast)} == set(range(6))
 
 
+@pytest.mark.slow
 def test_a_share_is_compared_within_five_standard_errors():
     check_loss(Lossy(), nodes=3, draws=40, share=0.5)
     with pytest.raises(ContractError, match=r"over 4 runs of 10 messages on 2 links: expected 0\.9 within 5"):

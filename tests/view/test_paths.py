@@ -32,6 +32,7 @@ def test_pursuits_by_hand_are_golden():
         golden("paths.txt", {each.scenario.name: described(drawn(each).figure) for each in (history(), pair())})
 
 
+@pytest.mark.slow
 def test_the_looks_differ_without_colour():
     """In width, dash, or marker."""
     looks = [

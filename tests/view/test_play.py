@@ -220,6 +220,7 @@ def measured(tmp_path, monkeypatch):
     return Playground(read_source(file, allow_import=True), file)
 
 
+@pytest.mark.slow
 def test_a_metric_that_is_infinite_in_both_runs_does_not_differ(measured):
     found = measured.answer(["evader.speed=0.3"], [])
     (shown,) = (row for row in found["metrics"] if row["name"] == "endless")

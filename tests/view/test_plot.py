@@ -96,6 +96,7 @@ def test_a_film_of_a_folder_is_that_of_the_run(made, folder, tmp_path):
         assert film.n_frames == 3
 
 
+@pytest.mark.slow
 def test_of_a_file_all_is_recorded_that_is_drawn(file, tmp_path):
     call("perfetto", file, "--set", "record.messages=false", "-s", 5, "-o", tmp_path / "own.json")
     made = json.loads((tmp_path / "own.json").read_text())

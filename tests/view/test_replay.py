@@ -511,6 +511,7 @@ def test_with_a_disk_all_pairs_are_linked_up_to_one_distance(links, radius):
     assert reach == {"known": True, "chance": chance, "radius": radius, "radii": None}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reach", [LOG, QuasiUnitDisk(certain=0.5, p=0.4)])
 def test_with_per_link_fading_each_pair_is_linked_up_to_its_own_distance(reach):
     """At each pair's distance its messages are received, 1e-9 m beyond they are not; judged by the network's own
@@ -590,6 +591,7 @@ def test_a_page_without_a_ghost_does_not_mention_any():
     assert not [each for each in words if each not in replay(history(), pair()).page]
 
 
+@pytest.mark.slow
 def test_the_name_of_a_ghost_is_text():
     found = Elements(replay_page(history(), run(SHORT_GHOST.model_copy(update={"name": HOSTILE}))))
     assert len(found.scripts) == 2
@@ -637,6 +639,7 @@ def test_a_hostile_name_is_text():
     assert not any("hurt" in script for script in found.scripts)
 
 
+@pytest.mark.slow
 def test_a_page_lists_what_was_not_recorded():
     dull = COLD.model_copy(update={"horizon": 0.6, "record": Recording(trajectory=0.0)})
     text = replay_page(run(dull))
@@ -697,6 +700,7 @@ def test_the_key_has_only_what_the_run_contains():
     assert "evader 2, captured" in two
 
 
+@pytest.mark.slow
 def test_the_key_tells_collisions_from_other_losses():
     """By hand: losses by chance, in the crash and from the queue; then a collision at 1, too."""
     sent = Broadcast(200 * MS, 9, 0, 9, (1,), (300 * MS,), 200 * MS, 24, ACTIVE)

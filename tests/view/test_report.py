@@ -376,6 +376,7 @@ def test_a_folder_that_is_not_of_a_sweep_is_refused(prepare, said, folder):
     assert "Traceback" not in done.output
 
 
+@pytest.mark.slow
 def test_a_folder_with_parts_of_a_sweep_gives_an_error_that_explains_merging(folder):
     (folder / "sweep.sqlite").rename(folder / "sweep.1-of-1.sqlite")
     done = invoke(folder)
