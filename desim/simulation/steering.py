@@ -51,6 +51,8 @@ class Steering:
         self._walled = state.space.walled
         self._is_plain = not (self._has_inertia or self._has_flow or self._walled is not None)
         self.turns: dict[int, int] = {}
+        self._begun: int | None = None
+        """The start of the present motion step, ns; None before the first."""
         self._stillness: Points = np.zeros(state.size + state.evader_count, dtype=complex)
 
     def set_actions(self, actions: Actions) -> None:
@@ -70,14 +72,14 @@ class Steering:
             handover: whether an announcement of a change of action is in flight.
         """
         duration, players, law = seconds(until - now), self._players, self._law
-        velocities = self._stillness.copy()
+        velocities, self._begun = self._stillness.copy(), now
         self.turns.clear()
         for target in self._targets:
             state = target.state(now)
             evader_velocity, place = target.choose_velocity(state, handover=handover), state.evader
             if self._walled is not None:
                 evader_velocity = target.slid(evader_velocity, duration)
-            drift = self._drift(target.player, evader_velocity, now, duration)
+            drift = self._drift(target.player, evader_velocity, now, until)
             if self._evader_first:
                 aim, seen = players.advance(target.player, evader_velocity, duration, drift)
             else:
@@ -98,7 +100,7 @@ class Steering:
                     )
                 else:
                     geometry = place - here, aim - here, evader_velocity, speed[pursuer]
-                    velocities[pursuer] = self._command(pursuer, *geometry, now, duration)
+                    velocities[pursuer] = self._command(pursuer, *geometry, now, until)
         for pursuer in self._sensor.blind(self._actions) if self._sensor is not None else ():
             velocities[pursuer] = self._blind_velocity(pursuer, now, until)
         for relay, motion in self._relays.items():
@@ -116,7 +118,7 @@ class Steering:
             now: the present, ns.
             until: end of the step, ns.
         """
-        velocities, evader, duration = self._players.commands.copy(), self._actions.item(pursuer), seconds(until - now)
+        velocities, evader = self._players.commands.copy(), self._actions.item(pursuer)
         self.turns.pop(pursuer, None)
         if not evader:
             velocities[pursuer] = 0j
@@ -128,7 +130,7 @@ class Steering:
         drifts = self._players.drifts
         if drifts is not None:
             drifts = drifts.copy()
-            drifts[pursuer] = self._drift(pursuer, velocities.item(pursuer), now, duration)
+            drifts[pursuer] = self._drift(pursuer, velocities.item(pursuer), now, until)
         self._players.command(velocities, drifts)
 
     def chasing_velocity(self, pursuer: int, evader: int, now: int, until: int) -> complex:
@@ -144,7 +146,7 @@ class Steering:
         """
         target = self._targets[evader - 1]
         place, velocity = target.position, self._players.velocity(target.player)
-        aim = place + self._drift(target.player, velocity, now, seconds(until - now)) * seconds(until - now)
+        aim = place + self._drift(target.player, velocity, now, until) * seconds(until - now)
         return self._towards(pursuer, place, aim, velocity, now, until)
 
     def _towards(
@@ -155,7 +157,7 @@ class Steering:
             return self._course(pursuer, aim, now, until)
         here = self._players.position(pursuer)
         geometry = place - here, aim - here, evader_velocity, self._speed[pursuer]
-        return self._command(pursuer, *geometry, now, seconds(until - now))
+        return self._command(pursuer, *geometry, now, until)
 
     def _course(self, pursuer: int, aim: complex, now: int, until: int) -> complex:
         """Return the velocity, m/s, with which a pursuer follows the shortest path to where it aims (m)."""
@@ -173,7 +175,7 @@ class Steering:
         evader_velocity: complex,
         speed: float,
         now: int,
-        duration: float,
+        until: int,
     ) -> complex:
         """Return the velocity relative to the flow, m/s, that a pursuer commands.
 
@@ -184,20 +186,21 @@ class Steering:
             evader_velocity: velocity of the evader, m/s.
             speed: its speed, m/s.
             now: the present, ns.
-            duration: the time for which it keeps the command, s.
+            until: the time up to which it keeps the command, ns.
         """
-        wind = self._drift(pursuer, 0j, now, duration)
-        aim = aim - wind * duration
+        wind = self._drift(pursuer, 0j, now, until)
+        aim = aim - wind * seconds(until - now)
         command = guided_velocity(self._law, gap, aim, evader_velocity - wind, speed)
         if not self._has_inertia:
             return command
         return steered_with(self._dynamics, command, self._players.course(pursuer), aim, self._radius)
 
-    def _drift(self, player: int, command: complex, now: int, duration: float) -> complex:
-        """Return the mean velocity of the flow, m/s, along the path of a player from now (ns) for a duration (s)."""
+    def _drift(self, player: int, command: complex, now: int, until: int) -> complex:
+        """Return the mean velocity of the flow, m/s, along the path of a player between two times, ns."""
         if not (self._has_flow and self._carried[player]):
             return 0j
-        return self._environment.drift(self._players.position(player), command, now, duration)
+        begun = now if self._begun is None else self._begun
+        return self._environment.drift_within(self._players.position(player), command, begun, now, until)
 
     def _all_velocities(self) -> Points:
         """Return the (N,) velocities, m/s, of the pursuers at the start of a step, as if they sensed all evaders."""
@@ -226,5 +229,5 @@ class Steering:
             return self._course(pursuer, self._walled.free_place(estimate.position + ahead), now, until)
         gap = estimate.position - self._players.position(pursuer)
         aim = gap + (estimate.velocity * duration if self._evader_first else 0j)
-        speed = min(self._speed[pursuer], abs(aim - self._drift(pursuer, 0j, now, duration) * duration) / duration)
-        return self._command(pursuer, gap, aim, estimate.velocity, speed, now, duration)
+        speed = min(self._speed[pursuer], abs(aim - self._drift(pursuer, 0j, now, until) * duration) / duration)
+        return self._command(pursuer, gap, aim, estimate.velocity, speed, now, until)

@@ -201,8 +201,12 @@ def test_a_flow_that_carries_all_alike_changes_no_capture_time():
 # Whole runs.
 
 
+def decisions_of(trace):
+    return [(event.t, event.pursuer, event.active) for event in trace.of(Decided)]
+
+
 def decisions(result):
-    return [(event.t, event.pursuer, event.active) for event in result.trace.of(Decided)]
+    return decisions_of(result.trace)
 
 
 @pytest.mark.whole_but_one
@@ -236,6 +240,32 @@ def test_a_flow_on_all_changes_no_decision_and_shifts_the_capture(flow, guidance
     within_a_step = flow.top_acceleration * scenario.motion.step**2 + 1e-8
     for before, after in zip(last.pursuers + last.evaders, shifted.pursuers + shifted.evaders, strict=True):
         assert complex(*after) - complex(*before) == pytest.approx(shift, abs=within_a_step)
+
+
+@pytest.mark.parametrize("payload", ["action", "course"])
+@pytest.mark.parametrize("flow", UNIFORM, ids=name)
+def test_a_flow_on_all_changes_no_distance_if_actions_change_within_motion_steps(flow, payload):
+    scenario = Scenario(
+        team=Team(count=4, speeds=2.0, box=(0.0, 6.0)),
+        evader=Evader(position=(3.0, 3.5)),
+        motion=Motion(step=0.25),
+        protocol={
+            "kind": "sap",
+            "schedule": {"kind": "poisson", "rate": 4.0},
+            "tau": {"kind": "constant", "value": 9.0},
+        },
+        announce=Announcements(payload=payload),
+        record={"trajectory": 0.25},
+        horizon=1.5,
+    )
+    still = run(scenario, 3).trace
+    carried = run(scenario.model_copy(update={"environment": Environment(flow=flow)}), 3).trace
+    assert len({event.t for event in still.of(Decided) if event.t % 250_000_000}) > 10
+    assert decisions_of(carried) == decisions_of(still)
+    for before, after in zip(still.of(Sampled), carried.of(Sampled), strict=True):
+        shift = flow.displacement(0.0, after.t / SECOND)
+        for here, there in zip(before.pursuers + before.evaders, after.pursuers + after.evaders, strict=True):
+            assert complex(*there) - complex(*here) == pytest.approx(shift, abs=1e-8)
 
 
 @pytest.mark.parametrize("order", ["evader_first", "simultaneous"])

@@ -8,7 +8,7 @@ from desim.config.answers import wrong_answer
 from desim.config.arrays import Points, array_of
 from desim.config.model import Value
 from desim.config.traits import inherits, is_ours
-from desim.kernel.core.units import SECOND
+from desim.kernel.core.units import SECOND, seconds
 from desim.pursuit.motion.flow import FLOWS, Flow, FlowTraits, NoFlow, displacement, is_uniform
 
 CARRIED_STEP = 50_000_000
@@ -99,6 +99,23 @@ class Environment(Value):
         if self.is_still:
             return 0j
         return complex(self.drifts(np.array([place]), np.array([command]), begin, duration)[0])
+
+    def drift_within(self, place: complex, command: complex, begun: int, now: int, until: int) -> complex:
+        """Return the mean velocity of the flow, m/s, along the path of one player in the rest of a motion step.
+
+        In a flow that is the same everywhere it is the mean of the whole step, with which the player has drifted until
+        now: so the end of the step is exact, and a flow on all changes no distance, whenever a player turns.
+
+        Args:
+            place: its position now, m.
+            command: its own velocity, m/s.
+            begun: the start of the step, ns.
+            now: the present, ns.
+            until: the end of the step, ns.
+        """
+        swings = is_uniform(self.flow) and self.flow.top_acceleration > 0.0
+        begin = begun if swings else now
+        return self.drift(place, command, begin, seconds(until - begin))
 
     def carried(self, place: complex, begin: int, end: int) -> complex:
         """Return where a player that does not move by itself is carried between two times (ns), m."""
