@@ -221,6 +221,23 @@ def test_captures_follow_the_truth():
     watched(scenario(Sensing(noise=PositionNoise(deviation=2.0), estimate="hold")), 3)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("speed", [0.9, 90.0])
+def test_the_first_tracks_of_an_evader_of_any_speed_are_as_exact_as_the_filter_says(speed):
+    """In 60 runs, the mean squared error of the second position, in units of the stated one, is 2 +- .26, or less."""
+    sensing = Sensing(noise=NOISE, interval=0.1, estimator=Kalman())
+    team, evader = Team(positions=[(999.0, 0.0)], speeds=0.0), Evader(speed=speed, strategy="constant_heading")
+    case = scenario(sensing, team=team, evader=evader, record=Recording(trajectory=0.1, estimates=True), horizon=0.15)
+    squares = []
+    for seed in range(60):
+        trace = run(case, seed).trace
+        (_, _, _, x, y, *covariance), (place,) = trace.of(Estimated)[-1], trace.of(Sampled)[-1].evaders
+        xx, xy, yy = covariance
+        error = np.array([x, y]) - place
+        squares.append(error @ np.linalg.solve([[xx, xy], [xy, yy]], error))
+    assert np.mean(squares) < 2.0 + 4 * 0.26
+
+
 @pytest.mark.whole
 def test_less_noise_costs_less_time():
     """5 runs: with 0.01 m of noise the active time is that of exact sight within 5 %, with 1 m it is greater."""

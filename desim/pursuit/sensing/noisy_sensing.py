@@ -312,7 +312,8 @@ class TrackingView(LimitedView):
         if not isinstance(model, Unfiltered):
             if evader not in self._filters:
                 window = nanoseconds(min(self._sensing.track_timeout, 1e9))
-                self._filters[evader] = Filter(model, window, self._covariance_at)
+                speed = self.state.body(evader).speed
+                self._filters[evader] = Filter(model, window, self._covariance_at, speed=speed)
             self._filters[evader].add(seen)
 
     def _newest_stamp(self, evader: int) -> int:

@@ -24,7 +24,10 @@ from desim.pursuit.sensing.noise import LEAST, Covariance
 _new = tuple.__new__  # creates a named tuple in a third of the time
 VelocityDiffusion = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False, strict=True)]
 START_SPEED = 10.0
-"""Standard deviation, m/s, of each component of the velocity after the first sighting."""
+"""Standard deviation, m/s, of each component of the velocity after the first sighting of an evader that is no faster.
+
+Of a faster evader it is its speed: with less, a filter would be surer of its first tracks than it can be.
+"""
 
 
 class Measurement(NamedTuple):
@@ -169,8 +172,8 @@ class AlphaBeta(_Diffusing):
 
     kind: Literal["alpha_beta"] = "alpha_beta"
 
-    def start(self, seen: Measurement) -> Track:
-        """Return the track after the first sighting: at rest at the measured position."""
+    def start(self, seen: Measurement, speed: float = 0.0) -> Track:
+        """Return the track after the first sighting, whatever the speed: at rest at the measured position."""
         return Track(seen.stamp, (seen.x, seen.y, 0.0, 0.0))
 
     def predict(self, track: Track, stamp: int) -> Track:
@@ -189,15 +192,19 @@ class AlphaBeta(_Diffusing):
 
 
 class Kalman(_Diffusing):
-    """The Kalman filter (Kalman 1960)."""
+    """The Kalman filter (Kalman 1960).
+
+    After the first sighting each component of the velocity is unknown: 0, with a standard deviation of 10 m/s or, if
+    that is greater, the speed of the evader.
+    """
 
     kind: Literal["kalman"] = "kalman"
 
-    def start(self, seen: Measurement) -> Track:
-        """Return the track after the first sighting: of unknown velocity at the measured position."""
+    def start(self, seen: Measurement, speed: float = 0.0) -> Track:
+        """Return the track after the first sighting of an evader of a speed, m/s, at the measured position."""
         xx, xy, yy = seen.covariance
-        speed = START_SPEED**2
-        covariance = xx, xy, 0.0, 0.0, yy, 0.0, 0.0, speed, 0.0, speed
+        variance = max(START_SPEED, speed) ** 2
+        covariance = xx, xy, 0.0, 0.0, yy, 0.0, 0.0, variance, 0.0, variance
         return Track(seen.stamp, (seen.x, seen.y, 0.0, 0.0), covariance)
 
     def predict(self, track: Track, stamp: int) -> Track:
@@ -253,10 +260,11 @@ class Filter:
         model: the filter.
         window: age, ns, beyond which a sighting is ignored; the sightings within it are kept.
         covariance_at: the covariance of the error of a sighting; None: that which each sighting has.
+        speed: the speed of the evader, m/s.
     """
 
-    def __init__(self, model: Estimator, window: int, covariance_at: CovarianceAt | None = None):
-        self._model, self._window, self._covariance_at = model, window, covariance_at
+    def __init__(self, model: Estimator, window: int, covariance_at: CovarianceAt | None = None, *, speed: float = 0.0):
+        self._model, self._window, self._covariance_at, self._speed = model, window, covariance_at, speed
         self._seen: list[Measurement] = []
         self._merged: list[Measurement] = []
         """Each sighting, merged with those before it of the same time."""
@@ -295,7 +303,7 @@ class Filter:
         if is_same_time:
             seen = merged(self._merged[-1], seen)
         self._merged.append(seen)
-        self._tracks.append(self._model.update(last, seen) if last else self._model.start(seen))
+        self._tracks.append(self._model.update(last, seen) if last else self._model.start(seen, self._speed))
 
     def _is_too_old(self, seen: Measurement) -> bool:
         """Return whether a sighting is older than all that are kept, and these are not all there were."""
