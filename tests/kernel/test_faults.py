@@ -308,6 +308,14 @@ def test_a_random_plan_keeps_to_its_kinds_its_box_and_its_end(kinds, until):
             assert 1.0 <= fault.radius <= 5.0
 
 
+@pytest.mark.parametrize(("box", "width"), [((0.0, 0.02), 0.02), ((-3.0, 7.0), 10.0), ((4.0, 4.0), 1.0)])
+def test_discs_of_a_random_plan_are_in_proportion_to_its_box(box, width):
+    """Also on a table: only where the box is a point, a disc has a size of its own."""
+    discs = draw_faults([RandomFaults(rate=20.0, kinds=("jamming",), box=box)], 5, 10.0, 11)
+    assert 0.1 * width <= min(disc.radius for disc in discs) < 0.15 * width
+    assert 0.45 * width < max(disc.radius for disc in discs) <= 0.5 * width
+
+
 @pytest.mark.slow
 def test_a_random_plan_has_faults_at_its_rate():
     """20 1/s over 100 s are 2000 faults with a standard deviation of 45; and a mean duration of 0.5 s.

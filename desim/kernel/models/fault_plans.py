@@ -120,7 +120,8 @@ class RandomFaults(Value):
     """The kinds of faults to draw: crash, partition, jamming, or a fault of a user as "module:Name", in Python its
     class."""
     box: Box = (0.0, 20.0)
-    """Lower and upper bound of both coordinates of the centres of jamming discs, m."""
+    """Lower and upper bound of both coordinates of the centres of jamming discs, m. Their radii are 0.1 to 0.5 of the
+    difference."""
 
     @property
     def breaks(self) -> frozenset[str]:

@@ -286,10 +286,13 @@ class Jamming(Fault):
 
     @classmethod
     def random_parameters(cls, draw: RandomDraw) -> dict[str, Any]:
-        """Return a random disc in the box."""
+        """Return a random disc about a point of the box, with 0.1 to 0.5 of the width of the box as its radius.
+
+        In a box without a width the radius is 0.1 to 0.5 m.
+        """
         box, rng = draw.box, draw.rng
         x, y = rng.uniform(*box, size=2).tolist()
-        return {"centre": (x, y), "radius": float(rng.uniform(0.1, 0.5) * max(box[1] - box[0], 1.0))}
+        return {"centre": (x, y), "radius": float(rng.uniform(0.1, 0.5) * (box[1] - box[0] or 1.0))}
 
     def sketch(self) -> Sketch:
         """Return the disc."""
