@@ -101,7 +101,7 @@ def _of_results(file: Path) -> str:
 
 
 def add_metrics(source: "Source", metrics: tuple[str, ...]) -> None:
-    """Add to `record.metrics` of a scenario the metrics of --metric that are not built in.
+    """Add to `record.metrics` of a scenario the metrics of --metric that are not built in, nor in it already.
 
     End the program if a metric does not exist or is not numeric. A MODULE:FUNCTION is imported and checked later, when
     the scenario is validated.
@@ -112,13 +112,17 @@ def add_metrics(source: "Source", metrics: tuple[str, ...]) -> None:
     from desim.analysis.metrics import METRICS
     from desim.scenario.named_metrics import installed_metrics
 
+    listed = source.at(["record", "metrics"])
+    of_file = (
+        {text.rpartition(":")[2] for text in listed if isinstance(text, str)} if isinstance(listed, list) else set()
+    )
     for metric in metrics:
         try:
             if ":" not in metric:
-                check_numeric(metric, installed_metrics())
+                check_numeric(metric, [*installed_metrics(), *of_file])
         except ValueError as error:
             fail(f"{metric_option()} {metric}: {error}, and MODULE:FUNCTION")
-    added = [name for name in metrics if name not in METRICS]
+    added = [name for name in metrics if name not in METRICS and name not in of_file]
     table = source.tables.setdefault("record", {}) if added else None
     named = table.get("metrics", []) if isinstance(table, dict) else None
     if isinstance(table, dict) and isinstance(named, list):

@@ -221,7 +221,7 @@ def _print_result(
         tables = [result.table(shown, against=reference), *([] if controlled is None else [controlled.table()])]
         echo("\n\n".join(tables))
         return
-    document = result.document(shown)
+    document = result.document(shown, reference)
     if controlled is not None:
         document["control"] = controlled.document()
     echo(json.dumps(document, indent=2))

@@ -207,9 +207,12 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
         """Return each table as its title and rows of text; the first row is the header."""
         return list(sweep_tables.tables(self, names_of_metrics(metrics), against))
 
-    def document(self, metrics: Sequence[str] = SHOWN) -> dict[str, Any]:
-        """Return means, half widths and paired differences as JSON-compatible values; None where undefined."""
-        return sweep_tables.document(self, names_of_metrics(metrics))
+    def document(self, metrics: Sequence[str] = SHOWN, against: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Return means, half widths and paired differences as JSON-compatible values; None where undefined.
+
+        The differences are those of `table` with the same `against`.
+        """
+        return sweep_tables.document(self, names_of_metrics(metrics), against)
 
     @naming_arguments
     def crossover(

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from desim.analysis.metrics import title, words
+from desim.analysis.metrics import title, unit_of, words
 from desim.analysis.statistics import wilson
 from desim.analysis.table_formats import Table
 from desim.analysis.tables import as_json, counted, digits_of, with_half_width
@@ -115,19 +115,24 @@ def notes(result: SweepRuns, metrics: Sequence[str]) -> Iterator[str]:
     yield from (f"warning: {warning}" for warning in result.warnings(metrics))
 
 
-def document(result: SweepRuns, metrics: Sequence[str]) -> dict[str, Any]:
+def document(result: SweepRuns, metrics: Sequence[str], against: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Return means, half widths and paired differences as JSON-compatible values; None where undefined.
 
-    If seeds are independent, there are no differences.
+    Each difference is from the configuration with the settings `reference`. If seeds are independent, there are none.
+
+    Raises:
+        ValueError: as `tables`.
     """
     means = {metric: result.estimates(metric) for metric in metrics}
-    differences = {metric: result.differences(metric) for metric in metrics} if result.common else {}
+    is_paired = bool(result.common or against)
+    differences = {metric: result.differences(metric, against) for metric in metrics} if is_paired else {}
+    references = [result.groups[k].settings for k in result.references(against)] if is_paired else None
     configurations = []
     for k, group in enumerate(result.groups):
         captured = group.present("captured")
         configurations.append(
             {
-                "settings": {key: json_number(value) for key, value in group.settings.items()},
+                "settings": _settings(group.settings),
                 "runs": len(group.rows),
                 "failed": len(group.failed),
                 "captured": {
@@ -135,11 +140,18 @@ def document(result: SweepRuns, metrics: Sequence[str]) -> dict[str, Any]:
                     "interval": wilson(int(captured.sum()), len(captured)) if len(captured) else None,
                 },
                 "metrics": {metric: as_json(estimates[k]) for metric, estimates in means.items()},
+                "reference": None if references is None else _settings(references[k]),
                 "difference": {metric: as_json(estimates[k]) for metric, estimates in differences.items()},
             }
         )
     about = {"name": result.name, "grid": result.keys, "start": result.start, "warnings": result.warnings(metrics)}
-    return about | {"configurations": configurations}
+    units = {metric: unit_of(metric, result.units) for metric in metrics}
+    remarks = [note for note in notes(result, metrics) if not note.startswith("warning: ")]
+    return about | {"notes": remarks, "units": units, "configurations": configurations}
+
+
+def _settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: json_number(value) for key, value in settings.items()}
 
 
 def _mean_rows(result: SweepRuns, metrics: Sequence[str]) -> list[tuple[str, ...]]:
@@ -168,7 +180,7 @@ def _difference_rows(
 ) -> list[tuple[str, ...]]:
     """Return rows of text: settings, number of pairs, and the mean difference of each metric."""
     differences = [result.differences(metric, against) for metric in metrics]
-    rows: list[tuple[str, ...]] = [(*result.keys, "pairs", *map(words, metrics))]
+    rows: list[tuple[str, ...]] = [(*result.keys, "pairs", *(title(name, result.units) for name in metrics))]
     references = result.references(against)
     compared = [k for k, other in enumerate(references) if k != other]
     digits = [digits_of([column[k] for k in compared]) for column in differences]

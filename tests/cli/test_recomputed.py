@@ -1,0 +1,250 @@
+"""What commands print is recomputed from single runs: units, signs, denominators, and which runs are included.
+
+The references are written here with scipy, from the metrics of each run, which have references of their own.
+"""
+
+import csv
+import re
+from collections.abc import Mapping, Sequence
+from functools import cache
+from itertools import product
+from math import isnan, nan
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy import stats
+
+from desim import load, run, summary
+from desim.analysis.metrics import METRICS, Summary, title
+from desim.cli import main
+from tests.command import strict_json
+
+SCENARIO = """\
+name = "numbers"
+seed = 3
+horizon = 3.0
+team = { count = 4, box = [0.0, 12.0], speeds = 1.3 }
+evader = { box = [4.0, 8.0], speed = 0.9 }
+protocol = { kind = "sap", schedule = { kind = "poisson", rate = 5.0 } }
+network = { latency = 0.1, loss = { kind = "bernoulli", p = 0.1 } }
+record = { metrics = ["of_a_run:odd", "of_a_run:flag"] }
+"""
+CODE = """\
+def odd(result):
+    return None if result.seed % 2 else float(result.seed % 7)
+def flag(result):
+    return result.seed % 3 == 0
+def fails(me):
+    while True:
+        yield me.sleep(0.2)
+        if me.id == 0 and me.rng.random() < 0.02:
+            raise KeyError("missing")
+        me.assign(1 if me.id == 1 else 0)
+"""
+RELAY = 'team.relay=[{pursuer=0, motion={kind="recorded", waypoints=[[0.0, 1.0, 1.0], [5.0, 6.0, 6.0]]}}]'
+CASES: Mapping[str, tuple[str, ...]] = {
+    "some are captured": (),
+    "several evaders": ("evader.count=3", "capture.captures_to_end=2"),
+    "captured at once": ("evader.box=[5.0, 5.01]", "team.box=[5.0, 5.02]"),
+    "none is captured": ("horizon=1.0", "evader.speed=1.29"),
+    "no messages": ("announce.trigger=never", "announce.start=silent", "announce.heartbeat=100.0"),
+    "one pursuer": ("team.count=1",),
+    "one relays": (RELAY,),
+    "some fail": ('protocol={kind="of_a_run:fails"}',),
+}
+"""Overrides of the scenario."""
+SHOWN = ("active_time", "capture_time", "messages_sent", "odd", "flag", "handovers")
+GRID = {"network.loss.p": (0.0, 0.5), "team.speeds": (1.2, 1.4)}
+RUNS, SEED = 6, 3_000_000
+NUMBER = r"[+-]?[\d,]+(?:\.\d+)?"
+MEAN = re.compile(rf"({NUMBER}) \+- ({NUMBER}|-)(?: \((\d+)\))?")
+EQUAL = re.compile(rf"({NUMBER}) in all, others < ({NUMBER})%(?: \((\d+)\))?")
+SHARE = re.compile(rf"({NUMBER})(%?) \(({NUMBER})%? \.\. ({NUMBER})%?\)(?: \((\d+)\))?")
+"""The forms of a cell: a mean, the value of all runs, and a share."""
+
+
+def desim(*words: object, code: int = 0) -> str:
+    done = CliRunner().invoke(main, [str(word) for word in words], catch_exceptions=False)
+    assert done.exit_code == code, done.output
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    made = tmp_path_factory.mktemp("numbers")
+    (made / "numbers.toml").write_text(SCENARIO)
+    (made / "of_a_run.py").write_text(CODE)
+    return made
+
+
+@cache
+def swept(folder: Path, name: str, *more: str) -> tuple[str, dict, list[dict[str, str]]]:
+    """Return the text and the JSON of a sweep, and its exported runs."""
+    out = folder / f"{name} {' '.join(more)}".replace(" ", "-")
+    command = ["sweep", folder / "numbers.toml", "-n", RUNS, "-o", out, "--allow-import", *more]
+    command += [f"--grid={key}={','.join(map(str, values))}" for key, values in GRID.items()]
+    command += [*(f"--set={text}" for text in CASES[name]), *(f"--metric={metric}" for metric in SHOWN)]
+    code = 3 if name == "some fail" else 0
+    text, document = desim(*command, code=code), strict_json(desim(*command, "--json", code=code))
+    desim("export", out, out / "runs.csv")
+    with (out / "runs.csv").open() as file:
+        return text, document, list(csv.DictReader(file))
+
+
+@cache
+def simulated(folder: Path, name: str) -> list[list[Summary | None]]:
+    """Return the metrics of each run of each configuration, in the order of the grid; None for one that fails."""
+    return [
+        [_simulated(folder, name, dict(zip(GRID, values, strict=True)), SEED + k) for k in range(RUNS)]
+        for values in product(*GRID.values())
+    ]
+
+
+def _simulated(folder: Path, name: str, settings: Mapping[str, float], seed: int) -> Summary | None:
+    overrides = [*CASES[name], *(f"{key}={value}" for key, value in settings.items())]
+    scenario = load(folder / "numbers.toml", overrides, allow_import=True)
+    try:
+        return summary(run(scenario, seed))
+    except KeyError:
+        return None
+
+
+def values_of(runs: Sequence[Summary | None], metric: str) -> list[float]:
+    """Return the value of a metric in each run, nan if it has none."""
+    values = [None if one is None else one[metric] for one in runs]
+    return [nan if value is None else float(value) for value in values]
+
+
+def expected(values: Sequence[float], *, is_share: bool = False) -> tuple[float, ...]:
+    """Return the mean, the half width or the ends of the 95 % interval, and the number of the values that are there."""
+    there = [value for value in values if not isnan(value)]
+    if not there:
+        return nan, nan, 0
+    if is_share:
+        interval = stats.binomtest(int(sum(there)), len(there)).proportion_ci(0.95, "wilson")
+        return float(np.mean(there)), interval.low, interval.high, len(there)
+    if len(there) == 1:
+        return there[0], nan, 1
+    return float(np.mean(there)), stats.t.ppf(0.975, len(there) - 1) * stats.sem(there), len(there)
+
+
+def check_cell(cell: str, values: Sequence[float], runs: int, *, is_share: bool = False) -> None:
+    """Check the text of a mean, given the values that it is of and the number of runs that it may be of."""
+    mean, *interval, count = expected(values, is_share=is_share)
+    if not count:
+        assert cell == "-"
+        return
+    if (found := EQUAL.fullmatch(cell)) is not None:
+        assert len({value for value in values if not isnan(value)}) == 1
+        bound = 100.0 * stats.norm.ppf(0.975) ** 2 / (count + stats.norm.ppf(0.975) ** 2)
+        assert is_rounded(found[2], bound)
+    elif is_share:
+        found = SHARE.fullmatch(cell)
+        assert found is not None
+        assert all(is_rounded(text, end) for text, end in zip((found[3], found[4]), interval, strict=True))
+    else:
+        found = MEAN.fullmatch(cell)
+        assert found is not None
+        assert (count > 1) == (found[2] != "-")
+        assert count == 1 or is_rounded(found[2], interval[0])
+    assert is_rounded(found[1], mean)
+    given = re.search(r" \((\d+)\)$", cell)
+    assert (int(given[1]) if given else runs) == count
+
+
+def is_rounded(text: str, value: float) -> bool:
+    """Return whether a text is a number, rounded to the decimals that it has."""
+    decimals = len(text.partition(".")[2])
+    return abs(float(text.replace(",", "")) - value) <= 0.5000001 * 10.0**-decimals + 1e-9 * abs(value)
+
+
+def rows_of(text: str, head: str) -> list[list[str]]:
+    """Return the cells of the rows of a table whose first line begins with a text."""
+    lines = text.splitlines()
+    first = next(k for k, line in enumerate(lines) if line.startswith(head))
+    rows = lines[first + 1 :]
+    rows = rows[: rows.index("")] if "" in rows else rows
+    return [re.split(r" {2,}", row) for row in rows]
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("name", CASES)
+def test_the_tables_of_a_sweep_are_those_of_its_runs(folder, name):
+    text, _, _ = swept(folder, name)
+    groups = simulated(folder, name)
+    rows = rows_of(text, next(iter(GRID)))
+    assert len(rows) == len(groups) == 4
+    for row, runs, values in zip(rows, groups, product(*GRID.values()), strict=True):
+        ended, (*settings, count) = [one for one in runs if one is not None], row[:3]
+        failed = row.pop(3) if name == "some fail" else "0"
+        assert (tuple(map(float, settings)), int(count), int(failed)) == (values, RUNS, RUNS - len(ended))
+        share = expected(values_of(runs, "captured"), is_share=True)
+        found = SHARE.fullmatch(row[3])
+        assert found[2] == "%"
+        for cell, part in zip((found[1], found[3], found[4]), share[:3], strict=True):
+            assert is_rounded(cell, 100.0 * part)
+        for metric, cell in zip(SHOWN, row[4:], strict=True):
+            check_cell(cell, values_of(runs, metric), len(ended), is_share=metric == "flag")
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("against", [None, "team.speeds=1.4"])
+def test_the_differences_of_a_sweep_are_those_of_its_runs(folder, name, against):
+    """Text and JSON: each configuration minus its reference, over the pairs of runs that both have ended."""
+    text, document, _ = swept(folder, name, *([] if against is None else [f"--against={against}"]))
+    groups, places = simulated(folder, name), [*product(*GRID.values())]
+    reference = [places.index((0.0, speed) if against is None else (loss, 1.4)) for loss, speed in places]
+    table = text[text.index("difference from") :]
+    words = "network.loss.p = 0" if against is None else "team.speeds = 1.4"
+    assert table.startswith(f"difference from {words}, all else equal, run by run with the same seed")
+    heads = [title(metric, {}) for metric in SHOWN]
+    assert re.split(r" {2,}", table.splitlines()[1].strip()) == [*GRID, "pairs", *heads]
+    rows = {tuple(map(float, row[:2])): row[2:] for row in rows_of(table, next(iter(GRID)))}
+    assert set(rows) == {place for k, place in enumerate(places) if reference[k] != k}
+    for k, (place, runs, other) in enumerate(zip(places, groups, reference, strict=True)):
+        entry = document["configurations"][k]
+        assert tuple(entry["settings"].values()) == place
+        assert tuple(entry["reference"].values()) == places[other]
+        pairs = [(a, b) for a, b in zip(runs, groups[other], strict=True) if None not in (a, b)]
+        for column, metric in enumerate(SHOWN):
+            mine, others = (values_of(side, metric) for side in zip(*pairs, strict=True)) if pairs else ((), ())
+            differences = [a - b for a, b in zip(mine, others, strict=True)]
+            mean, *interval, count = expected(differences)
+            estimate = entry["difference"][metric]
+            assert estimate["runs"] == count
+            if count:
+                assert estimate["mean"] == pytest.approx(mean, rel=1e-9, abs=1e-9)
+            if count > 1:
+                assert estimate["half_width"] == pytest.approx(interval[0], rel=1e-9, abs=1e-9)
+            if other != k:
+                assert int(rows[place][0]) == len(pairs)
+                check_cell(rows[place][column + 1], differences, len(pairs))
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("name", CASES)
+def test_json_and_exported_runs_are_those_of_the_runs(folder, name):
+    _, document, exported = swept(folder, name)
+    groups = simulated(folder, name)
+    assert document["units"] == {metric: METRICS[metric].unit if metric in METRICS else "" for metric in SHOWN}
+    for entry, runs in zip(document["configurations"], groups, strict=True):
+        failed = sum(one is None for one in runs)
+        assert (entry["runs"], entry["failed"]) == (RUNS, failed)
+        for metric in SHOWN:
+            values = values_of(runs, metric)
+            mean, *interval, count = expected(values, is_share=metric == "flag")
+            estimate = entry["metrics"][metric]
+            assert estimate["runs"] == count
+            if count and interval:
+                assert estimate["mean"] == pytest.approx(mean, rel=1e-9)
+            if metric == "flag" and count:
+                assert estimate["interval"] == pytest.approx(interval, rel=1e-9)
+            elif count > 1:
+                assert estimate["half_width"] == pytest.approx(interval[0], rel=1e-9, abs=1e-9)
+    for row, one in zip(exported, [one for runs in groups for one in runs], strict=True):
+        assert row["status"] == ("error" if one is None else "ok")
+        for metric in (*SHOWN, "captured", "end_time", "seed") if one is not None else ():
+            assert row[metric] == ("" if one[metric] is None else str(one[metric]))
