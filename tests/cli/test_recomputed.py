@@ -248,3 +248,33 @@ def test_json_and_exported_runs_are_those_of_the_runs(folder, name):
         assert row["status"] == ("error" if one is None else "ok")
         for metric in (*SHOWN, "captured", "end_time", "seed") if one is not None else ():
             assert row[metric] == ("" if one[metric] is None else str(one[metric]))
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize(("name", "other"), [("some are captured", "several evaders"), ("some fail", "one relays")])
+def test_two_sweeps_are_compared_by_the_pairs_of_their_runs(folder, name, other):
+    """Text and JSON: the mean of each over its own runs, and the difference over the seeds that both have ended."""
+    for one in (name, other):
+        swept(folder, one)
+    command = ["compare", *(folder / f"{one} ".replace(" ", "-") for one in (name, other))]
+    shown = [metric for metric in SHOWN if metric in METRICS]
+    command += [text for metric in shown for text in ("-y", metric)]
+    text, document = desim(*command), strict_json(desim(*command, "--json"))
+    rows = rows_of(text, next(iter(GRID)))
+    groups = [simulated(folder, one) for one in (name, other)]
+    for row, entry, first, second in zip(rows, document["configurations"], *groups, strict=True):
+        pairs = [(a, b) for a, b in zip(first, second, strict=True) if None not in (a, b)]
+        assert int(row[2]) == entry["pairs"] == len(pairs) > 1
+        for column, metric in enumerate(shown):
+            sides = [values_of([one for one in runs if one is not None], metric) for runs in (first, second)]
+            mine, others = (values_of(side, metric) for side in zip(*pairs, strict=True))
+            differences = [b - a for a, b in zip(mine, others, strict=True)]
+            for k, (part, values) in enumerate(
+                zip(("first", "second", "difference"), (*sides, differences), strict=True)
+            ):
+                check_cell(row[3 + 3 * column + k], values, len(pairs))
+                mean, *interval, count = expected(values)
+                found = entry["metrics"][metric][part]
+                assert found["runs"] == count
+                assert not count or found["mean"] == pytest.approx(mean, rel=1e-9, abs=1e-9)
+                assert count < 2 or found["half_width"] == pytest.approx(interval[0], rel=1e-9, abs=1e-9)

@@ -107,6 +107,24 @@ def test_a_sentence_counts_the_pairs_that_both_have_a_value():
     assert "the greatest is +1.000 +- 6.353 s (95 % interval, 2 of 4 pairs of runs with the same seed)" in sentence
 
 
+def test_a_mean_over_other_runs_than_the_pairs_says_over_how_many():
+    """Else A = 2.333, B = 2.667 and B - A = +1.000 would contradict each other without a word."""
+    old, new = [[1.0, 2.0, None, 4.0]], [[1.5, 3.5, 3.0, None]]
+    ((heading, (_, row)),) = compare(
+        sweep_of(old, metric="capture_time"), sweep_of(new, metric="capture_time"), ["capture_time"]
+    ).tables()
+    assert heading.endswith("; (n): over n runs, and so perhaps other seeds")
+    assert [cell[-4:] for cell in row[2:]] == [" (3)", " (3)", " (2)"]
+    ((heading, (_, row)),) = compare(sweep_of([[1.0, 2.0]]), sweep_of([[1.5, 3.5]]), ["active_time"]).tables()
+    assert "(n)" not in heading
+    assert "(" not in "".join(row)
+    longer = sweep_of([[1.0, 2.0, 3.0, 3.5]], first_seed=9)
+    ((heading, (_, row)),) = compare(sweep_of([[1.5, 2.5]], first_seed=9), longer, ["active_time"]).tables()
+    assert ["(" in cell for cell in row[2:]] == [False, True, False]
+    ((heading, _),) = compare(sweep_of([[1.5, 2.5]], first_seed=99), longer, ["active_time"]).tables()
+    assert "(n)" not in heading, "independent runs: all that there are"
+
+
 def test_a_few_equal_differences_are_not_distinguishable_from_0():
     """Three pairs that differ by 1 s each: 2^(1 - 3) = 1/4. Six pairs are enough; the control."""
     few, enough = (

@@ -35,7 +35,17 @@ class Compared:
     settings: Mapping[str, Any]
     pairs: int
     """The number of seeds that both sweeps have; 0 if the runs are compared as independent ones."""
+    runs: tuple[int, int]
+    """The number of runs of each sweep that have ended."""
     metrics: Mapping[str, MetricDifference]
+
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """The numbers of runs that the two means and the difference are of if no run lacks a value.
+
+        With pairs it is their number for all three: of a mean over other runs, the number is shown.
+        """
+        return (self.pairs,) * 3 if self.pairs else (*self.runs, min(self.runs))
 
 
 @dataclass(frozen=True, repr=False)
@@ -150,19 +160,33 @@ class Comparison(TabularResult):
         how = "run by run with the same seed" if is_paired else "independent runs"
         metrics = [metric for compared in self.configurations for metric in compared.metrics.values()]
         shares = ", in brackets a Wilson interval" * any(isinstance(metric.first, Share) for metric in metrics)
-        heading = f"A: {first}; B: {second}; B - A: {how}; +- is half a 95 % t interval{shares}"
+        some_lack = any(
+            estimate.count not in {0, of}
+            for compared in self.configurations
+            for cell in compared.metrics.values()
+            for estimate, of in zip((cell.first, cell.second, cell.difference), compared.counts, strict=True)
+        )
+        lacks = "; (n): over n runs, and so perhaps other seeds" if some_lack else ""
+        heading = f"A: {first}; B: {second}; B - A: {how}; +- is half a 95 % t interval{shares}{lacks}"
         heads = [f"{title(metric, self.units)}: {part}" for metric in self.metrics for part in ("A", "B", "B - A")]
         rows: list[tuple[str, ...]] = [(*self.keys, "pairs", *heads)]
         columns: list[list[str]] = []
         for metric in self.metrics:
             cells = [compared.metrics[metric] for compared in self.configurations]
             digits = digits_of([estimate for cell in cells for estimate in (cell.first, cell.second, cell.difference)])
+            counts = [compared.counts for compared in self.configurations]
             columns += [
-                [with_half_width(cell.first, cell.first.count, digits=digits) for cell in cells],
-                [with_half_width(cell.second, cell.second.count, digits=digits) for cell in cells],
                 [
-                    with_half_width(cell.difference, compared.pairs or cell.difference.count, "+", digits=digits)
-                    for compared, cell in zip(self.configurations, cells, strict=True)
+                    with_half_width(cell.first, of, digits=digits)
+                    for cell, (of, _, _) in zip(cells, counts, strict=True)
+                ],
+                [
+                    with_half_width(cell.second, of, digits=digits)
+                    for cell, (_, of, _) in zip(cells, counts, strict=True)
+                ],
+                [
+                    with_half_width(cell.difference, of, "+", digits=digits)
+                    for cell, (_, _, of) in zip(cells, counts, strict=True)
                 ],
             ]
         for compared, *texts in zip(self.configurations, *columns, strict=True):
@@ -183,6 +207,7 @@ class Comparison(TabularResult):
                 {
                     "settings": {key: json_number(value) for key, value in compared.settings.items()},
                     "pairs": compared.pairs,
+                    "runs": list(compared.runs),
                     "metrics": {
                         name: {
                             "first": as_json(cell.first),
@@ -248,4 +273,5 @@ def _compared(first: Group, second: Group, keys: Sequence[str], metrics: Sequenc
         else:
             difference = independent(second.present(metric), first.present(metric))
         differences[metric] = MetricDifference(first.estimate(metric), second.estimate(metric), difference)
-    return Compared({key: first.settings[key] for key in keys}, len(shared) if is_paired else 0, differences)
+    pairs, runs = len(shared) if is_paired else 0, (len(seeds[0]), len(seeds[1]))
+    return Compared({key: first.settings[key] for key in keys}, pairs, runs, differences)
