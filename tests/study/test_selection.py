@@ -286,12 +286,34 @@ def test_a_race_finds_the_best_and_says_who_was_dropped_when():
         None,
         *(dropped.after for dropped in reversed(result.selection.dropped)),
     ]
+    against = [dropped.against for dropped in reversed(result.selection.dropped)]
+    assert [one["dropped_against"] for one in document["configurations"]] == [
+        None,
+        *({"team.count": COUNTS["team.count"][system]} for system in against),
+    ]
     *others, best = result.selection.samples
     for system, sample in enumerate(others):
         both = min(len(sample), len(best))
         assert result.behind(system).mean == pytest.approx(np.mean(sample[:both] - best[:both]))
         assert result.behind(system).mean > 0.0
     assert raced(maximise=True).best == {"team.count": 2}
+
+
+@pytest.mark.parametrize("maximise", [False, True])
+def test_configurations_that_are_dropped_at_once_are_in_the_order_of_their_means(maximise):
+    """The differences are far greater than the scatter, so all are dropped after the first runs."""
+    sign = -1.0 if maximise else 1.0
+    result = race(
+        SHORT,
+        {"team.count": [4, 2, 5, 3]},
+        "score",
+        zone=0.2,
+        first=5,
+        maximise=maximise,
+        metrics={"score": lambda run: sign * (run.scenario.team.count + 0.01 * luck(run))},
+    )
+    assert {dropped.after for dropped in result.selection.dropped} == {5}
+    assert [result.settings[system]["team.count"] for system in result.order] == [2, 3, 4, 5]
 
 
 def test_the_progress_of_a_race_counts_runs(monkeypatch):

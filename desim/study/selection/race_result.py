@@ -70,12 +70,15 @@ class RaceResult(TabularResult):
 
     @property
     def order(self) -> list[int]:
-        """The positions of the configurations: the best, the others that were left by their means, the dropped ones."""
-        means = [float(numbers.mean()) for numbers in self.selection.samples]
+        """The positions of the configurations: the best, the others that were left, the dropped ones from the last on.
+
+        Those that were left, and those that were dropped after equally many runs, are in the order of their means.
+        """
+        means = [float(numbers.mean()) * (-1.0 if self.maximise else 1.0) for numbers in self.selection.samples]
         best = self.selection.selected
-        others = [system for system in self.selection.left if system != best]
-        others.sort(key=lambda system: -means[system] if self.maximise else means[system])
-        return [best, *others, *(dropped.system for dropped in reversed(self.selection.dropped))]
+        others = sorted((system for system in self.selection.left if system != best), key=means.__getitem__)
+        dropped = sorted(self.selection.dropped, key=lambda dropped: (-dropped.after, means[dropped.system]))
+        return [best, *others, *(one.system for one in dropped)]
 
     def mean_of(self, system: int) -> Estimate:
         """Return the mean of the metric over the runs of a configuration, given its position."""
@@ -127,7 +130,7 @@ class RaceResult(TabularResult):
         keys, lost = list(self.settings[0]), {dropped.system: dropped for dropped in self.selection.dropped}
         means, differences = [self.mean_of(k) for k in self.order], [self.behind(k) for k in self.order[1:]]
         title = with_unit(words(self.metric), self.unit)
-        rows = [("", *keys, title, "behind the best", "runs", "dropped against")]
+        rows = [("", *keys, title, "difference from the best", "runs", "dropped against")]
         for rank, system in enumerate(self.order):
             count = len(self.selection.samples[system])
             behind = (
@@ -175,7 +178,7 @@ class RaceResult(TabularResult):
         return {
             "name": self.name,
             "metric": self.metric,
-            "best": {key: json_number(value) for key, value in self.best.items()},
+            "best": self._plain(self.selection.selected),
             "is_decided": self.is_decided,
             "maximise": self.maximise,
             "zone": self.zone,
@@ -188,15 +191,19 @@ class RaceResult(TabularResult):
             "sentences": self.sentences(),
             "configurations": [
                 {
-                    "settings": {key: json_number(value) for key, value in self.settings[system].items()},
+                    "settings": self._plain(system),
                     "mean": as_json(self.mean_of(system)),
                     "behind": as_json(self.behind(system)),
                     "dropped_after": lost[system].after if system in lost else None,
-                    "dropped_against": lost[system].against if system in lost else None,
+                    "dropped_against": self._plain(lost[system].against) if system in lost else None,
                 }
                 for system in self.order
             ],
         }
+
+    def _plain(self, system: int) -> dict[str, Any]:
+        """Return the settings of a configuration as JSON-compatible values, given its position."""
+        return {key: json_number(value) for key, value in self.settings[system].items()}
 
     def __repr__(self) -> str:
         return f"<RaceResult of {self.name}: {in_words(self.best)} of {counted(len(self.settings), 'configuration')}>"
