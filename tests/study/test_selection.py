@@ -310,7 +310,7 @@ def test_configurations_that_are_dropped_at_once_are_in_the_order_of_their_means
         zone=0.2,
         first=5,
         maximise=maximise,
-        metrics={"score": lambda run: sign * (run.scenario.team.count + 0.01 * luck(run))},
+        metrics={"score": lambda run: sign * (3.0 * run.scenario.team.count + size_and_luck(run))},
     )
     assert {dropped.after for dropped in result.selection.dropped} == {5}
     assert [result.settings[system]["team.count"] for system in result.order] == [2, 3, 4, 5]
