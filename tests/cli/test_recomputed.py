@@ -7,6 +7,7 @@ import csv
 import re
 from collections.abc import Mapping, Sequence
 from functools import cache
+from html import unescape
 from itertools import product
 from math import isnan, nan
 from pathlib import Path
@@ -143,6 +144,7 @@ def check_cell(cell: str, values: Sequence[float], runs: int, *, is_share: bool 
     elif is_share:
         found = SHARE.fullmatch(cell)
         assert found is not None
+        mean, *interval = (100.0 * part if found[2] else part for part in (mean, *interval))
         assert all(is_rounded(text, end) for text, end in zip((found[3], found[4]), interval, strict=True))
     else:
         found = MEAN.fullmatch(cell)
@@ -278,3 +280,48 @@ def test_two_sweeps_are_compared_by_the_pairs_of_their_runs(folder, name, other)
                 assert found["runs"] == count
                 assert not count or found["mean"] == pytest.approx(mean, rel=1e-9, abs=1e-9)
                 assert count < 2 or found["half_width"] == pytest.approx(interval[0], rel=1e-9, abs=1e-9)
+
+
+def tables_of(page: str) -> list[list[list[str]]]:
+    """Return the cells of each table of a page."""
+
+    def text(cell: str) -> str:
+        return unescape(re.sub(r"<[^>]+>", "", cell)).strip().replace("±", "+-")
+
+    tables = [
+        re.findall(r"<tr.*?</tr>", table, re.DOTALL) for table in re.findall(r"<table.*?</table>", page, re.DOTALL)
+    ]
+    return [[list(map(text, re.findall(r"<t[hd].*?</t[hd]>", row, re.DOTALL))) for row in rows] for rows in tables]
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("name", CASES)
+def test_all_metrics_of_a_report_are_those_of_the_runs(folder, name):
+    """Its last two tables have a row for each metric, and a column for each configuration, or for each difference."""
+    swept(folder, name)
+    out = folder / f"{name} ".replace(" ", "-")
+    desim("report", out, "-o", folder / "page.html")
+    means, differences = [
+        {row[0]: row[1:] for row in rows if len(row) > 1}
+        for rows in tables_of((folder / "page.html").read_text())
+        if any(row and row[0] == "end time, s" for row in rows)
+    ]
+    groups, places = simulated(folder, name), [*product(*GRID.values())]
+    numeric = [metric for metric in (*METRICS, "odd", "flag") if metric not in METRICS or METRICS[metric].is_number]
+    assert len(means) > 20
+    for metric in numeric:
+        if (label := title(metric, {})) not in means:
+            assert metric == "captured" or all(isnan(value) for runs in groups for value in values_of(runs, metric))
+            continue
+        for runs, cell in zip(groups, means[label], strict=True):
+            ended = [one for one in runs if one is not None]
+            is_share = any(isinstance(one[metric], bool) for one in ended)
+            check_cell(cell, values_of(runs, metric), len(ended), is_share=is_share)
+        if metric == "captured":
+            continue
+        compared = [k for k, (loss, _) in enumerate(places) if loss]
+        for k, cell in zip(compared, differences[label], strict=True):
+            other = groups[places.index((0.0, places[k][1]))]
+            pairs = [(a, b) for a, b in zip(groups[k], other, strict=True) if None not in (a, b)]
+            mine, others = (values_of(side, metric) for side in zip(*pairs, strict=True)) if pairs else ((), ())
+            check_cell(cell, [a - b for a, b in zip(mine, others, strict=True)], len(pairs))
