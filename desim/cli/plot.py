@@ -194,6 +194,7 @@ def _draw_run(result: "Result", kind: str, paths: Sequence[Path], options: dict[
 def _draw_sweep(result: "SweepResult", kind: str, source: Path, out: Path | None, options: dict[str, Any]) -> None:
     from desim.analysis.drawing.plots import save
     from desim.study.results.figures import file_name
+    from desim.study.results.tables import notes
 
     for name, key in [("x", key) for key in (options.get("x"),) if key] + [
         ("by", key) for key in options.get("by", ())
@@ -210,6 +211,9 @@ def _draw_sweep(result: "SweepResult", kind: str, source: Path, out: Path | None
     name = file_name(kind, options.get("y"), options.get("against"))
     paths = picture_paths(source, out, kind, name)
     write_picture(lambda: [save(figure, path, dpi=200) for path in paths], paths)
+    for note in notes(result, [options.get("y", "active_time")]):  # of what the picture cannot show
+        if note != result.start_rule:
+            echo(note, err=True)
 
 
 def _check_options(kind: str) -> None:

@@ -13,6 +13,7 @@ from desim import load, run
 from desim.analysis.drawing.plots import save
 from desim.cli.plot import plot
 from desim.results.run_folder import write
+from desim.study.results.tables import notes
 from desim.view.formats.perfetto import perfetto
 from desim.view.pictures.animation import animate
 from desim.view.pictures.spacetime import spacetime
@@ -204,6 +205,17 @@ def test_the_figure_of_a_metric_stays_when_that_of_another_is_drawn(swept, tmp_p
     assert sorted(each.name for each in folder.glob("*.svg")) == [
         *("differences-active_time.svg", "means-active_time.svg", "means-switches.svg", "phase-switches.svg")
     ]
+
+
+@pytest.mark.slow
+def test_what_the_picture_of_a_sweep_cannot_show_is_told_beside_it(swept, tmp_path):
+    """Such as means over those runs only that captured the evader, and runs that failed."""
+    result = desim.open(swept)
+    done = CliRunner().invoke(plot, [str(swept), "-y", "capture_time", "-o", str(tmp_path / "a.svg")])
+    told = [note for note in notes(result, ["capture_time"]) if note != result.start_rule]
+    assert told
+    assert done.stderr.splitlines() == told
+    assert "wrote" in done.stdout
 
 
 @pytest.mark.slow
