@@ -325,3 +325,42 @@ def test_all_metrics_of_a_report_are_those_of_the_runs(folder, name):
             pairs = [(a, b) for a, b in zip(groups[k], other, strict=True) if None not in (a, b)]
             mine, others = (values_of(side, metric) for side in zip(*pairs, strict=True)) if pairs else ((), ())
             check_cell(cell, [a - b for a, b in zip(mine, others, strict=True)], len(pairs))
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("name", [name for name in CASES if name != "some fail"])
+def test_the_table_of_several_runs_is_that_of_the_runs(folder, name):
+    overrides = [f"--set={text}" for text in CASES[name]]
+    command = ["run", folder / "numbers.toml", "-n", RUNS, "--allow-import", *overrides]
+    text, document = desim(*command), strict_json(desim(*command, "--json"))
+    scenario = load(folder / "numbers.toml", CASES[name], allow_import=True)
+    runs = [summary(run(scenario, SEED + k)) for k in range(RUNS)]
+    assert [[one[metric] for metric in SHOWN] for one in document["runs"]] == [
+        [one[metric] for metric in SHOWN] for one in runs
+    ]
+    captured = [float(one.captured) for one in runs]
+    share, low, high, _ = expected(captured, is_share=True)
+    assert f"captured in {sum(captured):.0f} of {RUNS} runs" in text
+    assert f"capture probability {share:.3f}, 95 % Wilson interval {low:.3f} to {high:.3f}" in text
+    horizon = scenario.horizon
+    late = sum(one.end_time >= horizon for one in runs)
+    assert (f"{late} runs ended at the horizon of {horizon:g} s" in text) == (late > 0 and not any(captured))
+    rows = {row[0]: row[1:] for row in rows_of(text.replace("\nwall time", "\n\nwall time"), "   ")}
+    for metric in (*SHOWN, "end_time", "messages_lost", "idle_time"):
+        there = [value for value in values_of(runs, metric) if not isnan(value)]
+        if (label := title(metric, {})) not in rows:
+            assert not there
+            continue
+        mean, half_width, least, most, count = rows[label]
+        assert int(count) == len(there)
+        for cell, value in zip((mean, least, most), (np.mean(there), min(there), max(there)), strict=True):
+            assert is_rounded(cell, float(value))
+        if half_width == "all equal":
+            assert min(there) == max(there)
+        elif metric == "flag":
+            _, low, high, _ = expected(there, is_share=True)
+            assert is_rounded(half_width, (high - low) / 2.0)
+        elif len(there) > 1:
+            assert is_rounded(half_width, expected(there)[1])
+        else:
+            assert half_width == "-"
