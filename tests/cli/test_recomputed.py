@@ -153,7 +153,8 @@ def check_cell(cell: str, values: Sequence[float], runs: int, *, is_share: bool 
         assert count == 1 or is_rounded(found[2], interval[0])
     assert is_rounded(found[1], mean)
     given = re.search(r" \((\d+)\)$", cell)
-    assert (int(given[1]) if given else runs) == count
+    assert (given is None) == (count == runs)
+    assert given is None or int(given[1]) == count
 
 
 def is_rounded(text: str, value: float) -> bool:
