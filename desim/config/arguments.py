@@ -124,14 +124,14 @@ def naming_arguments(function: Callable[Taken, Returned]) -> Callable[Taken, Ret
     Python's message names only the wrong one. A flag, a table or a function of another type is refused, too: the text
     "no" would be true.
     """
-    checks = _checks(function)
+    kinds = _kinds_of_arguments(function)
     names = list(signature(function).parameters)
 
     @wraps(function)
     def called(*args: Taken.args, **named: Taken.kwargs) -> Returned:
         for name, value in (*zip(names, args, strict=False), *named.items()):
-            if name in checks:
-                checks[name](name, value)
+            if name in kinds and not kinds[name].has(value):
+                raise ValueError(f"{name} should be {kinds[name].text} (got {abridged(repr(value))})")
         try:
             return function(*args, **named)
         except TypeError as error:
@@ -145,53 +145,43 @@ def naming_arguments(function: Callable[Taken, Returned]) -> Callable[Taken, Ret
     return called
 
 
-def _check_flag(name: str, value: Any) -> None:
-    if not isinstance(value, bool) and type(value).__name__ not in {"bool", "bool_"}:  # the latter are numpy's
-        raise ValueError(f"{name} should be True or False (got {abridged(repr(value))})")
+class _Kind(NamedTuple):
+    """What an argument should be, and whether a value is that."""
+
+    text: str
+    has: Callable[[Any], bool]
 
 
-def _check_function(name: str, value: Any) -> None:
-    if not callable(value):
-        raise ValueError(f"{name} should be a function (got {abridged(repr(value))})")
+def _is_of_texts(value: Any) -> bool:
+    """Return whether a value is a collection of texts; an iterator is let through, as it can be read once."""
+    return isinstance(value, Iterable) and (isinstance(value, Iterator) or all(isinstance(text, str) for text in value))
 
 
-def _check_table(name: str, value: Any) -> None:
-    if not isinstance(value, Mapping):
-        raise ValueError(
-            f"{name} should be a dict, {{'network.latency.value': 0.5}} for instance (got {abridged(repr(value))})"
-        )
-
-
-def _check_table_or_none(name: str, value: Any) -> None:
-    if value is not None:
-        _check_table(name, value)
-
-
-def _check_texts(name: str, value: Any) -> None:
-    """Raise ValueError if a value is no collection of texts; an iterator is let through, as it can be read once."""
-    is_iterable = isinstance(value, Iterable)
-    if not is_iterable or not (isinstance(value, Iterator) or all(isinstance(text, str) for text in value)):
-        raise ValueError(f"{name} should be a list of texts (got {abridged(repr(value))})")
-
-
+_A_DICT = "a dict, {'network.latency.value': 0.5} for instance"
+# The names of the types are those of numpy.
+FLAG = _Kind("True or False", lambda value: isinstance(value, bool) or type(value).__name__ in {"bool", "bool_"})
+FUNCTION = _Kind("a function", callable)
+TABLE = _Kind(_A_DICT, lambda value: isinstance(value, Mapping))
+TABLE_OR_NONE = _Kind(_A_DICT, lambda value: value is None or isinstance(value, Mapping))
+TEXTS = _Kind("a list of texts", _is_of_texts)
 CHECKED_THERE = frozenset({"changes", "grid", "links", "metrics", "vary"})
 """The tables that each function checks itself, with an example of its own."""
 
 
-def _checks(function: Callable[..., object]) -> Mapping[str, Callable[[str, Any], None]]:
-    """Return the check of each argument of a function that is a flag, a function, a table or texts, by name."""
-    checks = {}
+def _kinds_of_arguments(function: Callable[..., object]) -> Mapping[str, _Kind]:
+    """Return the kind of each argument of a function that is a flag, a function, a table or texts, by name."""
+    kinds = {}
     for name, parameter in signature(function).parameters.items():
-        kinds = {get_origin(kind) for kind in (parameter.annotation, *get_args(parameter.annotation))}
+        origins = {get_origin(kind) for kind in (parameter.annotation, *get_args(parameter.annotation))}
         if parameter.annotation is bool:
-            checks[name] = _check_flag
-        elif Mapping in kinds and name not in CHECKED_THERE:
-            checks[name] = _check_table_or_none if NoneType in get_args(parameter.annotation) else _check_table
+            kinds[name] = FLAG
+        elif Mapping in origins and name not in CHECKED_THERE:
+            kinds[name] = TABLE_OR_NONE if NoneType in get_args(parameter.annotation) else TABLE
         elif parameter.annotation == Sequence[str] and name not in CHECKED_THERE:
-            checks[name] = _check_texts
+            kinds[name] = TEXTS
         elif get_origin(parameter.annotation) is Callable and parameter.kind is not Parameter.VAR_POSITIONAL:
-            checks[name] = _check_function
-    return MappingProxyType(checks)
+            kinds[name] = FUNCTION
+    return MappingProxyType(kinds)
 
 
 def _meant(function: Callable[..., object], named: Mapping[str, object]) -> str:
