@@ -12,11 +12,11 @@ schedules are in the package `protocols`.
 """
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from desim.config.errors import WORDINGS, Problem
+from desim.config.errors import WORDINGS
 from desim.config.exports import homes_of_exports, missing_export
 from desim.config.extras import naming_extras
 from desim.config.html import PICTURES
@@ -165,11 +165,13 @@ if TYPE_CHECKING:
     from desim.view.pictures.run_figure import plot as plot
 
 
-def _picture_of_run(result: Any) -> str:
-    """Return the paths of a run as an HTML image for notebooks; see `desim.view.pictures.run_figure.html_picture`."""
-    from desim.view.pictures.run_figure import html_picture
+def _deferred(module: str, name: str) -> Callable[..., Any]:
+    """Return a function that calls a function of a module; the module is imported at the first call."""
 
-    return html_picture(result)
+    def call(*arguments: Any, **options: Any) -> Any:
+        return getattr(import_module(module), name)(*arguments, **options)
+
+    return call
 
 
 def _kinds_of_protocols() -> Mapping[str, Mapping[str, str]]:
@@ -180,38 +182,10 @@ def _kinds_of_protocols() -> Mapping[str, Mapping[str, str]]:
     return KINDS
 
 
-def _problems_of_call(error: Any, model: type, values: Mapping[str, Any]) -> tuple[Problem, ...]:
-    """Return the problems of a call of a model; see `desim.config.key_errors.problems_of_call`."""
-    from desim.config.key_errors import problems_of_call
-
-    return problems_of_call(error, model, values)
-
-
-def _environment(scenario: Any, seed: int | None, **options: Any) -> Any:
-    """Return an environment of a scenario; see `desim.learning.make.env`."""
-    from desim.learning.make import env
-
-    return env(scenario, seed, **options)
-
-
-def _parallel_environment(scenario: Any, seed: int | None, **options: Any) -> Any:
-    """Return a parallel environment of a scenario; see `desim.learning.make.parallel_env`."""
-    from desim.learning.make import parallel_env
-
-    return parallel_env(scenario, seed, **options)
-
-
-def _margin(result: Any, name: str) -> float:
-    """Return the margin of a property of a run; see `desim.analysis.properties.margin`."""
-    from desim.analysis.properties import margin
-
-    return margin(result, name)
-
-
-ENVIRONMENTS |= {"env": _environment, "parallel_env": _parallel_environment}
-MARGINS["margin"] = _margin
-PICTURES["run"] = _picture_of_run
-WORDINGS["call"] = _problems_of_call
+ENVIRONMENTS |= {name: _deferred("desim.learning.make", name) for name in ("env", "parallel_env")}
+MARGINS["margin"] = _deferred("desim.analysis.properties", "margin")
+PICTURES["run"] = _deferred("desim.view.pictures.run_figure", "html_picture")
+WORDINGS["call"] = _deferred("desim.config.key_errors", "problems_of_call")
 KINDS_OF["protocols"] = _kinds_of_protocols
 explain_hidden_packages()
 _HOMES = homes_of_exports(__file__)

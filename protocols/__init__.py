@@ -4,11 +4,10 @@ A dissemination determines how announcements spread. No module of this package d
 """
 
 from collections.abc import Mapping
-from importlib import import_module
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from desim.config.exports import homes_of_exports, missing_export
+from desim.config.exports import homes_of_exports, lazy_exports
 from desim.config.packages import package_folder
 
 if TYPE_CHECKING:
@@ -92,22 +91,15 @@ KINDS: Mapping[str, Mapping[str, str]] = MappingProxyType(
 A module is imported when a scenario selects its kind.
 """
 
-__all__ = sorted(_HOMES)
+
+def _elsewhere() -> dict[str, str]:
+    """Return, by names that users look for in this package, what to write instead."""
+    kinds = {kind: item for group in _CLASSES.values() for kind, item in group.items()}
+    imports = {kind.upper(): f"from protocols import {item}" for kind, item in kinds.items()} | {
+        kind: f"from protocols import {item}, or protocol={kind!r} for its defaults" for kind, item in kinds.items()
+    }
+    models = homes_of_exports(str(package_folder("desim") / "__init__.py"))
+    return imports | {model: f"from desim import {model}" for model in models if model not in imports}
 
 
-def __getattr__(name: str) -> object:
-    """Return a class, and import its module if necessary."""
-    if name not in _HOMES:
-        kinds = {kind: item for group in _CLASSES.values() for kind, item in group.items()}
-        imports = {kind.upper(): f"from protocols import {item}" for kind, item in kinds.items()} | {
-            kind: f"from protocols import {item}, or protocol={kind!r} for its defaults" for kind, item in kinds.items()
-        }
-        models = homes_of_exports(str(package_folder("desim") / "__init__.py"))
-        imports |= {model: f"from desim import {model}" for model in models if model not in imports}
-        raise missing_export("protocols", name, _HOMES, imports)
-    return getattr(import_module(_HOMES[name]), name)
-
-
-def __dir__() -> list[str]:
-    """Return the names of the classes."""
-    return __all__
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__, _elsewhere)

@@ -19,18 +19,21 @@ def homes_of_exports(file: str) -> dict[str, str]:
     return {name: home for home, name in _IMPORT.findall(source)}
 
 
-def lazy_exports(package: str, file: str) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
+def lazy_exports(
+    package: str, file: str, elsewhere: Callable[[], Mapping[str, str]] = dict[str, str]
+) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
     """Return the functions `__getattr__` and `__dir__` of a package, and its names for a star import.
 
     Args:
         package: the name of the package.
         file: its source, which imports its names for type checkers.
+        elsewhere: returns, by missing name, the import that users mean; see `missing_export`.
     """
     homes = homes_of_exports(file)
 
     def export(name: str) -> object:
         if name not in homes:
-            raise missing_export(package, name, homes, {})
+            raise missing_export(package, name, homes, elsewhere())
         return getattr(import_module(homes[name]), name)
 
     return export, lambda: sorted(homes), sorted(homes)
