@@ -1,6 +1,7 @@
 """`desim break`: the search from the command line, and what it leaves in its folder."""
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -181,8 +182,9 @@ def test_a_property_of_a_function_beside_the_file(folder):
         "def late(result):\n    return [(0.0, 0.0), (1.0, 2.0)]\n\ndef none(result):\n    return 3\n"
     )
     command = ("break", "game.toml", "-n", 2, "--feature", "latency", "-j", 1, "-o", "found", "--property")
-    found = desim(*command, "quantities:late at most 1 in total")
+    found = desim(*command, "quantities:late at most 1 in total", "--keep", "kept")
     assert "violated in case 1: seed 1000000, margin -" in found.stdout
+    assert "cbaa-quantities-late_at_most_1_in_total-1000000.toml" in {path.name for path in Path("kept").iterdir()}
     for text, why in (
         ("quantities:none at most 1 in total", "property 'quantities:none at most 1 in total' cannot be judged: "),
         ("quantities:lat at most 1 in total", "did you mean 'late'"),

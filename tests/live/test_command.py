@@ -24,6 +24,7 @@ from desim.results.run_folder import read as read_run
 from desim.results.run_folder import write as write_run
 from desim.scenario.toml import dump
 from desim.simulation.run import run
+from desim.study.workers.batch import seeds_from
 from scenarios.studies.study import SCENARIOS
 from tests.live.test_runs import game, scenario
 
@@ -191,6 +192,26 @@ def test_other_runs_differ_beyond_their_errors_and_the_margin(simulated):
     row = rows["active_time"]._replace(margin=abs(rows["active_time"].difference.mean))
     assert row.errors == 0.0
     assert row.agrees
+
+
+def test_a_comparison_needs_two_runs_and_hands_on_its_arguments(monkeypatch):
+    class ReachedError(Exception):
+        pass
+
+    calls = []
+
+    def runs(*args, **named):
+        calls.append((args, named))
+        raise ReachedError
+
+    monkeypatch.setattr(agreement_module, "runs", runs)
+    with pytest.raises(ValueError, match=r"^a comparison needs at least 2 runs of each kind \(got 1\)$"):
+        compare(game("sap"), 1)
+    with pytest.raises(ReachedError):
+        compare(game("sap"), 2, 7, at_once=3, links="real", finished=print)
+    assert calls == [
+        ((game("sap"), seeds_from(7, 2)), {"at_once": 3, "links": "real", "finished": print}),
+    ]
 
 
 @pytest.mark.slow

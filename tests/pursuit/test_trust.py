@@ -16,6 +16,7 @@ from desim.kernel.models.clock_skew import ClockSkew
 from desim.kernel.models.latency import Lognormal
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.byzantine.evidence import Witness
 from desim.pursuit.byzantine.lies import Liar, Slander
 from desim.pursuit.core.events import Distrusted
 from desim.pursuit.team.announcements import Announcements, Assignment
@@ -63,6 +64,17 @@ def observer(refuted=(), mail=()):
 
     found.mail = mail_of
     return found
+
+
+@pytest.mark.parametrize(
+    ("stamp", "action", "refutes"), [(29, 0, False), (30, 0, True), (31, 0, True), (31, 1, False), (31, None, False)]
+)
+def test_an_action_is_refuted_if_another_was_taken_for_a_motion_step(stamp, action, refutes):
+    """Pursuer 1 chases since 20 ns, and a step takes 10 ns."""
+    state = SimpleNamespace(acting_since=[0, 20], profile=[0, 1])
+    witness = Witness(0, SimpleNamespace(state=state), None, None, None, 10, None)
+    body = None if action is None else Assignment(action)
+    assert witness._refutes_action(Record(1, 1, stamp, body)) is refutes
 
 
 def record(src, seq):
