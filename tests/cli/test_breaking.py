@@ -184,7 +184,7 @@ def test_a_property_of_a_function_beside_the_file(folder):
     command = ("break", "game.toml", "-n", 2, "--feature", "latency", "-j", 1, "-o", "found", "--property")
     found = desim(*command, "quantities:late at most 1 in total", "--keep", "kept")
     assert "violated in case 1: seed 1000000, margin -" in found.stdout
-    assert "cbaa-quantities-late_at_most_1_in_total-1000000.toml" in {path.name for path in Path("kept").iterdir()}
+    assert "cbaa-quantities_late_at_most_1_in_total-1000000.toml" in {path.name for path in Path("kept").iterdir()}
     for text, why in (
         ("quantities:none at most 1 in total", "property 'quantities:none at most 1 in total' cannot be judged: "),
         ("quantities:lat at most 1 in total", "did you mean 'late'"),

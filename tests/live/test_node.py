@@ -29,6 +29,7 @@ from desim.live.refusals import reasons
 from desim.live.sockets import Mailbox, udp_socket
 from desim.live.wire import Wire
 from desim.pursuit.core.events import Sampled
+from desim.pursuit.core.traits import DisseminationTraits
 from desim.pursuit.motion.dead_reckoning import TrackSegment
 from desim.pursuit.team.announcements import Assignment, Forwarded, LocatedAssignment
 from protocols.dissemination import PORT as ANNOUNCEMENTS
@@ -202,6 +203,15 @@ def test_a_repetition_arrives_at_its_own_transmission_plus_the_latency():
     node.link.receive(repeated, 0)
     assert [outcome.arrival for outcome in node.link.outcomes] == [300_000_000]
     assert list(node.link.errors) == [0]
+
+
+@pytest.mark.parametrize("kind", ["reliable", "coded", "one_hop"])
+def test_a_node_takes_announcements_under_their_transport_before_it_has_sent_any(kind):
+    experiment = scenario().with_({"announce.dissemination": kind})
+    announced = DisseminationTraits.of(experiment.announce.dissemination).transport
+    transports = Node(experiment, 1, 5)._network._transport_layer._transports
+    assert transports == ({} if announced is None else {ANNOUNCEMENTS: announced})
+    assert (announced is None) == (kind == "one_hop")
 
 
 @pytest.mark.parametrize("hours", [1, 3, 40])
