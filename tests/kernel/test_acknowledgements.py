@@ -116,6 +116,18 @@ def test_the_extended_space_protects_acknowledgements_from_a_node_that_could_not
 
 
 @pytest.mark.slow
+def test_a_node_that_hears_a_frame_is_silent_until_the_end_of_its_acknowledgement():
+    """Node 2 hears the frame of 1, which 0 acknowledges out of its hearing, and then sends to 1."""
+    for seed in range(30):
+        clock = Clock()
+        net = Network(clock, path(3), Links(medium=Bitrate(bitrate=8e6, access=access(TIMING))), seed=seed)
+        net.send(1, 0, "first", size=300)
+        Instant(clock, 100_000, Phase.DECISION).callbacks.append(lambda _, net=net: net.send(2, 1, "second", size=300))
+        clock.run(until=5_000_000)
+        counts = net.message_counts()
+        assert (counts.transmissions, counts.delivered) == (2, 2)
+
+
 def test_saturated_nodes_that_all_hear_each_other_have_the_throughput_of_bianchi():
     """A failure takes as long as a success: frame + SIFS + acknowledgement + DIFS; 5 nodes, W = 16, m = 6.
 
