@@ -19,6 +19,7 @@ from desim.analysis.statistics import differences, mean
 from desim.config.copier import Describer
 from desim.config.errors import KeyedError, NoMetricError, Problem
 from desim.config.json_numbers import to_json
+from desim.kernel.core.clock import Clock
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.core.units import SECOND
 from desim.kernel.measured.models import LatencyTrace, LossTrace
@@ -39,6 +40,7 @@ from desim.pursuit.paths.space import PLANE
 from desim.pursuit.team.targeted_faults import NewsFault
 from desim.scenario.assumptions import times_known
 from desim.simulation.restartable import _start_behaviour
+from desim.simulation.world import initial_state
 from desim.study.comparing.scores import Ratio
 from desim.study.results.explanation import Explanation
 from desim.study.store.file import view_of
@@ -47,6 +49,12 @@ from desim.view.formats.trace_table import _is_event
 from protocols.schedules.synchronous import Synchronous
 
 SHORT = Scenario(horizon=0.01, team={"count": 2})
+TURNING = SHORT.with_(
+    {
+        "team.dynamics": {"kind": "turn_rate", "limit": 1.0},
+        "evader": [{"dynamics": {"kind": "turn_rate", "limit": 1.0}} for _ in range(2)],
+    }
+)
 CONTEXT = {"src": 0, "dst": np.array([1, 2]), "now": 0.0}
 LINKS = LinkContext(**CONTEXT)
 
@@ -73,6 +81,21 @@ async def coroutine(_):
     """A behaviour that awaits."""
 
 
+def is_writeable(kind):
+    """Return whether the positions of players with some dynamics can be written, at the start or later."""
+    env, dynamics = Clock(), kind if kind == "simple" else {"kind": kind, "limit": 1.0}
+    state = initial_state(env, SHORT.with_({"team.dynamics": dynamics}), 1)
+    at_first = state.positions().flags.writeable
+    env.advance(SECOND, env.event())
+    return at_first or state.players.positions().flags.writeable
+
+
+def first_headings(scenario, seed):
+    """Return the headings of all players at the start."""
+    state = initial_state(Clock(), scenario, seed)
+    return state.players.courses(range(state.size + state.evader_count)).headings.tolist()
+
+
 def raising(act):
     """Return the type and the text of what a call raises."""
     with pytest.raises(Exception, match=r".") as raised:
@@ -92,6 +115,11 @@ VALUES = {
         ),
         (0.5, [True, True]),
     ),
+    "the first headings of all players": lambda: (
+        first_headings(TURNING, 7),
+        [*TURNING.team.headings(7), *(evader.heading(7, k) for k, evader in enumerate(TURNING.evaders))],
+    ),
+    "positions that are shared": lambda: ([*map(is_writeable, ("simple", "turn_rate", "acceleration"))], [False] * 3),
     "the border of a disk": lambda: (
         Disk().received(np.array([1.0, 2.0, 2.1]), 2.0, None).tolist(),
         [True, True, False],

@@ -53,6 +53,12 @@ def test_a_request_is_answered_with_its_number(widget):
     assert "page" in told["answer"]
 
 
+def test_a_message_of_the_page_is_heard(widget):
+    made, sent = widget
+    made._handle_custom_msg({"number": 7, "what": "cancel", "body": 3}, [])
+    assert sent == [{"number": 7, "error": "the request is malformed"}]
+
+
 def test_each_request_asks_the_session_for_what_it_says(widget, monkeypatch):
     made, sent = widget
     asked_for = []
