@@ -8,8 +8,11 @@ import pytest
 
 from desim.config.errors import KeyedError
 from desim.kernel.core.link_context import LinkContext
+from desim.kernel.models.common_losses import CommonCause
 from desim.kernel.models.correlation import RANGE, CorrelatedNumbers
+from desim.kernel.models.link_draws import booleans_of
 from desim.kernel.models.loss import Bernoulli, ByDistance, Correlated, FourState, GilbertElliott
+from tests.models import MODELS, made
 
 SEEDS = range(3)
 LINKS = 4000
@@ -56,6 +59,18 @@ def test_loss_probabilities_0_and_1_are_certain_and_no_loss_draws_no_random_numb
     assert Bernoulli()(context(), rng) is Bernoulli(p=0.0)(context(), rng) is False
     assert rng.random() == np.random.default_rng(1).random()
     assert Bernoulli(p=1.0)(context(), rng).all()
+
+
+LOSSES = [model for model in MODELS if model.__module__ in {"desim.kernel.models.loss", CommonCause.__module__}]
+
+
+@pytest.mark.parametrize("kind", LOSSES)
+def test_a_sender_without_receivers_loses_nothing_after_messages_to_one_node(kind):
+    model, rng = made(kind), np.random.default_rng(1)
+    run = model.start_run(3) if hasattr(model, "start_run") else model
+    for dst in ([1], [], [1, 2], []):
+        asked = LinkContext(0, np.array(dst, int), positions=lambda: np.arange(6.0).reshape(3, 2))
+        assert len(booleans_of(run(asked, rng), len(dst), kind)) == len(dst)
 
 
 # Bursts, message by message.

@@ -146,7 +146,7 @@ class Bursts:
             return self.to_one(src, dst.item(), now, rng)
         row = self._rows[src]
         if row.ones and len(dst) <= FEW and self._loses_all:  # else the links would be put aside for each other
-            return np.array([self.to_one(src, node, now, rng) for node in dst.tolist()])
+            return np.array([self.to_one(src, node, now, rng) for node in dst.tolist()], dtype=bool)
         row.select(dst)
         chance = row.value
         if self._in_time:
