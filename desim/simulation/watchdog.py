@@ -1,6 +1,7 @@
 """A limit on the wall time of a block, and a description of what each process waits for when the limit is exceeded."""
 
 import ctypes
+import gc
 import signal
 import sys
 import weakref
@@ -119,6 +120,11 @@ QUIET = frozenset({__file__, weakref.__file__})
 """The files in whose code an alarm raises nothing."""
 
 
+def _is_quiet(code: CodeType) -> bool:
+    """Return whether an alarm raises nothing in some code; see `_Alarm._ring`."""
+    return code.co_filename in QUIET or any(code is getattr(call, "__code__", None) for call in gc.callbacks)
+
+
 class _Alarm(_Limit):
     """The time limit of a block of the main thread, which a signal interrupts."""
 
@@ -132,7 +138,7 @@ class _Alarm(_Limit):
         """Raise the exception if it is time, and call the handler of the timer before, if it is its time.
 
         In the code of this module nothing is raised: it looks at `is_late` itself. Nor is it in a callback of a weak
-        reference, where Python would only print the exception; the timer rings again.
+        reference or of the garbage collector, where Python would only print the exception; the timer rings again.
         """
         elapsed = monotonic() - self._begin
         if self._left and elapsed >= self._left and callable(self._handler):
@@ -140,7 +146,7 @@ class _Alarm(_Limit):
         if self.is_over or elapsed < self._limit:
             return
         self.is_late = True
-        if not (_is_in(sys.exception(), self._raised) or (frame and frame.f_code.co_filename in QUIET)):
+        if not (_is_in(sys.exception(), self._raised) or (frame and _is_quiet(frame.f_code))):
             raise self._raised
 
     def _stop(self) -> None:

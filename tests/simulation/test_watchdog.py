@@ -434,11 +434,18 @@ def test_a_run_of_a_sweep_that_takes_too_long_has_failed_and_the_others_go_on():
     assert len(swept.failed) == 2
 
 
-def test_an_alarm_waits_for_the_end_of_a_callback_of_a_weak_reference():
+def collected(phase, info):
+    """Be a callback of the garbage collector, which needs not be a function of Python."""
+
+
+@pytest.mark.parametrize("code", [weakref.WeakKeyDictionary()._remove.__code__, collected.__code__])
+def test_an_alarm_waits_for_the_end_of_a_callback_of_the_interpreter(code, monkeypatch):
     """There Python would print the exception and go on."""
+    monkeypatch.setattr(gc, "callbacks", [*gc.callbacks, print, collected])
     alarm = watchdog._Alarm(0.001)
     alarm._begin, alarm._left, alarm._handler = time.monotonic() - 1.0, 0.0, None
-    alarm._ring(signal.SIGALRM, SimpleNamespace(f_code=weakref.WeakKeyDictionary()._remove.__code__))
+    alarm._ring(signal.SIGALRM, SimpleNamespace(f_code=code))
     assert alarm.is_late
-    with pytest.raises(TimedOut):
-        alarm._ring(signal.SIGALRM, None)
+    for frame in (None, SimpleNamespace(f_code=(lambda: None).__code__)):
+        with pytest.raises(TimedOut):
+            alarm._ring(signal.SIGALRM, frame)
