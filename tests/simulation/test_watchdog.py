@@ -1,6 +1,5 @@
 """Time-outs: a run that takes too long is ended, and the error names what each pursuer waits for."""
 
-import gc
 import os
 import random
 import re
