@@ -680,6 +680,24 @@ CLAIMS = (
     Claim(
         "breaking",
         BREAKING,
+        "now only a newer order does, and the evader is alone for {3.1} s",
+        [
+            alone(
+                "server",
+                {
+                    "seed": 2254,
+                    "horizon": 7.5,
+                    "team.count": 4,
+                    "protocol.takeover": True,
+                    "network.latency": {"kind": "shifted_exponential", "mean": 0.9},
+                    "fault.0.start": 0.8,
+                },
+            )
+        ],
+    ),
+    Claim(
+        "breaking",
+        BREAKING,
         "the evader is left alone for {6.1} s ([file](../_static/broken/sap-affordable-2.toml)",
         [alone("sap-affordable-2")],
     ),

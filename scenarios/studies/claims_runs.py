@@ -410,8 +410,8 @@ def alone(name: str, changes: Mapping[str, Any] = MappingProxyType({})) -> Numbe
     """Return what measures how long the evader is left alone in a scenario that breaks a protocol, changed or not."""
 
     def number(options: Options) -> tuple[float, float]:
-        scenario = broken(name)
-        return alone_in(scenario.with_(changes), scenario.seed)(options)
+        scenario = broken(name).with_(changes)
+        return alone_in(scenario, scenario.seed)(options)
 
     return number
 

@@ -33,7 +33,6 @@ NOT_MEASURED = {
     "| 4 | 4.00(6) | 4.130(32) |": "of prototypes outside desim",
     "three hidden nodes deliver 0.3 % less if it does, with a standard error of 1.1 %": "of a simulation outside desim",
     "(the standard error of 0.95 is 0.013)": "the root of 0.95 x 0.05 / 300",
-    "the least margin is 1.6 s": "the result of a search of two minutes, which `check_pages` does not make",
 }
 """Texts with such numbers that are not measured by runs, and why they are on a page."""
 SETTINGS = {
