@@ -652,6 +652,19 @@ CLAIMS = (
         '<a href="broken/selective_sap-2.html#t=0.8">film</a>) | {6.7} |',
         (crash_time("selective_sap-2"), alone("selective_sap-2")),
     ),
+    Claim(
+        "breaking",
+        BREAKING,
+        "at {2.2} s ([file](../_static/broken/server-takeover.toml), "
+        '<a href="broken/server-takeover.html#t=9.3">film</a>) | {7.0} | the reports need 1.6 times the capacity',
+        (crash_time("server-takeover"), alone("server-takeover")),
+    ),
+    Claim(
+        "breaking",
+        BREAKING,
+        "the channel carries them, and the evader is alone for {1.7} s",
+        [alone("server-takeover", {"protocol.period": 0.2})],
+    ),
     Claim("breaking", BREAKING, 'href="broken/server-2.html#t=2">film</a>) | {5.5} |', [alone("server-2")]),
     Claim("breaking", BREAKING, 'href="broken/server-3.html#t=0.5">film</a>) | {5.05} |', [alone("server-3")]),
     Claim(
