@@ -62,7 +62,8 @@ class CBAA(Auction):
 
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield the evader that the pursuer has won, or 0, at each turn."""
-        bids, read = [NO_BID] * me.evader_count, dict[int, int]()
+        bids = [NO_BID] * me.evader_count
+        read: dict[int, int] = {}
         while True:
             claims = {record.src: bids_of(record.body) for record in unread(me, read, Claim)}
             for k, best in enumerate(bids):

@@ -87,7 +87,8 @@ class CBBA(Auction):
 
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield the evader that the pursuer has won, or 0, at each turn."""
-        bids, read = [NO_BID] * me.evader_count, dict[int, int]()
+        bids = [NO_BID] * me.evader_count
+        read: dict[int, int] = {}
         stamps, since = [-inf] * me.team_size, [me.now] * me.team_size  # since: local time at which a stamp last grew
         while True:
             updaters = [bid_updater(me, k + 1) for k in range(me.evader_count)]

@@ -82,10 +82,11 @@ class Geometric(Value):
     def __call__(self, me: Agent) -> Process:
         """Chase an evader while the pursuer is its owner."""
         measure_of = {evader: self.measure(me, evader) for evader in me.evaders()}
-        owner = dict[int, int]()
+        owner: dict[int, int] = {}
         for tick in ticks(me, self.slot):
             yield me.at(tick)
-            measures, present = dict[int, list[float]](), dict[int, Collection[int | None]]()
+            measures: dict[int, list[float]] = {}
+            present: dict[int, Collection[int | None]] = {}
             left = me.time_left()
             for evader in me.evaders():
                 team = me.team_estimate(evader)

@@ -173,7 +173,8 @@ class ParallelPursuit(Pursuit, ParallelEnv[str, Any, Any]):
             raise ValueError(f"{missing[0]} has no action: a step takes the actions of all agents")
         chosen = {self._number_of(name): self._checked(name, actions[name]) for name in self.agents}
         self._rounds += 1
-        instant, before, asked = self._world.now, self._world.profile, set[int]()
+        instant, before = self._world.now, self._world.profile
+        asked: set[int] = set()
         step = self._begun(chosen if episode.turn is not None else {}, may_keep=True)
         while episode.turn is not None and self._world.now == instant:
             me = episode.turn

@@ -70,7 +70,8 @@ def wonderful_life(step: Step) -> list[float]:
 
 def _wonderful_life(step: Step) -> dict[int, float]:
     """Return the wonderful-life utilities of those that chase, by pursuer; see `wonderful_life`."""
-    utilities, share = dict[int, float](), step.duration / step.horizon
+    share = step.duration / step.horizon
+    utilities: dict[int, float] = {}
     for evader, times in enumerate(step.capture_times, start=1):
         chasing = [i for i, action in enumerate(step.profile) if action == evader and times[i] < inf]
         finite = [times[i] for i in chasing]

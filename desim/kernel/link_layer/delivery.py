@@ -175,7 +175,8 @@ def certain(faults: FaultState, reached: list[int], arrival: Arrival) -> Certain
     """
     until, down = faults.constant_until, faults.down_nodes
     last = arrival if isinstance(arrival, int) else max(arrival, default=0)
-    unsure, lost = list[int](), list[int]()
+    unsure: list[int] = []
+    lost: list[int] = []
     later = when_lost = arrival
     # The late arrivals are set apart first: a receiver that is down now may be up when they are due.
     if last >= until:

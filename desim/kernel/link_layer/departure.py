@@ -69,7 +69,8 @@ class Departure:
 
     def _drawn(self, transmission: Transmission) -> dict[int, Cause]:
         """Draw the losses by chance, and add those by partitions; return the cause of each loss by receiver."""
-        src, receivers, causes = transmission.src, transmission.receivers, dict[int, Cause]()
+        src, receivers = transmission.src, transmission.receivers
+        causes: dict[int, Cause] = {}
         lost = self._sampler.losses(src, receivers, self._env.now, transmission.size)
         if lost is not None and True in lost:
             causes = {node: self._sampler.cause(src, node) for node in compress(receivers, lost)}

@@ -53,7 +53,8 @@ class ReliableReceiver:
 
     def _advance(self, base: int) -> list[Arrived]:
         """Expect nothing before `base` any more; return the received messages before the new `expected`."""
-        beyond, passed = self._beyond, list[Arrived]()
+        beyond = self._beyond
+        passed: list[Arrived] = []
         if base > self.expected:
             passed = [beyond.pop(seq) for seq in sorted(beyond) if seq < base]
             self.expected = base

@@ -61,7 +61,9 @@ class Segments(NamedTuple):
 
 def segments_of(shapes: Iterable[tuple[int, WallShape]]) -> Segments:
     """Return the edges of some shapes, each with the index of its owner."""
-    corners, firsts, owners, count = [np.empty((0, 2))], list[int](), list[int](), 0
+    corners, count = [np.empty((0, 2))], 0
+    firsts: list[int] = []
+    owners: list[int] = []
     for owner, shape in shapes:
         corners += [shape.corners, shape.corners[:1]] if shape.closed else [shape.corners]
         edges = len(shape.corners) - (not shape.closed)

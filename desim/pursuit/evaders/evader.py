@@ -403,7 +403,8 @@ class EvaderBody:
         """Return the first capture on a path that no wall crosses, as `contact` does."""
         assert self._walled is not None
         place, velocity, players = state.evader, self._players.velocity, self._players
-        flight, radius, times = velocity(self.player), self._radius, list[tuple[float, int]]()
+        flight, radius = velocity(self.player), self._radius
+        times: list[tuple[float, int]] = []
         near = state.distances <= radius + self._closing_bound * duration
         for pursuer in (near & ~broken).nonzero()[0].tolist():
             here, way = players.position(pursuer), velocity(pursuer)

@@ -67,7 +67,8 @@ class WallCorner:
 
     def sides_along(self, direction: float) -> frozenset[Side]:
         """Return the sides on which a player that stands here can leave in a direction (rad); none if it cannot."""
-        count, sides = len(self.rays), set[Side]()
+        count = len(self.rays)
+        sides: set[Side] = set()
         for k in self._stands_in:
             turn = (direction - self.rays[k].angle + ALIGNED) % FULL_TURN - ALIGNED
             if turn <= self._width(k) + ALIGNED:
@@ -81,7 +82,7 @@ class WallCorner:
     def sides_past(self, direction: float) -> frozenset[Side]:
         """Return the sides on which a straight line in a direction (rad) can pass here."""
         turns = [_wrapped(ray.angle - direction) for ray in self.rays]
-        sides = set[Side]()
+        sides: set[Side] = set()
         if not any(ALIGNED < turn < pi - ALIGNED for turn in turns):
             first = max(range(len(turns)), key=lambda k: turns[k] - FULL_TURN * (turns[k] > ALIGNED))
             sides |= {"left"} if self._is_free[first] else set()
@@ -125,7 +126,7 @@ class Arrangement:
         self.pieces: dict[tuple[int, int], frozenset[Side]] = {}
         enclosed = np.zeros(len(self.places), dtype=bool)
         for wall, numbers in zip(walls, chains, strict=True):
-            rings = set[int]()
+            rings: set[int] = set()
             for shape, chain in zip(wall, numbers, strict=True):
                 divided = self._divided(chain)
                 self._add_pieces(divided, solid_side(shape, wall) if shape.closed else None)

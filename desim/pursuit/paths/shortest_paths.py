@@ -55,7 +55,9 @@ class ShortestPaths:
 
         self.obstacles = obstacles
         count = len(obstacles.bends)
-        rows, columns, distances = list[int](), list[int](), list[float]()
+        rows: list[int] = []
+        columns: list[int] = []
+        distances: list[float] = []
         for k, bend in enumerate(obstacles.bends.tolist()):
             seen, apart = obstacles.bends_in_sight(bend)
             pairs = [(j, d) for j, d in zip(seen.tolist(), apart.tolist(), strict=True) if j > k]

@@ -59,7 +59,7 @@ def decorrelated(seen: Sequence[float], errors: Sequence[Sequence[float]], size:
     """
     rows = [[float(i == j) for j in range(size)] for i in range(len(seen))]
     numbers, left, pending = list(seen), [list(line) for line in errors], list(range(len(seen)))
-    entries = list[Entry]()
+    entries: list[Entry] = []
     while pending:
         k = max(pending, key=lambda i: left[i][i])
         pending.remove(k)

@@ -117,7 +117,8 @@ class NoisySensor:
         assert not isinstance(self.sensing.estimator, Unfiltered)
         if self._predicted_at != now:
             self._predicted, self._predicted_at = {}, now
-        shared, predict, tracks = self._predicted, self.sensing.estimator.predict, list[InformedTrack]()
+        shared, predict = self._predicted, self.sensing.estimator.predict
+        tracks: list[InformedTrack] = []
         for report in reports:
             entry = shared.get(id(report))  # sooner than a hash of all its numbers
             if entry is None:
