@@ -61,9 +61,9 @@ def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -
     rate = portable_sum(run.messages_sent for run in runs) / wall_time
     equal = [int(row[-1]) for row in rows if ALL_EQUAL in row]
     most = wilson(0, min(equal))[1] if equal else 0.0
-    unseen = f"; {ALL_EQUAL}: at most {most:.1%} of all seeds have another value" if equal else ""
+    unseen = f"; {ALL_EQUAL}: at most {percent(most)} of all seeds have another value" if equal else ""
     if len({*equal}) > 1:
-        unseen += f" (for {min(equal)} values; {wilson(0, max(equal))[1]:.1%} for {max(equal)})"
+        unseen += f" (for {min(equal)} values; {percent(wilson(0, max(equal))[1])} for {max(equal)})"
     is_of_truths = any(isinstance(value, bool) for name, value in runs[0].items() if name not in METRICS)
     shares = ", of shares half a Wilson interval" * is_of_truths
     late = portable_sum(run.end_time >= scenario.horizon for run in runs)
@@ -74,7 +74,8 @@ def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -
         _heading(scenario, seeds)
         + f"{every}captured in {captured} of {counted(len(runs), 'run')}; +- is half a 95 % t"
         + f" interval{shares}{unseen}\n"
-        + f"capture probability {captured / len(runs):.3f}, 95 % Wilson interval {low:.3f} to {high:.3f}\n"
+        + f"capture probability {fraction(captured / len(runs))}, 95 % Wilson interval {fraction(low)} to"
+        + f" {fraction(high)}\n"
         + ("" if captured or not late else why)
         + aligned(rows)
         + f"\nwall time {wall_time:.3f} s, {rate:,.0f} messages/s"
@@ -112,6 +113,21 @@ def _shown(value: float) -> str:
     return number(value, _decimals([abs(value)]))
 
 
+def fraction(share: float) -> str:
+    """Return a share in [0, 1] as text with three decimals, or as many as tell it apart from 0 and 1."""
+    return f"{share:.{_decimals_of_share(share, 3)}f}"
+
+
+def percent(share: float) -> str:
+    """Return a share in [0, 1] as text in %, with one decimal, or as many as tell it apart from 0 and 100 %."""
+    return f"{share:.{max(_decimals_of_share(share, 3) - 2, 1)}%}"
+
+
+def _decimals_of_share(share: float, least: int) -> int:
+    distance = min(share, 1.0 - share)
+    return max(least, -floor(log10(distance))) if distance >= NANO else least
+
+
 def with_half_width(value: Estimate, runs: int, sign: str = "", unit: str = "", digits: int | None = None) -> str:
     """Return "mean +- half width of the 95 % interval", with the number of values if it differs from `runs`.
 
@@ -124,10 +140,10 @@ def with_half_width(value: Estimate, runs: int, sign: str = "", unit: str = "", 
     digits, unit = digits_of([value]) if digits is None else digits, f" {unit}".rstrip()
     few = f" ({value.count})" if value.count != runs else ""
     if value.others is not None:
-        return f"{value.mean:{sign},.{digits}f}{unit} in all, others < {value.others:.1%}{few}"
+        return f"{value.mean:{sign},.{digits}f}{unit} in all, others < {percent(value.others)}{few}"
     if isinstance(value, Share):
         low, high = value.interval
-        return f"{value.mean:{sign}.3f} ({low:.3f} .. {high:.3f}){unit}{few}"
+        return f"{sign * (value.mean >= 0.0)}{fraction(value.mean)} ({fraction(low)} .. {fraction(high)}){unit}{few}"
     return f"{value.mean:{sign},.{digits}f} +- {number(value.half_width, digits)}{unit}{few}"
 
 

@@ -6,7 +6,17 @@ import pytest
 
 from desim.analysis.measuring import summary
 from desim.analysis.statistics import Estimate, estimate, share
-from desim.analysis.tables import aligned, as_json, batch_table, from_json, number, run_table, with_half_width
+from desim.analysis.tables import (
+    aligned,
+    as_json,
+    batch_table,
+    fraction,
+    from_json,
+    number,
+    percent,
+    run_table,
+    with_half_width,
+)
 from desim.kernel.core.units import time_text
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Scenario
@@ -165,6 +175,27 @@ def test_a_share_is_shown_and_written_with_its_interval():
     assert document["interval"] == [*found.interval]
     assert from_json(document) == found
     assert "interval" not in as_json(estimate([1.0, 2.0]))
+
+
+@pytest.mark.parametrize(
+    ("share", "as_fraction", "as_percent"),
+    [
+        *[(0.0, "0.000", "0.0%"), (1.0, "1.000", "100.0%"), (0.25, "0.250", "25.0%"), (0.0714, "0.071", "7.1%")],
+        *[
+            (3e-4, "0.0003", "0.03%"),
+            (0.9997, "0.9997", "99.97%"),
+            (0.999, "0.999", "99.9%"),
+            (4e-5, "0.00004", "0.004%"),
+        ],
+    ],
+)
+def test_a_share_near_0_or_1_is_not_shown_as_0_or_1(share, as_fraction, as_percent):
+    assert (fraction(share), percent(share)) == (as_fraction, as_percent)
+
+
+def test_of_many_equal_runs_the_share_of_others_is_not_below_0():
+    """Less than 0.0 % would be impossible."""
+    assert with_half_width(Estimate(2.0, 0.0, 20_000), 20_000) == "2.000 in all, others < 0.02%"
 
 
 def test_a_user_protocol_is_shown_by_its_name():

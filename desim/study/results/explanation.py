@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 from desim.analysis.metrics import with_unit, words
 from desim.analysis.statistics import Estimate, Share, wilson
 from desim.analysis.table_formats import Table, TableFormat, TabularResult
-from desim.analysis.tables import aligned, as_json, counted, digits_of, number, with_half_width
+from desim.analysis.tables import aligned, as_json, counted, digits_of, number, percent, with_half_width
 from desim.config.extras import naming_extras
 from desim.kernel.core.portable_math import portable_sum
 from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT, Bounds, Cost, Saving
@@ -220,10 +220,10 @@ def _network(metric: str, bounds: Bounds, unit: str) -> Iterator[str]:
     if not difference.mean.count:
         return
     if not difference.differing:
-        most = 100 * wilson(0, difference.mean.count)[1]
+        most = percent(wilson(0, difference.mean.count)[1]).replace("%", " %")
         yield (
             f"the network cannot matter in {metric}: a {PERFECT} and {SILENT} are equal in every run; up to"
-            f" {most:.1f} % of all seeds may differ (95 % Wilson interval)"
+            f" {most} of all seeds may differ (95 % Wilson interval)"
         )
     elif difference.mean.others is not None and not difference.excludes_0():
         yield (
@@ -253,6 +253,6 @@ def _unseen(metric: str, cost: Cost) -> Iterator[str]:
 def _unchanging(metric: str, cost: Cost) -> Iterator[str]:
     """Yield the note on the parts of a cost that are 0 in every run, and on the share of seeds that may differ."""
     if cost.unchanging:
-        most = 100 * wilson(0, cost.together.mean.count)[1]
+        most = percent(wilson(0, cost.together.mean.count)[1]).replace("%", " %")
         names = ", ".join(cost.unchanging)
-        yield f"0 in every run in {metric}: {names}; up to {most:.1f} % of all seeds may differ (95 % Wilson interval)"
+        yield f"0 in every run in {metric}: {names}; up to {most} of all seeds may differ (95 % Wilson interval)"

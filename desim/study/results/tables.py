@@ -8,7 +8,7 @@ import numpy as np
 from desim.analysis.metrics import title, unit_of, words
 from desim.analysis.statistics import wilson
 from desim.analysis.table_formats import Table
-from desim.analysis.tables import as_json, counted, digits_of, with_half_width
+from desim.analysis.tables import as_json, counted, digits_of, percent, with_half_width
 from desim.config.arrays import Floats
 from desim.config.errors import ArgumentError
 from desim.config.json_numbers import json_number
@@ -103,8 +103,8 @@ def notes(result: SweepRuns, metrics: Sequence[str]) -> Iterator[str]:
         if shares and min(shares) < max(shares):
             instead = ": end time counts the horizon" if metric in CAPTURE_TIMES else ""
             yield (
-                f"{words(metric)} has a value in {min(shares):.0%} to {max(shares):.0%} of the runs, so its means are"
-                f" over different, perhaps easier ones{instead}"
+                f"{words(metric)} has a value in {percent(min(shares))} to {percent(max(shares))} of the runs, so its"
+                f" means are over different, perhaps easier ones{instead}"
             )
     for group in result.groups:
         if group.failed:
@@ -199,4 +199,4 @@ def _difference_rows(
 def _share(captured: Floats) -> str:
     """Return the share of runs that ended by capture and its 95 % Wilson interval, as text in %."""
     low, high = wilson(int(captured.sum()), len(captured))
-    return f"{np.mean(captured):.1%} ({low:.1%} .. {high:.1%})"
+    return f"{percent(float(np.mean(captured)))} ({percent(low)} .. {percent(high)})"
