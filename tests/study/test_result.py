@@ -283,7 +283,7 @@ def test_the_table_shows_means_intervals_and_differences():
         "  3,000.0 in all, others < 56.1%\n"
         "\n"
         "difference from network.range = 4, run by run with the same seed\n"
-        "network.range  pairs      active time                       capture time                    messages sent\n"
+        "network.range  pairs   active time, s                    capture time, s                    messages sent\n"
         "inf                3  +1.333 +- 0.717  +1.500 in all, others < 65.8% (2)  +2,000.0 in all, others < 56.1%\n"
         "\n"
         "capture time has a value in 66.7% to 100.0% of the runs, so its means are over different, perhaps easier ones: end"
