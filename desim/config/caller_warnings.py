@@ -1,6 +1,7 @@
 """Warnings that name the line of the user's program, however many functions of desim lie between."""
 
 import sys
+from types import FrameType
 from warnings import warn
 
 BETWEEN = frozenset({"desim", "protocols", "pydantic", "contextlib", "functools", "gymnasium", "pettingzoo"})
@@ -12,7 +13,8 @@ def warn_caller(text: str, category: type[Warning] = UserWarning) -> None:
 
     If there is none, as in a command, the warning is at the line that calls this function.
     """
-    frame, level = sys._getframe(1), 2
+    frame: FrameType | None = sys._getframe(1)
+    level = 2
     while frame is not None and str(frame.f_globals.get("__name__")).partition(".")[0] in BETWEEN:
         frame, level = frame.f_back, level + 1
     warn(text, category, stacklevel=2 if frame is None else level)

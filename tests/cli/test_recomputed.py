@@ -169,7 +169,7 @@ def rows_of(text: str, head: str) -> list[list[str]]:
     first = next(k for k, line in enumerate(lines) if line.startswith(head))
     rows = lines[first + 1 :]
     rows = rows[: rows.index("")] if "" in rows else rows
-    return [re.split(r" {2,}", row) for row in rows]
+    return [re.split(r" {2,}", row.strip()) for row in rows]
 
 
 @pytest.mark.whole
@@ -365,3 +365,44 @@ def test_the_table_of_several_runs_is_that_of_the_runs(folder, name):
             assert is_rounded(half_width, expected(there)[1])
         else:
             assert half_width == "-"
+
+
+CHANGES: Mapping[str, tuple[str, ...]] = {
+    "as it is": (),
+    "latency": ("network.latency=0.0",),
+    "loss": ("network.loss=0.0",),
+    "unknown start": ("announce.start=known",),
+    "ideal": ("network.latency=0.0", "network.loss=0.0", "announce.start=known"),
+    "no messages at all": ("network.loss=1.0", "announce.start=silent"),
+}
+"""What is removed from the scenario, by the name of the part that it costs."""
+
+
+@pytest.mark.whole
+def test_the_costs_of_imperfections_are_differences_of_runs(folder):
+    """A cost is the scenario as it is minus that without the imperfection: text and JSON."""
+    command = ["explain", folder / "numbers.toml", "-n", RUNS, "-o", folder / "costs", "--allow-import"]
+    text, document = desim(*command), strict_json(desim(*command, "--json"))
+    scenarios = {name: load(folder / "numbers.toml", keys, allow_import=True) for name, keys in CHANGES.items()}
+    runs = {name: [summary(run(one, SEED + k)) for k in range(RUNS)] for name, one in scenarios.items()}
+    rows = {row[0]: row[1:] for row in rows_of(text.replace("\n+ is worse", "\n\n+ is worse"), "   ")}
+    for column, metric in enumerate(("active_time", "end_time")):
+        values = {name: values_of(one, metric) for name, one in runs.items()}
+        cost = document["costs"][metric]
+        for name in ("as it is", "ideal"):
+            check_cell(rows[name][column], values[name], RUNS)
+        parts = {name: np.subtract(values["as it is"], values[name]) for name in ("latency", "loss", "unknown start")}
+        together = np.subtract(values["as it is"], values["ideal"])
+        silent = np.subtract(values["no messages at all"], values["ideal"])
+        costs = parts | {"all together": together, "interaction": together - sum(parts.values()), "difference": silent}
+        for name, differences in costs.items():
+            cell = rows[name][column]
+            if cell == "0 in every run":
+                assert not differences.any()
+            else:
+                check_cell(cell, differences.tolist(), RUNS)
+        for name, differences in parts.items():
+            mean, half_width, _ = expected(differences.tolist())
+            assert cost["parts"][name]["mean"] == pytest.approx(mean, abs=1e-9)
+            assert cost["parts"][name]["half_width"] == pytest.approx(half_width, abs=1e-9)
+            assert cost["parts"][name]["differing"] == np.count_nonzero(differences)

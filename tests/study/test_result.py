@@ -189,7 +189,9 @@ def test_the_share_of_truth_values_has_the_interval_of_wilson():
 
 def test_means_over_runs_with_a_value_are_not_those_of_all_runs():
     """Two of three runs with a capture look as fast as three: a note, unless each configuration has as many."""
-    note = "capture time has a value in 66.7% to 100.0% of the runs, so its means are over different, perhaps easier ones"
+    note = (
+        "capture time has a value in 66.7% to 100.0% of the runs, so its means are over different, perhaps easier ones"
+    )
     assert f"{note}: end time counts the horizon" in PLAIN.table(["capture_time"])
     assert "has a value" not in PLAIN.table(["active_time"])
     assert "has a value" not in replace(PLAIN, groups=PLAIN.groups[1:]).table(["capture_time"])
@@ -286,8 +288,8 @@ def test_the_table_shows_means_intervals_and_differences():
         "network.range  pairs   active time, s                    capture time, s                    messages sent\n"
         "inf                3  +1.333 +- 0.717  +1.500 in all, others < 65.8% (2)  +2,000.0 in all, others < 56.1%\n"
         "\n"
-        "capture time has a value in 66.7% to 100.0% of the runs, so its means are over different, perhaps easier ones: end"
-        " time counts the horizon"
+        "capture time has a value in 66.7% to 100.0% of the runs, so its means are over different, perhaps easier ones:"
+        " end time counts the horizon"
     )
     assert str(PLAIN) == PLAIN.table()
 
