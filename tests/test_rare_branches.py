@@ -4,6 +4,7 @@ import pickle
 from dataclasses import replace
 from io import BytesIO
 from math import inf, isnan
+from pathlib import Path
 from queue import SimpleQueue
 
 import numpy as np
@@ -32,6 +33,7 @@ from desim.kernel.topology.correlated_channel import unknown_fading
 from desim.kernel.transport.frames import CodedPiece
 from desim.kernel.transport.receiver import REMEMBERED, CodedReceiver
 from desim.pursuit.byzantine.lies import Liar, draw_lies
+from desim.pursuit.game.game import greedy_maximal_independent_set
 from desim.pursuit.mobility.bonnmotion_file import _increase
 from desim.pursuit.motion.environment import Environment
 from desim.pursuit.motion.flow import NoFlow, RecordedFlow
@@ -39,6 +41,8 @@ from desim.pursuit.motion.turning import shortest_path
 from desim.pursuit.paths.space import PLANE
 from desim.pursuit.team.targeted_faults import NewsFault
 from desim.scenario.assumptions import times_known
+from desim.scenario.overrides import Source
+from desim.scenario.toml import looked_up_in
 from desim.simulation.restartable import _start_behaviour
 from desim.simulation.world import initial_state
 from desim.study.comparing.scores import Ratio
@@ -120,6 +124,14 @@ VALUES = {
         [*TURNING.team.headings(7), *(evader.heading(7, k) for k, evader in enumerate(TURNING.evaders))],
     ),
     "positions that are shared": lambda: ([*map(is_writeable, ("simple", "turn_rate", "acceleration"))], [False] * 3),
+    "the independent set of those that are nearest": lambda: (
+        [greedy_maximal_independent_set(phi, 3.0, [[1], [0, 2], [1]]) for phi in ([2.0, 1.0, 2.5], [2.0, 2.0, 3.0])],
+        [(False, True, False), (True, False, False)],
+    ),
+    "a source that is looked up elsewhere": lambda: (
+        looked_up_in(Source("f.toml", {}, Scenario, folder=Path("a")), Path("b")).folder,
+        Path("b"),
+    ),
     "the border of a disk": lambda: (
         Disk().received(np.array([1.0, 2.0, 2.1]), 2.0, None).tolist(),
         [True, True, False],
