@@ -698,13 +698,3 @@ def test_a_tuned_radio_senses_its_own_channel_only():
 def test_a_gateway_that_is_no_node_is_refused():
     with pytest.raises(ValueError, match=r"^gateways: there is no node 3: the nodes are 0 .. 2"):
         tuned((3,), spreading_factors=(7, 7, 7))
-
-
-@pytest.mark.parametrize(
-    ("name", "sums"), [("goursaud", [-86, -104, -121, -138, -155, -174]), ("croce", [-43, -59, -69, -88, -104, -121])]
-)
-def test_isolations_are_those_of_their_tables(name, sums):
-    """A frame of the same spreading factor needs more power than the other, and one of another less."""
-    table = np.array(ISOLATION[name])
-    assert ((table > 0) == np.eye(6, dtype=bool)).all()
-    assert table.sum(axis=1).tolist() == sums

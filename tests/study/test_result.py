@@ -23,7 +23,7 @@ from desim.study.store.file import StoreError
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from tests.command import strict_json
-from tests.study.by_hand import row
+from tests.study.by_hand import row as row_of
 from tests.summaries import changed
 
 RUN = summary(run(Scenario(horizon=0.05, team=Team(count=2))))
@@ -609,7 +609,7 @@ def test_nan_is_nothing_in_a_document():
     [("network.latency.value", True), ("announce.heartbeat", True), ("team.count", False), ("networks.x", False)],
 )
 def test_why_a_key_of_messages_may_have_no_effect_is_said(key, is_of_messages):
-    groups = [Group({key: value}, tuple(row(run, 2.0) for run in range(3))) for value in (1, 2)]
+    groups = [Group({key: value}, tuple(row_of(run, 2.0) for run in range(3))) for value in (1, 2)]
     (warning,) = SweepResult("flat", (key,), tuple(groups)).warnings()
     assert f"depends on {key}: equal in 3 pairs of runs" in warning
     assert ("a protocol may need no messages" in warning) is is_of_messages
