@@ -1,5 +1,6 @@
 """Time-outs: a run that takes too long is ended, and the error names what each pursuer waits for."""
 
+import gc
 import os
 import random
 import re
