@@ -1,8 +1,11 @@
 """Warnings that name the line of the user's program, however many functions of desim lie between."""
 
 import sys
-from types import FrameType
+from typing import TYPE_CHECKING
 from warnings import warn
+
+if TYPE_CHECKING:
+    from types import FrameType
 
 BETWEEN = frozenset({"desim", "protocols", "pydantic", "contextlib", "functools", "gymnasium", "pettingzoo"})
 """The packages whose lines no user has written."""
