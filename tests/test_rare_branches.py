@@ -6,6 +6,7 @@ from io import BytesIO
 from math import inf, isnan
 from pathlib import Path
 from queue import SimpleQueue
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -45,6 +46,7 @@ from desim.scenario.overrides import Source
 from desim.scenario.toml import looked_up_in
 from desim.simulation.restartable import _start_behaviour
 from desim.simulation.world import initial_state
+from desim.study.breaking.search import Violation
 from desim.study.comparing.scores import Ratio
 from desim.study.results.explanation import Explanation
 from desim.study.store.file import view_of
@@ -131,6 +133,10 @@ VALUES = {
     "a source that is looked up elsewhere": lambda: (
         looked_up_in(Source("f.toml", {}, Scenario, folder=Path("a")), Path("b")).folder,
         Path("b"),
+    ),
+    "the faults of a case": lambda: (
+        Violation.faults.fget(SimpleNamespace(case={"latency": {"network.latency": 1}, "crash": {"fault": [1]}})),
+        1,
     ),
     "the border of a disk": lambda: (
         Disk().received(np.array([1.0, 2.0, 2.1]), 2.0, None).tolist(),

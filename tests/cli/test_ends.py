@@ -1,5 +1,6 @@
 """How commands end when they cannot print, are given what cannot be read, or run code that ends the program."""
 
+import ast
 import errno
 import os
 import re
@@ -404,3 +405,22 @@ def test_interrupted_runs_tell_the_sweep_that_keeps_them(file, monkeypatch, caps
             main(["run", str(file()), "-n", "3", *options])
         words = ["desim sweep", str(file()), "-g horizon=0.2 -n 3", *([more] if more else [])]
         assert capsys.readouterr().err.rstrip().endswith(f"make a sweep: {' '.join(words)}")
+
+
+def of_stderr(source):
+    """Return the lines of a source at which a warning is printed, and whether each goes to stderr."""
+    calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call) and node.args]
+    printed = [call for call in calls if getattr(call.func, "id", "") == "echo"]
+    return [
+        any(keyword.arg == "err" and keyword.value.value is True for keyword in call.keywords)
+        for call in printed
+        if "warning: " in ast.unparse(call.args[0])
+    ]
+
+
+def test_every_warning_of_a_command_goes_to_stderr():
+    """The results on stdout can then be read by another program."""
+    found = [of_stderr(path.read_text()) for path in (Path(__file__).parents[2] / "desim" / "cli").rglob("*.py")]
+    assert sum(map(len, found)) > 10
+    assert all(map(all, found))
+    assert of_stderr("echo('warning: a')\necho('warning: b', err=True)\necho('c')") == [False, True]

@@ -75,6 +75,8 @@ CALLS = [
     ),
     ("status swept", "study.sweeps.status.status", ValueError("swept/job.json: no such key")),
     ("merge swept -o made", "study.store.store.Store.merge", FULL),
+    ("merge swept -o made", "study.store.store.Store.merge", denied("made/sweep.sqlite")),
+    ("merge swept -o made", "study.store.store.Store.merge", denied("elsewhere/sweep.sqlite")),
     ("fates log.csv plain.toml -o x.csv", "cli.output.write_whole", FULL),
 ]
 """The words of a command, the function that fails, and what it raises."""

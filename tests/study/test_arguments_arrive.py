@@ -124,3 +124,33 @@ def test_what_the_arguments_of_a_function_become_is_golden(name, tmp_path, monke
         raise AssertionError(f"{places[-1]} is not called")
     lines += [f"wrote {path}" for path in sorted(map(str, tmp_path.glob("*.sqlite")))]
     golden(f"arguments/{name}.txt", "\n".join(lines).replace(f"{tmp_path}/", "") + "\n")
+
+
+def test_the_runs_of_a_control_have_the_arguments_of_the_sweep(monkeypatch):
+    calls = []
+
+    def carry_out(*args, **named):
+        calls.append((args, named))
+        raise ArrivedError
+
+    monkeypatch.setattr("desim.study.comparing.control.carry_out", carry_out)
+    plan = import_module("desim.study.comparing.control").ControlPlan("the plan", (), "local_min")
+    with suppress(ArrivedError):
+        plan.carry_out("result", "store", "workers", ["mine"], timeout=50.0)
+    assert calls == [(("the plan", "store", "workers"), {"timeout": 50.0, "metrics": ["mine"]})]
+
+
+def test_a_race_is_decided_by_its_rules(monkeypatch):
+    module, calls = import_module("desim.study.selection.race"), []
+
+    def kim_nelson(_sample, *args, **named):
+        calls.append((args, named))
+        raise ArrivedError
+
+    monkeypatch.setattr(module, "kim_nelson", kim_nelson)
+    plan = module.SweepPlan.of(SMALL, GRID, 11)
+    rules = module.RaceRules("active_time", maximise=True, zone=0.5, confidence=0.9, first=7)
+    with suppress(ArrivedError):
+        module.carry_out_race(plan, None, None, rules)
+    wanted = {"zone": 0.5, "confidence": 0.9, "first": 7, "maximise": True, "most": 11}
+    assert calls == [((len(plan.configurations),), wanted)]

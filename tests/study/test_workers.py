@@ -13,6 +13,7 @@ from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, Thre
 from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
+from multiprocessing import resource_tracker
 from types import SimpleNamespace
 
 import cloudpickle
@@ -480,7 +481,10 @@ def test_a_pool_imports_nothing_from_the_working_folder_and_knows_its_driver(kep
     made = []
     for name in ("ProcessPoolExecutor", "get_reusable_executor"):
         monkeypatch.setattr(loky, name, lambda name=name, **options: made.append((name, options)))
+    tracked = []
+    monkeypatch.setattr(resource_tracker, "ensure_running", lambda: tracked.append(True))
     places._pool(3, kept=kept)
+    assert tracked == [True]
     options = {"max_workers": 3, "initializer": places._init_worker, "initargs": (os.getpid(),)}
     assert made == [
         ("ProcessPoolExecutor" if kept else "get_reusable_executor", options | {"env": places.NO_CWD_IMPORT})
