@@ -665,19 +665,27 @@ CLAIMS = (
         "the channel carries them, and the evader is alone for {1.7} s",
         [alone("server-takeover", {"protocol.period": 0.2})],
     ),
+    Claim(
+        "breaking",
+        BREAKING,
+        "number 2, the chaser, crashes at {0.7} s ([file](../_static/broken/generalised_regret_matching-2.toml), "
+        '<a href="broken/generalised_regret_matching-2.html#t=0.7">film</a>) | {6.8} |',
+        (crash_time("generalised_regret_matching-2"), alone("generalised_regret_matching-2")),
+    ),
     Claim("breaking", BREAKING, 'href="broken/server-2.html#t=2">film</a>) | {5.5} |', [alone("server-2")]),
     Claim("breaking", BREAKING, 'href="broken/server-3.html#t=0.5">film</a>) | {5.05} |', [alone("server-3")]),
     Claim(
         "breaking",
         BREAKING,
         "alone for {0.4} s in the first row, for {0.9} s under `jsfp` on change only, for {0.9} s in case 6,363, for"
-        " {1.0} s under `selective_sap`, and never under `local_min` with trust `trimmed`. If `cbba` drops a silent"
-        " winner after 0.5 s (`winner_timeout`), it is alone for {0.6} s. With bursts and a server that does not chase"
+        " {1.0} s under `selective_sap`, for {0.5} s under `generalised_regret_matching`, and never"
+        " under `local_min` with trust `trimmed`. If `cbba` drops a silent winner after 0.5 s"
+        " (`winner_timeout`), it is alone for {0.6} s. With bursts and a server that does not chase"
         " (`host = 2`) it is alone for {0.2} s, and if the jamming begins at 2 s, for {0.6} s",
         (
             *(
                 alone(name, {"announce.belief_timeout": 1.0})
-                for name in ("argmin", "jsfp-2", "sap-2", "selective_sap-2")
+                for name in ("argmin", "jsfp-2", "sap-2", "selective_sap-2", "generalised_regret_matching-2")
             ),
             alone("cbba", {"protocol.winner_timeout": 0.5}),
             alone("server-2", {"protocol.host": 2}),
