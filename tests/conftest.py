@@ -117,7 +117,6 @@ def pytest_collection_finish():
     gc.enable()
     gc.collect()
     gc.freeze()
-    gc.set_threshold(20_000, 20, 20)
 
 
 def _no_modules_left(tmp_path_factory):
