@@ -10,6 +10,7 @@ import pytest
 import desim
 from desim.study.sweeps.listing import ls
 from tests.command import accepted, refused, strict_json
+from tests.conftest import undraw
 
 FILE = """\
 name = "relay"
@@ -27,10 +28,12 @@ def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("results")
     file = folder / "relay.toml"
     file.write_text(FILE)
-    accepted("run", file, "-o", folder / "one")
-    accepted("run", file, "-n", 2, "-o", folder / "two")
-    accepted("sweep", file, "-o", folder / "swept")
-    accepted("sweep", file, "-o", folder / "parts", "--shard", "1/2")
+    with pytest.MonkeyPatch.context() as patch:
+        undraw(patch)
+        accepted("run", file, "-o", folder / "one")
+        accepted("run", file, "-n", 2, "-o", folder / "two")
+        accepted("sweep", file, "-o", folder / "swept")
+        accepted("sweep", file, "-o", folder / "parts", "--shard", "1/2")
     (folder / ".hidden").mkdir()
     (folder / ".hidden" / "trace.jsonl").write_text("")
     (folder / "empty").mkdir()

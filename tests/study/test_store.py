@@ -38,6 +38,7 @@ from desim.study.store.store import Store
 from desim.study.sweeps.sweep import sweep
 from desim.study.sweeps.sweep_plan import SweepPlan
 from desim.view.pages.report import Study, report
+from tests.conftest import undraw
 from tests.study import sweeps
 from tests.study.test_workers import command
 
@@ -476,7 +477,9 @@ def good(tmp_path_factory):
     """Return a folder with a finished sweep of 2 x 4 runs, below that of its scenario, and the table of its runs."""
     folder = tmp_path_factory.mktemp("good")
     file = sweeps.write(folder, reps=4)
-    assert command("sweep", file, "--allow-import", "-o", folder / "out").exit_code == 0
+    with pytest.MonkeyPatch.context() as patch:
+        undraw(patch)
+        assert command("sweep", file, "--allow-import", "-o", folder / "out").exit_code == 0
     table = exported(folder / "out")
     (folder / "out" / "runs.csv").unlink()
     return file, folder / "out", table
