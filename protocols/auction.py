@@ -34,9 +34,12 @@ class Bid(NamedTuple):
     """-phi, s; -inf without a bid."""
 
     @property
-    def rank(self) -> tuple[float, int]:
-        """The sort key of bids, greater for a better bid."""
-        return self.amount, -self.winner
+    def rank(self) -> tuple[float, float]:
+        """The sort key of bids, greater for a better bid.
+
+        `NO_BID` is least, also less than the bid of a pursuer whose capture time is not known here.
+        """
+        return self.amount, -inf if self.winner == NO_WINNER else -self.winner
 
 
 NO_BID = Bid(NO_WINNER, -inf)

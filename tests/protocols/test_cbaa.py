@@ -23,6 +23,7 @@ from desim.kernel.models.loss import Bernoulli
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Started
 from desim.pursuit.game.game import greedy_assignment, relay_profile
 from desim.pursuit.motion.capture import capture_time
+from desim.pursuit.sensing.sensing import Sensing
 from desim.pursuit.team.announcements import STARTS, Announcements, Assignment
 from desim.scenario.assumptions import violations
 from desim.scenario.players import Evader, Team
@@ -203,6 +204,32 @@ def test_a_pursuer_that_cannot_bid_forwards_claims(auction):
     away = Evader(position=(0.0, 0.0), speed=0.2)
     _, winners = rounds(auction, nx.path_graph(3), 0, team=team, evader=away)
     assert winners[:4] == [[0, -1, 2], [0, 0, 2], [0, 0, 0], [0, 0, 0]]
+
+
+def test_a_bid_whose_capture_time_is_not_known_is_still_a_bid():
+    """Where a pursuer does not know the evader, the capture times of its teammates are infinite."""
+    unknown = Bid(7, -inf)
+    assert NO_BID.rank < unknown.rank < Bid(7, -9.0).rank
+    assert greatest(unknown, {0: NO_BID}) == unknown
+    blind = SimpleNamespace(id=0, evaders=lambda: [1], capture_time=lambda _: inf, may_chase=lambda _: False)
+    assert chosen(blind, [unknown]) == (0, [unknown])
+
+
+@pytest.mark.parametrize("auction", AUCTIONS)
+def test_a_pursuer_that_knows_of_no_evader_claims_no_chase(auction):
+    """Each claim tells the action that its pursuer has, also where some see the evader and others hear their bids."""
+    team = Team(positions=[(1.0, 0.0), (2.0, 0.0), (50.0, 0.0), (60.0, 0.0)], speeds=2.0, active_at_start=0.0)
+    sensing, evader = Sensing(radius=5.0, period=9.0), Evader(position=(0.0, 0.0), strategy="still")
+    parts = {"protocol": auction(schedule=Rounds(period=0.1)), "sensing": sensing, "record": Recording(messages=True)}
+    case = Scenario(team=team, evader=evader, network=Links(latency=0.01), horizon=5.0, **parts)
+    actions, claims = dict.fromkeys(range(4), 0), 0
+    for event in run(case, 2).trace:
+        if isinstance(event, Decided):
+            actions[event.pursuer] = event.active
+        elif isinstance(event, Broadcast) and isinstance(event.body, Claim | StampedClaim):
+            claims += 1
+            assert event.body.active == actions[event.src]
+    assert claims > 10
 
 
 @pytest.mark.parametrize("claim", [partial(Claim, True, (2,)), partial(StampedClaim, False, (2,), stamps=(1.0, 2.0))])
