@@ -170,7 +170,7 @@ def _captures(scenario: Scenario, run: Summary) -> Iterator[tuple[str, str, str]
     capture, then the others. After `SHOWN` evaders, a last row gives the number of the remaining ones.
     """
     outcome = (
-        f"after {_shown(run.capture_time)} s by pursuer {run.capturer}"
+        f"after {_shown(run['capture_time'])} s by pursuer {run.capturer}"
         if run.captured
         else f"no, the pursuit ended after {_shown(run.end_time)} s"
     )

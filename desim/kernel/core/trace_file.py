@@ -32,8 +32,10 @@ from desim.kernel.core.units import SECOND, nanoseconds
 
 try:
     import fcntl
+
+    HAS_LOCKS = True
 except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
+    HAS_LOCKS = False
 
 Limits = Mapping[str, Any]
 """Additional pydantic constraints by mark (see `desim.kernel.core.events`), for instance {"node": Field(lt=5)}."""
@@ -104,15 +106,15 @@ class TraceFile:
         try:
             self._write()
             self._file.flush()
-            if error is None and fcntl:  # before the file is unlocked, lest another process writes what is renamed
+            if error is None and HAS_LOCKS:  # before the file is unlocked, lest another process writes what is renamed
                 self._part.replace(self._path)
         finally:
-            if fcntl:
+            if HAS_LOCKS:
                 _lock(self._file, fcntl.LOCK_UN)  # a process that was forked meanwhile would keep it locked
             self._file.close()
             self._file = None
             _WRITTEN.discard(self._place)
-        if error is None and not fcntl:  # Windows renames no file that is open
+        if error is None and not HAS_LOCKS:  # Windows renames no file that is open
             self._part.replace(self._path)
 
     def _misused(self, t: int) -> ValueError:
@@ -141,7 +143,7 @@ def _open_alone(part: Path, path: Path) -> IO[str]:
     while True:
         file = part.open("a", encoding="utf-8", newline="\n")  # it is cut only when it is locked
         try:
-            if fcntl:
+            if HAS_LOCKS:
                 _lock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 if not part.exists() or not samestat(os.fstat(file.fileno()), part.stat()):
                     file.close()  # another process has finished it meanwhile
