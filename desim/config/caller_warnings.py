@@ -16,7 +16,7 @@ def warn_caller(text: str, category: type[Warning] = UserWarning) -> None:
 
     If there is none, as in a command, the warning is at the line that calls this function.
     """
-    frame: "FrameType | None" = sys._getframe(1)
+    frame: FrameType | None = sys._getframe(1)
     level = 2
     while frame is not None and str(frame.f_globals.get("__name__")).partition(".")[0] in BETWEEN:
         frame, level = frame.f_back, level + 1
