@@ -148,6 +148,7 @@ def test_a_race_is_decided_by_its_rules(monkeypatch):
         raise ArrivedError
 
     monkeypatch.setattr(module, "kim_nelson", kim_nelson)
+    monkeypatch.setattr(module, "_Samples", lambda *_: None)
     plan = module.SweepPlan.of(SMALL, GRID, 11)
     rules = module.RaceRules("active_time", maximise=True, zone=0.5, confidence=0.9, first=7)
     with suppress(ArrivedError):
