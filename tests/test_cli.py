@@ -729,6 +729,12 @@ def test_every_command_and_every_option_has_a_help_text():
         )
 
 
+def test_every_option_says_what_it_does():
+    options = [option for _, made in commands_of(main) for option in made.params if isinstance(option, click.Option)]
+    assert len(options) > 100
+    assert [option.opts for option in options if not option.help] == []
+
+
 def test_the_usage_and_the_options_of_every_command_are_golden():
     """The words for values, the bounds and the defaults, as --help shows them, in the order of its lists."""
     lines = []
