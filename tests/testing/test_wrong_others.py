@@ -260,6 +260,7 @@ NO_MODELS = {"a number": -1, "a text": "nope", "a class with parameters": NeedsM
 CHECKS = [getattr(desim.testing, name) for name in desim.testing.__all__ if name.startswith("check_")]
 
 
+@pytest.mark.slow
 def test_what_each_check_says_of_what_is_no_model_is_golden():
     parts = {}
     for check in CHECKS:
