@@ -287,7 +287,6 @@ def test_a_turn_takes_a_step_and_what_is_dead_takes_none():
     assert turn == 14
 
 
-@pytest.mark.slow
 def test_seeds_of_reset_give_equal_episodes_and_others_differ():
     def ages(env, seed):
         return [step["ann"]["ages"].tolist() for step in talk(env, 20, seed)]

@@ -214,8 +214,10 @@ def test_each_message_is_reported_once_by_the_step_in_which_it_arrives(durations
             seen.add(identity)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("file", "changes"), [("relay", ["horizon=2.0"]), ("imperfect", ["motion.static=true"])])
+@pytest.mark.parametrize(
+    ("file", "changes"),
+    [("relay", ["horizon=2.0"]), pytest.param("imperfect", ["motion.static=true"], marks=pytest.mark.slow)],
+)
 def test_what_a_pursuit_sends_arrives_as_in_the_pursuit(file, changes):
     """A loop publishes at the instants of the announcements of a run; the control has another seed."""
     scenario = load(SCENARIOS / f"{file}.toml", ["record.messages=true", *changes])

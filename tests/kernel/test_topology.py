@@ -159,7 +159,7 @@ def answers(topology, message):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("per_link", [True, False])
 @pytest.mark.parametrize("model", [Disk(), QuasiUnitDisk(), LogDistance(), lambda d, r: np.exp(-d / r)])
 @pytest.mark.parametrize("knows", ["speed", "all", "in place"])
@@ -275,7 +275,7 @@ def differences(wandering, graph, model, steps=400):
 
 @pytest.mark.parametrize("graph", [nx.complete_graph(8), nx.cycle_graph(8), Complete()(8)])
 @pytest.mark.parametrize("model", [None, QuasiUnitDisk(certain=0.6), QuasiUnitDisk(certain=1.0), QuasiUnitDisk(p=1.0)])
-@pytest.mark.slow
+@pytest.mark.slow_but_one
 def test_receivers_that_are_kept_are_those_of_a_search_at_each_query(graph, model):
     wrong, share = differences(Wandering(8), graph, model)
     assert wrong == 0

@@ -161,7 +161,7 @@ def test_positions_are_unchanged_before_the_start_and_after_zero_time(law):
 # Going on from the last question.
 
 
-@pytest.mark.slow
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("law", [*LAWS, lambda gaps, aims, w, v: toward(gaps + w, v)])
 @settings(max_examples=40)
 @given(st.integers(0, 10**6), st.integers(0, 3 * SECOND), st.lists(st.integers(0, 3 * SECOND), min_size=1, max_size=6))

@@ -134,7 +134,7 @@ def test_times_of_some_are_those_of_all_with_inertia(dynamics, within_step):
     assert len(set(every)) == 9
 
 
-@pytest.mark.slow
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("law", [PurePursuit(), ConstantBearing()])
 @pytest.mark.parametrize("evaders", [1, 3])
 @pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
