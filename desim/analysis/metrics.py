@@ -269,7 +269,7 @@ class Summary(Mapping[str, Any]):
     )
     """Number of messages that were under way at the end of the run."""
     transmissions: int = entry(lambda result: messages(result).transmissions, more_is="worse")
-    """Number of transmissions, also of those that reach nobody, and of each attempt of a frame on a channel."""
+    """Number of transmissions, whatever the number of receivers, also 0; each attempt on a channel counts."""
     bytes_sent: int = entry(
         lambda result: messages(result).bytes_sent,
         note=lambda run: f"in {run['transmissions']:,} transmissions",
