@@ -50,10 +50,10 @@ def informed(track: Track) -> InformedTrack:
 def fused(tracks: Sequence[InformedTrack], how: Fusion) -> Track:
     """Return the fusion of tracks of the same time, one by one.
 
-    naive: the inverse covariances are added, as if the errors were independent; information that several tracks contain
-    counts as often. covariance_intersection: of two, they are averaged with the weight w = tr(P2) / (tr(P1) + tr(P2))
-    (Niehsen 2002), which is consistent whatever the correlation of the errors (Julier & Uhlmann 1997). The traces add m^2
-    and (m/s)^2, so the weight, and not the consistency, depends on these units.
+    naive: the inverse covariances are added, as if the errors were independent; information that several tracks
+    contain counts as often. covariance_intersection: of two, they are averaged with the weight w = tr(P2) / (tr(P1)
+    + tr(P2)) (Niehsen 2002), which is consistent whatever the correlation of the errors (Julier & Uhlmann 1997).
+    The traces add m^2 and (m/s)^2, so the weight, and not the consistency, depends on these units.
 
     Kept equal to corrections of the first track by
     `tests/pursuit/test_tracking.py::test_tracks_that_are_fused_by_information_are_those_that_are_corrected`.

@@ -65,11 +65,11 @@ class Sensing(Value):
     If in doubt, use the time in which the evader crosses the sensing radius, and at least ten periods of reports.
     """
     on_lost: Literal["stay", "search"] = "search"
-    """Reaction to a lost evader. stay: it may not be chased; search: its estimated position moves along a spiral at about
-    the speed of the pursuer, and faster in the first turn, from the last estimated position. The spiral starts when the
-    evader is lost, even if the pursuer is still far away. Its turns are 2 R_s apart, at least 2 eps; if only walls limit
-    the sight, R_s is the way of the evader in the time T_lost. It is rotated by another angle for each pursuer. A pursuer
-    without any sighting of an evader may not chase it."""
+    """Reaction to a lost evader. stay: it may not be chased; search: its estimated position moves along a spiral at
+    about the speed of the pursuer, and faster in the first turn, from the last estimated position. The spiral starts
+    when the evader is lost, even if the pursuer is still far away. Its turns are 2 R_s apart, at least 2 eps; if only
+    walls limit the sight, R_s is the way of the evader in the time T_lost. It is rotated by another angle for each
+    pursuer. A pursuer without any sighting of an evader may not chase it."""
     noise: Annotated[Noise, NOISES] = Noiseless()
     """Noise of sightings."""
     interval: Period = 0.05
