@@ -125,6 +125,14 @@ def words_of(page: str) -> str:
 README, FINDINGS, NEGOTIATION = "README.md", "docs/explanation/findings.md", "docs/explanation/negotiation.md"
 VALIDATION, GAME, TIME = "docs/explanation/validation.md", "docs/explanation/game.md", "docs/explanation/time.md"
 HOWTO, FIRST, OWN = "docs/howto/protocols.md", "docs/tutorials/first_pursuit.md", "docs/tutorials/own_protocol.md"
+NOTICED_LATE: dict[str, object] = {
+    "seed": 2771,
+    "team.count": 3,
+    "network.medium": "unlimited",
+    "network.latency": {"kind": "shifted_exponential", "mean": 0.8},
+    "fault.0.start": 1.0,
+}
+"""A server with takeover that notices the crash of a chaser too late."""
 RACE, BEST, BREAKING = "docs/howto/race.md", "docs/howto/which_is_best.md", "docs/howto/breaking.md"
 BENCH = "docs/howto/bench.md"
 COMMANDS = MappingProxyType(
@@ -697,6 +705,12 @@ CLAIMS = (
         BREAKING,
         "nobody would be in time any more; in 15 s instead of 11 s the evader is alone for {0.7} s",
         [alone("server", {"protocol.takeover": True, "horizon": 15.0})],
+    ),
+    Claim(
+        "breaking",
+        BREAKING,
+        "is noticed after {2.0} s, too late for 7.5 s; in 10 s the evader is alone for {2.0} s",
+        [alone("server-takeover", NOTICED_LATE | {"horizon": 10.0})] * 2,
     ),
     Claim(
         "breaking",

@@ -40,6 +40,7 @@ SETTINGS = {
     "equally fast (2.5 m/s), a latency of 0.1 s and heartbeats each 0.1 s": "BASE of the study",
     "each 0.34 s and a latency of 0.1 s, lose their chaser at 0.6 s": "of the claim beside it",
     "with a loss of 0.2 and no crash": "of the claim beside it",
+    "a random latency of 0.8 s in the mean": "of the claim beside it",
 }
 """Texts with settings, and where these are set."""
 OPTIONS = Remembering("check_pages", 4, 1, 2, Path("out"), as_json=False)
