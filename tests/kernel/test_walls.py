@@ -21,6 +21,7 @@ from desim.kernel.walls.crossings import (
 )
 from desim.kernel.walls.materials import MATERIALS, slab_loss
 from desim.kernel.walls.wall import Wall, blocking
+from desim.kernel.walls.wall_file import wkt_in
 
 SQUARE = ((0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0))
 
@@ -193,9 +194,9 @@ def test_a_wall_that_is_none_is_refused_with_what_is_allowed(case):
         (
             '<svg><path style="transform: scale(2)" d="M0 0H1"/></svg>',
             "a.svg",
-            "a transformation in a style is not read",
+            "transform in a style is not read",
         ),
-        ('<svg><g transform-origin="2 2"><path d="M0 0H1"/></g></svg>', "a.svg", "a transformation in a style is not"),
+        ('<svg><g transform-origin="2 2"><path d="M0 0H1"/></g></svg>', "a.svg", "transform-origin is not read"),
         ('<svg><rect rx="1" width="4" height="2"/></svg>', "a.svg", "round corners: make them straight"),
         ('<svg><rect width="4cm" height="2"/></svg>', "a.svg", "<rect> width: '4cm' should be a number in the unit of"),
         ('<svg><polygon points="0 0 1"/></svg>', "a.svg", "L should have 2 numbers"),
@@ -222,7 +223,16 @@ def test_a_wall_that_is_none_is_refused_with_what_is_allowed(case):
         ('<svg><path fill="none" stroke="#00000000" d="M0 0H1"/></svg>', "a.svg", "neither a fill nor a stroke"),
         ('<svg><path fill="none" stroke="rgba(1, 2, 3, 0)" d="M0 0H1"/></svg>', "a.svg", "neither a fill nor a stroke"),
         ('<svg><path fill="#ccc0" stroke="rgb(1 2 3 / 0%)" d="M0 0H1"/></svg>', "a.svg", "neither a fill nor a stroke"),
-        ('<svg><style>path{transform:none}</style><path d="M0 0H1"/></svg>', "a.svg", "a transformation in a style is"),
+        ('<svg><style>path{transform:none}</style><path d="M0 0H1"/></svg>', "a.svg", "transform in a style is"),
+        ('<svg><style>path{fill:none!important}</style><path d="M0 0H1"/></svg>', "a.svg", "leave out !important"),
+        ("<svg><style>@media print {path{fill:none}}</style><path d='M0 0H1'/></svg>", "a.svg", "'@media' in its"),
+        ('<svg><path d="M0 0 L5 0 L5 5 L0 0"/></svg>', "a.svg", "an open <path> has a fill, and looks solid: close it"),
+        ('<svg><polyline points="0 0 5 0 5 5"/></svg>', "a.svg", "an open <polyline> has a fill"),
+        ('<svg><path d="M0 0h9v9h-9z M2 2h5v5h-5z"/></svg>', "a.svg", "lies in another one that has a fill"),
+        ('<svg><rect width="9" height="9"/><rect x="1" y="1" width="2" height="2"/></svg>', "a.svg", "is no hole in"),
+        ('<svg><rect width="-4" height="9"/></svg>', "a.svg", "at least 0 .got -4 and 9"),
+        ('<svg><style>rect{width:9px}</style><rect height="9"/></svg>', "a.svg", "width in a style is not read"),
+        ('<svg><path d="noneM0 0H1"/></svg>', "a.svg", "n is no command"),
         ('<svg><path style="fill:none;stroke:red;stroke-width:0px" d="M0 0H1"/></svg>', "a.svg", "neither a fill nor"),
         ('<svg><path fill-opacity="0" stroke="red" stroke-opacity="0.0" d="M0 0H1"/></svg>', "a.svg", "neither a fill"),
         ('<svg><switch><path d="M0 0H1"/><g><path d="M0 2H1"/></g></switch></svg>', "a.svg", "one is drawn"),
@@ -301,7 +311,7 @@ def test_a_closed_path_without_a_fill_is_a_line_around_a_free_inside(tmp_path, d
 
 SHAPES = {
     '<line x1="1" y1="2" x2="3" y2="4" stroke="red"/>': ([[1, -2], [3, -4]], False),
-    '<polyline points="1,2 3,4 5-6" stroke="red"/>': ([[1, -2], [3, -4], [5, 6]], False),
+    '<polyline points="1,2 3,4 5-6" fill="none" stroke="red"/>': ([[1, -2], [3, -4], [5, 6]], False),
     '<polygon points="1 2 3 4 5 2"/>': ([[1, -2], [3, -4], [5, -2]], True),
     '<polygon fill="none" stroke="red" points="1 2 3 4 5 2"/>': ([[1, -2], [3, -4], [5, -2], [1, -2]], False),
     '<rect x="1" y="2px" width="3" height="4"/>': ([[1, -2], [4, -2], [4, -6], [1, -6]], True),
@@ -314,10 +324,8 @@ SHAPES = {
     '<path transform="matrix(1 0 0 -1 0 7) , scale(2,3)" d="M1 2H3"/>': ([[2, -1], [6, -1]], False),
     '<path transform="skewX(45)" d="M1 2H3"/>': ([[3, -2], [5, -2]], False),
     '<path transform="skewY(-45)" d="M1 2H3"/>': ([[1, -1], [3, 1]], False),
-    "<style>/* x */ .a {stroke: red !important} path {fill: none; stroke: none}</style><path class='a' d='M1 2H3'/>": (
-        [[1, -2], [3, -2]],
-        False,
-    ),
+    "<style>/* x */ @import 'a;b'; @font-face {src: c} .a {stroke: red} path {fill: none; stroke: none}</style>"
+    '<path class="a" d="M1 2H3"/>': ([[1, -2], [3, -2]], False),
 }
 
 
@@ -328,6 +336,38 @@ def test_a_drawing_is_read_as_it_is_shown(tmp_path, drawing, expected):
     (tmp_path / "a.svg").write_text(f'{doctype}<svg xmlns="http://www.w3.org/2000/svg">{drawing}</svg>')
     (shape,) = Wall(file=str(tmp_path / "a.svg")).shapes
     assert (shape.corners.round(12).tolist(), shape.closed) == expected
+
+
+HOLLOW = [
+    '<path d="M0 0h9v9h-9z M2 2v5h5v-5z"/>',
+    '<path fill-rule="evenodd" d="M0 0h9v9h-9z M2 2h5v5h-5z"/>',
+    '<g style="fill-rule:evenodd" transform="scale(-1 1)"><path d="M0 0h9v9h-9z M2 2h5v5h-5z"/></g>',
+    '<path d="M0 0h9v9h-9z M2 2v5h5v-5z"/><rect x="3" y="3" width="1" height="1"/>',
+    '<path d="M20 0h9v9h-9z"/><path d="M0 0h9v9h-9z M2 2v5h5v-5z"/>',
+]
+
+
+@pytest.mark.parametrize("drawing", HOLLOW, ids=range(len(HOLLOW)))
+def test_a_hole_of_a_drawing_is_a_hole_by_its_fill_rule(tmp_path, drawing):
+    (tmp_path / "a.svg").write_text(f"<svg>{drawing}</svg>")
+    x = np.array([0.5, 2.5, 3.5]) * (-1 if "scale" in drawing else 1)
+    shapes = Wall(file=str(tmp_path / "a.svg")).shapes
+    inside = are_inside(np.column_stack([x, [-0.5, -2.5, -3.5]]), shapes)
+    assert inside.tolist() == [True, False, len(shapes) == 3 and "rect" in drawing]
+
+
+LONG = [
+    "<style>" + "a" * 100_000 + "</style>",
+    "<style>@import url('data:" + "a" * 100_000 + "'); " + "/*" * 50_000 + "</style>",
+    f"<style>{''.join(f'.a{k}{{fill:red}}' for k in range(3000))}</style>" + "<path class='a7' d='M0 0H1'/>" * 2999,
+]
+
+
+@pytest.mark.parametrize(("text", "count"), list(zip(LONG, (1, 1, 3000), strict=True)), ids=range(3))
+def test_a_long_style_sheet_is_read_once(tmp_path, text, count):
+    """A search that began anew at each sign took minutes."""
+    (tmp_path / "a.svg").write_text(f'<svg>{text}<path d="M0 0H1"/></svg>')
+    assert wkt_in(tmp_path / "a.svg").count("LINESTRING") == count
 
 
 def test_a_drawing_of_many_groups_is_read(tmp_path):

@@ -1,8 +1,9 @@
 """Drawings in SVG (W3C, SVG 1.1, Second Edition) as walls: the lines and rings that a browser shows.
 
 Paths, lines, polylines, polygons and rectangles are read, with transformations and inherited styles. A closed shape
-that has a fill is a ring. One without a fill is a line, and its inside is free, as that of a room in a floor plan.
-What would look otherwise than it is read is refused: hidden parts, curves, and objects that are drawn by others.
+that has a fill is a ring. One without a fill is a line, and its inside is free, as that of a room in a floor plan. A
+line needs no stroke. What else would look otherwise than it is read is refused: hidden parts, curves, open shapes with
+a fill, solid shapes in others, and objects that are drawn by others.
 """
 
 import re
@@ -11,20 +12,24 @@ from math import cos, radians, sin, tan
 from typing import NamedTuple
 from xml.etree import ElementTree
 
+import numpy as np
+
+from desim.config.arrays import Floats
 from desim.config.number_files import number_of
+from desim.kernel.walls.crossings import WallShape, are_inside
 from desim.kernel.walls.outlines import Outline, svg_outlines
 
 NAMESPACES = frozenset({"", "http://www.w3.org/2000/svg"})
 GROUPS = frozenset({"svg", "g", "a"})
 REFUSED = frozenset({"circle", "ellipse", "use", "image", "text", "foreignObject"})
 """Elements that are drawn, and not read. All others that are not named here are not drawn where they stand."""
-INHERITED = frozenset({"fill", "fill-opacity", "stroke", "stroke-opacity", "stroke-width", "visibility"})
+INHERITED = frozenset({"fill", "fill-opacity", "fill-rule", "stroke", "stroke-opacity", "stroke-width", "visibility"})
 """The properties that elements have from those around them."""
-PROPERTIES = INHERITED | {"display", "opacity", "clip-path", "mask", "transform", "transform-origin"}
+PLACES = frozenset({"transform", "transform-origin", "d", "x", "y", "width", "height", "rx", "ry"})
+"""The properties that say where an element is drawn: as attributes they are read, but for the second."""
+PROPERTIES = INHERITED | PLACES | {"display", "opacity", "clip-path", "mask"}
 """The properties that say what is drawn."""
-COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
-RULE = re.compile(r"([^{}]+)\{([^{}]*)\}")
-"""Matches the selectors and the body of a rule of a style sheet."""
+COMMENT = re.compile(r"/\*.*?(?:\*/|\Z)", re.DOTALL)
 SELECTOR = re.compile(r"(\*|[\w-]+)?(?:([.#])([\w-]+))?")
 """Matches a selector by element, class or id."""
 ZERO = r"(?:0+\.?0*|\.0+)(?:[a-zA-Z]+|%)?"
@@ -51,8 +56,18 @@ class _Around(NamedTuple):
     """Why none of its parts show; "" if they do."""
 
 
-def svg_file_outlines(text: str) -> Iterator[Outline]:
-    """Yield the outlines in a drawing, in the order in which they are drawn; y points up.
+class _Drawn(NamedTuple):
+    """An outline as it is drawn."""
+
+    outline: Outline
+    element: int
+    """The number of the element that it belongs to."""
+    is_evenodd: bool
+    """Whether `fill-rule` is evenodd, not nonzero."""
+
+
+def svg_file_outlines(text: str) -> list[Outline]:
+    """Return the outlines in a drawing, in the order in which they are drawn; y points up.
 
     Raises:
         ValueError: if the text is no drawing, or has something that would be read otherwise than it looks.
@@ -63,7 +78,7 @@ def svg_file_outlines(text: str) -> Iterator[Outline]:
         raise ValueError(f"is not a drawing in SVG: {error}") from error
     if _name(root) != "svg":
         raise ValueError(f"is not a drawing in SVG: its first element is <{root.tag.rpartition('}')[2]}>")
-    rules = _style_rules(root)
+    rules, drawn = _style_rules(root), list[_Drawn]()
     waiting = [(root, _Around({}, (1.0, 0.0, 0.0, 1.0, 0.0, 0.0), ""))]
     while waiting:
         element, around = waiting.pop()
@@ -79,8 +94,42 @@ def svg_file_outlines(text: str) -> Iterator[Outline]:
         properties = _style(element, name, rules)
         around = _within(around, properties)
         if name in SHAPES and (data := SHAPES[name](element)):
-            yield from _drawn(svg_outlines(data), name, around)
+            is_evenodd = around.style.get("fill-rule") == "evenodd"
+            number = drawn[-1].element + 1 if drawn else 0
+            drawn += [_Drawn(outline, number, is_evenodd) for outline in _placed(svg_outlines(data), name, around)]
         waiting += [(child, around) for child in reversed(element)]
+    _check_nesting([shape for shape in drawn if shape.outline.closed])
+    return [shape.outline for shape in drawn]
+
+
+def _check_nesting(rings: list[_Drawn]) -> None:
+    """Raise ValueError if the inside of a ring is not solid or free in turns, from the outermost to the innermost."""
+    if len(rings) < 2:
+        return
+    shapes = [WallShape(np.array(ring.outline.corners), closed=True) for ring in rings]
+    firsts = np.array([shape.corners[0] for shape in shapes])
+    within = np.array([are_inside(firsts, [shape]) for shape in shapes])  # (outer, inner)
+    np.fill_diagonal(within, val=True)
+    turns = np.array([1 if _area(shape.corners) > 0.0 else -1 for shape in shapes])
+    elements = np.array([ring.element for ring in rings])
+    solid = np.zeros(len(rings), dtype=bool)
+    for element in np.unique(elements):
+        mine = elements == element
+        if rings[int(mine.argmax())].is_evenodd:
+            solid |= within[mine].sum(axis=0) % 2 == 1
+        else:
+            solid |= turns[mine] @ within[mine] != 0
+    if (solid != (within.sum(axis=0) % 2 == 1)).any():
+        raise ValueError(
+            "a closed shape lies in another one that has a fill, and is no hole in it: delete the inner one, or unite"
+            " them in the editor"
+        )
+
+
+def _area(corners: Floats) -> float:
+    """Return the area of a ring, m^2, negative if its corners are clockwise."""
+    x, y = (corners - corners[0]).T
+    return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
 
 
 def _name(element: ElementTree.Element) -> str:
@@ -95,32 +144,28 @@ def _name(element: ElementTree.Element) -> str:
 class _Rule(NamedTuple):
     """A rule of a style sheet for one selector."""
 
-    weight: int
-    """The greater one counts: 0 for elements, 1 for classes, 2 for ids."""
+    weight: tuple[int, int]
+    """The greater one counts: 4 for an id, 2 for a class, 1 for an element, in sum; then the later one."""
     element: str
     """"": all."""
-    kind: str
-    """`.`: a class; `#`: an id; "": neither."""
-    called: str
-    """The class or the id."""
     style: Mapping[str, str]
 
-    def concerns(self, element: ElementTree.Element, name: str) -> bool:
-        """Return whether it is for an element with a name."""
-        if self.element and self.element != name:
-            return False
-        if self.kind == ".":
-            return self.called in element.get("class", "").split()
-        return not self.kind or element.get("id") == self.called
+
+_Rules = dict[str, list[_Rule]]
+"""By what a rule is for: `.class`, `#id`, or "", which is for all."""
 
 
-def _style_rules(root: ElementTree.Element) -> list[_Rule]:
-    """Return the rules of all style sheets that say what is drawn, the last of which counts."""
-    rules: list[_Rule] = []
+def _style_rules(root: ElementTree.Element) -> _Rules:
+    """Return the rules of all style sheets that say what is drawn."""
+    rules: _Rules = {}
     for sheet in root.iter():
-        if _name(sheet) != "style":
+        if _name(sheet) != "style" or sheet.get("media", "all") not in {"all", "screen"}:
             continue
-        for selectors, body in RULE.findall(COMMENT.sub("", sheet.text or "")):
+        for part in COMMENT.sub("", sheet.text or "").split("}"):
+            selectors, _, body = part.partition("{")
+            selectors = selectors.rpartition(";")[2].strip()  # statements such as @import end with a semicolon
+            if selectors.startswith("@") and selectors != "@font-face":
+                raise ValueError(f"{selectors.split()[0]!r} in its style sheet is not read: give styles to objects")
             if not (style := _declarations(body)):
                 continue
             for selector in map(str.strip, selectors.split(",")):
@@ -129,29 +174,36 @@ def _style_rules(root: ElementTree.Element) -> list[_Rule]:
                     raise ValueError(
                         f"the selector {selector!r} of its style sheet is not read: give styles to objects"
                     )
-                weight = {".": 1, "#": 2}.get(match[2], 0)
-                rules.append(_Rule(weight, (match[1] or "").strip("*"), match[2] or "", match[3] or "", style))
-    return sorted(rules, key=lambda rule: rule.weight)
+                element, kind = (match[1] or "").strip("*"), match[2] or ""
+                weight = {"": 0, ".": 2, "#": 4}[kind] + bool(element), len(rules)
+                rules.setdefault(kind + (match[3] or ""), []).append(_Rule(weight, element, style))
+    return rules
 
 
 def _declarations(text: str) -> dict[str, str]:
     """Return the properties in a list `name: value; ...` that say what is drawn."""
     pairs = (part.partition(":") for part in text.split(";"))
-    named = ((name.strip().lower(), value.replace("!important", "").strip()) for name, _, value in pairs)
-    return {name: value for name, value in named if name in PROPERTIES}
+    named = ((name.strip().lower(), value.strip()) for name, sign, value in pairs if sign)
+    style = {name: value for name, value in named if name in PROPERTIES}
+    for name, value in style.items():
+        if "!" in value:
+            raise ValueError(f"'{name}: {value}' is not read: leave out !important")
+        if name in PLACES:
+            raise ValueError(f"{name} in a style is not read: make it an attribute in the editor")
+    return style
 
 
-def _style(element: ElementTree.Element, name: str, rules: list[_Rule]) -> dict[str, str]:
+def _style(element: ElementTree.Element, name: str, rules: _Rules) -> dict[str, str]:
     """Return what an element says itself: its style before the rules of style sheets, and these before attributes."""
     attributes = {key: value.strip() for key, value in element.attrib.items() if key in PROPERTIES}
-    style: dict[str, str] = {}
-    for rule in rules:
-        if rule.concerns(element, name):
-            style |= rule.style
-    style |= _declarations(element.get("style", ""))
-    if "transform" in style or "transform-origin" in {**attributes, **style}:
-        raise ValueError("a transformation in a style is not read: apply transformations in the editor")
-    return {key: value for key, value in (attributes | style).items() if value != "inherit"}
+    if "transform-origin" in attributes:
+        raise ValueError("transform-origin is not read: apply transformations in the editor")
+    keys = ["", *(f".{one}" for one in element.get("class", "").split()), f"#{element.get('id')}"]
+    concerned = [rule for key in keys for rule in rules.get(key, ()) if rule.element in {"", name}]
+    for rule in sorted(concerned, key=lambda rule: rule.weight):
+        attributes |= rule.style
+    attributes |= _declarations(element.get("style", ""))
+    return {key: value for key, value in attributes.items() if value != "inherit"}
 
 
 def _within(around: _Around, properties: Mapping[str, str]) -> _Around:
@@ -168,8 +220,8 @@ def _within(around: _Around, properties: Mapping[str, str]) -> _Around:
     return _Around(style, _product(around.matrix, _matrix(properties.get("transform", ""))), hidden)
 
 
-def _drawn(outlines: list[Outline], name: str, around: _Around) -> Iterator[Outline]:
-    """Yield the outlines of a shape as they are drawn; raise ValueError if they do not show."""
+def _placed(outlines: list[Outline], name: str, around: _Around) -> Iterator[Outline]:
+    """Yield the outlines of a shape where they are drawn; raise ValueError if they would look otherwise."""
     style, (a, b, c, d, e, f) = around.style, around.matrix
     visibility = style.get("visibility", "visible")
     if hidden := around.hidden or (f"visibility: {visibility}" if visibility in {"hidden", "collapse"} else ""):
@@ -181,6 +233,8 @@ def _drawn(outlines: list[Outline], name: str, around: _Around) -> Iterator[Outl
         )
     for corners, closed in outlines:
         # The outline has y up, the transformation is for y down.
+        if has_fill and not closed and len(corners) > 2:
+            raise ValueError(f"an open <{name}> has a fill, and looks solid: close it, or take away its fill")
         moved = tuple((a * x - c * y + e, d * y - b * x - f) for x, y in corners)
         is_free = closed and not has_fill
         yield Outline((*moved, moved[0]) if is_free else moved, closed and has_fill)
@@ -264,6 +318,8 @@ def _rect(element: ElementTree.Element) -> str:
     x, y, width, height, rx, ry = (_length(element, key) for key in ("x", "y", "width", "height", "rx", "ry"))
     if rx or ry:
         raise ValueError("<rect> has round corners: make them straight in the editor")
+    if width < 0.0 or height < 0.0:
+        raise ValueError(f"<rect> should have a width and a height of at least 0 (got {width:g} and {height:g})")
     return f"M {x!r} {y!r} h {width!r} v {height!r} h {-width!r} Z" if width and height else ""
 
 
@@ -282,7 +338,7 @@ def _length(element: ElementTree.Element, key: str) -> float:
 
 
 SHAPES: Mapping[str, Callable[[ElementTree.Element], str]] = {
-    "path": lambda element: element.get("d", "").strip().removeprefix("none"),
+    "path": lambda element: "" if (data := element.get("d", "").strip()) == "none" else data,
     "line": _line,
     "polyline": _points,
     "polygon": lambda element: f"{points} Z" if (points := _points(element)) else "",

@@ -139,7 +139,7 @@ class Wall(Value):
         where = f"the edge from {a} to {b} meets that from {c} to {d}"
         if contact.first != contact.second:
             which = f"polygons {contact.first} and {contact.second} touch each other"
-            raise ValueError(f"{which}: {where}; give each a wall of its own")
+            raise ValueError(f"{which}: {where}; give each a wall of its own, or unite them")
         raise ValueError(f"a polygon should not cross or touch itself: {where}")
 
 

@@ -45,7 +45,7 @@ def wkt_in(file: Path, *, is_scaled: bool = False) -> str:
 
 def _wkt_of_drawing(text: str, file: Path) -> str:
     try:
-        outlines = list(svg_file_outlines(text))
+        outlines = svg_file_outlines(text)
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
     if not outlines:
