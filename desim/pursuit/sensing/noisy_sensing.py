@@ -313,7 +313,9 @@ class TrackingView(LimitedView):
         if not isinstance(model, Unfiltered):
             if evader not in self._filters:
                 window = nanoseconds(min(self._sensing.track_timeout, 1e9))
-                speed = self.state.body(evader).speed
+                environment = self.state.environment
+                wind = environment.top_speed if environment.on == "all" and environment.top_speed < inf else 0.0
+                speed = self.state.body(evader).speed + wind  # sightings are over ground
                 self._filters[evader] = Filter(model, window, self._covariance_at, speed=speed)
             self._filters[evader].add(seen)
 

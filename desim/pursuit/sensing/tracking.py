@@ -26,7 +26,7 @@ VelocityDiffusion = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False, st
 START_SPEED = 10.0
 """Standard deviation, m/s, of each component of the velocity after the first sighting of an evader that is no faster.
 
-Of a faster evader it is its speed: with less, a filter would be surer of its first tracks than it can be.
+Of a faster evader it is its speed over ground: with less, a filter would be surer of its first tracks than it can be.
 """
 
 
@@ -195,7 +195,7 @@ class Kalman(_Diffusing):
     """The Kalman filter (Kalman 1960).
 
     After the first sighting each component of the velocity is unknown: 0, with a standard deviation of 10 m/s or, if
-    that is greater, the speed of the evader.
+    that is greater, the speed of the evader over ground, with that of a bounded flow that carries it.
     """
 
     kind: Literal["kalman"] = "kalman"
@@ -260,7 +260,7 @@ class Filter:
         model: the filter.
         window: age, ns, beyond which a sighting is ignored; the sightings within it are kept.
         covariance_at: the covariance of the error of a sighting; None: that which each sighting has.
-        speed: the speed of the evader, m/s.
+        speed: the greatest speed of the evader over ground, m/s.
     """
 
     def __init__(self, model: Estimator, window: int, covariance_at: CovarianceAt | None = None, *, speed: float = 0.0):
