@@ -51,8 +51,8 @@ LABEL = re.compile(
     |
         (?:
             \s*[/,:]\s* | \s+in\s+ | _in_ | \s+ | _
-        |   (?-i:(?<=[a-zXYZ])(?=[A-Z])(?!Min))  # posCm, but not posMin
-        |   (?<=^[xyz])(?=[a-z]?m$|ft|px)  # xcm
+        |   (?-i:(?<=[a-zXYZ])(?=[A-Z][a-z])(?!Min))  # posCm, but neither posMin nor posM
+        |   (?-i:(?<=^[xyzXYZ])(?=[a-z]?m$|ft|px))  # xcm, but not xM
         |   (?<=^t)(?=[mun]s)  # tms
         )
         (?P<unit>{"|".join(NAMES_OF_UNITS.values())}|m|mi|dm|min|h)

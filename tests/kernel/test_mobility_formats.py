@@ -308,6 +308,13 @@ def test_other_columns_that_name_no_nodes_are_ignored(tmp_path, values):
     assert read_mobility(file).track(0).waypoints[-1][:3] == (2.0, 2.0, 0.0)
 
 
+@pytest.mark.parametrize("others", ["xS,yS", "xM,yM", "xH,yH", "tS,camM", "xMax,yMax", "x_goal,y_goal", "timeMs,temp"])
+def test_columns_with_a_further_letter_or_word_are_others(tmp_path, others):
+    (tmp_path / "a.csv").write_text(f"t,x,y,{others}\n0,1,2,7,8\n1,2,3,7,8\n")
+    waypoints = read_mobility(tmp_path / "a.csv").track(0).waypoints
+    assert [point[:3] for point in waypoints] == [(0.0, 1.0, 2.0), (1.0, 2.0, 3.0)]
+
+
 @pytest.mark.parametrize("names", ["id,vehicle", "vehicle,node", "uav,name"])
 def test_two_columns_that_name_the_nodes_differently_are_refused(tmp_path, names):
     first, second = names.split(",")
