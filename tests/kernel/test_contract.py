@@ -635,6 +635,61 @@ def test_the_comparison_detects_a_node_that_leaves_the_range_while_a_message_fli
     assert 0 < certain < 0.5 * reached
 
 
+class Parting(PositionSource):
+    """Node 1 stays 1 m from node 0; node 2 goes away from it at 1 m/s, from 1.7 m on."""
+
+    looks_back, max_speed = True, 1.0
+
+    def __init__(self, clock):
+        self._clock = clock
+
+    def __call__(self):
+        return self.at(np.arange(3), np.array(self._clock.now))
+
+    def at(self, nodes, times):
+        here = np.array([[0.0, 0.0], [1.0, 0.0], [1.7, 0.0]])[nodes]
+        return here + np.outer(np.atleast_1d(times) / SECOND, [1.0, 0.0]) * (np.asarray(nodes) == 2)[:, np.newaxis]
+
+
+def parted(layer, latency, check):
+    """Return what nodes 1 and 2 have got of node 0 up to each time, and what is counted, if the range is 2 m."""
+    clock, trace, seen = Clock(), Trace(), []
+    links = Links(latency=latency, range=2.0, range_check=check)
+    network = network_over(layer)(clock, nx.complete_graph(3), links, positions=Parting(clock), trace=trace)
+    for k in range(19):  # node 2 is within range up to 0.3 s
+        now = k * SECOND // 20
+        Instant(clock, now, Phase.DECISION).callbacks.append(lambda _, k=k: transmit(network, WAYS[k % 3]))
+        Instant(clock, now, Phase.SAMPLE).callbacks.append(
+            lambda _: seen.append([(network.latest_records(node), network.inbox(node).drain()) for node in (1, 2)])
+        )
+    clock.run(until=2 * SECOND)
+    return seen, network.message_counts(), list(trace)
+
+
+def late_at_node_2(context, rng):
+    """Return latencies of 0.2 s to node 2 and 0.05 s to others."""
+    return np.where(np.asarray(context.dst) == 2, 0.2, 0.05)
+
+
+@pytest.mark.parametrize("latency", [late_at_node_2, Constant(value=0.1)])
+@pytest.mark.parametrize("check", ["delivery", "both"])
+def test_a_node_that_leaves_the_range_gets_what_decisions_on_arrival_give_it(latency, check):
+    """The control takes all who are within range when a message is sent for certain."""
+    certain = []
+
+    class Counting(MessageDelivery):
+        def _in_range(self, transmission, reached, arrival, airtime):
+            sure = super()._in_range(transmission, reached, arrival, airtime)
+            certain.append(len(sure[0]) / len(reached))
+            return sure
+
+    first, second, wrong = (parted(layer, latency, check) for layer in (Counting, Unsure, Hasty))
+    assert first == second != wrong
+    assert first[1].lost_by == {"out_of_range": first[1].lost}
+    assert first[1].lost > 0
+    assert {0.0, 1.0} <= {*certain}
+
+
 class Careless(OnArrival):
     """It takes every arrival for certain."""
 
