@@ -6,7 +6,6 @@ from scenarios import walls
 from tests.scenarios.test_studies import STUDIES
 
 
-@pytest.mark.slow
 def test_walls_block_what_the_name_says():
     for name, blocks in walls.BLOCKED.items():
         scenario = walls.rooms("local_min", blocks)

@@ -181,6 +181,15 @@ def test_a_front_page_without_its_examples_says_so_and_shows_the_recorded_run(si
         tab.until(f"{text('status')}.includes('opened as a file only shows this run: serve its folder')")
 
 
+def test_each_example_has_the_text_of_its_file_and_the_address_of_its_recorded_run():
+    offered = trial.examples(DOCS)
+    assert {name: example["toml"] for name, example in offered.items()} == {
+        name: examples()[name].read_text(encoding="utf-8") for name in offered
+    }
+    assert offered["relay"]["replay"] == "gallery/replays/relay.html"
+    assert all(example["title"] for example in offered.values())
+
+
 @pytest.mark.slow
 def test_the_archive_has_all_that_a_run_reads(tmp_path):
     """Code, templates, scripts and the examples; no figures, and the same bytes each time."""
