@@ -14,10 +14,11 @@ BETWEEN = frozenset({"desim", "protocols", "pydantic", "contextlib", "functools"
 def warn_caller(text: str, category: type[Warning] = UserWarning) -> None:
     """Warn of a call of desim, at the innermost line of the program that lies outside of desim and what it uses.
 
-    If there is none, as in a command, the warning is at the line that calls this function.
+    In a command this is a line of the program that runs commands. If there is no such line, because a thread runs desim
+    alone, the warning names no file but `sys`.
     """
     frame: FrameType | None = sys._getframe(1)
     level = 2
     while frame is not None and str(frame.f_globals.get("__name__")).partition(".")[0] in BETWEEN:
         frame, level = frame.f_back, level + 1
-    warn(text, category, stacklevel=2 if frame is None else level)
+    warn(text, category, stacklevel=level)

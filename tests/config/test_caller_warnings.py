@@ -2,6 +2,9 @@
 
 import inspect
 import warnings
+from _thread import start_new_thread
+from pathlib import Path
+from threading import Event
 
 import networkx as nx
 import numpy as np
@@ -40,10 +43,17 @@ def test_a_warning_is_at_the_line_of_the_program(name):
     assert {(warning.filename, warning.lineno) for warning in caught} == {(__file__, line)}
 
 
-def test_a_warning_without_a_program_is_where_it_is_given():
-    code = compile("def give(warn):\n    warn('text')\n", "inside.py", "exec")
+def test_a_warning_without_a_program_names_no_line_of_desim():
+    """All frames of the thread are of desim; the control adds one that is not."""
+    code = compile("def give(warn, done):\n    warn('text')\n    done()\n", "inside.py", "exec")
     names: dict[str, object] = {"__name__": "desim.inside"}
     exec(code, names)
-    with pytest.warns(UserWarning, match="text") as caught:
-        names["give"](warn_caller)
-    assert caught[0].filename == __file__
+    done = Event()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        start_new_thread(names["give"], (warn_caller, done.set))
+        assert done.wait(10.0)
+        names["give"](warn_caller, done.set)
+    alone, called = [Path(warning.filename) for warning in caught]
+    assert alone.name.strip("<>") == "sys"
+    assert called == Path(__file__)
