@@ -30,12 +30,12 @@ Messages: a first report of each pursuer but the host; per period, N - 1 reports
 Robust to loss: yes. Reports and orders are repeated every period, and an order older than the newest received is
     discarded. The server assumes that its orders are obeyed. If an order is lost or late, the predicted position is
     wrong by at most the distance covered since the last report, and only until the order is repeated. A pursuer without
-    a recent report (`announce.belief_timeout`, where "auto" uses the period of the reports) is left out, but for the
-    chaser of an evader that nobody else would capture in time. If no reports arrive for 3 periods and a round trip, the
-    server decides without them.
+    a recent report (`announce.belief_timeout`, where "auto" uses the period of the reports) is left out. If fewer
+    evaders than now would then be chased, as many as possible are: a silent chaser keeps its evader if nobody can take
+    its place. If no reports arrive for 3 periods and a round trip, the server decides without them.
 """
 
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from math import inf
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
@@ -160,9 +160,7 @@ class Server(Value):
                     last_report = me.now
                 changed = False
                 if reports or me.now >= last_report + report_timeout:
-                    chasers = self._chasers(me, orders, delay)
-                    if None in chasers and current.number >= 0:
-                        chasers = self._kept(me, current.chasers, chasers)
+                    chasers = self._chasers(me, orders, delay, current.chasers)
                     if changed := current.number < 0 or chasers != current.chasers:
                         # Orders are numbered by the clock, so that numbers increase even after a loss of memory.
                         current = TeamOrder(max(nanoseconds(me.now), current.number + 1, 0), chasers)
@@ -191,18 +189,26 @@ class Server(Value):
         yield me.now
         yield from ticks(me, self.period, phase=me.stream("reports").uniform(0.0, self.period))
 
-    def _chasers(self, me: Agent, orders: Orders, delay: float) -> tuple[int | None, ...]:
+    def _chasers(
+        self, me: Agent, orders: Orders, delay: float, present: Sequence[int | None]
+    ) -> tuple[int | None, ...]:
         """Return the (M,) best chasers, or None, among the host and the pursuers with a recent report.
+
+        If fewer evaders than now would be chased, silent chasers may keep theirs: their reports may be lost while they
+        chase, and to stop them helps nobody (see `most_chasers`). A chaser whose reports are not believed
+        (`announce.trust`) counts as silent.
 
         Args:
             me: the host.
             orders: for each pursuer that has reported, the order in effect at its last report, if any, and the later
                 ones, as (time of effect in ns, action), by ascending time.
             delay: delay of an order from sending to effect, s.
+            present: (M,) the present chasers; empty before the first order.
         """
         now = nanoseconds(me.now)
         # In a static world the time left is constant, so an order takes effect without a loss of time.
-        static = me.time_left(delay) == me.time_left()
+        reward = me.time_left()
+        static = me.time_left(delay) == reward
         effect = now if static else nanoseconds(me.now + delay)
         phi: list[dict[int, float]] = []
         for evader in range(1, me.evader_count + 1):
@@ -212,27 +218,46 @@ class Server(Value):
                 if j in orders:
                     times[j] = capture_time + seconds(idle(active, orders[j], evader, now, effect))
             phi.append(times)
-        # Trust judges a claim per evader, so a pursuer may be known for one evader and not for another.
-        ids = sorted(set().union(*phi))
-        rows = [[times.get(j, inf) for j in ids] for times in phi]
-        chasers = {evader: ids[row] for row, evader in matching(rows, me.time_left()).items()}
+        chasers = best_chasers(phi, reward)
+        chased = {evader: j for evader, j in enumerate(present, start=1) if j is not None and evader in me.evaders()}
+        if len(chasers) < len(chased):
+            heard = {me.id, *me.trusted(self.period)}
+            silent = {evader: j for evader, j in chased.items() if j not in heard}
+            if silent:
+                chasers = most_chasers(phi, silent, reward)
         return tuple(map(chasers.get, range(1, me.evader_count + 1)))
 
-    def _kept(self, me: Agent, present: Sequence[int | None], chasers: Sequence[int | None]) -> tuple[int | None, ...]:
-        """Return the new (M,) chasers; an evader without one keeps its present chaser as long as that is silent.
 
-        Its reports may be lost while it chases, and to stop it helps nobody.
+def best_chasers(phi: Sequence[Mapping[int, float]], reward: float) -> dict[int, int]:
+    """Return the chasers, by evader (1 .. M), of the centralised benchmark; see `matching`.
 
-        Args:
-            me: the host.
-            present: (M,) the present chasers.
-            chasers: (M,) the best chasers among the host and the pursuers with a recent report.
-        """
-        heard, at_large = {None, me.id, *me.trusted(self.period)}, me.evaders()
-        pairs = enumerate(zip(present, chasers, strict=True), start=1)
-        return tuple(
-            old if new is None and old not in heard and evader in at_large else new for evader, (old, new) in pairs
-        )
+    Args:
+        phi: for each of the M evaders the capture times, s, of the pursuers that may chase it.
+        reward: the time left to the horizon, s.
+    """
+    # Trust judges a claim per evader, so a pursuer may be known for one evader and not for another.
+    ids = sorted(set().union(*phi))
+    rows = [[times.get(j, inf) for j in ids] for times in phi]
+    return {evader: ids[row] for row, evader in matching(rows, reward).items()}
+
+
+def most_chasers(phi: Sequence[Mapping[int, float]], silent: Mapping[int, int], reward: float) -> dict[int, int]:
+    """Return the chasers, by evader (1 .. M), if silent ones may go on: as many as possible, and of these the best.
+
+    A silent chaser counts as one that would just be in time for its evader and late for all others. So it is replaced
+    if another can take its place: it may be silent because it is down.
+
+    Args:
+        phi: for each of the M evaders the capture times, s, of the pursuers that may chase it; of no silent one.
+        silent: the silent chasers, by evader.
+        reward: the time left to the horizon, s.
+    """
+    # The bonus of a pair is more than all M pairs are worth without, so their number comes first.
+    bonus = len(phi) * abs(reward) + 1.0
+    pairs = [{j: time - bonus for j, time in times.items() if time < reward} for times in phi]
+    for evader, j in silent.items():
+        pairs[evader - 1][j] = reward - bonus
+    return best_chasers(pairs, reward)
 
 
 def new_orders(messages: Iterable[Message], newest: NewestOrders) -> Iterator[tuple[int, TeamOrder]]:

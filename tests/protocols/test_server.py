@@ -1,11 +1,12 @@
 """The central server: its round trip, orders that are lost or overtaken, and what happens without it."""
 
+from functools import partial
 from itertools import product
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from desim import MessageFault, Scenario, run
@@ -485,7 +486,7 @@ def test_orders_go_to_the_best_of_the_pursuers_that_are_trusted_for_each_evader(
         capture_time=lambda evader: believed[evader - 1][0],
         time_left=lambda ahead=0.0: 10.0,
     )
-    chasers = Server()._chasers(host, {j: [] for j in range(1, 4)}, 0.0)
+    chasers = Server()._chasers(host, {j: [] for j in range(1, 4)}, 0.0, ())
     assert all(j is None or j in believed[k] for k, j in enumerate(chasers))
     assert len({j for j in chasers if j is not None}) == sum(j is not None for j in chasers)
 
@@ -562,6 +563,70 @@ def test_a_silent_chaser_keeps_its_order_unless_another_would_be_in_time(horizon
     jammed = Jamming(start=1.0, centre=(6.0, 0.0), radius=0.5)
     final = profile(run(static(Server(host=5), latency=0.05, horizon=horizon, fault=(jammed,))))
     assert [j for j, active in enumerate(final) if active] == chasers
+
+
+def test_a_silent_chaser_keeps_its_evader_while_another_one_chases_a_second():
+    """The host is 2.5 m from the first evader and 7.5 m from the second, pursuer 1 is 2.4 m from the first, r = 9 s.
+
+    From 1 s on the host hears nobody. It alone would chase the first evader, and 1 of 2 would be chased.
+    """
+    scenario = static(
+        Server(host=0),
+        latency=0.05,
+        horizon=9.0,
+        team=Team(positions=[(2.5, 0.0), (0.0, 2.4)], speeds=1.0),
+        evader=tuple(Evader(position=(x, 0.0), speed=0.0) for x in (0.0, 10.0)),
+        fault=[Jamming(start=1.0, centre=(2.5, 0.0), radius=0.5)],
+    )
+    assert chased(run(scenario, None, late)) == {0: 2, 1: 1}
+
+
+@st.composite
+def silences(draw):
+    """Draw what a server knows as it decides: (phi by evader and pursuer that is heard, present chasers, silent ones).
+
+    The server itself is pursuer 0, and silent ones include a present chaser.
+    """
+    count, evaders = draw(st.integers(2, 6)), draw(st.integers(1, 4))
+    waiting = draw(st.permutations([*range(count), *[None] * evaders]))
+    present = tuple(waiting[:evaders])
+    chasers = [j for j in present if j]
+    assume(chasers)
+    silent = {draw(st.sampled_from(chasers))} | {j for j in range(1, count) if draw(st.booleans())}
+    times = st.integers(1, 15).map(float) | st.floats(0.1, 15.0)
+    phi = [{j: draw(times) for j in range(count) if j not in silent} for _ in range(evaders)]
+    return phi, present, silent
+
+
+@pytest.mark.slow
+@given(silences(), st.sets(st.integers(0, 5)))
+@settings(max_examples=200)
+def test_no_decision_leaves_fewer_evaders_with_a_chaser_that_is_up_because_a_chaser_is_silent(known, down):
+    """Of the silent ones any may be down. One that is heard chases if it would be in time: r = 10 s.
+
+    And no fewer have a chaser that is up than if the silent ones were stopped.
+    """
+    phi, present, silent = known
+    host = SimpleNamespace(
+        id=0,
+        now=0.0,
+        evader_count=len(phi),
+        evaders=lambda: range(1, len(phi) + 1),
+        beliefs=lambda period, evader, orders: {j: Belief(0, time) for j, time in phi[evader - 1].items() if j},
+        trusted=lambda period: {j: None for j in phi[0] if j},
+        capture_time=lambda evader: phi[evader - 1][0],
+        time_left=lambda ahead=0.0: 10.0,
+    )
+
+    def up(chasers):
+        """Return the number of evaders that have a chaser which is up and, if it is heard, in time."""
+        return sum(j not in down if j in silent else j is not None and phi[k][j] < 10.0 for k, j in enumerate(chasers))
+
+    decide = partial(Server()._chasers, host, {j: [] for j in range(1, 6)}, 0.0)
+    chasers = decide(present)
+    assert len(set(chasers) - {None}) == len(chasers) - chasers.count(None)
+    assert all(j not in silent or j == old for old, j in zip(present, chasers, strict=True))
+    assert up(chasers) >= max(up(present), up(decide(())))
 
 
 @pytest.mark.slow
