@@ -162,7 +162,8 @@ class Server(Value):
                 if reports or me.now >= last_report + report_timeout:
                     chasers = self._chasers(me, orders, delay, current.chasers)
                     if changed := current.number < 0 or chasers != current.chasers:
-                        # Orders are numbered by the clock, so that numbers increase even after a loss of memory.
+                        # Receivers compare numbers only of orders sent at the same instant. Numbers are from the clock
+                        # so that each decision in a trace has its own, also after a loss of memory.
                         current = TeamOrder(max(nanoseconds(me.now), current.number + 1, 0), chasers)
                     apply_order(me, current)
                 if changed or (due and current.number >= 0):
