@@ -270,10 +270,11 @@ def new_orders(messages: Iterable[Message], newest: NewestOrders) -> Iterator[tu
         messages: in the order of their arrival.
         newest: what was received before. It is updated.
     """
-    for src, stamp, body in messages:
-        if isinstance(body, TeamOrder) and (stamp, body.number) > newest.get(src, (-1, -1)):
-            newest[src] = stamp, body.number
-            yield src, body
+    for message in messages:
+        src, order = message.src, message.body
+        if isinstance(order, TeamOrder) and (message.stamp, order.number) > newest.get(src, (-1, -1)):
+            newest[src] = message.stamp, order.number
+            yield src, order
 
 
 def since(sent: int, orders: list[tuple[int, int]]) -> list[tuple[int, int]]:
