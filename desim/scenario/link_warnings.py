@@ -32,8 +32,10 @@ from desim.scenario.telling import announces_start, has_heartbeats, is_built_in,
 
 LARGEST_EXPONENT = 4.0
 """Largest path loss exponent that is usual without walls."""
-MANY_ROWS = 10
-"""The number of rows of a table, and the number for each row before the horizon, from which on it is doubted."""
+LEAST_ROWS = 10
+"""The number of rows from which on a table is doubted."""
+ROWS_PER_COUNTED = 10
+"""The number of rows for each row up to the horizon from which on a table is doubted."""
 SPARSE = 5.0
 """The mean time between two rows, s, from which on a table that is much longer than a run is doubted."""
 REPORT = size_of(Forwarded((Record(0, 0, 0, LocatedAssignment(0, 0.0, 0.0, 0.0)),)))
@@ -159,7 +161,7 @@ def late_rows(noun: str, times: Sequence[float], horizon: float, late: float = 1
         rows = [time for time in times if time >= 0.0]
         count = bisect_right(rows, horizon)
         is_sparse = len(rows) > 1 and (rows[-1] - rows[0]) / (len(rows) - 1) >= SPARSE
-        if not is_sparse or len(rows) < MANY_ROWS or count * MANY_ROWS > len(rows):
+        if not is_sparse or len(rows) < LEAST_ROWS or count * ROWS_PER_COUNTED > len(rows):
             return None
         which = f"only {count} of {len(rows)} {noun}s count: the last is at {rows[-1]:g} s"
     return f"{which}, and the horizon is {horizon:g} s; are the times in another unit?"

@@ -148,7 +148,7 @@ def greatest_numbers(messages, ignoring):
 def test_messages_that_are_ignored_have_no_effect(messages):
     plain = greatest_numbers(messages, None)
     assert greatest_numbers(messages, lambda body, greatest: body <= greatest) == plain
-    with patch.object(inbox, "MANY", 0):
+    with patch.object(inbox, "MANY_IGNORED", 0):
         assert greatest_numbers(messages, lambda body, greatest: body <= greatest) == plain
 
 

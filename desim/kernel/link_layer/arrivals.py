@@ -30,8 +30,8 @@ from desim.kernel.state.transmission import Flight, Lose, Transmission
 _new = tuple.__new__  # creates a named tuple in a third of the time
 MAX_KEPT = 100_000
 """Number of arrivals after which all that are due are decided, also those at nodes that do not read."""
-MANY = 1000
-"""Length from which a list is searched for items that are no longer needed."""
+MANY_PAST = 1000
+"""Number of past losses and of past transmissions from which on those that are no longer needed are removed."""
 
 
 class KeptArrivals:
@@ -133,7 +133,7 @@ class Arrivals:
         self.kept, self._all = KeptArrivals(topology.size), range(topology.size)
         self._at_downed: list[tuple[int, Transmission, int]] = []
         """Losses that are certain, at nodes that are down: time, transmission and receiver."""
-        self._count_at = self._forget_at = MANY
+        self._count_at = self._forget_at = MANY_PAST
         """Lengths of `_at_downed` and of `transmitter.recent` at which items that are no longer needed are removed."""
 
     def crash(self, node: int) -> None:
@@ -153,7 +153,7 @@ class Arrivals:
             self._losses.start(flight)
             if len(self._transmitter.recent) > self._forget_at:
                 self._transmitter.forget(min(now, *self.kept.first))
-                self._forget_at = 2 * len(self._transmitter.recent) + MANY
+                self._forget_at = 2 * len(self._transmitter.recent) + MANY_PAST
         if isinstance(arrival, int):
             self._land_at(arrival, flight, nodes, is_only=True)
         elif self._can_wait(transmission):
@@ -187,7 +187,7 @@ class Arrivals:
         self._at_downed += [(when, transmission, node) for node, when in zip(nodes, times, strict=True)]
         if len(self._at_downed) > self._count_at:
             self.count_losses()
-            self._count_at = 2 * len(self._at_downed) + MANY
+            self._count_at = 2 * len(self._at_downed) + MANY_PAST
 
     def count_losses(self) -> None:
         """Count the certain losses up to now."""

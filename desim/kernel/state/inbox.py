@@ -30,8 +30,8 @@ class Message(NamedTuple):
 
 Letter = tuple[int, int, Message]
 """A message in an inbox, as (arrival time in ns, number of its transmission, message)."""
-MANY = 1000
-"""Length from which a list is searched for items that are no longer needed."""
+MANY_IGNORED = 1000
+"""Number of ignored messages from which on those that have arrived are forgotten."""
 FEW = 16
 """The ratio of all messages to new ones from which on the new ones are inserted rather than all sorted."""
 
@@ -194,9 +194,9 @@ class Inboxes:
         self._env, self._size = env, size
         self._ports: dict[str, list[Inbox]] = {}
         self._ignored: list[int] = []
-        """Arrival times of the messages that were not put into inboxes, ns; not of all that have arrived."""
-        self._prune_at = MANY
-        """Length of `_ignored` at which those that have arrived are removed."""
+        """Arrival times, ns, of messages that were not put into inboxes; `_prune` removes those that have arrived."""
+        self._prune_at = MANY_IGNORED
+        """Length of `_ignored` above which `_prune` is called."""
 
     def at(self, port: str) -> list[Inbox]:
         """Return the inbox of each node at a port."""
@@ -258,4 +258,4 @@ class Inboxes:
     def _prune(self) -> None:
         """Forget the ignored messages that have arrived."""
         self._ignored = [arrival for arrival in self._ignored if arrival > self._env.now]
-        self._prune_at = 2 * len(self._ignored) + MANY
+        self._prune_at = 2 * len(self._ignored) + MANY_IGNORED
