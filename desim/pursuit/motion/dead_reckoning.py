@@ -128,15 +128,19 @@ class EvaderTrack:
         if self._walled is not None:
             return MotionState(self._walled.advance(place, segment.aim, speed, begin, end, segment.end))
         step, duration = seconds(segment.end - begin), seconds(end - begin)
-        times, flow = (segment.begun, begin, segment.end), self._environment
-        wind = flow.drift_within(place, 0j, *times) if self._has_flow else 0j
+        environment = self._environment
+        wind = 0j
+        if self._has_flow:
+            wind = environment.drift_within(place, 0j, begun=segment.begun, now=begin, until=segment.end)
         # Guidance is relative to the medium: it aims upstream by the way that the flow carries the pursuer in this
         # step.
         gap, aim = segment.at(begin) - place, segment.aim - place - wind * step
         command = guided_velocity(self._law, gap, aim, segment.velocity - wind, speed)
         if course is not None:
             command = steered_with(self._dynamics, command, course, aim, self._radius)
-        drift = flow.drift_within(place, command, *times) if self._has_flow else 0j
+        drift = 0j
+        if self._has_flow:
+            drift = environment.drift_within(place, command, begun=segment.begun, now=begin, until=segment.end)
         if course is None:
             return MotionState(place + (command + drift) * duration)
         piece = piece_with(self._dynamics, place, course, command)

@@ -113,8 +113,8 @@ class Environment(Value):
             now: the present, ns.
             until: the end of the step, ns.
         """
-        swings = is_uniform(self.flow) and self.flow.top_acceleration > 0.0
-        begin = begun if swings else now
+        varies_in_time = is_uniform(self.flow) and self.flow.top_acceleration > 0.0
+        begin = begun if varies_in_time else now
         return self.drift(place, command, begin, seconds(until - begin))
 
     def carried(self, place: complex, begin: int, end: int) -> complex:
