@@ -11,6 +11,7 @@ from typing import Any
 import cloudpickle
 
 from desim.config.arguments import naming_arguments
+from desim.kernel.core.clock import Phase
 from desim.kernel.core.events import Broadcast, Event, Queued, Sent
 from desim.kernel.core.units import seconds
 from desim.kernel.models.faults import Crash
@@ -21,11 +22,12 @@ from desim.pursuit.core.traits import ProtocolTraits
 from desim.pursuit.sensing.sensing import Sensing
 from desim.pursuit.team.agent import Agent, Process
 from desim.pursuit.team.announcements import Announcements
+from desim.pursuit.team.timing import Timing
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import PROTOCOLS, Recording, Scenario
 from desim.simulation.restartable import RestartableProcess
-from desim.simulation.run import run
-from desim.testing.judging import SEED, Subject, subject, twice
+from desim.simulation.run import Result, run
+from desim.testing.judging import SEED, Subject, require_equal, subject, twice
 from protocols.best_response import BestResponse
 from protocols.rule import SCHEDULES
 from protocols.schedules.periodic import slot_length
@@ -66,7 +68,8 @@ def check_protocol(protocol: Any, *, limit: float = 10.0, hash_seeds: bool = Fal
     error, break an invariant of messages or motion (`watched`), or go on without end; and two runs of one scenario and
     seed are equal. It also checks that the protocol draws from no global random generator; that pursuers decide, each
     for itself; that they announce what they decide; that the protocol object remembers nothing, since all pursuers
-    share it; and that it can be sent to the workers of a sweep.
+    share it; that a message which `ignores` of `me.listen` drops would have had no effect; and that it can be sent to
+    the workers of a sweep.
 
     Args:
         protocol: a function or object, a class that needs no parameters, a kind, or "module:name".
@@ -110,17 +113,40 @@ def _check_runs(tested: Subject, protocol: Any, limit: float) -> None:
         watchers.append(_Decisions(tested, ProtocolTraits.of(protocol)))
         return watchers[-1]
 
-    where = "a run of five pursuers"
-    twice(tested, where, partial(_scenario, protocol, {}), limit=limit, watchers=[watcher])
-    watchers[-1].judge(where)
-    decided = watchers[-1].decided
-    for where, parts in SITUATIONS.items():
-        twice(tested, where, partial(_scenario, protocol, parts), limit=limit, watchers=[watcher])
+    decided, ignores = 0, True
+    for where, parts in ({"a run of five pursuers": {}} | SITUATIONS).items():
+        scenario = partial(_scenario, protocol, parts)
+        result = twice(tested, where, scenario, limit=limit, watchers=[watcher])
         watchers[-1].judge(where)
         decided += watchers[-1].decided
+        if ignores:
+            ignores = _check_ignored(tested, where, scenario(), result, limit)
     tested.require(
         decided, f"no pursuer decides within {HORIZON:g} s: expected me.assign(action), and then me.announce()"
     )
+
+
+def _check_ignored(tested: Subject, where: str, scenario: Scenario, result: Result, limit: float) -> bool:
+    """Require that a run is the same if no message is ignored; return whether any could be (`ignores` of `listen`)."""
+    listen, told = Timing.listen, []
+
+    def take_all(me: Timing, act: Any, port: str = "", phase: Phase = Phase.DECISION, ignores: Any = None) -> Any:
+        told.append(ignores)
+        return listen(me, act, port, phase)
+
+    Timing.listen = take_all  # type: ignore[method-assign]
+    try:
+        with tested.judged(where, limit):
+            taken = run(scenario, SEED)
+    finally:
+        Timing.listen = listen  # type: ignore[method-assign]
+    require_equal(
+        tested,
+        f"{where} is another one if no message is ignored",
+        [result, taken],
+        "`ignores` of me.listen should be true only of messages with which the function does nothing, now or later",
+    )
+    return any(ignores is not None for ignores in told)
 
 
 class _Decisions:

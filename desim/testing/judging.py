@@ -160,20 +160,33 @@ def twice(
     Raises:
         ContractError: if a run raises an error, breaks an invariant or does not end, or if the second run differs.
     """
-    lines: list[list[str]] = []
+    results = []
     for _ in range(2):
         with tested.judged(where, limit):
-            extra = [create() for create in watchers]
-            result = watched(scenario(), SEED, *extra)
-            lines.append(list(map(line_of, result.trace)))
-    for first, second in zip_longest(*lines, fillvalue="the end of the trace"):
+            results.append(watched(scenario(), SEED, *(create() for create in watchers)))
+    require_equal(
+        tested,
+        f"{where}: two runs of one scenario and seed differ",
+        results,
+        "every draw should be from the generator that it is given, and nothing from the clock of the computer, the"
+        " order of a set, a global variable or a class",
+    )
+    return results[1]
+
+
+def require_equal(tested: Subject, what: str, results: Sequence[Result], expected: str) -> None:
+    """Require that two runs have one trace.
+
+    Args:
+        tested: the model that the runs contain.
+        what: the sentence that is true if they differ.
+        results: the two results.
+        expected: what a model that is right does.
+    """
+    traces = (map(line_of, result.trace) for result in results)
+    for first, second in zip_longest(*traces, fillvalue="the end of the trace"):
         if first != second:
-            tested.fail(
-                f"{where}: two runs of one scenario and seed differ, first {first.strip()} and then {second.strip()}:"
-                " every draw should be from the generator that it is given, and nothing from the clock of the computer,"
-                " the order of a set, a global variable or a class"
-            )
-    return result
+            tested.fail(f"{what}, first {first.strip()} and then {second.strip()}: {expected}")
 
 
 def are_apart(first: NDArray[Any], second: NDArray[Any]) -> bool:

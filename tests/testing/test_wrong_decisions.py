@@ -110,6 +110,27 @@ def waits_for_an_answer(me):
     yield from decides(me)
 
 
+def takes_turns(me, ignores):
+    """Stop and call the others every 0.1 s; who is called chases, unless pursuer 0 alone calls."""
+
+    def take(messages):
+        if not me.action and any(message.src for message in messages):
+            me.assign(1)
+            me.announce()
+
+    me.listen(take, "call", ignores=ignores)
+    while True:
+        yield me.sleep(0.1)
+        me.assign(0)
+        me.announce()
+        me.send(None, "chase", "call")
+
+
+def ignores_calls_while_it_chases(me):
+    """A call that is sent while it chases may arrive when it has stopped."""
+    return takes_turns(me, lambda message: me.action)
+
+
 def believes_that_it_sees(me):
     yield me.sleep(0.1)
     evader = me.evader()
@@ -204,6 +225,10 @@ PROTOCOLS = {
     "lost messages": (
         waits_for_an_answer,
         r"a run in which no message arrives breaks an invariant|raises AssertionError",
+    ),
+    "an ignored message that would count": (
+        ignores_calls_while_it_chases,
+        r"is another one if no message is ignored, first .* and then .*: `ignores` of me\.listen should be true only",
     ),
     "short sight": (believes_that_it_sees, r"a run in which pursuers see 3 m raises"),
     "shared memory": (SharedMemory(), r"changes the attributes of the object, which all pursuers share"),
@@ -306,6 +331,12 @@ def test_a_wrong_protocol_is_told_what_is_wrong_with_it(name):
     SEEN.clear()
     with pytest.raises(ContractError, match=what):
         check_protocol(model, limit=0.5 if "does not end" in what else 20.0)
+
+
+@pytest.mark.slow
+def test_a_protocol_may_ignore_messages_that_have_no_effect():
+    """The control of the case above."""
+    check_protocol(lambda me: takes_turns(me, lambda message: message.src == 0))
 
 
 @pytest.mark.whole

@@ -80,7 +80,8 @@ class Inbox:
             priority: the SimPy priority of the calls.
             act: the function.
             ignores: returns whether `act` would do nothing with a message, now or at any later time, such as with a
-                copy. The message is dropped when it is sent, and takes no event. None: no message is dropped.
+                copy: what is ignored once must stay so, until `stop`. The message is dropped when it is sent, and takes
+                no event. None: no message is dropped.
         """
 
         def take() -> None:

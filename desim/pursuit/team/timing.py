@@ -164,8 +164,10 @@ class Timing:
         this port, or when the pursuer restarts without memory, whose process then listens anew.
 
         If in doubt, leave out `ignores`: it returns whether `act` would do nothing with a message, now or at any later
-        time, such as with a copy of one that it has had. It must change nothing. Where most messages are ignored, a
-        flood takes an eighth less time.
+        time, such as with a copy of one that it has had. It is asked when the message is sent, so what it reads may
+        only grow: a message that is ignored once must stay without effect until it arrives, unless the pursuer
+        restarts without memory. It must change nothing. `desim.testing.check_protocol` compares with runs without it.
+        Where most messages are ignored, a flood takes an eighth less time.
 
         Kept equal to a process that waits for each arrival by
         `tests/protocols/test_dissemination.py::test_flooding_by_a_function_is_flooding_by_a_process`.
