@@ -14,7 +14,8 @@ from math import inf
 from desim.kernel.topology.spatial_hash import MIN_SIDE, ROUNDING
 
 MAX_PAUSE = 63
-"""Largest number of successive searches of which nothing is kept."""
+"""Largest number of successive queries for which nothing is kept. A broadcast whose range is checked at both ends makes
+two: which nodes receive it, and until when they stay the same."""
 
 
 class KeptReceivers:
@@ -35,7 +36,7 @@ class KeptReceivers:
         self._until = [-inf] * size
         """By node, the time, s, before which its receivers are certain."""
         self._pause = self._left = 0
-        """Number of searches of which nothing is kept, and how many of them are left."""
+        """Number of queries for which nothing is kept, and how many of them are left."""
 
     def of(self, node: int) -> list[int] | None:
         """Return the nodes that receive from a node now, read-only; None: they have to be searched for."""
@@ -49,7 +50,7 @@ class KeptReceivers:
         return self._until[node]
 
     def is_worthwhile(self) -> bool:
-        """Return whether to keep what a search finds now."""
+        """Count a query, and return whether to search for its answer and keep it."""
         self._left -= 1
         return self._left < 0
 

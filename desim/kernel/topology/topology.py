@@ -187,7 +187,8 @@ class Topology:
     def steady_receivers(self, node: int) -> tuple[set[int], float]:
         """Return the nodes that receive from a node now, and the time, ns, before which they certainly stay the same.
 
-        The time is 0 if nothing is known; the search for receivers is not repeated for it each time.
+        The time is 0 if nothing is known; the search for receivers is not repeated for it each time. The pause between
+        two searches (`MAX_PAUSE`) counts this query and that of `hearers` for one transmission as two.
         """
         kept = self._kept
         if kept is None:
