@@ -55,7 +55,8 @@ class TraceFile:
             run(scenario, seed, file)
 
     The events are written to trace.jsonl.part, which is renamed to trace.jsonl at the end. After an error the .part
-    file remains, and an older trace.jsonl is not replaced. If the process is killed, the last events are missing.
+    file remains, and an older trace.jsonl is not replaced. If the process is killed, the last events are missing, and
+    the file stays locked until the processes that it forked during the run have ended, too.
 
     Args:
         path: the path of the file.
