@@ -1,11 +1,7 @@
 """Warnings that name the line of the user's program, however many functions of desim lie between."""
 
-import sys
-from typing import TYPE_CHECKING
+from inspect import currentframe
 from warnings import warn
-
-if TYPE_CHECKING:
-    from types import FrameType
 
 BETWEEN = frozenset({"desim", "protocols", "pydantic", "contextlib", "functools", "gymnasium", "pettingzoo"})
 """The packages whose lines no user has written."""
@@ -17,8 +13,7 @@ def warn_caller(text: str, category: type[Warning] = UserWarning) -> None:
     In a command this is a line of the program that runs commands. If there is no such line, because a thread runs desim
     alone, the warning names no file but `sys`.
     """
-    frame: FrameType | None = sys._getframe(1)
-    level = 2
+    frame, level = currentframe(), 1
     while frame is not None and str(frame.f_globals.get("__name__")).partition(".")[0] in BETWEEN:
         frame, level = frame.f_back, level + 1
     warn(text, category, stacklevel=level)
