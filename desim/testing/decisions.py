@@ -114,7 +114,8 @@ def _check_runs(tested: Subject, protocol: Any, limit: float) -> None:
         return watchers[-1]
 
     decided, ignores = 0, True
-    for where, parts in ({"a run of five pursuers": {}} | SITUATIONS).items():
+    situations: dict[str, dict[str, Any]] = {"a run of five pursuers": {}, **SITUATIONS}
+    for where, parts in situations.items():
         scenario = partial(_scenario, protocol, parts)
         result = twice(tested, where, scenario, limit=limit, watchers=[watcher])
         watchers[-1].judge(where)
@@ -134,7 +135,7 @@ def _check_ignored(tested: Subject, where: str, scenario: Scenario, result: Resu
         told.append(ignores)
         return listen(me, act, port, phase)
 
-    Timing.listen = take_all  # type: ignore[method-assign]
+    Timing.listen = take_all  # type: ignore[method-assign, assignment]
     try:
         with tested.judged(where, limit):
             taken = run(scenario, SEED)

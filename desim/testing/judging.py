@@ -174,19 +174,19 @@ def twice(
     return results[1]
 
 
-def require_equal(tested: Subject, what: str, results: Sequence[Result], expected: str) -> None:
+def require_equal(tested: Subject, complaint: str, results: Sequence[Result], expected: str) -> None:
     """Require that two runs have one trace.
 
     Args:
         tested: the model that the runs contain.
-        what: the sentence that is true if they differ.
+        complaint: the sentence that is true if they differ.
         results: the two results.
         expected: what a model that is right does.
     """
     traces = (map(line_of, result.trace) for result in results)
     for first, second in zip_longest(*traces, fillvalue="the end of the trace"):
         if first != second:
-            tested.fail(f"{what}, first {first.strip()} and then {second.strip()}: {expected}")
+            tested.fail(f"{complaint}, first {first.strip()} and then {second.strip()}: {expected}")
 
 
 def are_apart(first: NDArray[Any], second: NDArray[Any]) -> bool:
