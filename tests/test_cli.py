@@ -32,7 +32,6 @@ from desim.study.workers import batch
 from desim.study.workers.batch import run_many
 from tests import command
 from tests.command import accepted, desim, strict_json
-from tests.conftest import undraw
 from tests.golden import golden
 
 SCENARIOS = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
@@ -951,9 +950,7 @@ def coins(tmp_path_factory):
     """Return a folder with the scenario file COINS, and its sweep in `out`, for reading only; and what was printed."""
     folder = tmp_path_factory.mktemp("coins")
     (folder / "coins.toml").write_text(COINS)
-    with pytest.MonkeyPatch.context() as patch:
-        undraw(patch)
-        return folder, accepted("sweep", folder / "coins.toml", "-o", folder / "out")
+    return folder, accepted("sweep", folder / "coins.toml", "-o", folder / "out")
 
 
 def seeds_of(table: Path) -> list[tuple[str, ...]]:

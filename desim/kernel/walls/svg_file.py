@@ -78,7 +78,8 @@ def svg_file_outlines(text: str) -> list[Outline]:
         raise ValueError(f"is not a drawing in SVG: {error}") from error
     if _name(root) != "svg":
         raise ValueError(f"is not a drawing in SVG: its first element is <{root.tag.rpartition('}')[2]}>")
-    rules, drawn = _style_rules(root), list[_Drawn]()
+    rules = _style_rules(root)
+    drawn: list[_Drawn] = []
     waiting = [(root, _Around({}, (1.0, 0.0, 0.0, 1.0, 0.0, 0.0), ""))]
     while waiting:
         element, around = waiting.pop()
@@ -118,7 +119,7 @@ def _check_nesting(rings: list[_Drawn]) -> None:
         if rings[int(mine.argmax())].is_evenodd:
             solid |= within[mine].sum(axis=0) % 2 == 1
         else:
-            solid |= turns[mine] @ within[mine] != 0
+            solid |= (turns[mine, np.newaxis] * within[mine]).sum(axis=0) != 0
     if (solid != (within.sum(axis=0) % 2 == 1)).any():
         raise ValueError(
             "a closed shape lies in another one that has a fill, and is no hole in it: delete the inner one, or unite"
@@ -129,7 +130,7 @@ def _check_nesting(rings: list[_Drawn]) -> None:
 def _area(corners: Floats) -> float:
     """Return the area of a ring, m^2, negative if its corners are clockwise."""
     x, y = (corners - corners[0]).T
-    return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+    return 0.5 * float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
 
 
 def _name(element: ElementTree.Element) -> str:
