@@ -345,7 +345,7 @@ def test_an_explanation_is_in_any_metrics_with_their_units():
 def test_a_report_shows_a_metric_in_its_tables_and_as_a_panel(tmp_path):
     sweep(BASE, RANGES, 2, store=tmp_path / "sweep.sqlite", metrics={"half": Metric(half, "furlongs")})
     elements = Elements(report(Study.read(tmp_path)))
-    assert sum("half, furlongs" in row for row in elements.rows) == 4  # of means, and of differences from each reference
+    assert sum("half, furlongs" in row for row in elements.rows) == 4  # means, and differences from each reference
     assert any("half (furlongs)" in each for each in elements.texts)
 
 
