@@ -1,5 +1,6 @@
 """A limit on the wall time of a block, and a description of what each process waits for when the limit is exceeded."""
 
+import contextlib
 import ctypes
 import gc
 import signal
@@ -16,6 +17,7 @@ from traceback import walk_tb
 from types import CodeType, FrameType, GeneratorType
 from typing import TYPE_CHECKING, Any
 
+from desim.config.interrupts import deferred
 from desim.config.own_modules import plain_name
 from desim.config.python_numbers import real
 
@@ -116,13 +118,21 @@ class _Limit(AbstractContextManager[None]):
         ) from error
 
 
-QUIET = frozenset({__file__, weakref.__file__})
+QUIET = frozenset({__file__, weakref.__file__, contextlib.__file__})
 """The files in whose code an alarm raises nothing."""
+DEFERRING: CodeType = deferred.__wrapped__.__code__  # type: ignore[attr-defined]
+"""The code that sets handlers of signals and puts them back; an alarm raises nothing there, nor in what it calls."""
 
 
-def _is_quiet(code: CodeType) -> bool:
-    """Return whether an alarm raises nothing in some code; see `_Alarm._ring`."""
-    return code.co_filename in QUIET or any(code is getattr(call, "__code__", None) for call in gc.callbacks)
+def _is_quiet(frame: FrameType) -> bool:
+    """Return whether an alarm raises nothing in a frame; see `_Alarm._ring`."""
+    code = frame.f_code
+    if code.co_filename in QUIET or any(code is getattr(call, "__code__", None) for call in gc.callbacks):
+        return True
+    outer: FrameType | None = frame
+    while outer is not None and outer.f_code is not DEFERRING:
+        outer = outer.f_back
+    return outer is not None
 
 
 class _Alarm(_Limit):
@@ -138,7 +148,8 @@ class _Alarm(_Limit):
         """Raise the exception if it is time, and call the handler of the timer before, if it is its time.
 
         In the code of this module nothing is raised: it looks at `is_late` itself. Nor is it in a callback of a weak
-        reference or of the garbage collector, where Python would only print the exception; the timer rings again.
+        reference or of the garbage collector, where Python would only print the exception, or where handlers of signals
+        are set or put back; the timer rings again.
         """
         elapsed = monotonic() - self._begin
         if self._left and elapsed >= self._left and callable(self._handler):
@@ -146,7 +157,7 @@ class _Alarm(_Limit):
         if self.is_over or elapsed < self._limit:
             return
         self.is_late = True
-        if not (_is_in(sys.exception(), self._raised) or (frame and _is_quiet(frame.f_code))):
+        if not (_is_in(sys.exception(), self._raised) or (frame and _is_quiet(frame))):
             raise self._raised
 
     def _stop(self) -> None:

@@ -23,6 +23,7 @@ from pydantic import BaseModel, field_serializer
 from pydantic_core import PydanticSerializationError
 
 from desim.cli import main
+from desim.config.interrupts import deferred
 from desim.kernel.core.trace_file import line_of
 from desim.results import provenance, run_folder
 from desim.scenario.players import Team
@@ -312,10 +313,11 @@ def test_no_limit_is_lost_in_a_serialiser():
         while True:
             model.model_dump_json()
 
-    model = Scenario()
+    model, before = Scenario(), signal.getsignal(signal.SIGINT)
     for _ in range(25):
         with pytest.raises(TimedOut, match=r"^took longer than 0.02 s: "), within(0.02):
             write_on()
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 @pytest.mark.slow
@@ -438,14 +440,29 @@ def collected(phase, info):
     """Be a callback of the garbage collector, which needs not be a function of Python."""
 
 
-@pytest.mark.parametrize("code", [weakref.WeakKeyDictionary()._remove.__code__, collected.__code__])
-def test_an_alarm_waits_for_the_end_of_a_callback_of_the_interpreter(code, monkeypatch):
-    """There Python would print the exception and go on."""
+def frames(*codes):
+    """Return the innermost of some frames, the codes of which are given from the outermost on."""
+    frame = None
+    for code in codes:
+        frame = SimpleNamespace(f_code=code, f_back=frame)
+    return frame
+
+
+FREE = frames.__code__
+HELD = [
+    *((weakref.WeakKeyDictionary()._remove.__code__,), (FREE, collected.__code__)),
+    *((type(deferred()).__exit__.__code__,), (watchdog.DEFERRING,), (FREE, watchdog.DEFERRING, FREE, FREE)),
+]
+
+
+@pytest.mark.parametrize("codes", HELD, ids=range(len(HELD)))
+def test_an_alarm_waits_for_the_end_of_what_it_would_break(codes, monkeypatch):
+    """In a callback Python would print the exception and go on; `deferred` would not put the handlers back."""
     monkeypatch.setattr(gc, "callbacks", [*gc.callbacks, print, collected])
     alarm = watchdog._Alarm(0.001)
     alarm._begin, alarm._left, alarm._handler = time.monotonic() - 1.0, 0.0, None
-    alarm._ring(signal.SIGALRM, SimpleNamespace(f_code=code))
+    alarm._ring(signal.SIGALRM, frames(*codes))
     assert alarm.is_late
-    for frame in (None, SimpleNamespace(f_code=(lambda: None).__code__)):
+    for frame in (None, frames(FREE, FREE), frames(collected.__code__, FREE)):
         with pytest.raises(TimedOut):
             alarm._ring(signal.SIGALRM, frame)
