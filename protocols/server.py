@@ -196,7 +196,7 @@ class Server(Value):
         """Return the (M,) best chasers, or None, among the host and the pursuers with a recent report.
 
         If fewer evaders than now would be chased, silent chasers may keep theirs: their reports may be lost while they
-        chase, and to stop them helps nobody (see `most_chasers`). A chaser whose reports are not believed
+        chase, and stopping them gains nothing (see `most_chasers`). A chaser whose reports are not believed
         (`announce.trust`) counts as silent.
 
         Args:

@@ -146,7 +146,7 @@ def naming_arguments(function: Callable[Taken, Returned]) -> Callable[Taken, Ret
 
 
 class _Kind(NamedTuple):
-    """What an argument should be, and whether a value is that."""
+    """A kind of argument: its name in messages, and the test of a value."""
 
     text: str
     has: Callable[[Any], bool]

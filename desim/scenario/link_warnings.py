@@ -33,11 +33,11 @@ from desim.scenario.telling import announces_start, has_heartbeats, is_built_in,
 LARGEST_EXPONENT = 4.0
 """Largest path loss exponent that is usual without walls."""
 LEAST_ROWS = 10
-"""The number of rows from which on a table is doubted."""
+"""Least number of rows of a table of which it is asked whether its times are in ms."""
 ROWS_PER_COUNTED = 10
-"""The number of rows for each row up to the horizon from which on a table is doubted."""
+"""Number of rows for each row before the horizon from which on the times may be in ms."""
 SPARSE = 5.0
-"""The mean time between two rows, s, from which on a table that is much longer than a run is doubted."""
+"""Mean time between two rows, s, from which on the times may be in ms."""
 REPORT = size_of(Forwarded((Record(0, 0, 0, LocatedAssignment(0, 0.0, 0.0, 0.0)),)))
 """Least size of a report to a server (`protocols.server`), bytes."""
 ROUNDS_TO_0 = "rounds to 0, because time is counted in nanoseconds"

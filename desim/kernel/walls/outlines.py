@@ -32,7 +32,9 @@ def without_repeat(corners: Corners) -> Corners:
 WKT_FORMS = ("LINESTRING", "POLYGON", "MULTILINESTRING", "MULTIPOLYGON", "GEOMETRYCOLLECTION")
 """The types of WKT that are read."""
 _WKT_TOKEN = re.compile(r"\s*([A-Za-z]+|[(),]|[^\s(),]+)")
-_SVG_TOKEN = re.compile(r"[\s,]*(?:([A-Za-z])|([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?))")
+SVG_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+"""Matches a number of SVG; a sign begins another one."""
+_SVG_TOKEN = re.compile(rf"[\s,]*(?:([A-Za-z])|({SVG_NUMBER}))")
 
 
 def wkt_outlines(text: str) -> list[Outline]:

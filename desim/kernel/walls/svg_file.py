@@ -17,14 +17,14 @@ import numpy as np
 from desim.config.arrays import Floats
 from desim.config.number_files import number_of
 from desim.kernel.walls.crossings import WallShape, are_inside
-from desim.kernel.walls.outlines import Outline, svg_outlines
+from desim.kernel.walls.outlines import SVG_NUMBER, Outline, svg_outlines
 
 NAMESPACES = frozenset({"", "http://www.w3.org/2000/svg"})
 GROUPS = frozenset({"svg", "g", "a"})
 REFUSED = frozenset({"circle", "ellipse", "use", "image", "text", "foreignObject"})
 """Elements that are drawn, and not read. All others that are not named here are not drawn where they stand."""
 INHERITED = frozenset({"fill", "fill-opacity", "fill-rule", "stroke", "stroke-opacity", "stroke-width", "visibility"})
-"""The properties that elements have from those around them."""
+"""The properties that elements inherit."""
 PLACES = frozenset({"transform", "transform-origin", "d", "x", "y", "width", "height", "rx", "ry"})
 """The properties that say where an element is drawn: as attributes they are read, but for the second."""
 PROPERTIES = INHERITED | PLACES | {"display", "opacity", "clip-path", "mask"}
@@ -39,15 +39,14 @@ NO_COLOUR = re.compile(
     re.IGNORECASE,
 )
 """Matches a paint that does not show."""
-NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 TRANSFORMATION = re.compile(r"\s*,?\s*(\w+)\s*\(([^()]*)\)\s*")
 
 Transformation = tuple[float, float, float, float, float, float]
 """a, b, c, d, e, f: x and y become a x + c y + e and b x + d y + f."""
 
 
-class _Around(NamedTuple):
-    """What an element has from those around it."""
+class _Inherited(NamedTuple):
+    """What an element inherits from the groups that it is in."""
 
     style: Mapping[str, str]
     """The inherited properties."""
@@ -80,7 +79,7 @@ def svg_file_outlines(text: str) -> list[Outline]:
         raise ValueError(f"is not a drawing in SVG: its first element is <{root.tag.rpartition('}')[2]}>")
     rules = _style_rules(root)
     drawn: list[_Drawn] = []
-    waiting = [(root, _Around({}, (1.0, 0.0, 0.0, 1.0, 0.0, 0.0), ""))]
+    waiting = [(root, _Inherited({}, (1.0, 0.0, 0.0, 1.0, 0.0, 0.0), ""))]
     while waiting:
         element, around = waiting.pop()
         name = _name(element)
@@ -111,7 +110,7 @@ def _check_nesting(rings: list[_Drawn]) -> None:
     firsts = np.array([shape.corners[0] for shape in shapes])
     within = np.array([are_inside(firsts, [shape]) for shape in shapes])  # (outer, inner)
     np.fill_diagonal(within, val=True)
-    turns = np.array([1 if _area(shape.corners) > 0.0 else -1 for shape in shapes])
+    turns = np.array([_turn(shape.corners) for shape in shapes])
     elements = np.array([ring.element for ring in rings])
     solid = np.zeros(len(rings), dtype=bool)
     for element in np.unique(elements):
@@ -127,10 +126,10 @@ def _check_nesting(rings: list[_Drawn]) -> None:
         )
 
 
-def _area(corners: Floats) -> float:
-    """Return the area of a ring, m^2, negative if its corners are clockwise."""
+def _turn(corners: Floats) -> int:
+    """Return the winding number of a ring about its inside: 1 if its corners are anticlockwise, else -1."""
     x, y = (corners - corners[0]).T
-    return 0.5 * float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+    return 1 if (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() > 0.0 else -1
 
 
 def _name(element: ElementTree.Element) -> str:
@@ -195,7 +194,7 @@ def _declarations(text: str) -> dict[str, str]:
 
 
 def _style(element: ElementTree.Element, name: str, rules: _Rules) -> dict[str, str]:
-    """Return what an element says itself: its style before the rules of style sheets, and these before attributes."""
+    """Return the properties of an element: its style before the rules of style sheets, and these before attributes."""
     attributes = {key: value.strip() for key, value in element.attrib.items() if key in PROPERTIES}
     if "transform-origin" in attributes:
         raise ValueError("transform-origin is not read: apply transformations in the editor")
@@ -207,8 +206,8 @@ def _style(element: ElementTree.Element, name: str, rules: _Rules) -> dict[str, 
     return {key: value for key, value in attributes.items() if value != "inherit"}
 
 
-def _within(around: _Around, properties: Mapping[str, str]) -> _Around:
-    """Return what the parts of an element have from those around them."""
+def _within(around: _Inherited, properties: Mapping[str, str]) -> _Inherited:
+    """Return what the children of an element inherit."""
     for key in ("clip-path", "mask"):
         if properties.get(key, "none") != "none":
             raise ValueError(f"{key} hides a part, which would be a wall: release it in the editor")
@@ -218,10 +217,10 @@ def _within(around: _Around, properties: Mapping[str, str]) -> _Around:
     elif re.fullmatch(ZERO, properties.get("opacity", "1")):
         hidden = f"opacity: {properties['opacity']}"
     style = {**around.style, **{key: value for key, value in properties.items() if key in INHERITED}}
-    return _Around(style, _product(around.matrix, _matrix(properties.get("transform", ""))), hidden)
+    return _Inherited(style, _product(around.matrix, _matrix(properties.get("transform", ""))), hidden)
 
 
-def _placed(outlines: list[Outline], name: str, around: _Around) -> Iterator[Outline]:
+def _placed(outlines: list[Outline], name: str, around: _Inherited) -> Iterator[Outline]:
     """Yield the outlines of a shape where they are drawn; raise ValueError if they would look otherwise."""
     style, (a, b, c, d, e, f) = around.style, around.matrix
     visibility = style.get("visibility", "visible")
@@ -254,7 +253,7 @@ def _shows(style: Mapping[str, str], paint: str, default: str, *sizes: str) -> b
 
 def _numbers(text: str) -> list[float]:
     """Return the numbers in a list; a comma, white space or a sign begins another."""
-    numbers = NUMBER.findall(text)
+    numbers = re.findall(SVG_NUMBER, text)
     if re.sub(r"[\s,]", "", text) != "".join(numbers):
         raise ValueError(f"transform: {text.strip()!r} should be numbers; angles are in degrees")
     return [float(number) for number in numbers]
