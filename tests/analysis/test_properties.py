@@ -197,10 +197,25 @@ def test_before_a_run_nothing_is_violated():
     assert (watcher.margin, watcher.violated_at) == (inf, None)
 
 
-def test_of_equally_long_times_the_first_is_the_longest():
-    pieces = [(0, 2, (1.0,)), (2, 3, (-1.0,)), (3, 5, (0.0,)), (5, 6, (-1.0,)), (6, 7, (1.0,))]
-    *_, worst = stated("idle never longer than 0", SMALL).worst(iter(pieces))
-    assert (worst.measure, worst.at) == (2e-9, 0)
+@pytest.mark.parametrize(
+    ("text", "measure", "at"),
+    [
+        ("always idle", 1.0, 1),
+        ("eventually idle within 0", 0.0, 0),
+        ("idle leads to crowded within 0", 3e-9, 2),
+        ("idle never longer than 0", 3e-9, 2),
+        ("idle at most 0 in total", 7e-9, 2),
+    ],
+)
+def test_the_worst_is_where_the_longest_stretch_or_the_largest_violation_began(text, measure, at):
+    """Of equal ones it is the first."""
+    pieces = [(0, 1, 1.0), (1, 2, -1.0), (2, 5, 0.0), (5, 6, -1.0), (6, 9, 1.0)]
+    prop = property_of(text)
+    *_, worst = prop.worst(
+        PropertyPiece(begin, end, (margin, -1.0 if margin >= 0.0 else 1.0)[: len(prop.conditions)])
+        for begin, end, margin in pieces
+    )
+    assert (worst.measure, worst.at) == (measure, at)
 
 
 def test_a_watcher_refuses_what_is_known_after_the_run_only():
