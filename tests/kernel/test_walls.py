@@ -276,6 +276,7 @@ def test_what_is_drawn_faintly_or_unfilled_is_a_wall(tmp_path):
         '<g stroke="black"><path fill="none" d="M0 0H1"/></g>',
         "<style>path{stroke:black}</style><path fill='none' d='M0 0H1'/>",
         "<style>.a{stroke:black}</style><path class='a b' fill='none' d='M0 0H1'/>",
+        "<style>g > text{font-size:9px}path{stroke:black}</style><path fill='none' d='M0 0H1'/>",
     ],
 )
 def test_a_path_may_have_the_stroke_of_a_group_or_of_a_style_sheet(tmp_path, drawing):
