@@ -690,6 +690,8 @@ WRONG_ARGUMENTS = {
     "there is no pursuer": [(Agent.neighbours, value) for value in (-1, 99)],
     "the time ahead should be": [(Agent.time_left, value) for value in ("1", None, [1], {}, nan, inf, 1e300)],
     "the period": [(Agent.beliefs, value) for value in ("1", [1], {}, nan, 0.0, -1.0)],
+    "at: the time should be": [(Agent.at, value) for value in ("1", None, [1], {})],
+    "sleep: the duration should be": [(Agent.sleep, value) for value in ("1", None, [1], {})],
     "the name of a random stream should be a text": [
         (call, value) for value in (*TIMEOUTS, ["a"], object()) for call in (Agent.stream, Agent.shared_stream)
     ],
