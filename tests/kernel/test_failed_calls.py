@@ -234,6 +234,16 @@ def test_a_copy_for_a_receiver_that_raises_is_a_failure(call):
     assert refuses(network)
 
 
+@pytest.mark.parametrize("call", ["send", "publish"])
+def test_a_loss_that_raises_in_a_call_is_a_failure(call):
+    network = begun(PARTS["loss"])
+    FUSE.error = ValueError("of the loss")
+    with pytest.raises(ValueError, match="of the loss"):
+        CALLS[call](network)
+    FUSE.error = None
+    assert refuses(network)
+
+
 class Once:
     """It is copied as often as `FUSE.copies` says."""
 
