@@ -8,6 +8,7 @@ from fractions import Fraction
 from functools import partial
 from math import inf, nan
 from multiprocessing.pool import ThreadPool
+from types import SimpleNamespace
 from typing import ClassVar, NamedTuple
 
 import networkx as nx
@@ -18,6 +19,8 @@ from desim import Announcements, Fault, Links, Scenario, Sensing, Team, run, sum
 from desim.config.answers import value_text
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import Lost, MessageCounts
+from desim.kernel.models import medium
+from desim.kernel.models.fault_plans import draw_faults
 from desim.kernel.models.faults import Jamming, Partition
 from desim.kernel.models.latency import Lognormal
 from desim.kernel.models.latency_by_link import PerPair
@@ -25,17 +28,28 @@ from desim.kernel.models.loss import Bernoulli
 from desim.kernel.models.medium import Bitrate
 from desim.kernel.models.reception import Disk
 from desim.kernel.network import Network
+from desim.kernel.topology import range_check
 from desim.pursuit.byzantine.lies import ByzantineFault, Liar
 from desim.pursuit.core.events import Ended
-from desim.pursuit.motion.dynamics import Acceleration, Course
+from desim.pursuit.motion.dynamics import (
+    Acceleration,
+    Course,
+    capture_times_with,
+    headings_with,
+    piece_with,
+    steered_with,
+)
 from desim.pursuit.motion.environment import Environment
-from desim.pursuit.motion.flow import SteadyFlow
+from desim.pursuit.motion.flow import SteadyFlow, displacement
+from desim.pursuit.motion.guidance import guided_velocities
 from desim.pursuit.sensing.noise import PositionNoise
+from desim.pursuit.sensing.noisy_sensing import NoisySensor
 from desim.pursuit.team.judges import Judge, ignored_by
 from desim.pursuit.team.trust import Credulous
 from desim.results.run_folder import read, write
 from desim.scenario.checks import warnings
 from desim.view.pages.replay import replay_page
+from protocols.temperature import inverse_temperatures
 from tests.config.test_arrays import Quantity
 from tests.test_overrides import FAMILIES, events, is_refused, linked, plain, scenario
 
@@ -343,6 +357,71 @@ PRECISE = {
 @pytest.mark.parametrize("name", PRECISE)
 def test_returned_vectors_may_be_of_any_precision(name):
     assert events(PRECISE[name](np.complex64)) == events(PRECISE[name](complex))
+
+
+def with_answer(**methods):
+    """Return an object of a user whose methods return some answers."""
+    return SimpleNamespace(**{name: lambda *_, answer=answer: answer for name, answer in methods.items()})
+
+
+STILL = Course(0j, 1.0 + 0j)
+SPEEDS = np.array([2.0, 3.0, 2.0, 2.0])
+CHECKS = {
+    "capture_times": lambda answer: capture_times_with(
+        with_answer(capture_times=answer), np.ones(4, dtype=complex), None, SPEEDS, 1.0, 0.1
+    ),
+    "steered": lambda answer: steered_with(with_answer(steered=answer), 1j, STILL, 1j, 0.1),
+    "headings": lambda answer: headings_with(with_answer(headings=answer), None, 4),
+    "displacement": lambda answer: displacement(with_answer(displacement=answer), 0.0, 1.0),
+    "dynamics of an evader": lambda answer: piece_with(lambda *_: answer, 1j, STILL, 1j),
+    "guidance": lambda answer: guided_velocities(lambda *_: answer, SPEEDS * 1j, SPEEDS * 1j, None, SPEEDS),
+    "reception": lambda answer: range_check._probabilities(answer, 4, print),
+    "medium": lambda answer: medium._checked(answer, print),
+    "temperature": lambda answer: next(inverse_temperatures(lambda _: answer, SimpleNamespace(now=0.0), 1.0)),
+    "fault": lambda answer: draw_faults([lambda *_: answer], 4, 1.0, 1),
+    "false capture time": lambda answer: Liar._phi(
+        with_answer(phi=answer), SimpleNamespace(least_phi=print, rng=None), 1, 2.0
+    ),
+    "false position": lambda answer: Liar._place(with_answer(position=answer), 1j, SimpleNamespace(rng=None)),
+    "covariance": lambda answer: NoisySensor.covariance_at(SimpleNamespace(_noise=with_answer(covariance=answer)), 1j),
+}
+"""Functions that take the answer of a user's function, and check it."""
+UNUSED = {"curved": 0.0, "turn_rate": 0.0, "acceleration": 0j, "drift": 0j, "position": 1j, "course": STILL}
+MORE_WRONG = {
+    "dynamics of an evader": [
+        SimpleNamespace(**UNUSED | {key: value})
+        for key, value in [
+            *((key, nan) for key in ("curved", "turn_rate", "acceleration", "drift", "position")),
+            *(("curved", -1.0), ("turn_rate", inf), ("course", Course(nan, 1j)), ("course", Course(1j, nan))),
+        ]
+    ],
+    "capture_times": [[1.0, 2.0, -1e-9, 4.0]],
+    "covariance": [(1.0, 1.0, 1.0), (0.0, 0.0, 1.0), (inf, 0.0, 1.0), (1.0, 0.0, inf)],
+}
+RIGHT_ANSWERS = {
+    "capture_times": [0.0, inf, 1, 2.5],
+    "steered": 1e300j,
+    "headings": [1.0, 1j, -1.0, complex(0.6, 0.8)],
+    "displacement": -2.0,
+    "guidance": [2.0, 3j, 0.0, -2.0],
+    "reception": [0.0, 1.0, 0.5, 1],
+    "medium": 0.0,
+    "temperature": 0,
+    "false capture time": inf,
+    "false position": 3,
+    "covariance": (1.0, -0.5, 1),
+}
+"""What they may return, up to the bounds of it."""
+
+
+@pytest.mark.parametrize("name", CHECKS)
+def test_each_answer_is_checked_where_it_is_taken(name):
+    """As in the runs above, in a hundredth of the time."""
+    for wrong in (*WRONG.get(name, ()), *WRONG_METHODS.get(name, ()), *MORE_WRONG.get(name, ())):
+        with pytest.raises(ValueError, match="should"):
+            CHECKS[name](wrong)
+    if name in RIGHT_ANSWERS:
+        assert np.asarray(CHECKS[name](RIGHT_ANSWERS[name])).tolist() == np.asarray(RIGHT_ANSWERS[name]).tolist()
 
 
 METHODS = [(name, k) for name, values in WRONG_METHODS.items() for k in range(len(values))]
