@@ -1,8 +1,11 @@
 """Branches that runs seldom reach, asked for directly: of each an expression and its value, or what it refuses."""
 
+import os
 import pickle
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from io import BytesIO
+from itertools import count, cycle, repeat
 from math import inf, isnan
 from pathlib import Path
 from queue import SimpleQueue
@@ -18,28 +21,43 @@ from desim.analysis.drawing.plots import in_style
 from desim.analysis.metrics import Summary
 from desim.analysis.properties import margin
 from desim.analysis.statistics import differences, mean
+from desim.config import calls, fresh, packages, stateless, trust
 from desim.config.copier import Describer
 from desim.config.errors import KeyedError, NoMetricError, Problem
 from desim.config.json_numbers import to_json
+from desim.config.key_errors import _with_file
+from desim.config.python_numbers import _is_endless, as_real, real
+from desim.kernel.channel.transmitter import Transmitter
+from desim.kernel.clock_sync import REMEMBERED as ANSWERS
+from desim.kernel.clock_sync import Synchroniser, TimeAnswer, TimeRequest
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.link_context import LinkContext
+from desim.kernel.core.message_body import _is_frozen
+from desim.kernel.core.message_size import size
+from desim.kernel.core.records import Record
 from desim.kernel.core.units import SECOND
 from desim.kernel.measured.models import LatencyTrace, LossTrace
+from desim.kernel.models.graphs import Edges
 from desim.kernel.models.interference import unknown_channel
 from desim.kernel.models.link_draws import as_booleans
 from desim.kernel.models.reception import Disk
+from desim.kernel.models.traced_faults import CustomFault, Misbehaviour
 from desim.kernel.state.fault_state import _checked_delays
 from desim.kernel.state.inbox import Message
-from desim.kernel.topology.correlated_channel import unknown_fading
+from desim.kernel.topology.correlated_channel import _missing, unknown_fading
+from desim.kernel.topology.topology import Topology
 from desim.kernel.transport.frames import CodedPiece
 from desim.kernel.transport.receiver import REMEMBERED, CodedReceiver
 from desim.pursuit.byzantine.lies import Liar, draw_lies
 from desim.pursuit.game.game import greedy_maximal_independent_set
 from desim.pursuit.mobility.bonnmotion_file import _increase
+from desim.pursuit.mobility.mobility_file import has_poses
 from desim.pursuit.motion.environment import Environment
 from desim.pursuit.motion.flow import NoFlow, RecordedFlow
 from desim.pursuit.motion.turning import shortest_path
 from desim.pursuit.paths.space import PLANE
+from desim.pursuit.sensing.sensing import spiral
+from desim.pursuit.team.announcements import MAX_SEQ, MAX_STAMP, _is_record, relayed_records, with_records
 from desim.pursuit.team.targeted_faults import NewsFault
 from desim.scenario.assumptions import times_known
 from desim.scenario.overrides import Source
@@ -53,6 +71,7 @@ from desim.study.store.file import view_of
 from desim.study.sweeps.sweep_plan import SweepPlan
 from desim.view.formats.trace_table import _is_event
 from protocols.schedules.synchronous import Synchronous
+from tests.test_kinds import families
 
 SHORT = Scenario(horizon=0.01, team={"count": 2})
 TURNING = SHORT.with_(
@@ -100,6 +119,46 @@ def first_headings(scenario, seed):
     """Return the headings of all players at the start."""
     state = initial_state(Clock(), scenario, seed)
     return state.players.courses(range(state.size + state.evader_count)).headings.tolist()
+
+
+@dataclass(frozen=True)
+class Lazy:
+    """A frozen dataclass with an attribute that is computed when it is first read."""
+
+    side: float = 1.0
+
+    @cached_property
+    def area(self):
+        """The square of the side."""
+        return self.side**2
+
+
+MISBEHAVIOUR = Misbehaviour(start=0.0, node=1, model="liar", number=0)
+RECORD = Record(0, 1, 2, "body")
+POSES = ["0 0 0 0 0 0 0 1", "1 0 0 0 0 0 0 1"]
+
+
+def missing_attribute():
+    """Return the error of an attribute that a scenario does not have."""
+    with pytest.raises(AttributeError) as raised:
+        SHORT.horizn  # noqa: B018
+    return raised.value
+
+
+def kept_after(before):
+    """Return the beginnings of the transmissions that are kept if arrivals are decided from a time on, ns."""
+    transmitter = SimpleNamespace(recent=[(begin, 1, 0) for begin in (0, 4, 5, 9)], _longest=2, _lag=1)
+    Transmitter.forget(transmitter, before)
+    return [begin for begin, _, _ in transmitter.recent]
+
+
+def remembered(body, count):
+    """Return the numbers of the requests, or of the answers, of which a synchroniser with two clocks has the times."""
+    clock = SimpleNamespace(uncorrected=5, stamp=5)
+    memory = SimpleNamespace(_asked=[{}], answered={}, _clocks=[clock, clock])
+    for number in range(count):
+        Synchroniser._stamp(memory, Message(0, 0, body(number)), 1)
+    return [*(memory._asked[0] or memory.answered)]
 
 
 def raising(act):
@@ -173,6 +232,72 @@ VALUES = {
         (NoMetricError, "heat", "no heat"),
     ),
     "a queue that cannot be read": lambda: (Describer(BytesIO()).reducer_override(SimpleQueue()), (int, (0,))),
+    "a missing attribute that is sent": lambda: (
+        pickle.loads(pickle.dumps(missing_attribute())).args,
+        (str(missing_attribute()),),
+    ),
+    "a file where none is read": lambda: (_with_file("a.csv", ("x",), None, None), ""),
+    "a number that is too large": lambda: (isnan(as_real(10**400)), True),
+    "iterators without an end": lambda: (
+        [*map(_is_endless, (repeat(1), repeat(1, 3), count(), cycle([1]), iter([1])))],
+        [False, False, True, True, False],
+    ),
+    "defaults that are constants": lambda: (
+        [*map(stateless._is_constant, ((1, (2,)), (1, [2]), frozenset([1]), [1], lambda: 1))],
+        [True, False, True, False, False],
+    ),
+    "a package that is not installed": lambda: (packages.check_visible("no_such_package"), None),
+    "the size of sets": lambda: ([*map(size, ({1, 2}, frozenset([1, 2, 3]), range(3), set()))], [16, 24, 24, 0]),
+    "a frozen class that computes later": lambda: (
+        [*map(_is_frozen, (Lazy, dataclass(frozen=True)(type("Plain", (), {}))))],
+        [False, True],
+    ),
+    "the node of a misbehaviour": lambda: (
+        [MISBEHAVIOUR.named(), MISBEHAVIOUR.sketch()],
+        [{"node": [1]}, {"node": 1, "model": "liar"}],
+    ),
+    "the nodes of a fault of a user in a trace": lambda: (
+        CustomFault(start=0.0, model="a:B", nodes=(1, 2), drawn={}).named(),
+        {"nodes": (1, 2)},
+    ),
+    "a lack of a channel": lambda: (_missing("it has none").key, "coherence"),
+    "transmissions that are no longer needed": lambda: (
+        [*map(kept_after, (0, 5, 6, 9, 10, 14))],
+        [[0, 4, 5, 9], [0, 4, 5, 9], [4, 5, 9], [4, 5, 9], [5, 9], [9]],
+    ),
+    "the times of requests": lambda: (remembered(TimeRequest, ANSWERS + 1), [*range(1, ANSWERS + 1)]),
+    "the times of answers": lambda: (
+        remembered(lambda number: TimeAnswer(number, 3), 2 * ANSWERS + 1),
+        [*range(1, 2 * ANSWERS + 1)],
+    ),
+    "lines of poses": lambda: (
+        [
+            *map(
+                has_poses,
+                (POSES, ["# t", *POSES], POSES[::-1], POSES[:1], ["a b c d e f g h"] * 2, [POSES[0] + "1"] * 2),
+            )
+        ],
+        [True, True, False, False, False, False],
+    ),
+    "a spiral of one point": lambda: (spiral(3.0, 0.0), 0j),
+    "records in a relay": lambda: (
+        [*map(relayed_records, ({"records": [RECORD]}, SimpleNamespace(records=(RECORD,)), {"records": [3]}, {}, 3))],
+        [[RECORD], (RECORD,), None, None, None],
+    ),
+    "numbers of a record": lambda: (
+        [
+            _is_record(RECORD._replace(**{key: number}))
+            for key, number in [
+                *(("src", 0), ("seq", 0), ("seq", MAX_SEQ), ("stamp", MAX_STAMP), ("stamp", -MAX_STAMP)),
+                *(("src", -1), ("seq", -1), ("seq", MAX_SEQ + 1), ("stamp", MAX_STAMP + 1), ("src", 0.5)),
+            ]
+        ],
+        [True] * 5 + [False] * 5,
+    ),
+    "a relay with other records": lambda: (
+        [with_records({"a": 1, "records": []}, [RECORD]), vars(with_records(SimpleNamespace(a=1), [RECORD]))],
+        [{"a": 1, "records": (RECORD,)}] * 2,
+    ),
     "a ratio to nothing": lambda: (isnan(Ratio.of(np.ones(3), np.zeros(3)).value), True),
 }
 
@@ -245,8 +370,36 @@ REFUSED = {
         ),
         "runs with independent seeds cannot be paired",
     ),
+    "a model without keys": (lambda: desim.Complete(3), "Complete has no keys: Complete()"),
+    "a model that cannot be copied": (
+        lambda: raise_(fresh._refusal({}, TypeError("of a model"))),
+        "cannot be copied: of a model",
+    ),
+    "no method": (lambda: calls.check_method(print, "begin", ("a", "b")), "begin should be a method begin(a, b) (got"),
+    "a number without end": (lambda: real(10**400, "x"), "x should be a number up to 1.8e308 (got one of 401 digits)"),
+    "values and a file": (
+        lambda: desim.Empirical(values=(0.1,), file="a.txt"),
+        "should have values or a file of values, not both",
+    ),
+    "a node below the first": (lambda: Topology(Edges(nodes=2)(2)).hearers(-1), "there is no node -1"),
+    "an estimator of nothing": (
+        lambda: desim.Sensing(radius=5.0, estimator="kalman"),
+        "there is nothing to estimate without noise",
+    ),
+    "a velocity of noise": (
+        lambda: desim.Sensing(noise=0.1, estimate="constant_velocity"),
+        "noisy sightings have no velocity; choose an estimator",
+    ),
+    "a fusion without tracks": (
+        lambda: desim.Sensing(noise=0.1, estimator="alpha_beta", fusion="naive"),
+        "tracks have a covariance with the estimator kalman only",
+    ),
     "an exception within the usual style": (lambda: fail_in_style(), "of the caller"),
 }
+
+
+def raise_(error):
+    raise error
 
 
 def fail_in_style():
@@ -265,3 +418,30 @@ def test_assumptions_about_what_is_seen_are_told():
     assert times_known(walled) == "pursuers do not see the evader through walls (`wall`)"
     noisy = SHORT.with_({"sensing.noise": 0.1, "sensing.estimate": "hold"})
     assert times_known(noisy) == "pursuers do not see the evader exactly (`sensing.noise`)"
+
+
+def test_the_environment_of_processes_is_put_back(monkeypatch):
+    name, *others = trust.NO_CWD_IMPORT
+    monkeypatch.setenv(name, "as before")
+    for other in others:
+        monkeypatch.delenv(other, raising=False)
+    with trust.no_cwd_import():
+        assert os.environ.items() >= trust.NO_CWD_IMPORT.items()
+    assert [os.environ.get(key) for key in (name, *others)] == ["as before", *(None for _ in others)]
+
+
+@pytest.mark.parametrize(
+    ("name", "asked"),
+    [("protocols.rule", ["protocols"]), ("protocols", []), ("protocols.nope", []), ("numpy.linalg", [])],
+)
+def test_a_module_of_a_hidden_package_is_looked_for_in_it(monkeypatch, name, asked):
+    seen = []
+    monkeypatch.setattr(packages, "check_visible", seen.append)
+    assert packages._HiddenModuleFinder().find_spec(name) is None
+    assert seen == asked
+
+
+def test_each_open_family_refuses_what_cannot_be_called():
+    refused = [raising(lambda family=family: family.check(3)) for family in families() if not family.is_closed]
+    assert len(refused) > 20
+    assert {text.partition(", which ")[0] for _, text in refused} == {"should be a model"}
