@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import desim
-from desim import Crash, Fault, Scenario
+from desim import Crash, Fault, Links, Scenario
 from desim.analysis.control_variates import ControlledEstimate
 from desim.analysis.drawing.plots import in_style
 from desim.analysis.metrics import Summary
@@ -26,6 +26,7 @@ from desim.config.copier import Describer
 from desim.config.errors import KeyedError, NoMetricError, Problem
 from desim.config.json_numbers import to_json
 from desim.config.key_errors import _with_file
+from desim.config.key_suggestions import other_key
 from desim.config.python_numbers import _is_endless, as_real, real
 from desim.kernel.channel.transmitter import Transmitter
 from desim.kernel.clock_sync import REMEMBERED as ANSWERS
@@ -36,6 +37,7 @@ from desim.kernel.core.message_body import _is_frozen
 from desim.kernel.core.message_size import size
 from desim.kernel.core.records import Record
 from desim.kernel.core.units import SECOND
+from desim.kernel.link_layer.arrival_losses import ArrivalLosses
 from desim.kernel.measured.models import LatencyTrace, LossTrace
 from desim.kernel.models.graphs import Edges
 from desim.kernel.models.interference import unknown_channel
@@ -44,6 +46,7 @@ from desim.kernel.models.reception import Disk
 from desim.kernel.models.traced_faults import CustomFault, Misbehaviour
 from desim.kernel.state.fault_state import _checked_delays
 from desim.kernel.state.inbox import Message
+from desim.kernel.state.transmission import Flight
 from desim.kernel.topology.correlated_channel import _missing, unknown_fading
 from desim.kernel.topology.topology import Topology
 from desim.kernel.transport.frames import CodedPiece
@@ -61,6 +64,7 @@ from desim.pursuit.team.announcements import MAX_SEQ, MAX_STAMP, _is_record, rel
 from desim.pursuit.team.targeted_faults import NewsFault
 from desim.scenario.assumptions import times_known
 from desim.scenario.overrides import Source
+from desim.scenario.simultaneous import _instants
 from desim.scenario.toml import looked_up_in
 from desim.simulation.restartable import _start_behaviour
 from desim.simulation.world import initial_state
@@ -134,6 +138,7 @@ class Lazy:
 
 
 MISBEHAVIOUR = Misbehaviour(start=0.0, node=1, model="liar", number=0)
+TRACE = {"kind": "trace", "table": "t,value\n0,0.5\n"}
 RECORD = Record(0, 1, 2, "body")
 POSES = ["0 0 0 0 0 0 0 1", "1 0 0 0 0 0 0 1"]
 
@@ -159,6 +164,20 @@ def remembered(body, count):
     for number in range(count):
         Synchroniser._stamp(memory, Message(0, 0, body(number)), 1)
     return [*(memory._asked[0] or memory.answered)]
+
+
+TRACED = Links(
+    graph={"kind": "edges", "nodes": 3, "edges": [{"src": 0, "dst": 1}, {"src": 1, "dst": 2, "latency": TRACE}]},
+    latency=TRACE,
+    link=[{"src": 0, "dst": 1, "loss": {"kind": "trace", "table": "t,value\n0,1\n"}}],
+)
+
+
+def received_while_transmitting(begin):
+    """Yield whether a node that transmits at 0 .. 2 and 5 .. 7 ns does so during a reception of 1 ns."""
+    transmitter = SimpleNamespace(during=lambda *_: {3: [(0, 2), (5, 7)]})
+    arrivals = SimpleNamespace(_transmitter=transmitter, _processing=0)
+    yield [*ArrivalLosses._while_transmitting(arrivals, [3], begin + 1, Flight(None, 1))] == [0]
 
 
 def raising(act):
@@ -298,6 +317,19 @@ VALUES = {
         [with_records({"a": 1, "records": []}, [RECORD]), vars(with_records(SimpleNamespace(a=1), [RECORD]))],
         [{"a": 1, "records": (RECORD,)}] * 2,
     ),
+    "tables of measurements on links and on edges of a graph": lambda: (
+        [place for place, _ in TRACED.traces()],
+        [("latency",), ("link", 0, "loss"), ("graph", "edges", 1, "latency")],
+    ),
+    "frames that are forwarded at random times": lambda: (
+        [*_instants(SHORT.with_({"announce": {"dissemination": "flooding", "jitter": 0.1}}))],
+        [("announce.dissemination.jitter", "the receivers of a broadcast forward it", 1, (0.005, False, True))],
+    ),
+    "a reception during one of two transmissions": lambda: (
+        [*received_while_transmitting(5), *received_while_transmitting(1), *received_while_transmitting(3)],
+        [True, True, False],
+    ),
+    "a key under another table": lambda: (other_key(("a.horizn",), ["horizon"], Scenario), ", did you mean 'horizon'?"),
     "a ratio to nothing": lambda: (isnan(Ratio.of(np.ones(3), np.zeros(3)).value), True),
 }
 

@@ -182,7 +182,7 @@ def test_information_gets_through_without_loss_or_with_heartbeats(trigger, given
 
 
 @pytest.mark.slow_but_one
-@pytest.mark.parametrize("fading", ["per_link", "message"])
+@pytest.mark.parametrize("fading", ["message", "per_link"])
 def test_the_initial_graph_has_the_links_over_which_messages_travel_while_nobody_moves(fading):
     links = Links(range=3.0, reception=QuasiUnitDisk(certain=0.0), fading=fading)
     scenario = four(network=links, motion=Motion(static=True), horizon=5.0, record=Recording(messages=True))
