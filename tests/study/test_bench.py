@@ -11,7 +11,7 @@ from scipy import stats
 
 from desim import Links, Motion, Recording, Scenario, Team, bench, run
 from desim.analysis.drawing.palette import BLUE
-from desim.analysis.metrics import active_time
+from desim.analysis.metrics import active_time, idle_time
 from desim.cli import main
 from desim.study.ablation.imperfections import without_messages
 from desim.study.comparing.bench import Entrants, frozen_matches
@@ -291,6 +291,26 @@ def test_a_protocol_that_does_nothing_is_worse_than_one_without_messages(monkeyp
     told = r"the run of scenario = latency, protocol = failing, network = as it is with seed 1\d+ failed: .*for good \("
     with pytest.raises(RunError, match=told):
         bench(failing, runs=2)
+
+
+def test_a_benchmark_of_one_short_scenario_has_the_costs_of_its_runs(monkeypatch, tmp_path):
+    """The tests above take seconds."""
+    short = Scenario(horizon=0.3, team=Team(count=2))
+    monkeypatch.setattr(Suite, "scenarios", {"short": short})
+    monkeypatch.setattr(Suite, "protocols", {"argmin": "argmin"})
+    made = bench([idle, {"kind": "argmin"}], runs=2, again=True, folder=tmp_path)
+    costs = made.costs["short"]
+    assert {name: [*networks] for name, networks in costs.items()} == {
+        **{name: [AS_IT_IS, PERFECT] for name in ("argmin", "idle", "argmin (2)")},
+        REFERENCE: [SILENT],
+    }
+    assert costs["idle"][AS_IT_IS].tolist() == [2 * 0.3] * 2
+    runs = [run(short.with_({"protocol": "argmin"}), seed) for seed in seeds_from(short.seed, 2)]
+    assert costs["argmin"][AS_IT_IS].tolist() == [active_time(result) + 2 * idle_time(result) for result in runs]
+    assert costs["argmin (2)"][PERFECT].tolist() == costs["argmin"][PERFECT].tolist()
+    assert [path.name for path in tmp_path.iterdir()] == ["short.sqlite"]
+    with pytest.raises(ValueError, match=r"sapp takes part in no scenario: protocol\.kind: there is no 'sapp'"):
+        bench("sapp", runs=2, again=True)
 
 
 @pytest.mark.slow
