@@ -1,15 +1,17 @@
 """Whole runs among walls: nothing is received or seen through an opaque one, and watchers notice if it is."""
 
+from itertools import product
 from math import inf
 
 import numpy as np
 import pytest
 
 from desim import Scenario, run
-from desim.kernel.core.events import Broadcast, Sent
+from desim.kernel.core.events import Broadcast, Lost, Sent
 from desim.kernel.walls.wall import Wall
 from desim.pursuit.core.events import Sampled
 from desim.pursuit.sensing.sensing import Sighting
+from desim.pursuit.team.announcements import Assignment
 from desim.testing.opacity import OpacityWatcher
 from desim.testing.pursuits import watched
 
@@ -83,6 +85,31 @@ def test_a_sighting_through_a_wall_is_noticed(x, is_behind):
     else:
         watcher(report)
     assert watcher.judged == 1
+
+
+@pytest.mark.parametrize(
+    ("check", "x", "is_lost"),
+    [*product(["send", "delivery", "both"], [(6.0, 2.0), (2.0, 6.0), (2.0, 2.0), (6.0, 6.0)], [False, True])],
+)
+def test_a_reception_through_a_wall_is_noticed_when_the_range_is_checked(check, x, is_lost):
+    """A receiver is before the wall or behind it when a message is sent, and when it arrives."""
+    wall = Wall(line=[[3.0, -9.0], [3.0, 9.0]], blocks=("radio",))
+    scenario = among([wall], team__count=2, motion__static=True, network__range_check=check, network__range=9.0)
+    watcher = OpacityWatcher(scenario)
+    events = [
+        Sampled(0, [[0.0, 5.0]], [[0.0, 0.0], [x[0], 0.0]]),
+        Broadcast(10, 0, 0, 0, (1,), (20,), 10, 10, Assignment(0)),
+        Sampled(15, [[0.0, 5.0]], [[0.0, 0.0], [x[1], 0.0]]),
+        Lost(20, 0, 0, 1, "loss") if is_lost else Sampled(20, [[0.0, 5.0]], [[0.0, 0.0], [x[1], 0.0]]),
+        Sampled(21, [[0.0, 5.0]], [[0.0, 0.0], [x[1], 0.0]]),
+    ]
+    judged = [x[0]] * (check != "delivery") + [x[1]] * (check != "send" and not is_lost)
+    if 6.0 in judged:
+        with pytest.raises(AssertionError, match="nothing is received through an opaque wall"):
+            list(map(watcher, events))
+    else:
+        list(map(watcher, events))
+        assert watcher.judged == len(judged)
 
 
 @pytest.mark.slow

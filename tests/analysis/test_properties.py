@@ -9,7 +9,7 @@ from operator import eq, ge, gt, le, lt, ne
 import pytest
 
 from desim import Evader, Scenario, Team, judge, load, run, summary
-from desim.analysis.properties import PropertyWatcher, stated, worst_of
+from desim.analysis.properties import PropertyWatcher, worst_of
 from desim.analysis.quantities import pieces_of
 from desim.kernel.core.trace_file import line_of
 from desim.kernel.core.units import SECOND

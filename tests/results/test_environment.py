@@ -6,6 +6,7 @@ import shutil
 import stat
 import subprocess
 import sys
+from hashlib import sha256
 from importlib.metadata import EntryPoint, EntryPoints, version
 from pathlib import Path
 from types import SimpleNamespace
@@ -218,3 +219,16 @@ def test_the_code_is_that_of_all_that_decides_what_comes_of_a_run(tmp_path, monk
         found = code()
         assert found not in seen
         seen.add(found)
+
+
+def test_the_code_is_made_of_all_modules_that_compute_and_of_no_others(monkeypatch):
+    """As above, without a copy of the project: which files are read, and that the digest is one of their bytes."""
+    root, read = Path(environment.__file__).parents[2], []
+    monkeypatch.setattr(Path, "read_bytes", lambda file: read.append(file.relative_to(root).as_posix()) or b"x")
+    digest = environment.code.__wrapped__()
+    files = [*root.glob("desim/**/*.py"), *root.glob("protocols/**/*.py")]
+    names = {file.relative_to(root).as_posix(): file.relative_to(root).parts[1] for file in files}
+    others = {"adapters", "cli", "learning", "live", "results", "study", "testing", "view"}
+    listing = {f"desim/{module}" for module in environment.METRICS_MODULES}
+    assert read == sorted(name for name, part in names.items() if part not in others and name not in listing)
+    assert digest == sha256("".join(f"{name}\nx" for name in read).encode()).hexdigest()[:16]

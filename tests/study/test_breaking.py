@@ -874,3 +874,25 @@ def test_old_news_that_nobody_reads_may_matter(name):
 
 def test_old_news_matters_for_a_property_about_messages():
     assert not hides_old_news(SMALL, property_of("age at most 3 in total"))
+
+
+def test_a_log_has_what_was_run_for_its_property_and_nothing_that_was_cut_off(tmp_path):
+    file, prop, other = tmp_path / "cases.jsonl", property_of("idle at most 1 in total"), property_of("always idle")
+    scenario = Scenario(horizon=0.1, team=Team(count=2))
+    verdict, failed = Judgement(0.5, 0.5, 3), CaseRun(FAILED, [], 2.0, "of the rule")
+    log = CaseLog(file, prop)
+    assert len(log) == 0
+    log.add(scenario, 1, CaseRun(verdict, ["lost"], 0.25), {"loss": {"network.loss": 0.5}})
+    log.add(scenario, 2, failed)
+    CaseLog(file, other).add(scenario, 1, CaseRun(FAILED, [], 1.0))
+    with file.open("a") as lines:
+        lines.write('{"search": "cut o')
+    again = CaseLog(file, prop)
+    assert len(again) == len(log) == 2
+    for known in (log, again):
+        assert known.find(scenario, 1) == CaseRun(verdict, ["lost"], 0.25)
+        assert known.find(scenario, 2) == failed
+        assert known.find(scenario, 3) is known.find(scenario.with_({"horizon": 0.2}), 1) is None
+    again.add(scenario, 3, CaseRun(verdict, ["crash"], 0.5))
+    assert [CaseLog(file, prop).find(scenario, seed).seen for seed in (1, 2, 3)] == [["lost"], [], ["crash"]]
+    assert len(CaseLog(file, other)) == 1

@@ -14,6 +14,7 @@ from enum import Enum
 from functools import cached_property, lru_cache, partial, partialmethod, reduce
 from importlib import import_module, invalidate_caches
 from math import inf, nan, nextafter
+from pathlib import Path
 from types import MappingProxyType, SimpleNamespace
 from weakref import WeakSet
 
@@ -22,6 +23,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel, PrivateAttr
 
+from desim.config.data_files import content_hash
 from desim.config.model import Value
 from desim.study.plan import user_code
 from desim.study.plan.config_hash import StablePickler
@@ -451,6 +453,22 @@ def test_an_installed_package_counts_with_all_its_modules_and_what_it_requires_w
     assert found[0] == found[1]
     assert [name.split(".")[0] for name in names[1:] if found[1][name] != found[2][name]] == whose
     assert ("distribution other", "1.0") in found[0]["own"][1]
+
+
+def test_an_installed_package_counts_with_its_modules_and_what_it_requires(monkeypatch):
+    """`HASHED_BY_NAME` and extras are left out, and so is what cannot be found."""
+    file, code = Path(import_module("jinja2").__file__), UserCode()
+    assert code.add("jinja2")
+    assert not code.add("no_such_module")
+    assert not code.add("__main__")
+    assert {*code.code} == {"jinja2", "distribution Jinja2", "distribution MarkupSafe"}
+    assert user_code._package.__wrapped__("jinja2", file) == code.code
+    read = []
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read.append(path) or b"")
+    assert user_code._package.__wrapped__("jinja2", file)["jinja2"] != code.code["jinja2"]
+    assert read == sorted(file.parent.rglob("*.py"))
+    alone = user_code._package.__wrapped__("typing_extensions", file)
+    assert alone["typing_extensions"] == content_hash(f'[["__init__.py", "{content_hash(b"")}"]]'.encode())
 
 
 def test_the_versions_of_what_is_not_installed_are_left_out():
