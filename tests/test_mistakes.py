@@ -574,6 +574,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "play f.toml --port 80": ("There are --no-browser, --timeout",),
     "-s 3 run f.toml": ("Options follow the command: desim run ... -s",),
     "run f.toml --timeout 200ms": ("--timeout': '200ms' should be a number, in s: 0.2.",),
+    "run f.toml -help": ("No such option '-help'. Did you mean '--help'?",),
     "run f.toml -seed 3": ("No such option '-seed'. Did you mean '--seed'?",),
     "run f.toml -o ''": ("The value of -o is empty. Is a variable of the shell not set?",),
     "run f.toml --out=": ("The value of --out is empty.",),

@@ -52,6 +52,7 @@ from desim.kernel.topology.topology import Topology
 from desim.kernel.transport.frames import CodedPiece
 from desim.kernel.transport.receiver import REMEMBERED, CodedReceiver
 from desim.pursuit.byzantine.lies import Liar, draw_lies
+from desim.pursuit.byzantine.speaker import Speaker
 from desim.pursuit.game.game import greedy_maximal_independent_set
 from desim.pursuit.mobility.bonnmotion_file import _increase
 from desim.pursuit.mobility.mobility_file import has_poses
@@ -178,6 +179,12 @@ def received_while_transmitting(begin):
     transmitter = SimpleNamespace(during=lambda *_: {3: [(0, 2), (5, 7)]})
     arrivals = SimpleNamespace(_transmitter=transmitter, _processing=0)
     yield [*ArrivalLosses._while_transmitting(arrivals, [3], begin + 1, Flight(None, 1))] == [0]
+
+
+def phi_of_a_liar(evader):
+    """Return the capture time, s, that a pursuer knows for an evader, or for any of two."""
+    view = SimpleNamespace(state=SimpleNamespace(at_large=[1, 2]), capture_times_of=lambda _, target: [5.0 / target])
+    return Speaker.phi(SimpleNamespace(id=0, view=view), evader)
 
 
 def raising(act):
@@ -330,6 +337,7 @@ VALUES = {
         [True, True, False],
     ),
     "a key under another table": lambda: (other_key(("a.horizn",), ["horizon"], Scenario), ", did you mean 'horizon'?"),
+    "the least capture time of a liar": lambda: ([phi_of_a_liar(evader) for evader in (0, 1, 2)], [2.5, 5.0, 2.5]),
     "a ratio to nothing": lambda: (isnan(Ratio.of(np.ones(3), np.zeros(3)).value), True),
 }
 

@@ -28,6 +28,7 @@ import pytest
 from desim import Scenario, Team, load, run, summary
 from desim.analysis.metrics import Summary
 from desim.analysis.statistics import paired
+from desim.scenario.checks import warnings
 from desim.scenario.overrides import Source
 from desim.scenario.toml import read_source
 from desim.simulation.watchdog import TimedOut
@@ -49,6 +50,9 @@ SMALL = ("team.count=6", "horizon=1.0")
 SET_SMALL = [word for each in SMALL for word in ("--set", each)]
 
 
+LATE = [*SMALL, "network.latency.value=0.3"]
+
+
 @pytest.fixture(scope="module")
 def small():
     return Playground(read_source(RELAY), RELAY, SMALL)
@@ -56,7 +60,7 @@ def small():
 
 @pytest.fixture(scope="module")
 def answer(small):
-    return small.answer([*SMALL, "network.latency.value=0.3"], SMALL)
+    return small.answer(LATE, SMALL)
 
 
 def test_an_answer_has_the_metrics_of_the_run_and_their_differences(answer):
@@ -134,6 +138,11 @@ def test_a_call_that_cannot_be_submitted_to_workers_that_live_is_an_error(small,
 
     monkeypatch.setattr(InProcess, "submit", submit)
     assert Session(small, InProcess()).save(SMALL) == {"error": "ValueError: no way"}
+
+
+def test_an_answer_has_all_parts_of_a_page(answer):
+    assert [*answer] == ["controls", "texts", "page", "metrics", "seeds", "warnings"]
+    assert answer["warnings"] == [f"{key}: {why}" for key, why in warnings(load(RELAY, LATE))]
 
 
 def test_a_run_that_is_its_own_reference_has_no_ghost_and_no_differences(small):
