@@ -75,6 +75,7 @@ from desim.study.results.explanation import Explanation
 from desim.study.store.file import view_of
 from desim.study.sweeps.sweep_plan import SweepPlan
 from desim.view.formats.trace_table import _is_event
+from protocols.schedules.periodic import Rounds
 from protocols.schedules.synchronous import Synchronous
 from tests.test_kinds import families
 
@@ -181,6 +182,9 @@ def received_while_transmitting(begin):
     yield [*ArrivalLosses._while_transmitting(arrivals, [3], begin + 1, Flight(None, 1))] == [0]
 
 
+NOBODY_LEFT = SimpleNamespace(id=0, view=SimpleNamespace(state=SimpleNamespace(at_large=[], position=abs)))
+
+
 def phi_of_a_liar(evader):
     """Return the capture time, s, that a pursuer knows for an evader, or for any of two."""
     view = SimpleNamespace(state=SimpleNamespace(at_large=[1, 2]), capture_times_of=lambda _, target: [5.0 / target])
@@ -238,6 +242,7 @@ VALUES = {
     "late news": lambda: (NewsFault(start=0.0, delay=0.5).label, "news late"),
     "lost news": lambda: (NewsFault(start=0.0).label, "news lost"),
     "a schedule of all": lambda: (Synchronous().for_all(), Synchronous()),
+    "rounds of all": lambda: (Rounds(period=0.5, participation=0.25).for_all(), Rounds(period=0.5)),
     "an estimate without an error": lambda: (
         ControlledEstimate(1.0, 0.0, 5, mean([1.0, 2.0, 3.0]), 0.5, 0.1, 3, 2.0).worth,
         inf,
@@ -338,6 +343,7 @@ VALUES = {
     ),
     "a key under another table": lambda: (other_key(("a.horizn",), ["horizon"], Scenario), ", did you mean 'horizon'?"),
     "the least capture time of a liar": lambda: ([phi_of_a_liar(evader) for evader in (0, 1, 2)], [2.5, 5.0, 2.5]),
+    "the capture time of a liar if no evader is left": lambda: (Speaker.least_phi(NOBODY_LEFT, 0), inf),
     "a ratio to nothing": lambda: (isnan(Ratio.of(np.ones(3), np.zeros(3)).value), True),
 }
 

@@ -26,7 +26,7 @@ import desim
 from desim import Crash, Links, Lognormal
 from desim.adapters.env_network import EnvNetwork
 from desim.adapters.message_spaces import blank
-from tests.adapters.environments import NAMES, Line, Turns
+from tests.adapters.environments import NAMES, Counter, Line, Turns
 
 LINKS = Links(latency=Lognormal(mean=0.1, cv=0.5), loss=0.1)
 WARNED = "Observation is not a NumPy array|probably should be gymnasium.spaces|all zeros|named in the format"
@@ -499,3 +499,18 @@ def test_a_place_of_an_earlier_episode_is_none_of_the_next():
     network.step()  # it stays where it was
     with pytest.raises(ValueError, match="positions"):
         network.reset(2)
+
+
+@pytest.mark.parametrize("world", [Line, Turns, Counter])
+def test_a_reset_passes_its_seed_and_options_on(world, monkeypatch):
+    begun, original = [], world.reset
+
+    def reset(self, *, seed=None, options=None):
+        begun.append((seed, options))
+        return original(self, seed=seed, options=options)
+
+    monkeypatch.setattr(world, "reset", reset)
+    env = desim.wrap(world(), Links(), **{} if world is Counter else {"message": NUMBERS})
+    begun.clear()
+    env.reset(seed=3, options={"level": 2})
+    assert begun == [(3, {"level": 2})]

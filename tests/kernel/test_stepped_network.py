@@ -377,7 +377,7 @@ def test_any_labels_name_the_nodes():
     network.send(7, None, "hello")
     network.publish("base", 3)
     assert [message[:5] for message in network.step(0.2)] == [(7, ("drone", 1), "hello", 0.0, 0.1)]
-    assert network.latest(("drone", 1))["base"].body == 3
+    assert network.latest(("drone", 1))["base"][:3] == ("base", ("drone", 1), 3)
     assert sorted(map(str, network.neighbours("base"))) == ["('drone', 1)", "7"]
     row = network.nodes.index(7)
     assert network.ages()[row, network.nodes.index("base")] == inf
