@@ -1,7 +1,7 @@
 """Results as tables in plain text, and estimates as JSON."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from math import floor, isfinite, isnan, log10, nan
+from math import floor, inf, isfinite, isnan, log10, nan
 from typing import Any
 
 from desim.analysis.measuring import users_metrics
@@ -96,10 +96,26 @@ def digits_of(values: Sequence[Estimate]) -> int:
     """Return the number of decimals of the estimates in a column of a table: all have the same.
 
     There are three, or one if all means are large; if all numbers are below 0.01, as many as leave the greatest three
-    digits.
+    digits. A cell that these would show as certain has more; see `digits_in`.
     """
     sizes = [abs(size) for value in values for size in (value.mean, value.half_width) if isfinite(size)]
     return _decimals(sizes) if any(abs(value.mean) < 100.0 for value in values) else 1
+
+
+def digits_in(value: Estimate, digits: int | None = None) -> int:
+    """Return the number of decimals of an estimate in a column with `digits` decimals; None = in a column of its own.
+
+    There are more if its half width would be shown as 0, which would say that the mean is certain; without a half
+    width, if the mean would be.
+    """
+    has_width = value.count > 1 and value.others is None
+    size = value.half_width if has_width else abs(value.mean)
+    return decimals_of(size, digits_of([value]) if digits is None else digits)
+
+
+def decimals_of(size: float, least: int = 3) -> int:
+    """Return the number of decimals of a number >= 0: `least`, or as many as leave two digits if it would be 0 then."""
+    return 1 - floor(log10(size)) if NANO <= size < inf and not float(f"{size:.{least}f}") else least
 
 
 def _decimals(sizes: Sequence[float]) -> int:
@@ -133,11 +149,11 @@ def with_half_width(value: Estimate, runs: int, sign: str = "", unit: str = "", 
 
     If all values are equal, return "mean in all, others < p", with the upper bound p of the share of all runs that have
     another value. Without values, return a dash. `sign` is the sign option of a format: "+" shows the sign of a
-    positive mean, too. `unit` follows the number. `digits` is the number of decimals; None = as in a column of its own.
+    positive mean, too. `unit` follows the number. `digits` is the number of decimals in the column; see `digits_in`.
     """
     if not value.count:
         return "-"
-    digits, unit = digits_of([value]) if digits is None else digits, f" {unit}".rstrip()
+    digits, unit = digits_in(value, digits), f" {unit}".rstrip()
     few = f" ({value.count})" if value.count != runs else ""
     if value.others is not None:
         return f"{value.mean:{sign},.{digits}f}{unit} in all, others < {percent(value.others)}{few}"
@@ -226,7 +242,7 @@ def _rows_of_batch(scenario: Scenario, runs: Sequence[Summary]) -> Iterator[Sequ
 
 def _row(name: str, values: Sequence[float]) -> tuple[str, ...]:
     summary = mean_or_share(values)
-    digits = _decimals([abs(value) for value in values if isfinite(value)])
+    digits = decimals_of(summary.half_width, _decimals([abs(value) for value in values if isfinite(value)]))
     mean, half_width, least, most = (
         number(value, digits) for value in (summary.mean, summary.half_width, min(values), max(values))
     )

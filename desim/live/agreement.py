@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, get_args
 from desim.analysis.measuring import summary
 from desim.analysis.metrics import METRICS, Summary
 from desim.analysis.statistics import Estimate, mean, paired, t_quantile
-from desim.analysis.tables import aligned, counted, number
+from desim.analysis.tables import aligned, counted, decimals_of, number
 from desim.config.arguments import scenario_argument
 from desim.config.python_numbers import whole
 from desim.kernel.core.portable_math import portable_sum
@@ -105,16 +105,17 @@ class Agreement:
     def table(self) -> str:
         """Return the comparison as text."""
         head = ("", "live", "simulated", "difference", "late", "s.e.", "in s.e.", "")
+        digits = [decimals_of(row.difference.standard_error) for row in self.rows]
         rows = [
             (
                 f"{row.metric}{f', {row.unit}' if row.unit else ''}",
-                *(number(value) for value in (row.live.mean, row.simulated.mean, row.difference.mean)),
-                number(row.margin),
-                number(row.difference.standard_error),
+                *(number(value, decimals) for value in (row.live.mean, row.simulated.mean, row.difference.mean)),
+                number(row.margin, decimals),
+                number(row.difference.standard_error, decimals),
                 f"{row.errors:+z.1f}",
                 "agrees" if row.agrees else "differs",
             )
-            for row in self.rows
+            for row, decimals in zip(self.rows, digits, strict=True)
         ]
         error, orders = self.late("deliveries"), self.late("orders")
         return "\n".join(

@@ -3,6 +3,7 @@
 from math import inf, nan
 
 import pytest
+from scipy import stats
 
 from desim.analysis.measuring import summary
 from desim.analysis.statistics import Estimate, estimate, share
@@ -10,6 +11,7 @@ from desim.analysis.tables import (
     aligned,
     as_json,
     batch_table,
+    digits_of,
     fraction,
     from_json,
     number,
@@ -131,6 +133,32 @@ def test_the_bound_on_other_values_is_that_of_as_many_values_as_are_equal():
     assert "all equal: at most 11.4% of all seeds have another value\n" in batch_table(
         SCENARIO, [*runs[2:], *runs[2:4]], 1.0
     )
+
+
+@pytest.mark.parametrize("mean", [0.0, 0.2, -3.0, 99.0, 512.34])
+@pytest.mark.parametrize("error", [2e-8, 3e-5, 0.0002, 0.004, 0.3])
+def test_a_mean_is_not_shown_as_certain_beside_large_ones(mean, error):
+    """A half width that the decimals of its column would make 0 has two digits, and the mean as many decimals."""
+    value, large = Estimate(mean, error, 30), Estimate(5000.0, 200.0, 30)
+    for column in ([value], [value, large], [value, Estimate(1.0, 0.1, 30), large]):
+        shown, width = with_half_width(value, 30, digits=digits_of(column)).split(" +- ")
+        decimals = len(width.partition(".")[2])
+        assert float(width) == pytest.approx(stats.t.ppf(0.975, 29) * error, abs=0.5 * 10.0**-decimals)
+        assert float(width) > 0.0
+        assert len(shown.partition(".")[2]) == decimals
+        assert with_half_width(large, 30, digits=digits_of(column)).startswith("5,000.0")
+    assert with_half_width(Estimate(0.0003, 0.0, 30), 30, digits=digits_of([large])) == "0.00030 in all, others < 11.4%"
+    assert with_half_width(Estimate(0.0003, nan, 1), 1, digits=3) == "0.00030 +- -"
+
+
+def test_several_runs_that_hardly_differ_have_a_half_width():
+    """Of 5 and 5.0002 s: s.e. 0.0001 s, and 12.706 times as much for two values."""
+    runs = [changed(SEEN, seed=k, active_time=5.0 + 0.0002 * k) for k in range(2)]
+    (row,) = (line for line in batch_table(SCENARIO, runs, 1.0).splitlines() if line.startswith("active time"))
+    assert row.split()[-5:] == ["5.000", "0.001", "5.000", "5.000", "2"]
+    runs = [changed(SEEN, seed=k, active_time=5.0 + 0.00002 * k) for k in range(2)]
+    (row,) = (line for line in batch_table(SCENARIO, runs, 1.0).splitlines() if line.startswith("active time"))
+    assert row.split()[-5:] == ["5.00001", "0.00013", "5.00000", "5.00002", "2"]
 
 
 def test_small_numbers_keep_three_digits():

@@ -26,7 +26,7 @@ import numpy as np
 
 from desim.analysis.statistics import Estimate, estimate
 from desim.analysis.table_formats import Table, TabularResult
-from desim.analysis.tables import as_json, counted
+from desim.analysis.tables import as_json, counted, digits_in
 from desim.config.arrays import Floats
 from desim.config.extras import naming_extras
 from desim.kernel.core.portable_math import portable_sum
@@ -302,4 +302,5 @@ class Benchmark(TabularResult):
 
 
 def _text(value: Estimate) -> str:
-    return f"{value.mean:.3f} +- {value.half_width:.3f}" if value.standard_error else f"{value.mean:.3f}"
+    digits = digits_in(value, 3)
+    return f"{value.mean:.{digits}f} +- {value.half_width:.{digits}f}" if value.standard_error else f"{value.mean:.3f}"

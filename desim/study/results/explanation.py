@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 from desim.analysis.metrics import with_unit, words
 from desim.analysis.statistics import Estimate, Share, wilson
 from desim.analysis.table_formats import Table, TableFormat, TabularResult
-from desim.analysis.tables import aligned, as_json, counted, digits_of, number, percent, with_half_width
+from desim.analysis.tables import aligned, as_json, counted, digits_in, number, percent, with_half_width
 from desim.config.extras import naming_extras
 from desim.kernel.core.portable_math import portable_sum
 from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT, Bounds, Cost, Saving
@@ -181,7 +181,7 @@ class Explanation(TabularResult):
         unit, metrics = f" {cost.unit}".rstrip(), len(self.costs)
         interval = f"the {100 * cost.confidence:.4g} % interval" + f" (99 % over {metrics} metrics)" * (metrics > 1)
         interaction = cost.interaction.mean
-        digits = digits_of([interaction])
+        digits = digits_in(interaction)
         if cost.interacts:
             total = portable_sum(part.mean.mean for part in cost.parts.values())
             yield (
@@ -237,7 +237,7 @@ def _network(metric: str, bounds: Bounds, unit: str) -> Iterator[str]:
 
 def _width(estimate: Estimate, unit: str) -> str:
     """Return the half width of the interval of a mean as text; if all values are equal, their value instead."""
-    digits = digits_of([estimate])
+    digits = digits_in(estimate)
     if estimate.others is not None:
         return f"{estimate.mean:+.{digits}f} {unit}".rstrip() + f" in all of {counted(estimate.count, 'run')}"
     return f"+-{number(estimate.half_width, digits)} {unit}".rstrip()
