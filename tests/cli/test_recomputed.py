@@ -150,7 +150,7 @@ def check_cell(cell: str, values: Sequence[float], runs: int, *, is_share: bool 
         found = MEAN.fullmatch(cell)
         assert found is not None
         assert (count > 1) == (found[2] != "-")
-        assert count == 1 or is_rounded(found[2], interval[0])
+        assert count == 1 or (is_rounded(found[2], interval[0]) and float(found[2].replace(",", "")) > 0.0)
     assert is_rounded(found[1], mean)
     given = re.search(r" \((\d+)\)$", cell)
     assert (given is None) == (count == runs)
@@ -365,6 +365,34 @@ def test_the_table_of_several_runs_is_that_of_the_runs(folder, name):
             assert is_rounded(half_width, expected(there)[1])
         else:
             assert half_width == "-"
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("metric", ["captured", "active_time"])
+def test_the_table_of_a_race_is_that_of_its_runs(folder, metric):
+    """Means over the runs of each, of truths with Wilson's interval, and differences over the runs that both have."""
+    command = ["race", folder / "numbers.toml", "-y", metric, "--zone", 0.3, "--first", 6, "-n", 12, "--allow-import"]
+    command += ["-o", folder / f"race-{metric}", "--grid=team.speeds=1.2,1.4,3.0", "--maximise"]
+    text, document = desim(*command), strict_json(desim(*command, "--json"))
+    rows = rows_of(text, "   ")
+    assert ("in brackets a Wilson interval" in text) == (metric == "captured")
+    taken = {}
+    for row, entry in zip(rows, document["configurations"], strict=True):
+        (speed,) = entry["settings"].values()
+        runs = [_simulated(folder, "some are captured", {"team.speeds": speed}, SEED + k) for k in range(12)]
+        taken[speed] = values_of(runs, metric)[: entry["mean"]["runs"]]
+        assert float(row[1]) == speed
+        check_cell(row[2], taken[speed], len(taken[speed]), is_share=metric == "captured")
+        mean, *interval, count = expected(taken[speed], is_share=metric == "captured")
+        assert (entry["mean"]["mean"], entry["mean"]["runs"]) == (pytest.approx(mean), count)
+        given = entry["mean"]["interval"] if metric == "captured" else [entry["mean"]["half_width"]]
+        assert given == pytest.approx(interval)
+        best = taken[document["best"]["team.speeds"]]
+        if speed != document["best"]["team.speeds"]:
+            behind = [a - b for a, b in zip(taken[speed], best, strict=False)]
+            check_cell(row[3], behind, len(taken[speed]))
+            assert int(row[4]) == count
+    assert document["runs"] == sum(map(len, taken.values()))
 
 
 CHANGES: Mapping[str, tuple[str, ...]] = {

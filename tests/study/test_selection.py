@@ -214,6 +214,17 @@ def test_a_tie_counts_the_samples_that_were_taken():
     )
 
 
+def test_the_mean_of_truths_is_a_share_with_its_own_interval():
+    """9 of 10 captures: Wilson's interval, as a sweep has it, and not one beyond 1."""
+    hits = np.array([1.0] * 9 + [0.0])
+    made = by_hand.raced(2, metric="captured", unit="", maximise=True, is_of_truths=True)
+    made = replace(made, selection=selected(np.column_stack([hits, 1.0 - hits]), first=4))
+    interval = stats.binomtest(9, 10).proportion_ci(0.95, "wilson")
+    assert made.document()["configurations"][0]["mean"]["interval"] == pytest.approx([interval.low, interval.high])
+    assert f"0.900 ({interval.low:.3f} .. {interval.high:.3f})" in made.table()
+    assert "t interval, in brackets a Wilson interval\n" in made.table()
+
+
 def test_two_stages_take_what_clark_and_yang_say():
     variances = np.array([[0.0, 2.0, 3.0], [2.0, 0.0, 4.0], [3.0, 4.0, 0.0]])
     t = stats.t.ppf(1 - 0.05 / 2, 9)

@@ -158,8 +158,9 @@ def carry_out_race(
         RunError: if a run fails.
     """
     with progress(None, plan.base.name, "run") as bar:
+        samples = _Samples(plan, store, workers, rules, timeout, bar)
         selection = kim_nelson(
-            _Samples(plan, store, workers, rules, timeout, bar),
+            samples,
             len(plan.configurations),
             zone=rules.zone,
             confidence=rules.confidence,
@@ -178,6 +179,7 @@ def carry_out_race(
         tuple(configuration.columns for configuration in plan.configurations),
         selection,
         plan.common,
+        samples.are_truths,
     )
 
 
@@ -202,6 +204,11 @@ class _Samples:
         if any((system, replication) not in self._rows for system in systems):
             self._perform(systems, replication)
         return [self._value(system, self._rows[system, replication]) for system in systems]
+
+    @property
+    def are_truths(self) -> bool:
+        """Whether all values are true or false."""
+        return all(isinstance(row.value(self._metric), bool) for row in self._rows.values())
 
     def _perform(self, systems: Sequence[int], replication: int) -> None:
         """Perform the runs of a replication; the first ones together, and later ones as the number of workers asks."""

@@ -6,7 +6,7 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 from desim.analysis.metrics import with_unit, words
-from desim.analysis.statistics import Estimate, mean, paired
+from desim.analysis.statistics import Estimate, mean, paired, share
 from desim.analysis.table_formats import Table, TabularResult
 from desim.analysis.tables import as_json, counted, digits_of, with_half_width
 from desim.config.extras import naming_extras
@@ -41,6 +41,8 @@ class RaceResult(TabularResult):
     """What the procedure decided; a system is the position of a configuration in `settings`."""
     common: bool
     """Whether run k of every configuration had the same seed."""
+    is_of_truths: bool = False
+    """Whether the metric is true or false in each run, so that its means are shares."""
 
     @property
     def best(self) -> Mapping[str, Any]:
@@ -81,8 +83,8 @@ class RaceResult(TabularResult):
         return [best, *others, *(one.system for one in dropped)]
 
     def mean_of(self, system: int) -> Estimate:
-        """Return the mean of the metric over the runs of a configuration, given its position."""
-        return mean(self.selection.samples[system])
+        """Return the mean of the metric over the runs of a configuration, or the share for which it is true."""
+        return (share if self.is_of_truths else mean)(self.selection.samples[system])
 
     def behind(self, system: int) -> Estimate:
         """Return the mean difference of a configuration from the best, over the runs that both have."""
@@ -141,7 +143,10 @@ class RaceResult(TabularResult):
             cells = (with_half_width(means[rank], count, digits=digits_of(means)), behind, str(count), against)
             rows.append((place, *map(text, self.settings[system].values()), *cells))
         seeds = "the same seeds" if self.common else "independent seeds"
-        head = f"{self.name}: a race of {len(self.settings)} configurations, {seeds}; +- is half a 95 % t interval"
+        shares = ", in brackets a Wilson interval" * self.is_of_truths
+        head = (
+            f"{self.name}: a race of {len(self.settings)} configurations, {seeds}; +- is half a 95 % t interval{shares}"
+        )
         return [(head, rows)]
 
     def _right_from(self) -> int:
