@@ -43,6 +43,7 @@ from desim.study.breaking.copies import ReadingTime, copies, looks, readings
 from desim.study.breaking.features import FEATURES, applied, drawn
 from desim.study.breaking.found import case_text, command_for, protocols_text, scenario_text, search_text
 from desim.study.breaking.judging import JudgementError, failure_of
+from desim.study.breaking.loss_table import FatalLosses, LossTable
 from desim.study.breaking.losses import hides_old_news
 from desim.study.breaking.search import Search, Violation, _Cases
 from desim.study.breaking.shrinking import Tried, _simplifications, shrunk
@@ -692,6 +693,29 @@ def test_what_is_seen_in_a_run():
     calm = seen_in(run(busy, 3))
     assert not {"a fault began", "a pursuer that chased crashed", "a message was lost"} & {*calm}
     assert {*calm} <= {*SIGHTINGS}
+
+
+@pytest.mark.parametrize(("node", "t", "chases"), [(0, 300, True), (0, 500, False), (1, 500, True), (2, 500, False)])
+def test_a_pursuer_whose_evader_was_captured_does_not_chase_until_it_decides(node, t, chases):
+    """By hand, 0 captures at 400 ms and decides no more; 1 chases the other evader, and 2 has stopped."""
+    result = pair()
+    crash = FaultStarted(t * MS, Crash(node=node, start=t / 1000))
+    events = [event for event in result.trace if event != Decided(400 * MS, 0, 2)]
+    result.trace.events[:] = sorted([*events, crash], key=lambda event: event.t)
+    assert ("a pursuer that chased crashed" in seen_in(result)) == chases
+
+
+def test_margins_have_their_unit():
+    """A time has seconds, and a number of pursuers none."""
+    told = Tried({}, 3, Judgement(-1.5, 3.5, 0.0))
+    fatal = FatalLosses(3, (), (), inf, told.verdict)
+    for text, unit in (("idle at most 2 in total", " s"), ("always active <= 2", "")):
+        prop = property_of(text)
+        nothing = search_text(Search(runs=1, tried=[told]), prop)
+        assert nothing.startswith(f"no violation in 1 case; the least margin is -1.5{unit}\n")
+        assert f"margin -1.5{unit} if" in LossTable(1, (3,), unit=prop.unit, fatal=[fatal]).text()
+    table = fatal_losses(SMALL, "crowded at most 1.9 in total", seeds=[1], jobs=1)
+    assert table.unit == "s"
 
 
 @pytest.mark.parametrize(

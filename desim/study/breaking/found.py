@@ -121,7 +121,8 @@ def search_text(search: Search, prop: Property) -> str:
             f"smallest after {violation.shrunk} more runs: {case_text(violation.case)}",
         ]
     else:
-        lines.append(f"no violation in {counted(search.runs, 'case')}; the least margin is {_number(search.closest)}")
+        least = f"{_number(search.closest)} {prop.unit}".rstrip()
+        lines.append(f"no violation in {counted(search.runs, 'case')}; the least margin is {least}")
     if search.stopped:
         lines.append("the time was up before all cases were run")
     if search.refused:

@@ -43,9 +43,11 @@ class LossTable:
         seeds: the seeds.
         fates: what may become of a message.
         delay: the time by which messages are late, and after which they arrive once more, s.
+        unit: the unit of margins.
         fatal: the choices that violate the property, the smallest first.
         runs: the number of runs.
-        skipped: the number of choices that were not run, as one of their messages does not matter.
+        skipped: how often one more message was not added to a choice that was run, because it does not matter in that
+            run; with most = 1, the number of choices that were not run.
         symmetric: the number of choices that were not run, as a choice that was has the same run.
         messages: by seed, the number of messages in the undisturbed run.
         broken: the seeds with which the property is violated without any choice.
@@ -55,6 +57,7 @@ class LossTable:
     seeds: tuple[int, ...]
     fates: tuple[MessageFate, ...] = ("lost",)
     delay: float = inf
+    unit: str = "s"
     fatal: list[FatalLosses] = field(default_factory=list)
     runs: int = 0
     skipped: int = 0
@@ -73,7 +76,8 @@ class LossTable:
         lines = [f"seed {seed}: violated without any loss" for seed in self.broken]
         for fatal in self.fatal:
             these = f"if these are {fates}" if len(self.fates) == 1 else "with these"
-            told = f"fails ({fatal.failure})" if fatal.failure else f"margin {fatal.verdict.margin:.3g}"
+            told = f"fails ({fatal.failure})" if fatal.failure else f"margin {fatal.verdict.margin:.3g} {self.unit}"
+            told = told.rstrip()
             lines.append(f"seed {fatal.seed}: {told} {these}:")
             for copy, fate in zip(fatal.messages, fatal.fates, strict=True):
                 lines.append(f"  {'' if len(self.fates) == 1 else f'{words[fate]}: '}{copy}")

@@ -97,7 +97,7 @@ def fatal_losses(
         timeout = checked_limit(timeout)
     fates = _checked_fates(fates, delay)
     prop = checked_property(prop, scenario)
-    table = LossTable(most, (scenario.seed,) if seeds is None else tuple(seeds), fates, delay)
+    table = LossTable(most, (scenario.seed,) if seeds is None else tuple(seeds), fates, delay, prop.unit)
     if not table.seeds:
         raise ArgumentError("seeds", "should not be empty")
     skips = prune and hides_old_news(scenario, prop)

@@ -7,13 +7,13 @@ from collections.abc import Callable, Mapping
 from math import inf
 from types import MappingProxyType
 
-from desim.analysis.activity import handovers, idle_time, relays
+from desim.analysis.activity import action, handovers, idle_time, relays
 from desim.analysis.trace_index import captures, messages, trace_index
 from desim.config.traits import kind_of
 from desim.kernel.core.events import LOST
 from desim.kernel.models.faults import nodes_of
 from desim.kernel.models.traced_faults import FaultEnded, FaultStarted, TracedFault
-from desim.pursuit.core.events import Decided, Started
+from desim.pursuit.core.events import BrokeDown, Captured, Decided, Started
 from desim.simulation.run import Result
 from desim.study.breaking.copies import copies, looks, readings
 
@@ -38,8 +38,10 @@ def _chaser_down(result: Result) -> bool:
     (start,) = result.trace.of(Started)
     actions = [*start.active]
     for event in result.trace:
-        if isinstance(event, Decided):
-            actions[event.pursuer] = event.active
+        if isinstance(event, Decided | BrokeDown):
+            actions[event.pursuer] = action(event)
+        elif isinstance(event, Captured):  # its pursuers are free
+            actions = [0 if chased == event.evader else chased for chased in actions]
         elif isinstance(event, FaultStarted) and kind_of(event.fault) == "crash" and _chases(actions, event.fault):
             return True
     return False
