@@ -24,6 +24,7 @@ from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
 
 import pytest
+from scipy import stats
 
 from desim import Scenario, Team, load, run, summary
 from desim.analysis.metrics import Summary
@@ -352,9 +353,10 @@ def test_paired_runs_are_those_of_both_scenarios_with_equal_seeds(small):
         [summary(run(small.scenario(each), seed)).active_time for seed in seeds_from(3, 4)] for each in (changes, SMALL)
     ]
     found = paired(*values)
+    assert not any(row["differs"] for answer in earlier for row in answer["metrics"])
     shown = {row["name"]: row for row in last["metrics"]}["active time"]
     assert shown["difference"] == f"{found.mean:+.3f} +- {found.half_width:.3f}"
-    assert shown["differs"] == (abs(found.mean) > found.half_width)
+    assert shown["differs"] == (abs(found.mean) > found.half_width_at(1.0 - 0.05 / 8))
     assert shown["count"] == 4
     assert not math.isnan(found.half_width)
 
@@ -404,6 +406,19 @@ def test_differences_are_of_the_pairs_in_which_both_have_a_value():
     (row,) = differences_over_seeds(summaries, [], 4, {})["metrics"]
     assert (row["now"], row["pinned"], row["count"]) == ("15", "12", 2)
     assert row["difference"].startswith("+3.000 +- ")
+
+
+@pytest.mark.parametrize("gap", [0.0, 1.0, 1.3])
+def test_a_metric_differs_over_all_seeds_and_for_all_metrics_together(gap):
+    """A gap of 1.0: a t test of it alone has p = 0.017, less than 5 % and more than an eighth of them."""
+    noise = [0.6, -1.4, 0.9, -0.3, 1.2, -0.8, 0.4, -0.6]
+    pairs = [(Summary({"active_time": 5.0 + gap + x}), Summary({"active_time": 5.0})) for x in noise]
+    p = stats.ttest_1samp([gap + x for x in noise], 0.0).pvalue
+    assert (p < 0.05, p < 0.05 / 8) == {0.0: (False, False), 1.0: (True, False), 1.3: (True, True)}[gap]
+    (row,) = differences_over_seeds(pairs, [], 8, {})["metrics"]
+    assert row["differs"] == (p < 0.05 / 8)
+    (row,) = differences_over_seeds(pairs, [], 9, {})["metrics"]
+    assert not row["differs"]
 
 
 @pytest.mark.whole

@@ -21,7 +21,8 @@ FIRST = (
     "belief_error",
 )
 """The metrics that are shown first, in their order."""
-
+CONFIDENCE = 1.0 - 0.05 / len(FIRST)
+"""The confidence of the interval by which one of them is said to differ over several seeds."""
 ROUNDING = 1e-9
 """A value of at most this size counts as a rounding error of 0."""
 HALF_A_DIGIT = 0.0005
@@ -38,9 +39,12 @@ def differences_over_seeds(
 ) -> Answer:
     """Return the progress of a comparison, and the mean difference of each metric with its 95 % interval.
 
+    A metric `differs` as soon as all pairs are there, if its difference is told apart from 0 at a level of 5 % for all
+    metrics of `FIRST` together (Bonferroni): the table is drawn anew after each pair, and would find something in time.
     `named_metrics` are the user's metrics by name.
     """
-    rows = []
+    rows: list[Answer] = []
+    done = len(pairs) + len(failures)
     for name in _ordered(pairs[0][0]) if pairs else []:
         complete = [
             (float(now[name]), float(pinned[name]))
@@ -56,12 +60,11 @@ def differences_over_seeds(
                     "now": _formatted(mean(values).mean),
                     "pinned": _formatted(mean(pinned_values).mean),
                     "difference": with_half_width(difference, difference.count, sign="+"),
-                    "differs": difference.excludes_0(),
+                    "differs": done == of and difference.excludes_0(CONFIDENCE),
                     "sign": difference.mean,
                     "count": difference.count,
                 }
             )
-    done = len(pairs) + len(failures)
     return json_answer({"done": done, "of": of, "failed": len(failures), "failure": failures[:1], "metrics": rows})
 
 
