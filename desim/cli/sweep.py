@@ -124,8 +124,10 @@ def sweep(
     Runs that have succeeded are skipped, so the same command continues a sweep.
     """
     from desim.analysis.tables import counted
+    from desim.results import provenance
     from desim.study.results.runs import SHOWN
     from desim.study.store.store import Store
+    from desim.study.sweeps import planned
     from desim.study.sweeps.claims import carry_out_claimed
     from desim.study.sweeps.sweep import carry_out
 
@@ -148,7 +150,10 @@ def sweep(
         before = len(store)
         plan.register(store, mix_versions=execution.mix_versions)
         about: dict[str, Any] = {"seed": plan.root, "runs": plan.runs, "folder": file.parent}
-        note = partial(record_command, store, folder, "sweep", scenario, **about)
+        keys = [configuration.key for configuration in plan.configurations]
+        note = partial(
+            record_command, store, folder, "sweep", scenario, **about, **planned.entries(keys, plan.reps, until)
+        )
         common: dict[str, Any] = {"fail_fast": fail_fast, "timeout": execution.timeout, "metrics": shown}
         with execution.workers(store, plan.runs) as workers:
             if claim:
@@ -156,6 +161,11 @@ def sweep(
             else:
                 result = carry_out(plan, store, workers, until=until, shard=shard or (1, 1), **common, on_start=note)
         done = store.added
+        if until and done:  # how many runs it took is known now
+            ended = about | {"runs": sum(len(group.rows) for group in result.groups)}
+            provenance.write(
+                folder, provenance.document("sweep", scenario, **ended, **planned.entries(keys, None, None))
+            )
         everything = None if shard or claim else _whole_of(result, store)
     controlled = None if control_plan is None else _controlled(control_plan, result, folder, execution, metrics)
     _print_result(result, controlled, shown, reference, as_json=as_json)

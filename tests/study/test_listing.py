@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import sqlite3
+from contextlib import closing
 
 import pytest
 
@@ -93,6 +94,38 @@ def test_what_is_unfinished_or_damaged_says_so(results, tmp_path):
     assert found["cut"] == ("run", 1, "no run.json; unfinished")
     assert found["broken"][1] is None
     assert "file is not a database" in found["broken"][2]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("_undrawn")
+def test_runs_of_another_grid_are_not_those_of_the_last_sweep(results, tmp_path):
+    """Three runs of one configuration and two of another, of which one is then missing."""
+    for loss, runs in ((0.0, 3), (0.3, 2)):
+        accepted("sweep", results / "relay.toml", "-g", f"network.loss.p={loss}", "-n", runs, "-o", tmp_path / "out")
+    assert "relay: 2 of 2 runs are done" in accepted("status", tmp_path / "out").stdout
+    assert states(tmp_path)["out"] == ("sweep", 5, "complete")
+    made = strict_json((tmp_path / "out" / "run.json").read_text())
+    with closing(sqlite3.connect(tmp_path / "out" / "sweep.sqlite")) as store, store:
+        store.execute("DELETE FROM runs WHERE configuration = ? AND replication = 1", made["configurations"])
+    assert "relay: 1 of 2 runs are done" in accepted("status", tmp_path / "out").stdout
+    assert states(tmp_path)["out"] == ("sweep", 4, "unfinished: 1 of 2")
+    del made["configurations"], made["reps"]  # as an older version wrote it: no 4 of 2
+    (tmp_path / "out" / "run.json").write_text(json.dumps(made))
+    assert "relay: 4 runs are done" in accepted("status", tmp_path / "out").stdout
+
+
+@pytest.mark.whole
+@pytest.mark.usefixtures("_undrawn")
+def test_a_sweep_that_is_precise_enough_is_complete(results, tmp_path):
+    """It plans 10,000 runs at most, and takes 100."""
+    options = ("--set", "horizon=0.01", "-g", "network.loss.p=0.3", "--until", "end_time:0.1", "-o", tmp_path / "out")
+    accepted("sweep", results / "relay.toml", *options)
+    assert "relay: 100 of 100 runs are done" in accepted("status", tmp_path / "out").stdout
+    assert states(tmp_path)["out"] == ("sweep", 100, "complete")
+    made = strict_json((tmp_path / "out" / "run.json").read_text())
+    (tmp_path / "out" / "run.json").write_text(json.dumps(made | {"runs": 10_000, "until": ["end_time", 0.1]}))
+    assert "relay: 100 runs are done" in accepted("status", tmp_path / "out").stdout
+    assert states(tmp_path)["out"] == ("sweep", 100, "unfinished: 100 of at most 10,000")
 
 
 def test_the_command_prints_it(results, tmp_path):

@@ -15,6 +15,7 @@ from desim.config.file_names import STORE, STORE_PARTS, TRACE
 from desim.config.html import html_table
 from desim.results import provenance
 from desim.study.store.store import Store
+from desim.study.sweeps.planned import PlannedRuns
 
 HEAD = ("folder", "kind", "scenario", "date", "runs", "state")
 UNPLANNED = ("explain", "race", "sensitivity")
@@ -130,10 +131,10 @@ def _is_batch(folder: Path, folders: list[str]) -> bool:
 def _entry(folder: Path, stores: list[Path], has_trace: bool, modified: float) -> Entry:
     """Return the entry of a folder that has a result."""
     kind, scenario, planned = ("sweep" if stores else "run" if has_trace else "?"), "", None
-    problems = []
+    problems, plan = [], None
     try:
         made = provenance.read(folder / provenance.FILE)
-        kind, planned = str(made["what"]), int(made["runs"])
+        kind, planned, plan = str(made["what"]), int(made["runs"]), PlannedRuns.of(made)
         scenario = str((made["scenario"] or {}).get("name", ""))
     except FileNotFoundError:
         problems.append(f"no {provenance.FILE}")
@@ -147,20 +148,22 @@ def _entry(folder: Path, stores: list[Path], has_trace: bool, modified: float) -
             )
         return Entry(folder, kind, scenario, modified, planned, "; ".join([*problems, "no runs recorded"]))
     runs: int | None = 0
-    failed = 0
+    failed, held = 0, set[tuple[str, int]]()
     try:
         for path in stores:
             with Store(path, read_only=True) as store:
                 runs = (runs or 0) + len(store)
                 failed += store.failed_runs
+                held |= set().union(*store.outcomes())
                 scenario = scenario or (store.read_property("name", str) if "name" in store.about else "")
     except (OSError, ValueError) as error:
         return Entry(folder, kind, scenario, modified, None, _first_line(error))
     parts = ["parts of a sweep: merge them"] if stores[0].name != STORE else []
+    count = len(held if plan is None else plan.among(held))
     if kind in UNPLANNED or planned is None or not runs:
         parts += [] if runs else ["empty"]
-    elif runs < planned:
-        parts.append(f"unfinished: {runs:,} of {planned:,}")
+    elif count < planned:
+        parts.append(f"unfinished: {count:,} of {'at most ' * (plan is not None and plan.is_most)}{planned:,}")
     parts += [f"{failed:,} failed"] if failed else []
     return Entry(folder, kind, scenario, modified, runs, "; ".join([*problems, *(parts or ["complete"])]))
 

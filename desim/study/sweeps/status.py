@@ -11,6 +11,7 @@ from desim.config.file_names import STORE, STORE_PARTS
 from desim.results import provenance
 from desim.study.store.store import Store
 from desim.study.sweeps.array_job import ArrayJob, states
+from desim.study.sweeps.planned import PlannedRuns
 
 HEAD = ("part", "planned", "done", "failed", "state")
 
@@ -37,9 +38,9 @@ class SweepStatus:
     name: str
     """The name of the scenario."""
     planned: int | None
-    """The number of its runs; None if nobody recorded it."""
+    """The number of its runs; None if nobody recorded it, or the sweep ends when a mean is precise enough."""
     done: int
-    """The number of runs that succeeded, each counted once."""
+    """The number of these that succeeded, each counted once."""
     failed: int
     parts: tuple[SweepPart, ...]
 
@@ -99,10 +100,14 @@ def status(folder: str | Path) -> SweepStatus:
     for name, count in counts.items():
         planned = job.planned(int(name)) if job is not None and name.isdecimal() else None
         parts.append(SweepPart(name, planned, len(count.done), len(count.failed), _state(name, count, planned, live)))
+    plan = PlannedRuns(job.runs) if job is not None else _planned(folder)
     done = frozenset().union(*(count.done for count in counts.values()))
     failed = frozenset().union(*(count.failed for count in counts.values())) - done
+    if plan is not None:  # a store may have runs of other grids
+        done, failed = plan.among(done), plan.among(failed)
+    is_known = plan is not None and not plan.is_most and len(done) <= plan.count
     name = job.name if job is not None else next((count.name for count in counts.values() if count.name), "")
-    return SweepStatus(name, job.runs if job is not None else _planned(folder), len(done), len(failed), tuple(parts))
+    return SweepStatus(name, plan.count if plan and is_known else None, len(done), len(failed), tuple(parts))
 
 
 @dataclass(frozen=True)
@@ -152,13 +157,13 @@ def _state(name: str, count: _Counts, planned: int | None, live: Mapping[int, st
     return "stored"
 
 
-def _planned(folder: Path) -> int | None:
-    """Return the number of runs of the sweep in a folder, from its run.json or that of a part; None if unknown."""
+def _planned(folder: Path) -> PlannedRuns | None:
+    """Return the runs of the sweep in a folder, from its run.json or that of a part; None if unknown."""
     for path in (folder / provenance.FILE, *sorted(folder.glob(f"*/{provenance.FILE}"))):
         try:
             made = provenance.read(path)
         except (OSError, ValueError):
             continue
-        if made["what"] == "sweep":
-            return int(made["runs"])
+        if (plan := PlannedRuns.of(made)) is not None:
+            return plan
     return None
