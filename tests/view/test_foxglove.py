@@ -123,6 +123,9 @@ def test_each_message_is_listed_and_drawn_while_it_is_in_flight(exported):
     wanted = [
         (event.t, event.transmission, event.src, dst, arrival) for event in sent for dst, arrival in event.fates()
     ]
+    assert [t - round(each["waited"] * SECOND) for t, each in found["/messages"]] == [
+        event.created for event in sent for _ in event.fates()
+    ]
     listed = [
         (
             t,

@@ -225,7 +225,7 @@ class Scene:
         body, lines = body_json(event.body), []
         for dst, arrival in event.fates():
             content = {"timestamp": _time(event.t), "transmission": event.transmission, "src": event.src, "dst": dst}
-            content |= {"size": event.size, "body": body}
+            content |= {"size": event.size, "body": body, "waited": seconds(event.t - event.created)}
             if arrival != NEVER:
                 lines.append(self._line(event, dst, arrival - event.t, IN_FLIGHT))
                 content["latency"] = seconds(arrival - event.t)

@@ -60,7 +60,14 @@ SCHEMAS: Mapping[str, Schema] = MappingProxyType(
         "foxglove.SceneUpdate": _object(deletions=_list_of(DELETION), entities=_list_of(ENTITY)),
         "foxglove.Log": _object(timestamp=TIME, level=INTEGER, message=TEXT, name=TEXT, file=TEXT, line=INTEGER),
         "Message": _object(
-            timestamp=TIME, transmission=INTEGER, src=INTEGER, dst=INTEGER, size=INTEGER, latency=NUMBER, body=TEXT
+            timestamp=TIME,
+            transmission=INTEGER,
+            src=INTEGER,
+            dst=INTEGER,
+            size=INTEGER,
+            waited=NUMBER,
+            latency=NUMBER,
+            body=TEXT,
         ),
         "Belief": _object(timestamp=TIME, pursuer=INTEGER, teammate=INTEGER, active=INTEGER, age=NUMBER),
     }

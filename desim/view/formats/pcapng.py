@@ -2,12 +2,14 @@
 
 The format is that of the IETF draft "PCAP Next Generation (pcapng) Capture File Format": a section header block, the
 description of one interface with times in ns, and an enhanced packet block for each message; a broadcast is one packet
-for each receiver. The time of a packet is the start of the transmission; the run begins at the Unix epoch.
+for each receiver. The time of a packet is the start of the transmission; the run begins at the Unix epoch. An
+acknowledged message (`csma_ca`) is one packet at the end of the attempt that succeeded, as in the trace.
 
 A packet is UDP over IPv4 (LINKTYPE_RAW). Node i has the address 10.0.0.0 + i, the UDP payload has the size of the
 message, and the identification of the IP header is the number of the transmission modulo 65,536. The payload is zeros;
 the content of the message is in the comment of the packet, as JSON. Messages that are lost after the transmission has
-begun are in the file, and those that were dropped from a queue are not.
+begun are in the file. Those that were dropped from a queue are not, nor are acknowledged ones of which no attempt
+succeeded.
 """
 
 import struct
