@@ -1,10 +1,12 @@
 """What pursuers see of the evader, what is reported to them, and what they make of it."""
 
-from math import inf, isnan, pi
+from cmath import rect
+from math import hypot, inf, isnan, pi
 
 import networkx as nx
 import numpy as np
 import pytest
+from scipy.integrate import quad
 
 import desim
 from desim import Scenario
@@ -187,17 +189,25 @@ def test_the_search_goes_round_where_the_evader_was_lost():
     angle = np.unwrap(np.angle(way[1:]))
     turn = np.interp(angle[1000:] + 2.0 * pi, angle, np.abs(way[1:]))[:-5000] - np.abs(way[1001:-5000])
     assert turn == pytest.approx(6.0)
-    gone = np.abs(np.diff(way[100:])).sum()
-    assert gone == pytest.approx(lengths[-1] - lengths[100], rel=0.01)
+    assert np.abs(np.diff(way)).sum() == pytest.approx(lengths[-1], rel=1e-3)
 
 
 @pytest.mark.parametrize("apart", [0.5, 6.0])
 def test_a_spiral_grows_by_the_same_distance_at_each_turn(apart):
-    """After k turns it is k apart from its start, and pi apart k^2 long, nearly."""
-    for k in (1, 2, 10):
-        assert spiral(pi * apart * k**2, apart) == pytest.approx(k * apart)
-    way = np.array([spiral(length, apart) for length in np.linspace(0.0, 1_000.0 * apart, 10_001).tolist()])
-    assert np.abs(np.diff(way)).sum() == pytest.approx(1_000.0 * apart, rel=0.01)
+    """Its point at an arc length, by quadrature, is at the angle of that arc; after many turns each is pi apart k^2."""
+    for angle in (1e-6, 0.1, 1.0, pi, 2.0 * pi, 20.0 * pi):
+        length = apart / (2.0 * pi) * quad(lambda at: hypot(1.0, at), 0.0, angle)[0]
+        assert spiral(length, apart) == pytest.approx(rect(apart * angle / (2.0 * pi), angle), rel=1e-9)
+    assert abs(spiral(pi * apart * 1_000**2, apart)) == pytest.approx(1_000 * apart, rel=1e-5)
+    assert spiral(0.0, apart) == spiral(3.0, 0.0) == 0j
+
+
+@pytest.mark.parametrize("apart", [0.5, 6.0])
+def test_a_search_is_as_fast_as_its_pursuer_from_its_beginning(apart):
+    """Chords of a thousandth of the distance of turns are as long as their arcs, in the first turn, too."""
+    step = 1e-3 * apart
+    way = np.array([spiral(step * k, apart) for k in range(10_001)])
+    assert np.abs(np.diff(way)) == pytest.approx(np.full(10_000, step), rel=1e-5)
 
 
 def test_of_two_that_search_each_goes_another_way():

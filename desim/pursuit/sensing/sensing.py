@@ -9,7 +9,7 @@ their positions, and all pursuers know which evaders are captured.
 
 from cmath import rect
 from collections.abc import Iterable
-from math import inf, pi, sqrt
+from math import asinh, hypot, inf, pi, sqrt
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
@@ -66,10 +66,10 @@ class Sensing(Value):
     """
     on_lost: Literal["stay", "search"] = "search"
     """Reaction to a lost evader. stay: it may not be chased; search: its estimated position moves along a spiral at
-    about the speed of the pursuer, and faster in the first turn, from the last estimated position. The spiral starts
-    when the evader is lost, even if the pursuer is still far away. Its turns are 2 R_s apart, at least 2 eps; if only
-    walls limit the sight, R_s is the way of the evader in the time T_lost. It is rotated by another angle for each
-    pursuer. A pursuer without any sighting of an evader may not chase it."""
+    the speed of the pursuer, from the last estimated position. The spiral starts when the evader is lost, even if the
+    pursuer is still far away. Its turns are 2 R_s apart, at least 2 eps; if only walls limit the sight, R_s is the way
+    of the evader in the time T_lost. It is rotated by another angle for each pursuer. A pursuer without any sighting of
+    an evader may not chase it."""
     noise: Annotated[Noise, NOISES] = Noiseless()
     """Noise of sightings."""
     interval: Period = 0.05
@@ -339,14 +339,18 @@ class SensedView(LimitedView):
 def spiral(length: float, apart: float) -> complex:
     """Return the point (m) of an Archimedean spiral at an arc length (m) from its start, the origin.
 
-    The distance between two turns is `apart` (m).
-
-    The angle follows from the radius r = apart * angle / (2 pi) and the approximate arc length r * angle / 2. The
-    approximation is accurate after many turns.
+    The distance between two turns is `apart` (m): the radius is b angle, with b = apart / (2 pi), and the arc length
+    is b (angle sqrt(1 + angle^2) + asinh(angle)) / 2.
     """
     if apart == 0.0:
         return 0j
-    angle = sqrt(4.0 * pi * length / apart)
+    scaled = 2.0 * pi * length / apart
+    # The arc length over b is convex in the angle, and at least angle and angle^2 / 2. So Newton's method begins above
+    # the root and falls to it; the fourth step leaves rounding errors only, at any length.
+    angle = min(scaled, sqrt(2.0 * scaled))
+    for _ in range(4):
+        slope = hypot(1.0, angle)
+        angle -= (0.5 * (angle * slope + asinh(angle)) - scaled) / slope
     return rect(apart * angle / (2.0 * pi), angle)
 
 
