@@ -1014,6 +1014,36 @@ def test_a_node_is_silent_after_a_frame_whether_or_not_its_acknowledgement_can_b
         assert periods == [period] * 2 if period else max(periods) < 2000.0
 
 
+@pytest.mark.parametrize("ack_timeout", [None, 750e-6])
+def test_acknowledgements_count_to_the_duty_cycle(ack_timeout):
+    """Two nodes that send to each other transmit 1 ms and acknowledge for 0.5 ms: with 10 % once in 15 ms, not in 10.
+
+    Node 1 acknowledges node 2 also while it is silent. The control acknowledges in no time.
+    """
+    for ack, period in ((500e-6, 15_000.0), (0.0, 10_000.0)):
+        clock, net, trace = network(CsmaCa(ack=ack, ack_timeout=ack_timeout), medium={"duty_cycle": 0.1})
+        for _ in range(20):
+            net.send(0, 1, None, size=SIZE)
+            at(clock, 5000, net.send, 1, 0, None, size=SIZE)
+        clock.run()
+        assert net.message_counts().delivered == 40
+        for node in (0, 1):
+            begins = [message.t / US for message in trace.of(Sent) if message.src == node]
+            assert np.mean(np.diff(begins[2:])) == pytest.approx(period, abs=30.0)
+
+
+def test_a_node_that_only_acknowledges_waits_with_its_own_frame_for_its_duty_cycle():
+    """Four acknowledgements of 0.5 ms within 6 ms are worth 20 ms with 10 %, from the first one on, at 1.038 ms."""
+    clock, net, trace = network(CsmaCa(ack=500e-6), size=5, medium={"duty_cycle": 0.1})
+    for src in (1, 2, 3, 4):
+        at(clock, 1500 * (src - 1), net.send, src, 0, None, size=SIZE)
+    at(clock, 5500, net.publish, 0, None, size=SIZE)
+    clock.run()
+    assert net.message_counts().lost == 0
+    (own,) = (message.t / US for message in trace.of(Broadcast) if message.src == 0)
+    assert own == pytest.approx(1038.0 + 4 * 5000.0, abs=1.0)
+
+
 def test_a_silent_node_keeps_the_newest_frames():
     """Frames A to Z, one per ms, and 9 ms of silence after each frame: B waits at 1 ms, and is superseded."""
     clock, net, trace = network(Aloha(), medium={"duty_cycle": 0.1, "queue_limit": 1})

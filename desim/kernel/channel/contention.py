@@ -261,11 +261,12 @@ class Contention(Generic[Item]):
         self._prepare(frame.src)
 
     def _rest(self, frame: Frame) -> None:
-        """Let the sender of a frame be silent after it, if there is a duty cycle."""
+        """Let the sender of a frame be silent after it, if there is a duty cycle; what it owes already comes first."""
         if self._medium.duty_cycle is None:
             return
         airtime, node = frame.end - frame.begin, frame.src
-        self._silent_until[node] = frame.begin + round(airtime / self._medium.duty_cycle)
+        begin = max(frame.begin, self._silent_until[node])
+        self._silent_until[node] = begin + round(airtime / self._medium.duty_cycle)
         Instant(self._env, self._silent_until[node], Phase.ACCESS).callbacks.append(lambda _: self._prepare(node))
 
     def _acknowledge(self, node: int) -> Frame:
@@ -276,6 +277,9 @@ class Contention(Generic[Item]):
         frame = self._transmit(ACKNOWLEDGEMENT, node, begin, airtime, next(self._draws))
         self._carrier.sense(frame, 1)
         self._nodes.due[node] = NEVER
+        if self._medium.duty_cycle is not None:
+            self._nodes.ready[node] = False  # it may have contended, and contends again after its silence
+            self._rest(frame)
         return frame
 
     # Acknowledgements that can be lost.

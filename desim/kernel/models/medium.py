@@ -20,6 +20,7 @@ from desim.kernel.models.access import (
     Aloha,
     CarrierSensing,
     Csma,
+    CsmaCa,
     Ideal,
     Owner,
     SlottedAloha,
@@ -83,7 +84,8 @@ class Radio(Value):
 
     duty_cycle: Annotated[float, Field(ge=1e-6, le=1, strict=True)] | None = None
     """Largest share of the time that a node transmits, in [1e-6, 1]: after a frame of airtime T it is silent for T (1 /
-    duty_cycle - 1). Acknowledgements do not count. Only with `access` other than `ideal`; None: no limit.
+    duty_cycle - 1). An acknowledgement is transmitted at once, and lengthens the silence by its airtime / duty_cycle.
+    Only with `access` other than `ideal`; None: no limit.
 
     If in doubt, None; 0.01 is the law in most of the European band at 868 MHz.
     """
@@ -134,6 +136,19 @@ class Radio(Value):
             return least
         period = len(self.access.owners(nodes)) * self.access.slot
         return max(ceil(least / period), 1) * period
+
+    def occupancy(self, size: int, nodes: int, *, to_one: bool = False) -> float:
+        """Return the least time, s, for which a message of `size` bytes of one of `nodes` nodes occupies the channel.
+
+        It is the airtime with what the access adds to each frame: whole slots of slotted ALOHA, and with CSMA/CA the
+        interframe space before it and, for a message to one node (`to_one`), its acknowledgement.
+        """
+        airtime, access = airtime_of(self, size, nodes), self.access
+        if isinstance(access, SlottedAloha):
+            return ceil(airtime / access.slot) * access.slot
+        if isinstance(access, CsmaCa):
+            return access.difs + airtime + (access.sifs + access.ack if to_one else 0.0)
+        return airtime
 
     def __call__(self, size: int) -> float:
         """Return the airtime, s."""
