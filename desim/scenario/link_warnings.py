@@ -74,21 +74,33 @@ def network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
         yield from _load_warnings(scenario, "announce.heartbeat", "heartbeats", size, announce.heartbeat)
     protocol = scenario.protocol_traits
     if protocol.host is not None and protocol.period is not None and is_built_in(scenario):
-        yield from _load_warnings(scenario, "protocol.period", "reports", REPORT, protocol.period, silent=1)
+        yield from _load_warnings(scenario, "protocol.period", "reports", REPORT, protocol.period, host=1)
 
 
 def _load_warnings(
-    scenario: Scenario, key: str, messages: str, size: int, period: float, silent: int = 0
+    scenario: Scenario, key: str, messages: str, size: int, period: float, *, host: int = 0
 ) -> Iterator[tuple[str, str]]:
-    """Yield a warning if the messages of a size (bytes) that pursuers send each period (s) overload the channel.
+    """Yield the warnings if the messages of a size (bytes) that pursuers send each period (s) overload the channel.
 
-    `silent`: the number of pursuers that do not send them.
+    `host`: 1 if one pursuer does not send them, to which all others do; else 0.
     """
     network, count = scenario.network, scenario.team.count
-    contend = contends(network.medium)
+    medium, contend = network.medium, contends(network.medium)
+    if contends(medium) and (medium.duty_cycle is not None or isinstance(medium.access, Tdma)):
+        interval = medium.interval(size, count)
+        why = "its duty cycle" if medium.duty_cycle is not None else "the slots of the TDMA"
+        if interval > period:
+            yield (
+                key,
+                f"a period of {period:g} s is shorter than the time for which {size} bytes keep a pursuer from"
+                f" sending again, {interval:.3g} s, because of {why}: {messages} are delayed or dropped",
+            )
     all_hear_all = network.range == inf and inherits(network.graph, Complete)
-    is_one_channel = network.medium.shared or (contend and all_hear_all)
-    load = airtime_of(network.medium, size, count) / period * (count - silent if is_one_channel else 1)
+    is_one_channel = medium.shared or (contend and all_hear_all)
+    occupancy = (
+        medium.occupancy(size, count, to_one=host > 0) if contends(medium) else airtime_of(medium, size, count)
+    )
+    load = occupancy / period * (count - host if is_one_channel else 1)
     if load > 1.0:
         yield (
             key,
@@ -242,16 +254,6 @@ def _channel_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     if medium.half_duplex:
         yield "network.medium.half_duplex", "it has no effect: nodes that contend never receive while they transmit"
     access, airtime = medium.access, scenario.announcement_airtime
-    size, heartbeat = scenario.announcement_size, scenario.announce.heartbeat
-    is_delayed = medium.duty_cycle is not None or isinstance(access, Tdma)
-    interval = medium.interval(size, scenario.team.count)
-    if has_heartbeats(scenario) and is_delayed and interval > heartbeat:
-        why = "its duty cycle" if medium.duty_cycle is not None else "the slots of the TDMA"
-        yield (
-            "announce.heartbeat",
-            f"a heartbeat of {heartbeat:g} s is shorter than the time for which {size} bytes keep a pursuer from"
-            f" sending again, {interval:.3g} s, because of {why}: heartbeats are delayed or dropped",
-        )
     if isinstance(access, SlottedAloha) and scenario.announces and nanoseconds(access.slot) < nanoseconds(airtime):
         yield (
             "network.medium.access.slot",

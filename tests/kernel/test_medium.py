@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from desim import Scenario, Team, run
 from desim.analysis.trace_index import messages
 from desim.config.errors import KeyedError
-from desim.kernel.models.access import Aloha, CsmaCa, Tdma
+from desim.kernel.models.access import Aloha, CsmaCa, SlottedAloha, Tdma
 from desim.kernel.models.interference import LoRaInterference
 from desim.kernel.models.latency import Constant, Gamma, Propagation, ShiftedExponential, Uniform
 from desim.kernel.models.links import Links
@@ -139,6 +139,20 @@ def test_a_duty_cycle_and_the_slots_of_a_tdma_delay_the_next_message():
     ):
         medium = Bitrate(bitrate=8000.0, access=access, duty_cycle=duty_cycle)
         assert medium.interval(10, 3) == pytest.approx(expected)
+
+
+def test_a_message_occupies_the_channel_for_longer_than_its_airtime():
+    """10 ms on the air: whole slots of 4 ms, or DIFS before it, and SIFS and an acknowledgement after it."""
+    wifi = CsmaCa(sifs=1e-3, difs=2e-3, ack=3e-3)
+    for access, to_all, to_one in (
+        (Aloha(), 0.01, 0.01),
+        (SlottedAloha(slot=0.004), 0.012, 0.012),
+        (Tdma(slot=0.05), 0.01, 0.01),
+        (wifi, 0.012, 0.016),
+    ):
+        medium = Bitrate(bitrate=8000.0, access=access)
+        assert medium.occupancy(10, 3) == pytest.approx(to_all)
+        assert medium.occupancy(10, 3, to_one=True) == pytest.approx(to_one)
 
 
 def test_the_airtime_of_a_message_is_that_of_the_slowest_node():

@@ -9,7 +9,7 @@ import pytest
 from desim import Scenario, run
 from desim.kernel.clock_sync import TwoWay
 from desim.kernel.core.events import Broadcast
-from desim.kernel.models.access import Aloha, Csma, SlottedAloha, Tdma
+from desim.kernel.models.access import Aloha, Csma, CsmaCa, SlottedAloha, Tdma
 from desim.kernel.models.clock_skew import ClockSkew
 from desim.kernel.models.coherence import Coherence
 from desim.kernel.models.fault_plans import RandomCrashes
@@ -50,6 +50,8 @@ BITS = {"kind": "bitrate", "bitrate": 8 * 240.0}
 
 FAST = {"kind": "bitrate", "bitrate": 8 * 24e3}
 """An announcement of 24 bytes takes a millisecond."""
+SPREAD = {"sender": {"kind": "shifted_exponential", "mean": 0.01}}
+"""The frames of one instant are separated."""
 WIND = {"kind": "uniform", "velocity": (0.0, 0.3)}
 RELIABLE = Links(transport=Reliable())
 SHORT_WALL = {"line": [[5.0, 5.0], [5.5, 5.0]]}
@@ -259,6 +261,33 @@ def test_of_several_players_the_fastest_counts(speeds):
         ),
         (
             {"network": Links(medium=FAST | {"access": Tdma(slot=0.05)}), "team": Team(count=2)},
+            None,
+            "",
+        ),
+        (
+            {
+                "network": Links(medium=FAST | {"access": Aloha(), "duty_cycle": 0.005}, processing=SPREAD),
+                "team": Team(count=3),
+                "protocol": Server(period=0.5),
+            },
+            "protocol.period",
+            "shorter than the time for which 72 bytes keep a pursuer from sending again, 0.6 s, because of its duty",
+        ),
+        (
+            {
+                "network": Links(medium=FAST | {"access": CsmaCa(ack=0.002)}, processing=SPREAD),
+                "team": Team(count=11),
+                "protocol": Server(period=0.045),
+            },
+            "protocol.period",
+            "reports of 72 bytes alone need 1.1 times the capacity of the channel",
+        ),
+        (
+            {
+                "network": Links(medium=FAST | {"access": CsmaCa(ack=0.0)}, processing=SPREAD),
+                "team": Team(count=11),
+                "protocol": Server(period=0.045),
+            },
             None,
             "",
         ),
