@@ -97,9 +97,7 @@ def _load_warnings(
             )
     all_hear_all = network.range == inf and inherits(network.graph, Complete)
     is_one_channel = medium.shared or (contend and all_hear_all)
-    occupancy = (
-        medium.occupancy(size, count, to_one=host > 0) if contends(medium) else airtime_of(medium, size, count)
-    )
+    occupancy = medium.occupancy(size, count, to_one=host > 0) if contends(medium) else airtime_of(medium, size, count)
     load = occupancy / period * (count - host if is_one_channel else 1)
     if load > 1.0:
         yield (

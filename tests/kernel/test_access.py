@@ -707,6 +707,54 @@ def test_the_wait_for_a_slot_is_half_a_round_on_average_and_at_most_a_round():
     assert z_score(waits, 55.0) < -3
 
 
+def waits_of_one(access, rate, count, seed):
+    """Return the mean wait, ms, of Poisson arrivals (1/ms) of frames of 1 ms at one of four nodes."""
+    clock, net, trace = network(access, 4, seed=seed)
+    times = 1000.0 * np.cumsum(np.random.default_rng(seed).exponential(1.0 / rate, count))
+    for t in times.tolist():
+        at(clock, t, net.publish, 0, None, size=SIZE)
+    clock.run()
+    return np.mean([each.t - each.created for each in trace.of(Broadcast)]) / MS
+
+
+def poisson_waits(access, rate, count=1500):
+    return [waits_of_one(access, rate, count, seed) for seed in range(REPLICATIONS)]
+
+
+@pytest.mark.whole
+def test_the_queue_of_a_tdma_is_that_of_a_server_with_vacations():
+    """A frame waits for its slot of a round of R = 4 ms, and each frame before it takes a round.
+
+    M/D/1 with a service time R, and with vacations R while it is empty: R / 2 + rho R / (2 (1 - rho)), 4 ms at rho =
+    1/2 (Bertsekas & Gallager 1992, section 3.5.1). The standard error is about 0.1 ms. The controls are the queue
+    without vacations, 2 ms, and a load 20 % higher, 5 ms.
+    """
+    found = poisson_waits(Tdma(slot=0.001), 0.5 / 4)
+    assert abs(z_score(found, 4.0)) < 3
+    assert z_score(found, 2.0) > 3
+    assert z_score(found, 5.0) < -3
+
+
+@pytest.mark.whole
+def test_the_queue_of_a_lone_sender_of_csma_ca_is_that_of_m_g_1():
+    """Frames wait as if DIFS and the back-off after each frame were a part of its service (Pollaczek and Khinchin).
+
+    S = 1 ms + 0.1 ms + 0.04 ms times a number uniform on 0 .. 31, and the load is 0.6. The standard error is about 3 %.
+    The controls are the queue without back-off, and a window of 48.
+    """
+    access, slots = CsmaCa(window=32, slot=40e-6, difs=100e-6), np.arange(32)
+    service = 1.1 + 0.04 * slots
+    rate = 0.6 / service.mean()
+    found = poisson_waits(access, rate)
+
+    def theory(service):
+        return rate * np.mean(service**2) / (2.0 * (1.0 - rate * np.mean(service)))
+
+    assert abs(z_score(found, theory(service))) < 3
+    assert z_score(found, theory(np.array([1.1]))) > 3
+    assert z_score(found, theory(1.1 + 0.04 * np.arange(48))) < -3
+
+
 def slots_collide(error, guard, *, slot=0.005, drift=0.0):
     """Return whether saturated nodes collide, if the clock of node 1 of four is ahead; frames fill their slots."""
     clocks = [(0.0, 1.0), (error, 1.0 + drift), (0.0, 1.0), (0.0, 1.0)]

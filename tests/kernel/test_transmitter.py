@@ -120,6 +120,11 @@ def exponential(rng, count):
     return np.rint(rng.exponential(1000.0, count)).astype(int).tolist()
 
 
+def mixed(rng, count):
+    """Return sizes with a mean of 1000 bytes and a mean square of 1.75e6."""
+    return rng.choice([500, 2500], p=[0.75, 0.25], size=count).tolist()
+
+
 @pytest.mark.whole_but_one
 @pytest.mark.slow
 @pytest.mark.parametrize(
@@ -127,17 +132,20 @@ def exponential(rng, count):
     [
         (fixed, 3, lambda rho: rho / (2 * (1 - rho)), lambda rho: rho / (1 - rho)),
         (exponential, 1, lambda rho: rho / (1 - rho), lambda rho: rho / (2 * (1 - rho))),
+        (mixed, 1, lambda rho: 1.75 * rho / (2 * (1 - rho)), lambda rho: rho / (2 * (1 - rho))),
     ],
 )
 def test_the_mean_wait_is_that_of_the_queue(sizes, nodes, theory, other):
     """M/D/1: rho S / (2 (1 - rho)); M/M/1: rho S / (1 - rho), with S = 1 s and rho = 0.5; also on a shared channel.
 
-    The standard error is that of the mean over 6 seeds of 2000 messages, about 4 %. The controls are the other
-    queue, and a load 20 % higher.
+    M/G/1: rho E[S^2] / (2 S (1 - rho)), Pollaczek and Khinchin (Kleinrock 1975, section 5.7).
+
+    The standard error is that of the mean over 6 seeds of 2000 messages, 4 to 7 %. The controls are the other queue,
+    and a load 20 % higher.
     """
     waits = mean_waits(0.5, sizes, nodes)
     error = waits.std(ddof=1) / sqrt(waits.size)
-    assert error < 0.05 * theory(0.5)
+    assert error < 0.07 * theory(0.5)
     assert abs(waits.mean() - theory(0.5)) < 5 * error
     assert abs(waits.mean() - other(0.5)) > 5 * error
     assert abs(waits.mean() - theory(0.6)) > 5 * error
