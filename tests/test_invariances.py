@@ -164,8 +164,6 @@ def simplified(seed):
         network["medium"] = contended(seed)
     if "coherence" in network:
         network["coherence"] = network["coherence"] | {"frequency": 2.0**30}
-    if table["sensing"].get("fusion") == "covariance_intersection":
-        table["sensing"]["fusion"] = "naive"  # the weights of the intersection add m^2 and (m/s)^2
     return table
 
 

@@ -558,7 +558,7 @@ CLAIMS = (
     Claim(
         "noisy",
         GAME,
-        "With covariance intersection and c = .32 it is {.92 +- .12}",
+        "With covariance intersection and c = .32 it is {1.26 +- .11}",
         [consistency(0.32, "covariance_intersection")],
         share=2 / 3,
         sigmas=NORMAL_975,

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from desim.kernel.core.units import SECOND
 from desim.pursuit.sensing.correction import corrected, corrected_by_position, corrected_by_state
-from desim.pursuit.sensing.fusion import fused, fused_by_corrections, informed, inverse
+from desim.pursuit.sensing.fusion import determinant_of, fused, fused_by_corrections, informed, inverse
 from desim.pursuit.sensing.noise import Covariance, PositionNoise, RangeBearingNoise
 from desim.pursuit.sensing.tracking import (
     AlphaBeta,
@@ -407,15 +407,47 @@ def test_naive_fusion_of_shared_information_is_overconfident_and_covariance_inte
 
 
 def test_the_fusion_of_independent_tracks_is_their_weighted_mean():
-    """Variances 1 and 4 give 0.8; the intersection, with weights 0.8 and 0.2, is no surer than the better track."""
+    """Variances 1 and 4 give 0.8; the intersection, with weights 256 to 1, is no surer than the better track."""
     eye = np.eye(4)
     one, other = Track(0, (0.0,) * 4, upper(eye)), Track(0, (10.0,) * 4, upper(4 * eye))
     known = [informed(one), informed(other)]
     naive, safe = fused(known, "naive"), fused(known, "covariance_intersection")
     assert naive.state == pytest.approx([2.0] * 4)
     assert np.allclose(whole(naive.covariance), 0.8 * eye)
-    assert safe.state == pytest.approx([10.0 * 0.05 / 0.85] * 4)
-    assert np.allclose(whole(safe.covariance), eye / 0.85)
+    assert safe.state == pytest.approx([2.5 / 256.25] * 4)
+    assert np.allclose(whole(safe.covariance), 257 / 256.25 * eye)
+
+
+def intersected(covariances, measure):
+    """Return the covariance of an intersection by numpy, one by one, with weights inverse to a measure."""
+    first, *others = covariances
+    for other in others:
+        w = measure(other) / (measure(first) + measure(other))
+        first = np.linalg.inv(w * np.linalg.inv(first) + (1 - w) * np.linalg.inv(other))
+    return first
+
+
+@given(st.integers(0, 2**32), st.floats(-3.0, 3.0), st.floats(0.0, 6.0))
+def test_an_intersection_is_the_same_in_another_unit_of_time_and_along_other_axes(seed, exponent, turn):
+    """The covariance is that of numpy, in the first units."""
+    rng = np.random.default_rng(seed)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    change = np.kron(np.diag([1.0, 10.0**exponent]), rotation)
+    covariances = [spread(rng, 4) for _ in range(3)]
+    there = [informed(Track(0, (0.0,) * 4, upper(change @ p @ change.T))) for p in covariances]
+    expected = change @ intersected(covariances, np.linalg.det) @ change.T
+    scale = np.outer(*[np.sqrt(expected.diagonal())] * 2)
+    assert np.allclose(whole(fused(there, "covariance_intersection").covariance) / scale, expected / scale, atol=1e-6)
+
+
+def test_weights_by_traces_depend_on_the_unit_of_time():
+    """The control of the test before."""
+    rng, change = np.random.default_rng(1), np.diag([1.0, 1.0, 60.0, 60.0])
+    covariances = [spread(rng, 4) for _ in range(3)]
+    for measure, is_free in ((np.linalg.det, True), (np.trace, False)):
+        expected = change @ intersected(covariances, measure) @ change
+        there = intersected([change @ p @ change for p in covariances], measure)
+        assert np.allclose(there, expected, rtol=1e-3) is is_free
 
 
 @given(st.integers(0, 2**32), st.integers(1, 7), st.sampled_from(["naive", "covariance_intersection"]))
@@ -441,11 +473,13 @@ def test_tracks_that_are_fused_by_information_are_those_that_are_corrected(seed,
 @given(st.integers(0, 2**32))
 def test_a_covariance_is_inverted_in_closed_form_unless_it_is_nearly_singular(seed):
     matrix = spread(np.random.default_rng(seed), 4)
-    found = inverse(upper(matrix))
+    inverted = inverse(upper(matrix))
     share = np.linalg.det(matrix) / matrix.diagonal().prod()
-    if found is None:
+    assert determinant_of(upper(matrix)) == pytest.approx(np.linalg.det(matrix), rel=1e-6)
+    if inverted is None:
         assert share < 1.01e-4
     else:
         assert share > 0.99e-4
-        assert np.allclose(whole(found) @ matrix, np.eye(4), atol=1e-6)
+        assert np.allclose(whole(inverted[0]) @ matrix, np.eye(4), atol=1e-6)
+        assert inverted[1] == pytest.approx(np.linalg.det(matrix), rel=1e-9)
     assert inverse(upper(np.zeros((4, 4)))) is None

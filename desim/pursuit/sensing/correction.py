@@ -114,9 +114,13 @@ def corrected_by_state(
         seen: the measured state.
         errors: the covariance of its errors.
     """
-    xx, xy, xu, xv, yy, yu, yv, uu, uv, vv = errors
-    lines = (xx, xy, xu, xv), (xy, yy, yu, yv), (xu, yu, uu, uv), (xv, yv, uv, vv)
-    return _with_entries(state, covariance, decorrelated(seen, lines, 4))
+    return _with_entries(state, covariance, decorrelated(seen, rows_of(errors), 4))
+
+
+def rows_of(matrix: Upper) -> Sequence[Sequence[float]]:
+    """Return the rows of a matrix, given its upper triangle."""
+    xx, xy, xu, xv, yy, yu, yv, uu, uv, vv = matrix
+    return (xx, xy, xu, xv), (xy, yy, yu, yv), (xu, yu, uu, uv), (xv, yv, uv, vv)
 
 
 def _with_entries(state: StateVector, covariance: Upper, entries: Sequence[Entry]) -> tuple[StateVector, Upper]:

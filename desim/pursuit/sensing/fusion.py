@@ -6,9 +6,10 @@ closed form, by the Schur complement of the velocity.
 """
 
 from collections.abc import Sequence
+from math import prod
 from typing import Literal, NamedTuple
 
-from desim.pursuit.sensing.correction import StateVector, Upper, corrected_by_state
+from desim.pursuit.sensing.correction import StateVector, Upper, corrected_by_state, decorrelated, rows_of
 from desim.pursuit.sensing.tracking import Track
 
 _new = tuple.__new__  # creates a named tuple in a third of the time
@@ -20,6 +21,10 @@ Below it the rounding errors of an inverse grow beyond 1e-10 of its entries.
 """
 
 
+TINY = 1e-300
+"""Least determinant of such a matrix, so that neither it nor its inverse is 0 or infinite in floating point."""
+
+
 class Information(NamedTuple):
     """What a track tells, as numbers that fusion adds."""
 
@@ -27,8 +32,8 @@ class Information(NamedTuple):
     """The inverse of the covariance."""
     vector: StateVector
     """The product of the matrix and the state."""
-    trace: float
-    """That of the covariance."""
+    determinant: float
+    """That of the matrix."""
 
 
 class InformedTrack(NamedTuple):
@@ -41,9 +46,10 @@ class InformedTrack(NamedTuple):
 def informed(track: Track) -> InformedTrack:
     """Return a track with a covariance, and its information."""
     assert track.covariance is not None
-    matrix, information = inverse(track.covariance), None
-    if matrix is not None:
-        information = _new(Information, (matrix, product(matrix, track.state), trace(track.covariance)))
+    inverted, information = inverse(track.covariance), None
+    if inverted is not None:
+        matrix, determinant = inverted
+        information = _new(Information, (matrix, product(matrix, track.state), 1.0 / determinant))
     return _new(InformedTrack, (track, information))
 
 
@@ -51,9 +57,11 @@ def fused(tracks: Sequence[InformedTrack], how: Fusion) -> Track:
     """Return the fusion of tracks of the same time, one by one.
 
     naive: the inverse covariances are added, as if the errors were independent; information that several tracks
-    contain counts as often. covariance_intersection: of two, they are averaged with the weight w = tr(P2) / (tr(P1)
-    + tr(P2)) (Niehsen 2002), which is consistent whatever the correlation of the errors (Julier & Uhlmann 1997).
-    The traces add m^2 and (m/s)^2, so the weight, and not the consistency, depends on these units.
+    contain counts as often. covariance_intersection: of two, they are averaged with the weight w = det(P2) / (det(P1)
+    + det(P2)), which is consistent whatever the correlation of the errors (Julier & Uhlmann 1997). It is the fast
+    weight of Niehsen (2002) with determinants in place of traces, which add m^2 and (m/s)^2: so it does not depend on
+    units and axes. The least determinant is slightly less, but its weight jumps from one track to another of equal
+    covariance.
 
     Kept equal to corrections of the first track by
     `tests/pursuit/test_tracking.py::test_tracks_that_are_fused_by_information_are_those_that_are_corrected`.
@@ -66,29 +74,34 @@ def fused(tracks: Sequence[InformedTrack], how: Fusion) -> Track:
         if combined is None or other.information is None:
             return fused_by_corrections([track for track, _ in tracks], how)
         matrix, vector = _mixed(combined, other.information, how)
-        covariance = inverse(matrix)
-        combined = None if covariance is None else _new(Information, (matrix, vector, trace(covariance)))
-    if combined is None or covariance is None:
+        inverted, combined = inverse(matrix), None
+        if inverted is not None:
+            covariance, determinant = inverted
+            combined = _new(Information, (matrix, vector, determinant))
+    if combined is None:
         return fused_by_corrections([track for track, _ in tracks], how)
     return Track(first.track.stamp, product(covariance, combined.vector), covariance)
 
 
 def _mixed(one: Information, other: Information, how: Fusion) -> tuple[Upper, StateVector]:
     """Return the weighted sums of two informations: the matrix and the vector."""
-    (xx, xy, xu, xv, yy, yu, yv, uu, uv, vv), (x, y, u, v), one_trace = one
-    (xx2, xy2, xu2, xv2, yy2, yu2, yv2, uu2, uv2, vv2), (x2, y2, u2, v2), other_trace = other
+    (xx, xy, xu, xv, yy, yu, yv, uu, uv, vv), (x, y, u, v), one_determinant = one
+    (xx2, xy2, xu2, xv2, yy2, yu2, yv2, uu2, uv2, vv2), (x2, y2, u2, v2), other_determinant = other
     a = b = 1.0
     if how == "covariance_intersection":
-        a = other_trace / (one_trace + other_trace)
-        b = 1.0 - a
+        both = one_determinant + other_determinant
+        a, b = one_determinant / both, other_determinant / both
     xx, xy, xu, xv, yy = a * xx + b * xx2, a * xy + b * xy2, a * xu + b * xu2, a * xv + b * xv2, a * yy + b * yy2
     yu, yv, uu, uv, vv = a * yu + b * yu2, a * yv + b * yv2, a * uu + b * uu2, a * uv + b * uv2, a * vv + b * vv2
     vector = a * x + b * x2, a * y + b * y2, a * u + b * u2, a * v + b * v2
     return (xx, xy, xu, xv, yy, yu, yv, uu, uv, vv), vector
 
 
-def inverse(matrix: Upper) -> Upper | None:
-    """Return the inverse of a positive matrix in closed form; None if it is nearly singular (`LEAST_DETERMINANT`)."""
+def inverse(matrix: Upper) -> tuple[Upper, float] | None:
+    """Return the inverse of a positive matrix in closed form, and the determinant of the matrix.
+
+    None if it is nearly singular (`LEAST_DETERMINANT`).
+    """
     xx, xy, xu, xv, yy, yu, yv, uu, uv, vv = matrix
     of_velocity = uu * vv - uv * uv
     if not of_velocity > 0.0:
@@ -98,13 +111,14 @@ def inverse(matrix: Upper) -> Upper | None:
     gxu, gxv, gyu, gyv = xu * iuu + xv * iuv, xu * iuv + xv * ivv, yu * iuu + yv * iuv, yu * iuv + yv * ivv
     sxx, sxy, syy = xx - gxu * xu - gxv * xv, xy - gxu * yu - gxv * yv, yy - gyu * yu - gyv * yv
     of_position = sxx * syy - sxy * sxy
-    if not of_position * of_velocity > LEAST_DETERMINANT * (xx * yy * uu * vv):
+    determinant = of_position * of_velocity
+    if not (determinant > LEAST_DETERMINANT * (xx * yy * uu * vv) and TINY < determinant < 1.0 / TINY):
         return None
     ixx, ixy, iyy = syy / of_position, -sxy / of_position, sxx / of_position
     ixu, ixv = -ixx * gxu - ixy * gyu, -ixx * gxv - ixy * gyv
     iyu, iyv = -ixy * gxu - iyy * gyu, -ixy * gxv - iyy * gyv
     iuu, iuv, ivv = iuu - gxu * ixu - gyu * iyu, iuv - gxu * ixv - gyu * iyv, ivv - gxv * ixv - gyv * iyv
-    return ixx, ixy, ixu, ixv, iyy, iyu, iyv, iuu, iuv, ivv
+    return (ixx, ixy, ixu, ixv, iyy, iyu, iyv, iuu, iuv, ivv), determinant
 
 
 def product(matrix: Upper, state: StateVector) -> StateVector:
@@ -116,12 +130,6 @@ def product(matrix: Upper, state: StateVector) -> StateVector:
     return position + velocity
 
 
-def trace(matrix: Upper) -> float:
-    """Return the sum of the diagonal of a matrix."""
-    xx, _, _, _, yy, _, _, uu, _, vv = matrix
-    return xx + yy + uu + vv
-
-
 def fused_by_corrections(tracks: Sequence[Track], how: Fusion) -> Track:
     """Return the fusion of tracks as `fused` does, also of exact ones: the first is corrected by each of the others."""
     first, *others = tracks
@@ -131,11 +139,21 @@ def fused_by_corrections(tracks: Sequence[Track], how: Fusion) -> Track:
         assert other.covariance is not None
         errors = other.covariance
         if how == "covariance_intersection":
-            one_trace, other_trace = trace(covariance), trace(errors)
-            both = one_trace + other_trace
-            covariance, errors = _scaled(covariance, both / other_trace), _scaled(errors, both / one_trace)
+            one_share, other_share = determinant_of(errors), determinant_of(covariance)
+            both = one_share + other_share
+            if both and not one_share:  # only the other track is exact
+                state, covariance = other.state, errors
+            if both and not (one_share and other_share):
+                continue
+            one_share, other_share = (one_share / both, other_share / both) if both else (0.5, 0.5)
+            covariance, errors = _scaled(covariance, 1.0 / one_share), _scaled(errors, 1.0 / other_share)
         state, covariance = corrected_by_state(state, covariance, other.state, errors)
     return Track(first.stamp, state, covariance)
+
+
+def determinant_of(covariance: Upper) -> float:
+    """Return the determinant of a covariance, 0 if it is singular up to rounding errors."""
+    return prod(variance for _, _, variance in decorrelated((0.0,) * 4, rows_of(covariance), 4))
 
 
 def _scaled(matrix: Upper, factor: float) -> Upper:
