@@ -734,6 +734,14 @@ def test_an_adjacency_matrix_is_the_graph_that_it_is_of(tmp_path, mark, header, 
     assert made.nodes == size
 
 
+def test_three_lines_with_names_are_a_matrix_whatever_their_numbers(tmp_path):
+    """Without names, they may be edges with weights."""
+    (tmp_path / "costs.csv").write_text(",x,y,z\nx,0,2,7\ny,2,0,1\nz,7,1,0\n")
+    made = read(tmp_path / "costs.csv")
+    assert made.names == ("x", "y", "z")
+    assert [(edge.src, edge.dst) for edge in made.edges] == [(0, 1), (0, 2), (1, 2)]
+
+
 def test_links_of_one_node_to_names_of_several_words_are_a_star(tmp_path):
     (tmp_path / "star.csv").write_text("base,uav 1\nbase,uav 2\nbase,uav 3\n")
     assert read(tmp_path / "star.csv").names == ("base", "uav 1", "uav 2", "uav 3")

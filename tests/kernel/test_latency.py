@@ -5,6 +5,7 @@ from contextlib import nullcontext
 from math import exp, log, sqrt
 from types import SimpleNamespace
 
+import networkx as nx
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -511,7 +512,10 @@ def test_a_matrix_has_a_row_per_node_and_a_latency_for_each_link():
     [
         ("# none\n", r"m\.csv contains no numbers"),
         ("0,1\n1\n", r"line 2: has 1 numbers, but the file has 2 lines of numbers: one per node; with decimal commas"),
-        ("a,b\n0,1\n", r"line 1: 'a' is not a number; names of nodes are not read, and a header"),
+        (
+            "a,b\n0,1\n",
+            r"line 1: 'a' is not a number; a header should begin with #, or name the nodes, as the first column",
+        ),
         ("0 1 23104\n0 2 51022\n1 2 2301\n", "line 1: each line may be two nodes and a latency"),
         ("0,1\na,0\n", r"line 2: 'a' is not a number(?!.*header)"),
     ],
@@ -522,12 +526,87 @@ def test_a_file_of_no_square_of_numbers_is_refused_with_the_line(tmp_path, text,
         LatencyMatrix(file=str(tmp_path / "m.csv"))
 
 
-@pytest.mark.parametrize("header", ["{}0,1,2", "{}1,2,3"])
-def test_a_matrix_with_numbers_of_nodes_beside_it_is_refused(tmp_path, header):
-    first = header.format(",").split(",")
+@pytest.mark.parametrize("header", ["0,0,1,2", "0,1,2,3"])
+def test_a_matrix_with_numbers_of_nodes_beside_it_and_a_number_above_is_refused(tmp_path, header):
+    first = header.split(",")
     rows = [first, *([name, "0.1", "0.2", "0.3"] for name in first[1:])]
     (tmp_path / "m.csv").write_text("\n".join(map(",".join, rows)))
     with pytest.raises(ValueError, match="line 1: numbers the nodes, and so does the first column"):
+        LatencyMatrix(file=str(tmp_path / "m.csv"))
+
+
+@pytest.mark.parametrize(
+    ("text", "nodes"),
+    [
+        ("from,a,b,c\na,0,1,2\nb,3,0,4\nc,5,6,0\n", ("a", "b", "c")),
+        ("-,a,b,c\na,-,1,2\nb,3,-,4\nc,5,6,-\n", ("a", "b", "c")),
+        ('"";"a 1";b;c\n"a 1";0;1,0;2\nb;3;0;4\nc;5;6;0\n', ("a 1", "b", "c")),
+        (",3055,2670,7\n3055,0,1,2\n2670,3,0,4\n7,5,6,0\n", ("3055", "2670", "7")),
+        ("id,0,1,2\n0,0,1,2\n1,3,0,4\n2,5,6,0\n", None),
+    ],
+)
+def test_a_matrix_may_have_names_beside_it(tmp_path, text, nodes):
+    (tmp_path / "m.csv").write_text(text)
+    model = LatencyMatrix(file=str(tmp_path / "m.csv"), unit="ms")
+    assert model.nodes == nodes
+    assert (model.base_latencies * 1e3).tolist() == [[0.0, 1.0, 2.0], [3.0, 0.0, 4.0], [5.0, 6.0, 0.0]]
+    assert LatencyMatrix.model_validate(model.plain()) == model
+
+
+def test_a_matrix_that_lacks_its_diagonal_has_no_names(tmp_path):
+    """Its first line and its first column are equal, too, as it is symmetric."""
+    (tmp_path / "m.csv").write_text(",5,9\n5,,3\n9,3,\n")
+    model = LatencyMatrix(file=str(tmp_path / "m.csv"))
+    assert model.nodes is None
+    assert model.base_latencies.tolist() == [[0.0, 5.0, 9.0], [5.0, 0.0, 3.0], [9.0, 3.0, 0.0]]
+
+
+def test_the_graph_numbers_the_nodes_of_a_matrix_with_names(tmp_path):
+    values = [[0.0, 0.1, 0.2], [0.3, 0.0, 0.4], [0.5, 0.6, 0.0]]
+    matrix = LatencyMatrix(values=values, nodes=("c", "a", "b"))
+    graph = nx.DiGraph([("a", "b"), ("b", "c"), ("c", "a")])
+    links = Links(graph=graph, latency=matrix)
+    assert links.graph.names == links.latency.nodes == ("a", "b", "c")
+    assert links.latency.values == ((0.0, 0.4, 0.3), (0.6, 0.0, 0.5), (0.1, 0.2, 0.0))
+    of_link = Links(graph=graph, link=[{"src": 0, "dst": 1, "latency": matrix}]).link[0].latency
+    assert of_link.values == links.latency.values
+    assert Links(latency=matrix).node_names == ("c", "a", "b")
+    (tmp_path / "places.csv").write_text("node,x,y\na,0,0\nb,1,0\nc,2,0\n")
+    positions = {"kind": "recorded", "file": "places.csv"}
+    fields = {"team": {"positions": positions}, "network": {"latency": matrix.plain()}}
+    placed = Scenario.model_validate(fields, context={"folder": tmp_path})
+    assert placed.network.latency.values == links.latency.values
+
+
+@pytest.mark.parametrize(
+    ("nodes", "why"),
+    [
+        (
+            ("a", "b", "x"),
+            "the matrix of latencies has a node 'x', which the network does not have: the nodes are a, b, c",
+        ),
+        (("a", "b"), "nodes should have a name for each of 3 rows, and each name once"),
+        (("a", "b", "a"), "each name once"),
+    ],
+)
+def test_wrong_names_of_a_matrix_are_refused(nodes, why):
+    graph = nx.cycle_graph(["a", "b", "c"])
+    with pytest.raises(ValueError, match=why):
+        Scenario(
+            team={"count": 3}, network={"graph": graph, "latency": LatencyMatrix(values=np.ones((3, 3)), nodes=nodes)}
+        )
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("x,a,b\na,0,1\nc,1,0\n", "the names of the first line and of the first column should be equal"),
+        (",a,\na,0,1\n,1,0\n", "a node has no name in the first line and in the first column"),
+    ],
+)
+def test_names_beside_a_matrix_should_agree(tmp_path, text, why):
+    (tmp_path / "m.csv").write_text(text)
+    with pytest.raises(ValueError, match=rf"m\.csv: {why}"):
         LatencyMatrix(file=str(tmp_path / "m.csv"))
 
 

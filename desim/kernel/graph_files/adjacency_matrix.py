@@ -15,15 +15,12 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from desim.config.number_files import is_number_text
 from desim.kernel.measured.csv_tables import plain_rows
-from desim.kernel.measured.measurements import MISSING, number_or_nan
+from desim.kernel.measured.measurements import names_beside, number_or_nan
 
 if TYPE_CHECKING:
     import networkx as nx
 
-CORNERS = {"", "-"}
-"""The cells above names of lines that are no name."""
 LEAST = 3
 """The least number of nodes; with fewer, lines are edges."""
 
@@ -57,7 +54,7 @@ def read_matrix(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any] 
         return None
     if not names and numbers[0][1:] == [row[0] for row in numbers[1:]] and numbers[0][1:] in _counts(size - 1):
         raise ValueError(f"{file}: the first line may number the nodes: leave its first cell empty, or leave it out")
-    if size == LEAST and not all(number in {0.0, 1.0} for row in numbers for number in row):
+    if size == LEAST and not names and not all(number in {0.0, 1.0} for row in numbers for number in row):
         return None  # lines of three numbers may also be edges with weights
     weights = {
         (src, dst): weight
@@ -89,11 +86,8 @@ def _parts(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[float]]]
     Raises:
         ValueError: if a cell is not a number, or the names of lines and of columns differ.
     """
-    if not rows or (
-        rows[0][0] not in CORNERS and all(cell.lower() in MISSING or is_number_text(cell) for cell in rows[0])
-    ):
-        return [], [[number_or_nan(cell) for cell in row] for row in rows]
-    names, begins = rows[0][1:], [row[0] for row in rows[1:]]
-    if list(names) != begins or len(set(begins)) < len(begins):
-        raise ValueError("the names of lines and of columns should be equal, and differ from each other")
-    return begins, [[number_or_nan(cell) for cell in row[1:]] for row in rows[1:]]
+    names = list(names_beside(rows))
+    if len({*names}) < len(names):
+        raise ValueError("the names should differ from each other")
+    inner = [row[1:] for row in rows[1:]] if names else rows
+    return names, [[number_or_nan(cell) for cell in row] for row in inner]

@@ -167,6 +167,11 @@ class LinkTrace(Value):
         few = numbers if len(numbers) <= SHOWN else [*numbers[: SHOWN - 1], "...", numbers[-1]]
         return ", ".join(few)
 
+    @property
+    def node_order(self) -> tuple[str, ...] | None:
+        """The names of the nodes in the order of their numbers; None if the columns have numbers."""
+        return self.nodes or self.measurements.names
+
     def numbered(self, names: tuple[str, ...]) -> Self:
         """Return the trace with the numbers that a network gives to the names of its nodes.
 

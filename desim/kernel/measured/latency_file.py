@@ -4,11 +4,13 @@ Numbers are separated by white space, commas or semicolons; `#` begins a comment
 """
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from desim.config.number_files import check_comments, number_of, text_of_file, words_of
 from desim.kernel.measured.csv_tables import DECIMAL, plain_rows
-from desim.kernel.measured.measurements import number_or_nan
+from desim.kernel.measured.measurements import names_beside, number_or_nan
 from desim.kernel.measured.ping import Probe, probes_of
 
 AMBIGUOUS = re.compile(
@@ -76,8 +78,19 @@ def _items(row: str, file: Path, line: int) -> list[str]:
     return words_of(" ".join(words).replace(",", " "))
 
 
-def matrix_of(file: Path, *, unit_is_given: bool = False) -> list[list[float]]:
-    """Return the rows of a square matrix of numbers in a text file; nan where a cell is empty or nan.
+class NamedMatrix(NamedTuple):
+    """A square matrix of numbers in a file."""
+
+    names: tuple[str, ...]
+    """The names of the nodes, in the order of the rows; none if the file has none."""
+    rows: list[list[float]]
+    """A row per sender; nan where a cell is empty or nan."""
+
+
+def matrix_of(file: Path, *, unit_is_given: bool = False) -> NamedMatrix:
+    """Return the square matrix of numbers in a text file, perhaps with names in its first line and column.
+
+    Names that are 0 .. n - 1 are the numbers of the nodes.
 
     Args:
         file: the file.
@@ -86,28 +99,36 @@ def matrix_of(file: Path, *, unit_is_given: bool = False) -> list[list[float]]:
     Raises:
         ValueError: if the file cannot be read, is empty, has a cell that is not a number, or is no square.
     """
-    rows: list[list[float]] = []
-    lines: list[int] = []
     text = text_of_file(file)
     if not unit_is_given:
         check_comments(text, file, "s")
-    for line, cells in plain_rows(text, str(file)):
-        lines.append(line)
-        try:
-            rows.append([number_or_nan(cell) for cell in cells])
-        except ValueError as error:
-            hint = "" if rows else "; names of nodes are not read, and a header should begin with #"
-            raise ValueError(f"{file}, line {line}: {error}{hint}") from error
+    cells = [(line, [cell.strip() for cell in row]) for line, row in plain_rows(text, str(file))]
+    try:
+        names = names_beside([row for _, row in cells])
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from error
+    if names:
+        cells = [(line, row[1:]) for line, row in cells[1:]]
+    rows = [_numbers(row, file, line, is_first=not k) for k, (line, row) in enumerate(cells)]
     if not rows:
         raise ValueError(f"{file} contains no numbers")
-    if {frozenset(row[:2]) for row in rows} in PAIRS_OF_3:
+    first = cells[0][0]
+    if not names and {frozenset(row[:2]) for row in rows} in PAIRS_OF_3:
         why = "each line may be two nodes and a latency: a matrix has a line for each sender"
-        raise ValueError(f"{file}, line {lines[0]}: {why}, with a number for each receiver")
-    names, numbers = [row[0] for row in rows[1:]], list(range(len(rows)))
-    if len(rows) > 2 and rows[0][1:] == names and names in (numbers[:-1], numbers[1:]):
-        raise ValueError(f"{file}, line {lines[0]}: numbers the nodes, and so does the first column: leave both out")
-    for line, row in zip(lines, rows, strict=True):
+        raise ValueError(f"{file}, line {first}: {why}, with a number for each receiver")
+    begins, numbers = [row[0] for row in rows[1:]], list(range(len(rows)))
+    if not names and len(rows) > 2 and rows[0][1:] == begins and begins in (numbers[:-1], numbers[1:]):
+        raise ValueError(f"{file}, line {first}: numbers the nodes, and so does the first column: leave both out")
+    for (line, _), row in zip(cells, rows, strict=True):
         if len(row) != len(rows):
             why = f"has {len(row)} numbers, but the file has {len(rows)} lines of numbers: one per node"
             raise ValueError(f"{file}, line {line}: {why}; with decimal commas, separate numbers by ;")
-    return rows
+    return NamedMatrix(() if names == tuple(map(str, range(len(rows)))) else names, rows)
+
+
+def _numbers(cells: Sequence[str], file: Path, line: int, *, is_first: bool) -> list[float]:
+    try:
+        return [number_or_nan(cell) for cell in cells]
+    except ValueError as error:
+        hint = "; a header should begin with #, or name the nodes, as the first column does" if is_first else ""
+        raise ValueError(f"{file}, line {line}: {error}{hint}") from error

@@ -20,7 +20,7 @@ import numpy as np
 
 from desim.config.arrays import Bools, Floats, Integers
 from desim.config.model import MAX_TIME
-from desim.config.number_files import hint_of, integer_of, is_plain, not_a_number, number_of
+from desim.config.number_files import hint_of, integer_of, is_number_text, is_plain, not_a_number, number_of
 from desim.kernel.core.units import SECOND
 from desim.kernel.measured.csv_tables import KEPT, Cells, cells_of, csv_text, select
 
@@ -316,6 +316,30 @@ def number_or_nan(cell: str) -> float:
         if cell.strip().lower() in MISSING:
             return nan
         raise
+
+
+def names_beside(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """Return the names in the first line and the first column of a square matrix; none if it has none.
+
+    The cell above the names of the lines is empty or a text. The names may be numbers, unless the matrix then lacks the
+    diagonal: without names, its first cell is empty, too.
+
+    Raises:
+        ValueError: if the first line and the first column have different names, or an empty one.
+    """
+    if len(rows) < 3 or not rows[0] or is_number_text(rows[0][0]):
+        return ()
+    names, begins = tuple(rows[0][1:]), tuple(row[0] for row in rows[1:])
+    lacks_diagonal = all(len(row) > k and row[k].lower() in MISSING for k, row in enumerate(rows))
+    if lacks_diagonal and all(map(is_number_text, names)):
+        return ()
+    if names == begins:
+        if not all(names):
+            raise ValueError("a node has no name in the first line and in the first column")
+        return names
+    if len(names) == len(begins) and not any(map(is_number_text, names + begins)):
+        raise ValueError("the names of the first line and of the first column should be equal")
+    return ()
 
 
 def _links(

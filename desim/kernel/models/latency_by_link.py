@@ -9,7 +9,7 @@ from math import fsum, inf, isnan
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ValidationInfo, model_validator
+from pydantic import BaseModel, Field, ValidationInfo, model_validator
 
 from desim.config.answers import wrong_answer
 from desim.config.arrays import Floats, array_of
@@ -18,6 +18,7 @@ from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
 from desim.config.trust import resolve_path
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.core.seeds import ROOM
+from desim.kernel.measured.base import Name
 from desim.kernel.measured.latency_file import matrix_of
 from desim.kernel.measured.measurements import PER_SECOND, Unit
 from desim.kernel.measured.models import LatencyTrace
@@ -104,6 +105,10 @@ class _Pairs:
         return base + as_seconds(self._model.jitter(context, rng), self._model.jitter)
 
 
+MATRIX = "the matrix of latencies"
+"""What a matrix is called in error messages."""
+
+
 class LatencyMatrix(Value):
     """Each link has a base latency from a matrix, for instance of measurements; each message adds a jitter."""
 
@@ -112,7 +117,11 @@ class LatencyMatrix(Value):
     """(N, N) latencies, a row per sender; inf or nan where a link does not exist. In Python, it may be an array."""
     file: str | None = None
     """Instead of values: path of a text file with a line of N numbers per sender, separated by commas, semicolons, tabs
-    or spaces, relative to the scenario file. The file is read once, when the model is created."""
+    or spaces, relative to the scenario file. Names in the first line and in the first column become `nodes`. The file
+    is read once, when the model is created."""
+    nodes: Annotated[tuple[Name, ...], Field(min_length=2)] | None = None
+    """Names of the nodes, in the order of the rows; the graph, or else the file of the positions, numbers them. If in
+    doubt, leave it out: without names, row k is of node k."""
     unit: Unit = "s"
     """Unit of the values: s, ms, us or ns; if in doubt, see which of them makes the greatest value plausible."""
     rtt: Flag = False
@@ -129,7 +138,10 @@ class LatencyMatrix(Value):
         if file is not None:
             if values is not None:
                 raise ValueError("should have values or a file of values, not both")
-            values = matrix_of(resolve_path(file, info), unit_is_given="unit" in data)
+            names, values = matrix_of(resolve_path(file, info), unit_is_given="unit" in data)
+            if names and data.get("nodes") is not None:
+                raise ValueError("nodes should be left out: the file has names")
+            data = data | ({"nodes": names} if names else {})
         if isinstance(values, list | tuple) and all(isinstance(row, list | tuple) for row in values):
             values = [[inf if _is_nan(number) else number for number in row] for row in values]
         return data | {"file": None} | ({} if values is None else {"values": values})
@@ -143,6 +155,8 @@ class LatencyMatrix(Value):
         for k, row in enumerate(self.values):
             if len(row) != len(self.values):
                 raise ValueError(f"values should be a square: row {k} has {len(row)} of {len(self.values)} numbers")
+        if self.nodes is not None and (len(self.nodes) != len(self.values) or len({*self.nodes}) < len(self.nodes)):
+            raise ValueError(f"nodes should have a name for each of {len(self.values)} rows, and each name once")
         base = self.base_latencies
         upper, lower = np.triu(base).any(), np.tril(base).any()
         if len(base) > 2 and upper != lower:
@@ -165,14 +179,42 @@ class LatencyMatrix(Value):
         np.fill_diagonal(base, 0.0)
         return base
 
+    @property
+    def name(self) -> str:
+        """What the matrix is called in error messages."""
+        return MATRIX
+
+    @property
+    def node_order(self) -> tuple[str, ...] | None:
+        """The names of the nodes in the order of their numbers; None if they have no names."""
+        return self.nodes
+
+    def numbered(self, names: tuple[str, ...]) -> Self:
+        """Return the matrix with its rows in the order of the names of a network, by number.
+
+        It is returned unchanged if it has no names, or these.
+
+        Raises:
+            ValueError: if it has other names.
+        """
+        if not names or self.nodes is None or self.nodes == names:
+            return self
+        if unknown := {*self.nodes} - {*names}:
+            raise ValueError(f"{MATRIX} has a node {min(unknown)!r}, which the network does not have")
+        if lacking := {*names} - {*self.nodes}:
+            raise ValueError(f"{MATRIX} has no node {min(lacking)!r}")
+        order = [self.nodes.index(name) for name in names]
+        values = [[self.values[src][dst] for dst in order] for src in order]
+        return self.model_copy(update={"values": values, "nodes": names})
+
     def check_links(self, size: int, links: Iterable[tuple[int, int]]) -> None:
         """Raise ValueError if the matrix is not one of `size` nodes, or has no latency for one of some links."""
         base = self.base_latencies
         if len(base) != size:
-            raise ValueError(f"the matrix of latencies should have a row for each of {size} nodes, it has {len(base)}")
+            raise ValueError(f"{MATRIX} should have a row for each of {size} nodes, it has {len(base)}")
         for src, dst in links:
             if base[src, dst] == inf:
-                raise ValueError(f"the matrix of latencies has none from {src} to {dst}")
+                raise ValueError(f"{MATRIX} has none from {src} to {dst}")
 
     def start_run(self, size: int) -> "_PlayedMatrix":
         """Return the model of one run."""

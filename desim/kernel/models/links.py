@@ -27,7 +27,7 @@ from desim.kernel.models.graphs import (
     names_of,
 )
 from desim.kernel.models.latency import JITTERS, Constant, Latency
-from desim.kernel.models.latency_by_link import LATENCIES
+from desim.kernel.models.latency_by_link import LATENCIES, LatencyMatrix
 from desim.kernel.models.loss import LOSSES, Bernoulli, Loss
 from desim.kernel.models.medium import MEDIA, Medium, Unlimited, contends
 from desim.kernel.models.presets import PRESETS
@@ -71,9 +71,9 @@ def _tables_completed(fields: dict[str, Any], preset: dict[str, Any]) -> dict[st
     }
 
 
-def _with(owner: EdgeLike, traces: Mapping[tuple[str | int, ...], LinkTrace], place: tuple[str | int, ...]) -> EdgeLike:
+def _with(owner: EdgeLike, tables: Mapping[tuple[str | int, ...], Any], place: tuple[str | int, ...]) -> EdgeLike:
     """Return an edge or a link with other tables of measurements, by their keys; `place` is its own."""
-    models = {name: traces[*place, name] for name in ("latency", "loss") if (*place, name) in traces}
+    models = {name: tables[*place, name] for name in ("latency", "loss") if (*place, name) in tables}
     return owner.model_copy(update=models) if models else owner
 
 
@@ -152,18 +152,18 @@ class Links(Value):
         """The names of the nodes, by number: those of the graph, else of the first table of measurements with names."""
         if names := names_of(self.graph):
             return names
-        orders = (trace.nodes or trace.measurements.names for _, trace in self.traces())
+        orders = (table.node_order for _, table in self.tables())
         return next((order for order in orders if order), ())
 
-    def traces(self) -> Iterator[tuple[tuple[str | int, ...], LinkTrace]]:
-        """Yield the key and the model of each table of measurements."""
+    def tables(self) -> Iterator[tuple[tuple[str | int, ...], LinkTrace | LatencyMatrix]]:
+        """Yield the key and the model of each table of measurements, over time or between all nodes."""
         edges = self.graph.edges if isinstance(self.graph, Edges) else ()
         owners: list[tuple[tuple[str | int, ...], Any]] = [((), self)]
         owners += ((("link", k), link) for k, link in enumerate(self.link))
         owners += ((("graph", "edges", k), edge) for k, edge in enumerate(edges))
         for place, owner in owners:
             for name in ("latency", "loss"):
-                if isinstance(model := getattr(owner, name), LinkTrace):
+                if isinstance(model := getattr(owner, name), LinkTrace | LatencyMatrix):
                     yield (*place, name), model
 
     def numbered(self, names: tuple[str, ...]) -> "Links":
@@ -171,15 +171,15 @@ class Links(Value):
 
         A table that has other names is unchanged; see `desim.kernel.models.own_links`.
         """
-        changed: dict[tuple[str | int, ...], LinkTrace] = {}
-        for place, trace in self.traces():
+        changed: dict[tuple[str | int, ...], LinkTrace | LatencyMatrix] = {}
+        for place, table in self.tables():
             with suppress(ValueError):
-                if (numbered := trace.numbered(names)) is not trace:
+                if (numbered := table.numbered(names)) is not table:
                     changed[place] = numbered
         if not changed:
             return self
         copy = self.model_copy()
-        of_network = {str(place[0]): trace for place, trace in changed.items() if len(place) == 1}
+        of_network = {str(place[0]): table for place, table in changed.items() if len(place) == 1}
         links = [_with(link, changed, ("link", k)) for k, link in enumerate(self.link)]
         copy.__dict__.update(of_network, link=tuple(links))
         if isinstance(self.graph, Edges):

@@ -73,18 +73,18 @@ def link_misfits(links: Links, graph: "nx.Graph[int]") -> Iterator[tuple[Place, 
 def _name_misfits(links: Links) -> Iterator[tuple[Place, str]]:
     """Yield the key and the text of each table of measurements that cannot have the numbers of the named nodes."""
     names = links.node_names
-    for place, trace in links.traces():
-        order = trace.nodes or trace.measurements.names
+    for place, table in links.tables():
+        order = table.node_order
         if not names or order == names:
             continue
         try:
-            is_numbered = trace.numbered(names) is trace
+            is_numbered = table.numbered(names) is table
         except ValueError as error:
             yield place, f"{error}: the nodes are {shortened(names)}"
             continue
         if order and is_numbered:
             text = f"numbers the nodes {shortened(order)}, and the network {shortened(names)}"
-            yield place, f"{trace.name} {text}: nodes should be in the order of the network, or absent"
+            yield place, f"{table.name} {text}: nodes should be in the order of the network, or absent"
 
 
 def _own_models(links: Links, graph: "nx.Graph[int]", name: str) -> Iterator[tuple[Way, tuple[Place, Any]]]:
