@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from desim.kernel.graph_files.edge_lists import ENDS
+from desim.kernel.graph_files.edge_lists import ENDS, WAYS
 from desim.kernel.models.graphs import Edges
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
@@ -566,7 +566,7 @@ def test_a_link_between_names_is_refused_with_their_numbers():
         Links(graph=graph, link=[{"src": 0, "dst": "uav", "latency": 0.1}])
 
 
-@pytest.mark.parametrize("ends", ENDS, ids="-".join)
+@pytest.mark.parametrize("ends", [*ENDS, *WAYS], ids="-".join)
 @pytest.mark.parametrize("mark", [" ", ",", "\t"])
 def test_nodes_may_have_the_names_of_columns(tmp_path, ends, mark):
     """The first line is an edge if a node below has one of its names, or if it has a number."""
@@ -766,6 +766,86 @@ def test_whole_floats_are_numbers_of_nodes(tmp_path):
     file.write_text("1.0 0.0\n")
     for graph in (Edges(file=str(file)), Edges.of(nx.DiGraph([(1.0, 0.0)]))):
         assert [(edge.src, edge.dst) for edge in graph.edges] == [(1, 0)]
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Device From,Device To,Latency",
+        "source_region,destination_region,rtt_ms",
+        "kbps,ip.src,ip.dst",
+        "Time,srcNode,dstNode",
+        "time_tx,time,node_tx,node_rx",
+        "SendingRegion,kbps,ReceivingRegion",
+        "node_id,neighbor_id,distance",
+    ],
+)
+def test_words_in_their_names_tell_the_columns_of_the_ends(tmp_path, header):
+    """The names of both differ by one word."""
+    names = header.split(",")
+    src = next(k for k, name in enumerate(names) if re.search("(?i)from|source|src|node_tx|sending|node_id", name))
+    dst = next(k for k, name in enumerate(names) if re.search("(?i)to|dest|dst|node_rx|receiving|neighbor", name))
+    rows = [[*"7" * len(names)] for _ in range(2)]
+    rows[0][src], rows[0][dst], rows[1][src], rows[1][dst] = "Rome", "Oslo", "Oslo", "Bonn"
+    (tmp_path / "g.csv").write_text("\n".join([header, *map(",".join, rows)]))
+    made = read(tmp_path / "g.csv")
+    assert made.names == ("Rome", "Oslo", "Bonn")
+    assert [(edge.src, edge.dst) for edge in made.edges] == [(0, 1), (1, 2)]
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("timestamp,latency\n2018-04-01T19:42:45,19\n2018-04-01T20:42:47,21\n", "line 1: .* of a table over time"),
+        ("date,event\n2018-04-01,START\n2018-04-02,STOP\n", "line 1: .* of a table over time"),
+        ("clients,delay\n5,10.2\n10,15.1\n", "line 2: '10.2' is probably no name of a node"),
+        ("1041.51;-952.47;142.2\n1041.49;-952.38;142.1\n", "line 1: '1041.51' is probably no name"),
+        ("rate: 5\nscan: '/scan'\n", "line 1: 'rate:' is probably no name"),
+        ('# "quoted"\nrate: 5\nscan: 7\n', "line 2: 'rate:' is probably no name"),
+        ('Topology,Memory\n"29\n 27",28248\n', "line 2: a quote is not closed"),
+        ("a,b\nb,\n", "line 2: should have two nodes; a node without edges is a line with its name only"),
+        ("source,target\na,b\n,b\n", "line 3: should have two nodes"),
+        (
+            "# Directed graph (each pair once): web.txt\n# Nodes: 3\n0\t1\n1\t2\n",
+            "comment '# Directed graph .*set directed",
+        ),
+        ("% asym positive\n% 2 3 3\n1 2\n2 3\n", "the comment '% asym positive': set directed = true"),
+    ],
+)
+def test_other_tables_are_no_graph_and_a_comment_that_edges_are_one_way_counts(tmp_path, text, why):
+    (tmp_path / "g.txt").write_text(text)
+    with pytest.raises(ValueError, match=why):
+        read(tmp_path / "g.txt")
+
+
+@pytest.mark.parametrize(
+    "text", ["# Directed graph: a.txt\n0 1\n1 0\n", "# Undirected graph: a.txt\n0 1\n", "% sym\n0 1\n"]
+)
+def test_a_comment_does_not_count_where_all_edges_hold_both_ways(tmp_path, text):
+    (tmp_path / "g.txt").write_text(text)
+    assert [(edge.src, edge.dst) for edge in read(tmp_path / "g.txt").edges] == [(0, 1)]
+
+
+def test_comments_may_precede_a_graph_of_pajek_and_empty_rows_follow_a_list(tmp_path):
+    (tmp_path / "g.net").write_text('% one\n% two\n\n*Network x\n*vertices 2\n1 "a b"\n2 "c"\n*edges\n1 2\n')
+    assert read(tmp_path / "g.net").names == ("a b", "c")
+    (tmp_path / "g.csv").write_text("source,target\na,b\n,\n")
+    assert read(tmp_path / "g.csv").names == ("a", "b")
+
+
+def test_white_space_around_labels_does_not_count_and_is_no_label(tmp_path):
+    """As in GraphML of yEd, whose labels are in lines of their own."""
+    labels = [" boat\n  ", "\n uav"]
+    graph = nx.Graph([("n0", "n1")])
+    nx.set_node_attributes(graph, dict(zip(graph, labels, strict=True)), "label")
+    assert Edges.of(graph).names == ("boat", "uav")
+    graph.nodes["n1"]["label"] = "\n   "
+    assert Edges.of(graph).names == ("n0", "n1")
+
+
+def test_numbers_with_a_fraction_are_names_where_the_first_line_names_the_columns(tmp_path):
+    (tmp_path / "g.csv").write_text("source,target\n1.1,1.2\n1.2,2.1\n")
+    assert read(tmp_path / "g.csv").names == ("1.1", "1.2", "2.1")
 
 
 def test_a_first_line_with_one_name_is_a_node_without_edges(tmp_path):

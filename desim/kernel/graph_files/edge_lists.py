@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from desim.config.column_names import COLUMNS, WORD
 from desim.config.number_files import is_number_text, number_of
 from desim.config.tables import check_once
 from desim.kernel.measured.csv_tables import separator_in, with_points
@@ -37,14 +38,22 @@ class EdgeRow(NamedTuple):
 NamedEdge = tuple[str, str, dict[str, Any]]
 """The ends and the attributes of an edge."""
 ENDS = (
-    *(("source", "target"), ("src", "dst"), ("from", "to"), ("sender", "receiver"), ("tx", "rx"), ("u", "v")),
-    *(("node1", "node2"), ("node_1", "node_2"), ("node_a", "node_b"), ("i", "j"), ("a", "b"), ("start", "end")),
-    *(("origin", "destination"), ("id1", "id2"), ("id_1", "id_2"), ("fromnodeid", "tonodeid"), ("from_id", "to_id")),
-    *(("source_id", "target_id"), ("src_id", "dst_id"), ("from_node", "to_node")),
+    *(("u", "v"), ("node1", "node2"), ("node_1", "node_2"), ("node_a", "node_b"), ("i", "j"), ("a", "b")),
+    *(("start", "end"), ("node", "target"), ("node", "neighbor"), ("node_id", "neighbor_id")),
+    *(("id1", "id2"), ("id_1", "id_2"), ("fromnodeid", "tonodeid")),
 )
 """The names of the columns of both ends, in lower case."""
+WAYS = (
+    *(("source", "target"), ("source", "destination"), ("source", "dest"), ("src", "dst"), ("src", "dest")),
+    *(("from", "to"), ("sender", "receiver"), ("sending", "receiving"), ("origin", "destination"), ("tx", "rx")),
+)
+"""Words by which the names of both columns may differ, as in `source_id`, `Device From` or `ip.src`."""
 OF_NODES = frozenset({"id", "node", "name", "label", "node_id", "nodeid", "vertex"})
 """The name of the first column of a table of nodes, in lower case."""
+OVER_TIME = frozenset({*COLUMNS["t"]} - {"t"})
+"""The name of the first column of a table over time, in lower case; t may be a node."""
+ONE_WAY = re.compile(r"[#%]\s*(directed\b|asym\b)", re.IGNORECASE)
+"""Matches the comment of a list whose edges are one-way: of SNAP and of KONECT."""
 WITH_DICT = re.compile(r"(\S+)\s+(\S+)\s*(\{.*\})")
 """Matches an edge as `networkx.write_edgelist` writes it."""
 
@@ -66,9 +75,11 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
     if delimiter in {";", "\t"}:  # then numbers may have decimal commas
         points = with_points(((row.line, row.cells) for row in rows), list, str(file))
         rows = [row._replace(cells=cells) for row, (_, cells) in zip(rows, points, strict=True)]
-    if not header:
+    if not (header and _names_ends(header)):
+        _check_names(file, rows)
         if '"' not in text:  # a name in quotes is meant as one
             _check_form(file, rows)
+    if not header:
         is_weighted = all(len(row.cells) == 3 and is_number_text(row.cells[2]) for row in rows)
         header = ["source", "target", *(["weight"] if is_weighted else [])]
         if too_long := [row for row in rows if len(row.cells) > len(header)]:
@@ -77,8 +88,7 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
                 " columns, such as source,target,latency,loss; an adjacency list needs the ending .adjlist"
             )
     check_once(filter(None, header), f"{file}, line {lines[0].line}:")
-    lower = [name.lower() for name in header]
-    src, dst = next(((lower.index(a), lower.index(b)) for a, b in ENDS if a in lower and b in lower), (0, 1))
+    src, dst = _ends_in(header) or (0, 1)
     kinds, nodes, edges = set[str](), list[str](), list[NamedEdge]()
     for line, cells, attributes in rows:
         if len(cells) == 1:
@@ -87,6 +97,8 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
         if len(cells) != len(header):
             raise ValueError(f"{file}, line {line}: should have {len(header)} columns, has {len(cells)}")
         place = f"{file}, line {line}"
+        if not (cells[src] and cells[dst]):
+            raise ValueError(f"{place}: should have two nodes; a node without edges is a line with its name only")
         named = {name: cells[k] for k, name in enumerate(header) if name and k not in {src, dst} and cells[k]}
         kinds |= {value.lower() for name, value in named.items() if name.lower() == "type"}
         read = {name: _attribute(name, value, place) for name, value in named.items() if name.lower() != "type"}
@@ -99,7 +111,8 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
                 f"{file} has a column Type, which says {'un' if directed else ''}directed: leave out directed"
             )
         directed = "directed" in kinds
-    return _graph(file, nodes, edges, directed)
+    said = next((line for line in text.split("\n", 9)[:9] if ONE_WAY.match(line.strip())), "")
+    return _graph(file, nodes, edges, directed, said.strip())
 
 
 def read_adjacency_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any]":
@@ -255,7 +268,15 @@ def _rows(file: Path, text: str, delimiter: str) -> list[EdgeRow]:
         elif match := None if delimiter else WITH_DICT.fullmatch(bare):
             rows.append(EdgeRow(number, [match[1], match[2]], _dict(match[3], f"{file}, line {number}")))
         elif bare.strip():
+            if (
+                delimiter
+                and any(cell.lstrip().startswith('"') for cell in bare.split(delimiter))
+                and bare.count('"') % 2
+            ):
+                raise ValueError(f"{file}, line {number}: a quote is not closed; a name is in one line")
             cells = split(bare)
+            if not any(cells):  # the last rows of a spreadsheet
+                continue
             if any(cell.startswith("{") for cell in cells[:2]):
                 why = f"{' '.join(cells)[:40]} is no edge; multiline lists are not read"
                 raise ValueError(f"{file}, line {number}: {why}")
@@ -274,9 +295,19 @@ def _dict(text: str, place: str) -> dict[str, Any]:
     return {name: _attribute("", word, place) if quoted is None else quoted for name, quoted, word in entries}
 
 
+def _ends_in(names: Sequence[str]) -> tuple[int, int] | None:
+    """Return the columns of both ends, given the names of all; None if they are not named so."""
+    lower = [name.lower() for name in names]
+    words = [[word.lower() for word in WORD.findall(name)] for name in names]
+    for a, b in WAYS:
+        for src, of_src in enumerate(words):
+            if of_src.count(a) == 1 and (of_dst := [b if word == a else word for word in of_src]) in words:
+                return src, words.index(of_dst)
+    return next(((lower.index(a), lower.index(b)) for a, b in ENDS if a in lower and b in lower), None)
+
+
 def _names_ends(cells: Sequence[str]) -> bool:
-    lower = [cell.lower() for cell in cells]
-    return any(a in lower and b in lower for a, b in ENDS)
+    return _ends_in(cells) is not None
 
 
 def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow]]:
@@ -291,18 +322,14 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
         return [], rows
     first, below = rows[0].cells, rows[1:]
     nodes = {cell for row in below for cell in row.cells[:2]}
-    has_numbers = bool(nodes) and all(map(str.isdecimal, nodes))
-    is_header = has_numbers and not any(cell.isdecimal() for cell in first[:2])
+    has_numbers = bool(nodes) and all(map(is_number_text, nodes))
+    is_header = has_numbers and not any(map(is_number_text, first[:2]))
     if not _names_ends(first):
-        if (
-            first[0].lower() in OF_NODES
-            and nodes
-            and nodes.isdisjoint(first[:2])
-            and not any(map(is_number_text, first))
-        ):
+        of = "of nodes" if first[0].lower() in OF_NODES else "over time" if first[0].lower() in OVER_TIME else ""
+        if of and nodes and nodes.isdisjoint(first[:2]) and not any(map(is_number_text, first)):
             raise ValueError(
-                f"{file}, line {rows[0].line}: {', '.join(first)[:60]} are the columns of a table of nodes; those of"
-                " edges are source and target"
+                f"{file}, line {rows[0].line}: {', '.join(first)[:60]} are the columns of a table {of}; those of edges"
+                " are source and target"
             )
         return (first, below) if is_header else ([], rows)
     if any(map(is_number_text, first)) or (not has_numbers and not nodes.isdisjoint(first[:2])):
@@ -318,6 +345,15 @@ MOSTLY = 0.9
 
 In disjoint pairs all names differ, so a list of these with names of several words needs a header, or quotes.
 """
+
+
+def _check_names(file: Path, rows: Sequence[EdgeRow]) -> None:
+    """Raise ValueError if an end is a key with a colon (YAML), or a number with a fraction, as of a measurement."""
+    for line, cells, _ in rows:
+        for name in cells[:2] if len(cells) > 1 else ():
+            if name.endswith(":") or (is_number_text(name) and number_of(name) % 1.0 > 0.0):
+                why = "is probably no name of a node; if it is, name the columns in a first line, such as source,target"
+                raise ValueError(f"{file}, line {line}: {name!r} {why}")
 
 
 def _check_form(file: Path, rows: Sequence[EdgeRow]) -> None:
@@ -354,8 +390,21 @@ def _attribute(name: str, cell: str, place: str) -> Any:
         return cell
 
 
-def _graph(file: Path, nodes: Sequence[str], edges: Sequence[NamedEdge], directed: bool | None) -> "nx.Graph[Any]":
-    """Return the graph of a list; an undirected edge may be listed in both directions."""
+def _graph(
+    file: Path, nodes: Sequence[str], edges: Sequence[NamedEdge], directed: bool | None, said: str = ""
+) -> "nx.Graph[Any]":
+    """Return the graph of a list; an undirected edge may be listed in both directions.
+
+    Args:
+        file: the path, for error messages.
+        nodes: nodes, perhaps without edges.
+        edges: the edges.
+        directed: whether edges are one-way; None if it is not known.
+        said: a comment that says that they are; it counts if some have no way back.
+
+    Raises:
+        ValueError: if it is not known, and matters.
+    """
     import networkx as nx
 
     graph: nx.Graph[Any] = nx.MultiDiGraph() if directed else nx.MultiGraph()
@@ -368,9 +417,7 @@ def _graph(file: Path, nodes: Sequence[str], edges: Sequence[NamedEdge], directe
         else:
             graph.add_edge(src, dst, **attributes)
         seen[src, dst] = attributes
-    if directed is None and 0 < twice < len(edges) / 2:
-        raise ValueError(
-            f"{file} has {twice} of its edges in both directions and the others in one: set directed = true if edges"
-            " are one-way, or false"
-        )
+    if directed is None and (twice or said) and twice < len(edges) / 2:
+        why = f"the comment {said[:40]!r}" if said else f"{twice} of its edges in both directions and the others in one"
+        raise ValueError(f"{file} has {why}: set directed = true if edges are one-way, or false")
     return graph

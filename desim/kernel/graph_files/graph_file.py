@@ -43,6 +43,7 @@ UNREAD = {
     ".leda": "nx.read_leda",
     ".npy": "nx.from_numpy_array",
     ".lgl": "igraph.Graph.Read_Lgl(...).to_networkx",
+    ".dl": "igraph.Graph.Read_DL(...).to_networkx",
     ".gdf": "a script of yours",
 }
 METIS = {".metis", ".chaco", ".graph"}
@@ -106,7 +107,7 @@ def _text_reader(file: Path, ending: str, text: str, directed: bool | None) -> t
         return "JSON", lambda: _from_json(text)
     if GML.match(text):
         return "GML", lambda: _from_gml(text)
-    if begin[0] == "*":
+    if re.match(r"(%[^\n]*\n\s*)*\*", begin):
         return "the format of Pajek", lambda: read_pajek(file, text)
     if ending in {".graphml", ".gexf", ".gml", ".net", ".paj"}:
         raise ValueError(f"{file} is not a graph in {ending[1:]}: it does not begin like one")

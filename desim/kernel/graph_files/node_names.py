@@ -74,9 +74,10 @@ def shortened(names: Sequence[str]) -> str:
 
 
 def _labels(graph: "nx.Graph[Any]") -> list[Any] | None:
-    """Return the labels of the nodes, if all have different ones."""
+    """Return the labels of the nodes, without white space around them, if all have different ones."""
     for key in LABELS:
-        labels = [attributes.get(key) for _, attributes in graph.nodes(data=True)]
+        given = (attributes.get(key) for _, attributes in graph.nodes(data=True))
+        labels = [label.strip() if isinstance(label, str) else label for label in given]
         if labels and None not in labels and "" not in labels and len(set(map(str, labels))) == len(labels):
             return labels
     return None
