@@ -159,6 +159,21 @@ BEHIND = ("sap", "best_response")
 SIMPLE, RELIABLE = bodies_runs.SIMPLE, transport_runs.RELIABLE
 
 
+Told = tuple[str, Sequence[Number]]
+"""The sentence of a claim, and what measures its numbers."""
+
+
+def claims(study: str, page: str, *told: Told, share: float = 1.0, sigmas: float = 1.0) -> list[Claim]:
+    """Return several claims of one study on one page."""
+    return [Claim(study, page, *one, share, sigmas) for one in told]
+
+
+def crash(name: str, who: str, crashes_at: str, idle: str) -> Told:
+    """Return the row of a scenario that breaks a protocol: when a pursuer crashes, and how long the evader is alone."""
+    files = f'([file](../_static/broken/{name}.toml), <a href="broken/{name}.html#t={crashes_at}">film</a>)'
+    return f"{who} crashes at {{{crashes_at}}} s {files} | {{{idle}}} |", (crash_time(name), alone(name))
+
+
 def row_of_race(rate: float, row: str) -> Claim:
     """Return the claim that is a row of the table of a race: the mean, and the difference from the best."""
     numbers = [average(active_time, raced(rate)), difference(active_time, raced(rate), raced(8.0))]
@@ -254,85 +269,83 @@ CLAIMS = (
         " silent start, {3.8 +- 1.3} ms. One of `local_min` saves nothing, nothing, and {5.8 +- 1.2} ms",
         (*(worth("sap", start) for start in ("announced", "known", "silent")), worth("local_min", "silent")),
     ),
-    Claim(
+    *claims(
         "explain",
         FINDINGS,
-        "Waiting for one's turn costs most active time, {4.0 +- 0.5} s. The limited range saves {1.1 +- 0.5} s, and"
-        " latency costs {0.5 +- 0.4} s; that the start is not known for free makes no difference beyond its interval"
-        " of 0.4 s. All imperfections together cost {7.3 +- 0.6} s of active time. They interact: the parts add up to"
-        " 4.0 s. The evader is captured {0.7 +- 0.5} s sooner",
         (
-            explained(active_time, "serial decisions"),
-            explained(active_time, "range limit", scale=-1.0),
-            explained(active_time, "latency"),
-            explained(active_time),
-            explained(end_time, scale=-1.0),
+            "Waiting for one's turn costs most active time, {4.0 +- 0.5} s. The limited range saves {1.1 +- 0.5} s, and"
+            " latency costs {0.5 +- 0.4} s; that the start is not known for free makes no difference beyond its interval"
+            " of 0.4 s. All imperfections together cost {7.3 +- 0.6} s of active time. They interact: the parts add up to"
+            " 4.0 s. The evader is captured {0.7 +- 0.5} s sooner",
+            (
+                explained(active_time, "serial decisions"),
+                explained(active_time, "range limit", scale=-1.0),
+                explained(active_time, "latency"),
+                explained(active_time),
+                explained(end_time, scale=-1.0),
+            ),
+        ),
+        (
+            "On a perfect one, the team needs {15.4 +- 0.9} s of active time, about as much as it does: what the limited"
+            " range saves makes up for latency and loss. Without any messages it needs {14.8 +- 1.6} s more",
+            bounds_of_imperfect(),
         ),
     ),
-    Claim(
-        "explain",
-        FINDINGS,
-        "On a perfect one, the team needs {15.4 +- 0.9} s of active time, about as much as it does: what the limited"
-        " range saves makes up for latency and loss. Without any messages it needs {14.8 +- 1.6} s more",
-        bounds_of_imperfect(),
-    ),
-    Claim("range", FINDINGS, "{39 % +- 3 %} of the games have no equilibrium at R = 8 m", [unsettled("all able", 8.0)]),
-    Claim(
+    *claims(
         "range",
         FINDINGS,
-        "at R = 4 m the team then saves {4.4 +- 2.6} s of {21} s of active time",
-        [
-            difference(
-                active_time,
-                range_runs.scenario("all able", 4.0, "local mean"),
-                range_runs.scenario("all able", 4.0, range_runs.REFERENCE),
+        ("{39 % +- 3 %} of the games have no equilibrium at R = 8 m", [unsettled("all able", 8.0)]),
+        (
+            "at R = 4 m the team then saves {4.4 +- 2.6} s of {21} s of active time",
+            [
+                difference(
+                    active_time,
+                    range_runs.scenario("all able", 4.0, "local mean"),
+                    range_runs.scenario("all able", 4.0, range_runs.REFERENCE),
+                ),
+                average(active_time, range_runs.scenario("all able", 4.0, "local mean")),
+            ],
+        ),
+    ),
+    *claims(
+        "contention",
+        FINDINGS,
+        (
+            "At a load of 1 SAP loses {0.6 +- 0.5} s, and at 2, {0.8 +- 0.6} s of {8.3} s; `local_min` then loses {0.7 +-"
+            " 0.5} s of {6.7} s",
+            (
+                lost_by("SAP", "CSMA/CA", 1.0),
+                lost_by("SAP", "CSMA/CA", 2.0),
+                average(active_time, contention_runs.pursuit("SAP", contention_runs.REFERENCE, 2.0)),
+                lost_by("local_min", "CSMA/CA", 2.0),
+                average(active_time, contention_runs.pursuit("local_min", contention_runs.REFERENCE, 2.0)),
             ),
-            average(active_time, range_runs.scenario("all able", 4.0, "local mean")),
-        ],
-    ),
-    Claim(
-        "contention",
-        FINDINGS,
-        "At a load of 1 SAP loses {0.6 +- 0.5} s, and at 2, {0.8 +- 0.6} s of {8.3} s; `local_min` then loses {0.7 +-"
-        " 0.5} s of {6.7} s",
-        (
-            lost_by("SAP", "CSMA/CA", 1.0),
-            lost_by("SAP", "CSMA/CA", 2.0),
-            average(active_time, contention_runs.pursuit("SAP", contention_runs.REFERENCE, 2.0)),
-            lost_by("local_min", "CSMA/CA", 2.0),
-            average(active_time, contention_runs.pursuit("local_min", contention_runs.REFERENCE, 2.0)),
         ),
-    ),
-    Claim(
-        "contention",
-        FINDINGS,
-        "Under ALOHA, CBBA loses {1.1 +- 0.9} s at a load of 0.05 and {2.7 +- 2.0} s at 2. SAP loses {0.0 +- 0.8} s"
-        " at 0.05 and {1.5 +- 1.3} s at 1, `local_min` {0.2 +- 0.2} s at 0.05 and {2.5 +- 1.5} s at 2",
-        [
-            lost_by(protocol, "ALOHA", load)
-            for protocol, load in (
-                *(("CBBA", 0.05), ("CBBA", 2.0), ("SAP", 0.05), ("SAP", 1.0)),
-                *(("local_min", 0.05), ("local_min", 2.0)),
-            )
-        ],
-    ),
-    Claim(
-        "contention",
-        FINDINGS,
-        "TDMA costs CBBA {0.5 +- 0.3} s at a load of 1, SAP and `local_min` nothing beyond their intervals. A token"
-        " ring, whose slots must hold the long token, loses {6 +- 4} s at 0.5. - Under ALOHA and CSMA/CA a token ring"
-        " is active for {7.0 +- 2.5} s less at 0.5",
         (
-            lost_by("CBBA", "TDMA", 1.0),
-            lost_by("token ring", "TDMA", 0.5),
-            lost_by("token ring", "ALOHA", 0.5, scale=-1.0),
+            "Under ALOHA, CBBA loses {1.1 +- 0.9} s at a load of 0.05 and {2.7 +- 2.0} s at 2. SAP loses {0.0 +- 0.8} s"
+            " at 0.05 and {1.5 +- 1.3} s at 1, `local_min` {0.2 +- 0.2} s at 0.05 and {2.5 +- 1.5} s at 2",
+            [
+                lost_by(protocol, "ALOHA", load)
+                for protocol, load in (
+                    *(("CBBA", 0.05), ("CBBA", 2.0), ("SAP", 0.05), ("SAP", 1.0)),
+                    *(("local_min", 0.05), ("local_min", 2.0)),
+                )
+            ],
         ),
-    ),
-    Claim(
-        "contention",
-        FINDINGS,
-        "If all know the first actions for free, SAP at a load of 0.05 loses {2.0 +- 0.9} s under ALOHA",
-        [lost_by("SAP", "ALOHA", 0.05, "known")],
+        (
+            "TDMA costs CBBA {0.5 +- 0.3} s at a load of 1, SAP and `local_min` nothing beyond their intervals. A token"
+            " ring, whose slots must hold the long token, loses {6 +- 4} s at 0.5. - Under ALOHA and CSMA/CA a token ring"
+            " is active for {7.0 +- 2.5} s less at 0.5",
+            (
+                lost_by("CBBA", "TDMA", 1.0),
+                lost_by("token ring", "TDMA", 0.5),
+                lost_by("token ring", "ALOHA", 0.5, scale=-1.0),
+            ),
+        ),
+        (
+            "If all know the first actions for free, SAP at a load of 0.05 loses {2.0 +- 0.9} s under ALOHA",
+            [lost_by("SAP", "ALOHA", 0.05, "known")],
+        ),
     ),
     Claim(
         "contention",
@@ -342,44 +355,37 @@ CLAIMS = (
         [over_before_the_second(7)],
         share=4.0,
     ),
-    Claim(
+    *claims(
         "transport",
         FINDINGS,
-        "{0.25 +- 0.16} s of {8.1} s at a latency of 0.01 s, {0.30 +- 0.20} s of {20} s for an evader 20 m away. It"
-        " costs {1.7 +- 0.5} s at 0.2 s and {3.5 +- 1.0} s at 0.5 s. With bursts of 3 s, in which many of the first"
-        " announcements are lost, it saves {1.2 +- 1.1} s",
         (
-            transported(RELIABLE, scale=-1.0, latency=0.01),
-            transported(None, latency=0.01),
-            transported(RELIABLE, scale=-1.0, distance=20.0),
-            transported(None, distance=20.0),
-            transported(RELIABLE, latency=0.2),
-            transported(RELIABLE, latency=0.5),
-            transported(RELIABLE, scale=-1.0, burst=3.0),
+            "{0.25 +- 0.16} s of {8.1} s at a latency of 0.01 s, {0.30 +- 0.20} s of {20} s for an evader 20 m away. It"
+            " costs {1.7 +- 0.5} s at 0.2 s and {3.5 +- 1.0} s at 0.5 s. With bursts of 3 s, in which many of the first"
+            " announcements are lost, it saves {1.2 +- 1.1} s",
+            (
+                transported(RELIABLE, scale=-1.0, latency=0.01),
+                transported(None, latency=0.01),
+                transported(RELIABLE, scale=-1.0, distance=20.0),
+                transported(None, distance=20.0),
+                transported(RELIABLE, latency=0.2),
+                transported(RELIABLE, latency=0.5),
+                transported(RELIABLE, scale=-1.0, burst=3.0),
+            ),
         ),
-    ),
-    Claim(
-        "transport",
-        FINDINGS,
-        "if all know the first actions for free, retransmitting costs {1.7 +- 1.0} s with bursts of 3 s",
-        [transported(RELIABLE, burst=3.0, start="known")],
-    ),
-    Claim(
-        "transport",
-        FINDINGS,
-        "costs {1.8 +- 0.9} s at 50 % loss and {2.9 +- 1.2} s at 70 %; coded copies 0.05 s apart, which wait for no"
-        " acknowledgement, are nowhere worse than heartbeats beyond their intervals, and {0.7 +- 0.5} s better at 70 %",
         (
-            transported(transport_runs.BACKOFF, loss=0.5),
-            transported(transport_runs.BACKOFF, loss=0.7),
-            transported(transport_runs.CODED, scale=-1.0, loss=0.7),
+            "if all know the first actions for free, retransmitting costs {1.7 +- 1.0} s with bursts of 3 s",
+            [transported(RELIABLE, burst=3.0, start="known")],
         ),
-    ),
-    Claim(
-        "transport",
-        FINDINGS,
-        "in every cell, {0.09} s against {0.37} s at 30 % loss",
-        (age(transport_runs.HEARTBEATS), age(RELIABLE)),
+        (
+            "costs {1.8 +- 0.9} s at 50 % loss and {2.9 +- 1.2} s at 70 %; coded copies 0.05 s apart, which wait for no"
+            " acknowledgement, are nowhere worse than heartbeats beyond their intervals, and {0.7 +- 0.5} s better at 70 %",
+            (
+                transported(transport_runs.BACKOFF, loss=0.5),
+                transported(transport_runs.BACKOFF, loss=0.7),
+                transported(transport_runs.CODED, scale=-1.0, loss=0.7),
+            ),
+        ),
+        ("in every cell, {0.09} s against {0.37} s at 30 % loss", (age(transport_runs.HEARTBEATS), age(RELIABLE))),
     ),
     Claim(
         "coherence",
@@ -395,57 +401,54 @@ CLAIMS = (
             retransmitting_saves("0.1"),
         ),
     ),
-    Claim(
+    *claims(
         "liars",
         FINDINGS,
-        "delays the capture by {3.1 +- 1.5} s under SAP, {6.1 +- 2.5} s under `local_min` and {9.6 +- 3.2} s under"
-        " CBBA, and telling some one thing and others another by {2.3 +- 1.3} s under SAP",
-        (*(delayed_by(rule, "spoof") for rule in ("sap", "local_min", "cbba")), delayed_by("sap", "equivocate")),
-    ),
-    Claim(
-        "liars",
-        FINDINGS,
-        "costs an honest team {58 % +- 16 %} more active time for F = 1 and {107 % +- 22 %} for F = 2",
-        (price("trimmed, F = 1"), price("trimmed, F = 2")),
-    ),
-    Claim(
-        "liars",
-        FINDINGS,
-        "with a deviation of 0.2 s there are {8.1 +- 1.7} false accusations in a run of SAP",
-        [average(false_accusations, liars_runs.scenario_of("clocks", "sap", liars_runs.HONEST, "plausible", 0.2))],
-    ),
-    Claim(
-        "bodies",
-        FINDINGS,
-        "at 0.5 s it costs {7.7 +- 2.0} s with a radius of 2 m, {4.3 +- 1.1} s with an acceleration of 0.5 m/s², and"
-        " {6.0 +- 1.5} s with simple motion; at 1 s a turning radius of 2 m costs {3.5 +- 2.7} s more",
-        (*(of_latency(0.5, motion) for motion in ("radius 2 m", "0.5 m/s^2", SIMPLE)), of_inertia(1.0, "radius 2 m")),
-    ),
-    Claim(
-        "bodies",
-        FINDINGS,
-        "from {0.9 +- 0.4} to {8.2 +- 1.3} s with simple motion, and from {1.0 +- 0.5} to {9.1 +- 1.5} s with a"
-        " radius of 2 m; an acceleration of at most 0.5 m/s² makes it {5.9 +- 1.3} s at 1 s",
         (
-            per_handover(SIMPLE, 0.0),
-            per_handover(SIMPLE, 1.0),
-            per_handover("radius 2 m", 0.0),
-            per_handover("radius 2 m", 1.0),
-            per_handover("0.5 m/s^2", 1.0),
+            "delays the capture by {3.1 +- 1.5} s under SAP, {6.1 +- 2.5} s under `local_min` and {9.6 +- 3.2} s under"
+            " CBBA, and telling some one thing and others another by {2.3 +- 1.3} s under SAP",
+            (*(delayed_by(rule, "spoof") for rule in ("sap", "local_min", "cbba")), delayed_by("sap", "equivocate")),
+        ),
+        (
+            "costs an honest team {58 % +- 16 %} more active time for F = 1 and {107 % +- 22 %} for F = 2",
+            (price("trimmed, F = 1"), price("trimmed, F = 2")),
+        ),
+        (
+            "with a deviation of 0.2 s there are {8.1 +- 1.7} false accusations in a run of SAP",
+            [average(false_accusations, liars_runs.scenario_of("clocks", "sap", liars_runs.HONEST, "plausible", 0.2))],
         ),
     ),
-    Claim(
+    *claims(
         "bodies",
         FINDINGS,
-        "with simple motion they need {2.3 +- 0.7} s more active time without latency, and {4.6 +- 2.1} s more at 0.5"
-        " s; with a radius of 2 m, {2.8 +- 1.3} and {4.3 +- 3.3} s",
-        [all_at_once(latency, motion) for motion in (SIMPLE, "radius 2 m") for latency in (0.0, 0.5)],
-    ),
-    Claim(
-        "bodies",
-        FINDINGS,
-        "costs robots with a radius of 0.5 or 2 m {6.6 +- 4.4} and {5.6 +- 5.2} s",
-        (all_at_once(1.0, "radius 0.5 m"), all_at_once(1.0, "radius 2 m")),
+        (
+            "at 0.5 s it costs {7.7 +- 2.0} s with a radius of 2 m, {4.3 +- 1.1} s with an acceleration of 0.5 m/s², and"
+            " {6.0 +- 1.5} s with simple motion; at 1 s a turning radius of 2 m costs {3.5 +- 2.7} s more",
+            (
+                *(of_latency(0.5, motion) for motion in ("radius 2 m", "0.5 m/s^2", SIMPLE)),
+                of_inertia(1.0, "radius 2 m"),
+            ),
+        ),
+        (
+            "from {0.9 +- 0.4} to {8.2 +- 1.3} s with simple motion, and from {1.0 +- 0.5} to {9.1 +- 1.5} s with a"
+            " radius of 2 m; an acceleration of at most 0.5 m/s² makes it {5.9 +- 1.3} s at 1 s",
+            (
+                per_handover(SIMPLE, 0.0),
+                per_handover(SIMPLE, 1.0),
+                per_handover("radius 2 m", 0.0),
+                per_handover("radius 2 m", 1.0),
+                per_handover("0.5 m/s^2", 1.0),
+            ),
+        ),
+        (
+            "with simple motion they need {2.3 +- 0.7} s more active time without latency, and {4.6 +- 2.1} s more at 0.5"
+            " s; with a radius of 2 m, {2.8 +- 1.3} and {4.3 +- 3.3} s",
+            [all_at_once(latency, motion) for motion in (SIMPLE, "radius 2 m") for latency in (0.0, 0.5)],
+        ),
+        (
+            "costs robots with a radius of 0.5 or 2 m {6.6 +- 4.4} and {5.6 +- 5.2} s",
+            (all_at_once(1.0, "radius 0.5 m"), all_at_once(1.0, "radius 2 m")),
+        ),
     ),
     Claim(
         "evaders",
@@ -547,228 +550,160 @@ CLAIMS = (
         [excess(schedule) for schedule in ("token_ring", "shared_seed", "rounds")],
         sigmas=NORMAL_975,
     ),
-    Claim(
+    *claims(
         "noisy",
         GAME,
-        "is {9.0 +- 2.4}, {4.4 +- .8}, {1.94 +- .12} and {1.45 +- .07}",
-        [consistency(diffusion) for diffusion in (0.05, 0.1, 0.32, 1.0)],
-        share=2 / 3,
-        sigmas=NORMAL_975,
-    ),
-    Claim(
-        "noisy",
-        GAME,
-        "With covariance intersection and c = .32 it is {1.26 +- .11}",
-        [consistency(0.32, "covariance_intersection")],
-        share=2 / 3,
-        sigmas=NORMAL_975,
-    ),
-    Claim(
-        "affordable",
-        BREAKING,
-        '`sap` violates "idle at most 2 in total against centralised" in {7.0 %} without it and in {2.5 %} with it,'
-        " `best_response` in {6.8 %} and {2.5 %}, `local_min` in {7.2 %} and {3.0 %}",
-        [
-            leaves_alone(protocol, timeout)
-            for protocol in ("sap", "best_response", "local_min")
-            for timeout in ("auto", "affordable")
-        ],
-    ),
-    Claim(
-        "affordable",
-        BREAKING,
-        "violated with either, {14.8 %} and {14.8 %}. A time-out costs nearly nothing: with a loss of 0.2 and no crash,"
-        ' `sap` is active for {0.012 +- 0.008} s more with "affordable", of {6.2 +- 0.2} s',
         (
-            *(leaves_alone("cbaa", timeout) for timeout in ("auto", "affordable")),
-            difference(active_time, lossy("affordable"), lossy("auto")),
-            average(active_time, lossy("auto")),
+            "is {9.0 +- 2.4}, {4.4 +- .8}, {1.94 +- .12} and {1.45 +- .07}",
+            [consistency(diffusion) for diffusion in (0.05, 0.1, 0.32, 1.0)],
+        ),
+        ("With covariance intersection and c = .32 it is {1.26 +- .11}", [consistency(0.32, "covariance_intersection")]),
+        share=2 / 3,
+        sigmas=NORMAL_975,
+    ),
+    *claims(
+        "affordable",
+        BREAKING,
+        (
+            '`sap` violates "idle at most 2 in total against centralised" in {7.0 %} without it and in {2.5 %} with it,'
+            " `best_response` in {6.8 %} and {2.5 %}, `local_min` in {7.2 %} and {3.0 %}",
+            [
+                leaves_alone(protocol, timeout)
+                for protocol in ("sap", "best_response", "local_min")
+                for timeout in ("auto", "affordable")
+            ],
+        ),
+        (
+            "violated with either, {14.8 %} and {14.8 %}. A time-out costs nearly nothing: with a loss of 0.2 and no crash,"
+            ' `sap` is active for {0.012 +- 0.008} s more with "affordable", of {6.2 +- 0.2} s',
+            (
+                *(leaves_alone("cbaa", timeout) for timeout in ("auto", "affordable")),
+                difference(active_time, lossy("affordable"), lossy("auto")),
+                average(active_time, lossy("auto")),
+            ),
         ),
     ),
-    Claim(
+    *claims(
         "break",
         BREAKING,
-        "argmin {-15.9} {18} violates argmin_known {-15.9} {18} violates cbaa {-15.9} {18} violates ... best_response"
-        " {0.63} {1.46} binary_log_linear {0.63} {1.46} sap {0.63} {1.46}",
-        [
-            alone_in_relay(protocol, beyond=beyond)
-            for protocol in ("argmin", "argmin_known", "cbaa", "best_response", "binary_log_linear", "sap")
-            for beyond in (True, False)
-        ],
-    ),
-    Claim("break", BREAKING, "(it has {18} s, centralised {0.09} s)", [*map(alone_in_relay, ("cbaa", "centralised"))]),
-    Claim(
-        "breaking",
-        BREAKING,
-        "the chaser crashes at {0.7} s ([file](../_static/broken/argmin.toml), "
-        '<a href="broken/argmin.html#t=0.7">film</a>) | {6.8} |',
-        (crash_time("argmin"), alone("argmin")),
-    ),
-    Claim(
-        "breaking",
-        BREAKING,
-        "| case 34: the same with three pursuers | {6.8} |",
-        [alone("argmin", {"protocol": "best_response", "team.count": 3})],
-    ),
-    Claim(
-        "breaking",
-        BREAKING,
-        "the chaser crashes at {0.7} s, and 6.8 s are left ([file](../_static/broken/jsfp.toml), "
-        '<a href="broken/jsfp.html#t=0.7">film</a>) | {6.8} | they take over {0.9} s after the crash, too late for'
-        " 7.5 s; with 9 s they are idle for {0.9} s in all. `sap` needs {0.6} s",
         (
-            crash_time("jsfp"),
-            alone("jsfp"),
-            alone("jsfp", {"horizon": 9.0}),
-            alone("jsfp", {"horizon": 9.0, "protocol": "regret_matching"}),
-            alone("jsfp", {"protocol": "sap"}),
+            "argmin {-15.9} {18} violates argmin_known {-15.9} {18} violates cbaa {-15.9} {18} violates ... best_response"
+            " {0.63} {1.46} binary_log_linear {0.63} {1.46} sap {0.63} {1.46}",
+            [
+                alone_in_relay(protocol, beyond=beyond)
+                for protocol in ("argmin", "argmin_known", "cbaa", "best_response", "binary_log_linear", "sap")
+                for beyond in (True, False)
+            ],
         ),
+        ("(it has {18} s, centralised {0.09} s)", [*map(alone_in_relay, ("cbaa", "centralised"))]),
     ),
-    Claim(
+    *claims(
         "breaking",
         BREAKING,
-        "number 2, the winner, crashes at {0.9} s ([file](../_static/broken/cbaa.toml), "
-        '<a href="broken/cbaa.html#t=0.9">film</a>); without such crashes case 1: four pursuers, the chaser crashes at'
-        ' {2} s ([file](../_static/broken/cbaa-2.toml), <a href="broken/cbaa-2.html#t=2">film</a>) | {6.6}; {5.5} |',
-        (crash_time("cbaa"), crash_time("cbaa-2"), alone("cbaa"), alone("cbaa-2")),
-    ),
-    Claim(
-        "breaking",
-        BREAKING,
-        "number 0, the server, crashes at {3} s ([file](../_static/broken/server.toml), "
-        '<a href="broken/server.html#t=3">film</a>) | {8.0} |',
-        (crash_time("server"), alone("server")),
-    ),
-    Claim(
-        "breaking",
-        BREAKING,
-        "number 0, the chaser, crashes at {1} s ([file](../_static/broken/sap-2.toml), "
-        '<a href="broken/sap-2.html#t=1">film</a>) | {6.5} |',
-        (crash_time("sap-2"), alone("sap-2")),
-    ),
-    Claim(
-        "breaking",
-        BREAKING,
-        "number 1, the chaser, crashes at {0.5} s ([file](../_static/broken/jsfp-2.toml), "
-        '<a href="broken/jsfp-2.html#t=0.5">film</a>) | {5.1} |',
-        (crash_time("jsfp-2"), alone("jsfp-2")),
-    ),
-    Claim(
-        "breaking",
-        BREAKING,
-        "number 2, the chaser, crashes at {0.8} s ([file](../_static/broken/selective_sap-2.toml), "
-        '<a href="broken/selective_sap-2.html#t=0.8">film</a>) | {6.7} |',
-        (crash_time("selective_sap-2"), alone("selective_sap-2")),
-    ),
-    Claim(
-        "breaking",
-        BREAKING,
-        "at {2.2} s ([file](../_static/broken/server-takeover.toml), "
-        '<a href="broken/server-takeover.html#t=9.3">film</a>) | {7.0} | the reports need 1.6 times the capacity',
-        (crash_time("server-takeover"), alone("server-takeover")),
-    ),
-    Claim(
-        "breaking",
-        BREAKING,
-        "the channel carries them, and the evader is alone for {1.7} s",
-        [alone("server-takeover", {"protocol.period": 0.2})],
-    ),
-    Claim(
-        "breaking",
-        BREAKING,
-        "number 2, the chaser, crashes at {0.7} s ([file](../_static/broken/generalised_regret_matching-2.toml), "
-        '<a href="broken/generalised_regret_matching-2.html#t=0.7">film</a>) | {6.8} |',
-        (crash_time("generalised_regret_matching-2"), alone("generalised_regret_matching-2")),
-    ),
-    Claim("breaking", BREAKING, 'href="broken/server-2.html#t=2">film</a>) | {5.5} |', [alone("server-2")]),
-    Claim("breaking", BREAKING, 'href="broken/server-3.html#t=0.5">film</a>) | {5.05} |', [alone("server-3")]),
-    Claim(
-        "breaking",
-        BREAKING,
-        "alone for {0.4} s in the first row, for {0.9} s under `jsfp` on change only, for {0.9} s in case 6,363, for"
-        " {1.0} s under `selective_sap`, for {0.5} s under `generalised_regret_matching`, and never"
-        " under `local_min` with trust `trimmed`. If `cbba` drops a silent winner after 0.5 s"
-        " (`winner_timeout`), it is alone for {0.6} s. With bursts and a server that does not chase"
-        " (`host = 2`) it is alone for {0.2} s, and if the jamming begins at 2 s, for {0.6} s",
+        crash("argmin", "the chaser", "0.7", "6.8"),
         (
-            *(
-                alone(name, {"announce.belief_timeout": 1.0})
-                for name in ("argmin", "jsfp-2", "sap-2", "selective_sap-2", "generalised_regret_matching-2")
+            "| case 34: the same with three pursuers | {6.8} |",
+            [alone("argmin", {"protocol": "best_response", "team.count": 3})],
+        ),
+        (
+            "the chaser crashes at {0.7} s, and 6.8 s are left ([file](../_static/broken/jsfp.toml), "
+            '<a href="broken/jsfp.html#t=0.7">film</a>) | {6.8} | they take over {0.9} s after the crash, too late for'
+            " 7.5 s; with 9 s they are idle for {0.9} s in all. `sap` needs {0.6} s",
+            (
+                crash_time("jsfp"),
+                alone("jsfp"),
+                alone("jsfp", {"horizon": 9.0}),
+                alone("jsfp", {"horizon": 9.0, "protocol": "regret_matching"}),
+                alone("jsfp", {"protocol": "sap"}),
             ),
-            alone("cbba", {"protocol.winner_timeout": 0.5}),
-            alone("server-2", {"protocol.host": 2}),
-            alone("server-3", {"fault.0.start": 2.0}),
         ),
+        (
+            "number 2, the winner, crashes at {0.9} s ([file](../_static/broken/cbaa.toml), "
+            '<a href="broken/cbaa.html#t=0.9">film</a>); without such crashes case 1: four pursuers, the chaser crashes at'
+            ' {2} s ([file](../_static/broken/cbaa-2.toml), <a href="broken/cbaa-2.html#t=2">film</a>) | {6.6}; {5.5} |',
+            (crash_time("cbaa"), crash_time("cbaa-2"), alone("cbaa"), alone("cbaa-2")),
+        ),
+        crash("server", "number 0, the server,", "3", "8.0"),
+        crash("sap-2", "number 0, the chaser,", "1", "6.5"),
+        crash("jsfp-2", "number 1, the chaser,", "0.5", "5.1"),
+        crash("selective_sap-2", "number 2, the chaser,", "0.8", "6.7"),
+        (
+            "at {2.2} s ([file](../_static/broken/server-takeover.toml), "
+            '<a href="broken/server-takeover.html#t=9.3">film</a>) | {7.0} | the reports need 1.6 times the capacity',
+            (crash_time("server-takeover"), alone("server-takeover")),
+        ),
+        (
+            "the channel carries them, and the evader is alone for {1.7} s",
+            [alone("server-takeover", {"protocol.period": 0.2})],
+        ),
+        crash("generalised_regret_matching-2", "number 2, the chaser,", "0.7", "6.8"),
+        ('href="broken/server-2.html#t=2">film</a>) | {5.5} |', [alone("server-2")]),
+        ('href="broken/server-3.html#t=0.5">film</a>) | {5.05} |', [alone("server-3")]),
+        (
+            "alone for {0.4} s in the first row, for {0.9} s under `jsfp` on change only, for {0.9} s in case 6,363, for"
+            " {1.0} s under `selective_sap`, for {0.5} s under `generalised_regret_matching`, and never"
+            " under `local_min` with trust `trimmed`. If `cbba` drops a silent winner after 0.5 s"
+            " (`winner_timeout`), it is alone for {0.6} s. With bursts and a server that does not chase"
+            " (`host = 2`) it is alone for {0.2} s, and if the jamming begins at 2 s, for {0.6} s",
+            (
+                *(
+                    alone(name, {"announce.belief_timeout": 1.0})
+                    for name in ("argmin", "jsfp-2", "sap-2", "selective_sap-2", "generalised_regret_matching-2")
+                ),
+                alone("cbba", {"protocol.winner_timeout": 0.5}),
+                alone("server-2", {"protocol.host": 2}),
+                alone("server-3", {"fault.0.start": 2.0}),
+            ),
+        ),
+        (
+            "nobody would be in time any more; in 15 s instead of 11 s the evader is alone for {0.7} s",
+            [alone("server", {"protocol.takeover": True, "horizon": 15.0})],
+        ),
+        (
+            "is noticed after {2.0} s, too late for 7.5 s; in 10 s the evader is alone for {2.0} s",
+            [alone("server-takeover", NOTICED_LATE | {"horizon": 10.0})] * 2,
+        ),
+        (
+            "now only a newer order does, and the evader is alone for {3.1} s",
+            [
+                alone(
+                    "server",
+                    {
+                        "seed": 2254,
+                        "horizon": 7.5,
+                        "team.count": 4,
+                        "protocol.takeover": True,
+                        "network.latency": {"kind": "shifted_exponential", "mean": 0.9},
+                        "fault.0.start": 0.8,
+                    },
+                )
+            ],
+        ),
+        (
+            "the evader is left alone for {6.1} s ([file](../_static/broken/sap-affordable-2.toml)",
+            [alone("sap-affordable-2")],
+        ),
+        ('-trimmed.html#t=4">film</a>) | {11.0} |', [alone("local_min-trimmed")]),
+        crash("cbba", "number 2", "9", "8.1"),
     ),
-    Claim(
-        "breaking",
-        BREAKING,
-        "nobody would be in time any more; in 15 s instead of 11 s the evader is alone for {0.7} s",
-        [alone("server", {"protocol.takeover": True, "horizon": 15.0})],
-    ),
-    Claim(
-        "breaking",
-        BREAKING,
-        "is noticed after {2.0} s, too late for 7.5 s; in 10 s the evader is alone for {2.0} s",
-        [alone("server-takeover", NOTICED_LATE | {"horizon": 10.0})] * 2,
-    ),
-    Claim(
-        "breaking",
-        BREAKING,
-        "now only a newer order does, and the evader is alone for {3.1} s",
-        [
-            alone(
-                "server",
-                {
-                    "seed": 2254,
-                    "horizon": 7.5,
-                    "team.count": 4,
-                    "protocol.takeover": True,
-                    "network.latency": {"kind": "shifted_exponential", "mean": 0.9},
-                    "fault.0.start": 0.8,
-                },
-            )
-        ],
-    ),
-    Claim(
-        "breaking",
-        BREAKING,
-        "the evader is left alone for {6.1} s ([file](../_static/broken/sap-affordable-2.toml)",
-        [alone("sap-affordable-2")],
-    ),
-    Claim("breaking", BREAKING, '-trimmed.html#t=4">film</a>) | {11.0} |', [alone("local_min-trimmed")]),
-    Claim(
-        "breaking",
-        BREAKING,
-        "number 2 crashes at {9} s ([file](../_static/broken/cbba.toml), "
-        '<a href="broken/cbba.html#t=9">film</a>) | {8.1} |',
-        (crash_time("cbba"), alone("cbba")),
-    ),
-    Claim(
+    *claims(
         "bench",
         BENCH,
-        "The games `sap` and `best_response` are {0.05} to {0.07} behind `local_min` on a perfect network, and {0.07}"
-        " to {0.08} on those of the scenarios",
-        (*least_and_greatest("quality", BEHIND), *least_and_greatest("score", BEHIND)),
-    ),
-    Claim(
-        "bench",
-        BENCH,
-        "The network costs `argmin` {0.12} and `local_min` {0.12}",
-        [benchmarked("loss", protocol) for protocol in ("argmin", "local_min")],
-    ),
-    Claim(
-        "bench",
-        BENCH,
-        "On a perfect network `cbba` is worth {0.93}, and `sap` {0.93}",
-        [benchmarked("quality", protocol) for protocol in ("cbba", "sap")],
-    ),
-    Claim("bench", BENCH, "`argmin` would score about {1.04}", [benchmarked("quality", "argmin")]),
-    Claim(
-        "bench",
-        BENCH,
-        "come from {2} of {16} runs, {3} under `server`",
-        (outliers("cbaa"), runs_of_version, outliers("server")),
+        (
+            "The games `sap` and `best_response` are {0.05} to {0.07} behind `local_min` on a perfect network, and {0.07}"
+            " to {0.08} on those of the scenarios",
+            (*least_and_greatest("quality", BEHIND), *least_and_greatest("score", BEHIND)),
+        ),
+        (
+            "The network costs `argmin` {0.12} and `local_min` {0.12}",
+            [benchmarked("loss", protocol) for protocol in ("argmin", "local_min")],
+        ),
+        (
+            "On a perfect network `cbba` is worth {0.93}, and `sap` {0.93}",
+            [benchmarked("quality", protocol) for protocol in ("cbba", "sap")],
+        ),
+        ("`argmin` would score about {1.04}", [benchmarked("quality", "argmin")]),
+        ("come from {2} of {16} runs, {3} under `server`", (outliers("cbaa"), runs_of_version, outliers("server"))),
     ),
     Claim(
         "learning",
