@@ -4,7 +4,7 @@ Each claim is a sentence of a page, and what measures its numbers (`scenarios.st
 measured mean should differ by at most twice the root of the sum of the squares of their half widths. So a true number
 passes with a probability of 99.99 % if the means are normal, and all together with 98 %. Run it after any change that
 may move results; it takes minutes. `--only NAME` checks the claims of one study. With the seed and the runs of a page,
-the numbers measured are those that it should have.
+the numbers measured are those that it should have. The pages are those of the repository, so this is not in the wheel.
 """
 
 import sys

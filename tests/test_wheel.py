@@ -68,12 +68,14 @@ def installed(wheel, tmp_path_factory):
     return programs
 
 
-def test_the_wheel_has_every_file_of_its_packages_but_the_benchmarks(wheel):
+def test_the_wheel_has_every_file_of_its_packages_but_what_needs_the_repository(wheel):
     names = {name for name in ZipFile(wheel).namelist() if ".dist-info/" not in name}
     files = [path for package in PACKAGES for path in (ROOT / package).rglob("*") if path.is_file()]
     kept = {path.relative_to(ROOT).as_posix() for path in files if "__pycache__" not in path.parts}
     benchmarks = {name for name in kept if name.startswith("scenarios/benchmarks/")}
-    assert names == kept - benchmarks
+    of_pages = {"scenarios/check_pages.py", "scenarios/studies/claims.py", "scenarios/studies/claims_runs.py"}
+    assert of_pages <= kept
+    assert names == kept - benchmarks - of_pages
     assert "scenarios/benchmarks/peers/peer_ns3.cpp" in benchmarks
     assert {f"{package}/py.typed" for package in PACKAGES} <= names
     assert "scenarios/relay.toml" in names
