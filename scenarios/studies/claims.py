@@ -273,10 +273,10 @@ CLAIMS = (
         "explain",
         FINDINGS,
         (
-            "Waiting for one's turn costs most active time, {4.0 +- 0.5} s. The limited range saves {1.1 +- 0.5} s, and"
-            " latency costs {0.5 +- 0.4} s; that the start is not known for free makes no difference beyond its interval"
-            " of 0.4 s. All imperfections together cost {7.3 +- 0.6} s of active time. They interact: the parts add up to"
-            " 4.0 s. The evader is captured {0.7 +- 0.5} s sooner",
+            "Waiting for one's turn costs most active time, {4.0 +- 0.5} s. The limited range saves {1.1 +- 0.5} s,"
+            " and latency costs {0.5 +- 0.4} s; that the start is not known for free makes no difference beyond its"
+            " interval of 0.4 s. All imperfections together cost {7.3 +- 0.6} s of active time. They interact: the"
+            " parts add up to 4.0 s. The evader is captured {0.7 +- 0.5} s sooner",
             (
                 explained(active_time, "serial decisions"),
                 explained(active_time, "range limit", scale=-1.0),
@@ -286,8 +286,8 @@ CLAIMS = (
             ),
         ),
         (
-            "On a perfect one, the team needs {15.4 +- 0.9} s of active time, about as much as it does: what the limited"
-            " range saves makes up for latency and loss. Without any messages it needs {14.8 +- 1.6} s more",
+            "On a perfect one, the team needs {15.4 +- 0.9} s of active time, about as much as it does: what the"
+            " limited range saves makes up for latency and loss. Without any messages it needs {14.8 +- 1.6} s more",
             bounds_of_imperfect(),
         ),
     ),
@@ -311,8 +311,8 @@ CLAIMS = (
         "contention",
         FINDINGS,
         (
-            "At a load of 1 SAP loses {0.6 +- 0.5} s, and at 2, {0.8 +- 0.6} s of {8.3} s; `local_min` then loses {0.7 +-"
-            " 0.5} s of {6.7} s",
+            "At a load of 1 SAP loses {0.6 +- 0.5} s, and at 2, {0.8 +- 0.6} s of {8.3} s; `local_min` then loses {0.7"
+            " +- 0.5} s of {6.7} s",
             (
                 lost_by("SAP", "CSMA/CA", 1.0),
                 lost_by("SAP", "CSMA/CA", 2.0),
@@ -333,9 +333,9 @@ CLAIMS = (
             ],
         ),
         (
-            "TDMA costs CBBA {0.5 +- 0.3} s at a load of 1, SAP and `local_min` nothing beyond their intervals. A token"
-            " ring, whose slots must hold the long token, loses {6 +- 4} s at 0.5. - Under ALOHA and CSMA/CA a token ring"
-            " is active for {7.0 +- 2.5} s less at 0.5",
+            "TDMA costs CBBA {0.5 +- 0.3} s at a load of 1, SAP and `local_min` nothing beyond their intervals. A"
+            " token ring, whose slots must hold the long token, loses {6 +- 4} s at 0.5. - Under ALOHA and CSMA/CA a"
+            " token ring is active for {7.0 +- 2.5} s less at 0.5",
             (
                 lost_by("CBBA", "TDMA", 1.0),
                 lost_by("token ring", "TDMA", 0.5),
@@ -377,8 +377,9 @@ CLAIMS = (
             [transported(RELIABLE, burst=3.0, start="known")],
         ),
         (
-            "costs {1.8 +- 0.9} s at 50 % loss and {2.9 +- 1.2} s at 70 %; coded copies 0.05 s apart, which wait for no"
-            " acknowledgement, are nowhere worse than heartbeats beyond their intervals, and {0.7 +- 0.5} s better at 70 %",
+            "costs {1.8 +- 0.9} s at 50 % loss and {2.9 +- 1.2} s at 70 %; coded copies 0.05 s apart, which wait for"
+            " no acknowledgement, are nowhere worse than heartbeats beyond their intervals, and {0.7 +- 0.5} s better"
+            " at 70 %",
             (
                 transported(transport_runs.BACKOFF, loss=0.5),
                 transported(transport_runs.BACKOFF, loss=0.7),
@@ -422,8 +423,8 @@ CLAIMS = (
         "bodies",
         FINDINGS,
         (
-            "at 0.5 s it costs {7.7 +- 2.0} s with a radius of 2 m, {4.3 +- 1.1} s with an acceleration of 0.5 m/s², and"
-            " {6.0 +- 1.5} s with simple motion; at 1 s a turning radius of 2 m costs {3.5 +- 2.7} s more",
+            "at 0.5 s it costs {7.7 +- 2.0} s with a radius of 2 m, {4.3 +- 1.1} s with an acceleration of 0.5 m/s²,"
+            " and {6.0 +- 1.5} s with simple motion; at 1 s a turning radius of 2 m costs {3.5 +- 2.7} s more",
             (
                 *(of_latency(0.5, motion) for motion in ("radius 2 m", "0.5 m/s^2", SIMPLE)),
                 of_inertia(1.0, "radius 2 m"),
@@ -441,8 +442,8 @@ CLAIMS = (
             ),
         ),
         (
-            "with simple motion they need {2.3 +- 0.7} s more active time without latency, and {4.6 +- 2.1} s more at 0.5"
-            " s; with a radius of 2 m, {2.8 +- 1.3} and {4.3 +- 3.3} s",
+            "with simple motion they need {2.3 +- 0.7} s more active time without latency, and {4.6 +- 2.1} s more at"
+            " 0.5 s; with a radius of 2 m, {2.8 +- 1.3} and {4.3 +- 3.3} s",
             [all_at_once(latency, motion) for motion in (SIMPLE, "radius 2 m") for latency in (0.0, 0.5)],
         ),
         (
@@ -574,8 +575,8 @@ CLAIMS = (
             ],
         ),
         (
-            "violated with either, {14.8 %} and {14.8 %}. A time-out costs nearly nothing: with a loss of 0.2 and no crash,"
-            ' `sap` is active for {0.012 +- 0.008} s more with "affordable", of {6.2 +- 0.2} s',
+            "violated with either, {14.8 %} and {14.8 %}. A time-out costs nearly nothing: with a loss of 0.2 and no"
+            ' crash, `sap` is active for {0.012 +- 0.008} s more with "affordable", of {6.2 +- 0.2} s',
             (
                 *(leaves_alone("cbaa", timeout) for timeout in ("auto", "affordable")),
                 difference(active_time, lossy("affordable"), lossy("auto")),
@@ -587,8 +588,8 @@ CLAIMS = (
         "break",
         BREAKING,
         (
-            "argmin {-15.9} {18} violates argmin_known {-15.9} {18} violates cbaa {-15.9} {18} violates ... best_response"
-            " {0.63} {1.46} binary_log_linear {0.63} {1.46} sap {0.63} {1.46}",
+            "argmin {-15.9} {18} violates argmin_known {-15.9} {18} violates cbaa {-15.9} {18} violates ..."
+            " best_response {0.63} {1.46} binary_log_linear {0.63} {1.46} sap {0.63} {1.46}",
             [
                 alone_in_relay(protocol, beyond=beyond)
                 for protocol in ("argmin", "argmin_known", "cbaa", "best_response", "binary_log_linear", "sap")
@@ -618,9 +619,10 @@ CLAIMS = (
             ),
         ),
         (
-            "number 2, the winner, crashes at {0.9} s ([file](../_static/broken/cbaa.toml), "
-            '<a href="broken/cbaa.html#t=0.9">film</a>); without such crashes case 1: four pursuers, the chaser crashes at'
-            ' {2} s ([file](../_static/broken/cbaa-2.toml), <a href="broken/cbaa-2.html#t=2">film</a>) | {6.6}; {5.5} |',
+            "number 2, the winner, crashes at {0.9} s ([file](../_static/broken/cbaa.toml), <a"
+            ' href="broken/cbaa.html#t=0.9">film</a>); without such crashes case 1: four pursuers, the chaser crashes'
+            ' at {2} s ([file](../_static/broken/cbaa-2.toml), <a href="broken/cbaa-2.html#t=2">film</a>) | {6.6};'
+            " {5.5} |",
             (crash_time("cbaa"), crash_time("cbaa-2"), alone("cbaa"), alone("cbaa-2")),
         ),
         crash("server", "number 0, the server,", "3", "8.0"),
@@ -640,11 +642,11 @@ CLAIMS = (
         ('href="broken/server-2.html#t=2">film</a>) | {5.5} |', [alone("server-2")]),
         ('href="broken/server-3.html#t=0.5">film</a>) | {5.05} |', [alone("server-3")]),
         (
-            "alone for {0.4} s in the first row, for {0.9} s under `jsfp` on change only, for {0.9} s in case 6,363, for"
-            " {1.0} s under `selective_sap`, for {0.5} s under `generalised_regret_matching`, and never"
-            " under `local_min` with trust `trimmed`. If `cbba` drops a silent winner after 0.5 s"
-            " (`winner_timeout`), it is alone for {0.6} s. With bursts and a server that does not chase"
-            " (`host = 2`) it is alone for {0.2} s, and if the jamming begins at 2 s, for {0.6} s",
+            "alone for {0.4} s in the first row, for {0.9} s under `jsfp` on change only, for {0.9} s in case 6,363,"
+            " for {1.0} s under `selective_sap`, for {0.5} s under `generalised_regret_matching`, and never under"
+            " `local_min` with trust `trimmed`. If `cbba` drops a silent winner after 0.5 s (`winner_timeout`), it is"
+            " alone for {0.6} s. With bursts and a server that does not chase (`host = 2`) it is alone for {0.2} s,"
+            " and if the jamming begins at 2 s, for {0.6} s",
             (
                 *(
                     alone(name, {"announce.belief_timeout": 1.0})
@@ -690,8 +692,8 @@ CLAIMS = (
         "bench",
         BENCH,
         (
-            "The games `sap` and `best_response` are {0.05} to {0.07} behind `local_min` on a perfect network, and {0.07}"
-            " to {0.08} on those of the scenarios",
+            "The games `sap` and `best_response` are {0.05} to {0.07} behind `local_min` on a perfect network, and"
+            " {0.07} to {0.08} on those of the scenarios",
             (*least_and_greatest("quality", BEHIND), *least_and_greatest("score", BEHIND)),
         ),
         (

@@ -2,10 +2,10 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial, reduce
+from functools import partial, reduce, wraps
 from math import isnan, nan
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Concatenate, ParamSpec
 
 import numpy as np
 
@@ -43,15 +43,28 @@ from scenarios.studies import (
 from scenarios.studies.coverage_runs import LAWS, coverage
 from scenarios.studies.study import SCENARIOS, Options
 
-Number = Callable[[Options], tuple[float, float]]
-"""Measures a number; returns its mean and the half width of its 95 % interval."""
+Measured = tuple[float, float]
+"""The mean of a number, and the half width of its 95 % interval."""
+Number = Callable[[Options], Measured]
+"""Measures a number."""
+Parameters = ParamSpec("Parameters")
 STUDIES = 50
 """The number of sequential studies for each run of other claims."""
 UNIT = delay_runs.LAMBDA / delay_runs.N
 """1 / (N^2 delta), 1/s."""
 
 
-def of(estimate: Estimate, scale: float = 1.0) -> tuple[float, float]:
+def number(measure: Callable[Concatenate[Options, Parameters], Measured]) -> Callable[Parameters, Number]:
+    """Let a function that measures wait for the options: called without them, it returns what measures."""
+
+    @wraps(measure)
+    def prepared(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Number:
+        return lambda options: measure(options, *args, **kwargs)
+
+    return prepared
+
+
+def of(estimate: Estimate, scale: float = 1.0) -> Measured:
     """Return the mean and the half width of an estimate, multiplied by a factor."""
     return scale * estimate.mean, abs(scale) * estimate.half_width
 
@@ -66,27 +79,21 @@ def difference(metric: Callable[[Any], float], some: Scenario, subtrahend: Scena
     return lambda options: of(paired(*options.measure([some, subtrahend], "", metric)), scale)
 
 
-def share(metric: Callable[[Any], bool], scenario: Scenario) -> Number:
-    """Return what measures the share of runs for which a metric is true, with half of its Wilson interval."""
-
-    def number(options: Options) -> tuple[float, float]:
-        return of(share_of(options.measure([scenario], "", metric)[0]))
-
-    return number
+@number
+def share(options: Options, metric: Callable[[Any], bool], scenario: Scenario) -> Measured:
+    """Measure the share of runs for which a metric is true, with half of its Wilson interval."""
+    return of(share_of(options.measure([scenario], "", metric)[0]))
 
 
-def covered(law: str, size: int, first_look: int) -> Number:
-    """Return what measures the share of sequential studies whose interval covers the mean; see `scenarios.coverage`."""
-
-    def number(options: Options) -> tuple[float, float]:
-        studies = STUDIES * options.runs
-        measured = coverage(LAWS[law], size, first_look, studies, options.seed)
-        return in_trials(round(measured.share * studies), studies)
-
-    return number
+@number
+def covered(options: Options, law: str, size: int, first_look: int) -> Measured:
+    """Measure the share of sequential studies whose interval covers the mean; see `scenarios.coverage`."""
+    studies = STUDIES * options.runs
+    measured = coverage(LAWS[law], size, first_look, studies, options.seed)
+    return in_trials(round(measured.share * studies), studies)
 
 
-def in_trials(count: int, trials: int) -> tuple[float, float]:
+def in_trials(count: int, trials: int) -> Measured:
     """Return a share, and half the width of its Wilson interval."""
     return of(share_of([True] * count + [False] * (trials - count)))
 
@@ -97,15 +104,12 @@ def cost(team: str, rule: str, latency: float, start: Start = "announced") -> Nu
     return difference(active_time, late, prompt)
 
 
-def worth(rule: str, start: Start) -> Number:
-    """Return what measures the active time that a message of a rule saves, ms."""
-
-    def number(options: Options) -> tuple[float, float]:
-        teams = [start_runs.speaking(rule, start, trigger=trigger) for trigger in ("heartbeat", "never")]
-        speaking, silent = (np.array(runs).T for runs in options.measure(teams, "", start_runs.times_and_transmissions))
-        return of(start_runs.quotient(silent[0] - speaking[0], speaking[1] - silent[1]), 1000.0)
-
-    return number
+@number
+def worth(options: Options, rule: str, start: Start) -> Measured:
+    """Measure the active time that a message of a rule saves, ms."""
+    teams = [start_runs.speaking(rule, start, trigger=trigger) for trigger in ("heartbeat", "never")]
+    speaking, silent = (np.array(runs).T for runs in options.measure(teams, "", start_runs.times_and_transmissions))
+    return of(start_runs.quotient(silent[0] - speaking[0], speaking[1] - silent[1]), 1000.0)
 
 
 def increase(start: Start, *, whole: bool) -> Number:
@@ -168,13 +172,10 @@ def late(slot: float) -> Scenario:
     return load(SCENARIOS / "bench/v1/latency.toml", [f'protocol={{ kind = "argmin", slot = {slot} }}'])
 
 
-def unsettled(team: str, distance: float) -> Number:
-    """Return what measures the share of games without an equilibrium if pursuers count their neighbours only."""
-
-    def number(options: Options) -> tuple[float, float]:
-        return of(range_runs.games(team, distance, options).unsettled)
-
-    return number
+@number
+def unsettled(options: Options, team: str, distance: float) -> Measured:
+    """Measure the share of games without an equilibrium if pursuers count their neighbours only."""
+    return of(range_runs.games(team, distance, options).unsettled)
 
 
 def lost_by(protocol: str, access: str, load: float, start: Start = "announced", scale: float = 1.0) -> Number:
@@ -190,33 +191,27 @@ def started(scenario: Scenario, start: Start) -> Scenario:
     return scenario.model_copy(update={"announce": scenario.announce.model_copy(update={"start": start})})
 
 
-def over_before_the_second(spreading_factor: int) -> Number:
-    """Return what measures the share of pursuits over LoRa that end before a pursuer may announce a second time."""
-
-    def number(options: Options) -> tuple[float, float]:
-        pursuits = contention_runs.lora_pursuits(spreading_factor, options)
-        return in_trials(round(pursuits.over * options.runs), options.runs)
-
-    return number
+@number
+def over_before_the_second(options: Options, spreading_factor: int) -> Measured:
+    """Measure the share of pursuits over LoRa that end before a pursuer may announce a second time."""
+    pursuits = contention_runs.lora_pursuits(spreading_factor, options)
+    return in_trials(round(pursuits.over * options.runs), options.runs)
 
 
-def transported(way: str | None, scale: float = 1.0, **setting: Any) -> Number:
-    """Return what measures the active time of a way to announce minus that of heartbeats; None: that of heartbeats."""
-
-    def number(options: Options) -> tuple[float, float]:
-        here = transport_runs.Setting(**setting)
-        (reliable,) = options.measure(
-            [transport_runs.pursuit(here, transport_runs.RELIABLE)], "", transport_runs.run_of_pursuit
-        )
-        budget = transport_runs.budget_of(reliable)
-        ways = [way or transport_runs.HEARTBEATS, transport_runs.HEARTBEATS]
-        games = [transport_runs.pursuit(here, way_of_game, budget) for way_of_game in ways]
-        some, reference = (
-            [run.value for run in runs] for runs in options.measure(games, "", transport_runs.run_of_pursuit)
-        )
-        return of(mean(reference) if way is None else paired(some, reference), scale)
-
-    return number
+@number
+def transported(options: Options, /, way: str | None, scale: float = 1.0, **setting: Any) -> Measured:
+    """Measure the active time of a way to announce minus that of heartbeats; None: that of heartbeats."""
+    here = transport_runs.Setting(**setting)
+    (reliable,) = options.measure(
+        [transport_runs.pursuit(here, transport_runs.RELIABLE)], "", transport_runs.run_of_pursuit
+    )
+    budget = transport_runs.budget_of(reliable)
+    ways = [way or transport_runs.HEARTBEATS, transport_runs.HEARTBEATS]
+    games = [transport_runs.pursuit(here, way_of_game, budget) for way_of_game in ways]
+    some, reference = (
+        [run.value for run in runs] for runs in options.measure(games, "", transport_runs.run_of_pursuit)
+    )
+    return of(mean(reference) if way is None else paired(some, reference), scale)
 
 
 def retransmitting_saves(channel: str) -> Number:
@@ -225,17 +220,14 @@ def retransmitting_saves(channel: str) -> Number:
     return difference(active_time, once, again)
 
 
-def age(way: str) -> Number:
-    """Return what measures the age of information of a way to announce with 30 % loss."""
-
-    def number(options: Options) -> tuple[float, float]:
-        here, metric = transport_runs.Setting(), transport_runs.run_at_rest
-        (reliable,) = options.measure([transport_runs.at_rest(here, transport_runs.RELIABLE)], "", metric)
-        game = transport_runs.at_rest(here, way, transport_runs.budget_of(reliable))
-        (runs,) = options.measure([game], "", metric)
-        return of(mean([run.value for run in runs]))
-
-    return number
+@number
+def age(options: Options, way: str) -> Measured:
+    """Measure the age of information of a way to announce with 30 % loss."""
+    here, metric = transport_runs.Setting(), transport_runs.run_at_rest
+    (reliable,) = options.measure([transport_runs.at_rest(here, transport_runs.RELIABLE)], "", metric)
+    game = transport_runs.at_rest(here, way, transport_runs.budget_of(reliable))
+    (runs,) = options.measure([game], "", metric)
+    return of(mean([run.value for run in runs]))
 
 
 def delayed_by(protocol: str, lie: str) -> Number:
@@ -246,16 +238,13 @@ def delayed_by(protocol: str, lie: str) -> Number:
     return difference(end_time, some, reference)
 
 
-def price(defence: str) -> Number:
-    """Return what measures the share of active time that a defence costs a team without liars."""
-
-    def number(options: Options) -> tuple[float, float]:
-        worst = liars_runs.WORST
-        games = [liars_runs.scenario_of("numbers", "local_min", worst, policy, 0.0) for policy in (defence, "none")]
-        times, reference = (np.array(runs) for runs in options.measure(games, "", active_time))
-        return of(start_runs.quotient(times - reference, reference))
-
-    return number
+@number
+def price(options: Options, defence: str) -> Measured:
+    """Measure the share of active time that a defence costs a team without liars."""
+    worst = liars_runs.WORST
+    games = [liars_runs.scenario_of("numbers", "local_min", worst, policy, 0.0) for policy in (defence, "none")]
+    times, reference = (np.array(runs) for runs in options.measure(games, "", active_time))
+    return of(start_runs.quotient(times - reference, reference))
 
 
 def of_latency(latency: float, motion: str) -> Number:
@@ -264,21 +253,16 @@ def of_latency(latency: float, motion: str) -> Number:
     return difference(active_time, late, prompt)
 
 
-def of_inertia(latency: float, motion: str) -> Number:
-    """Return what measures how much more active time a latency costs a body than one of simple motion."""
-
-    def number(options: Options) -> tuple[float, float]:
-        games = [
-            bodies_runs.pursuit(bodies_runs.ONE, kind_of_motion, at)
-            for kind_of_motion in (motion, bodies_runs.SIMPLE)
-            for at in (latency, 0.0)
-        ]
-        late, prompt, simple_late, simple_prompt = (
-            np.array(times) for times in options.measure(games, "", active_time)
-        )
-        return of(paired(late - prompt, simple_late - simple_prompt))
-
-    return number
+@number
+def of_inertia(options: Options, latency: float, motion: str) -> Measured:
+    """Measure how much more active time a latency costs a body than one of simple motion."""
+    games = [
+        bodies_runs.pursuit(bodies_runs.ONE, kind_of_motion, at)
+        for kind_of_motion in (motion, bodies_runs.SIMPLE)
+        for at in (latency, 0.0)
+    ]
+    late, prompt, simple_late, simple_prompt = (np.array(times) for times in options.measure(games, "", active_time))
+    return of(paired(late - prompt, simple_late - simple_prompt))
 
 
 def all_at_once(latency: float, motion: str) -> Number:
@@ -287,15 +271,12 @@ def all_at_once(latency: float, motion: str) -> Number:
     return difference(active_time, some, reference)
 
 
-def per_handover(motion: str, latency: float) -> Number:
-    """Return what measures the active time in excess of one pursuer per handover."""
-
-    def number(options: Options) -> tuple[float, float]:
-        game = bodies_runs.pursuit(bodies_runs.ONE, motion, latency)
-        (runs,) = options.measure([game], "", bodies_runs.handovers)
-        return of(bodies_runs.ratio([run.excess for run in runs], [run.number for run in runs]))
-
-    return number
+@number
+def per_handover(options: Options, motion: str, latency: float) -> Measured:
+    """Measure the active time in excess of one pursuer per handover."""
+    game = bodies_runs.pursuit(bodies_runs.ONE, motion, latency)
+    (runs,) = options.measure([game], "", bodies_runs.handovers)
+    return of(bodies_runs.ratio([run.excess for run in runs], [run.number for run in runs]))
 
 
 def survives(protocol: str) -> Number:
@@ -341,14 +322,11 @@ def noisy(diffusion: float, fusion: str) -> Scenario:
     return load(SCENARIOS / "noisy.toml").with_(changes)
 
 
-def consistency(diffusion: float, fusion: str = "by_stamp") -> Number:
-    """Return what measures the normalised squared error of `noisy`, over the runs in which a position is estimated."""
-
-    def number(options: Options) -> tuple[float, float]:
-        (errors,) = options.measure([noisy(diffusion, fusion)], "", normalised_error)
-        return of(mean([error for error in errors if not isnan(error)]))
-
-    return number
+@number
+def consistency(options: Options, diffusion: float, fusion: str = "by_stamp") -> Measured:
+    """Measure the normalised squared error of `noisy`, over the runs in which a position is estimated."""
+    (errors,) = options.measure([noisy(diffusion, fusion)], "", normalised_error)
+    return of(mean([error for error in errors if not isnan(error)]))
 
 
 def normalised_error(result: Result) -> float:
@@ -382,18 +360,15 @@ def lossy(timeout: str) -> Scenario:
     return FIVE_CRASHED.with_({"protocol": "sap", "fault": (), "network.loss": 0.2, "announce.belief_timeout": timeout})
 
 
-def leaves_alone(protocol: str, timeout: str) -> Number:
-    """Return what measures how often an evader whose chaser crashes is alone for 2 s longer than under `centralised`.
+@number
+def leaves_alone(options: Options, protocol: str, timeout: str) -> Measured:
+    """Measure how often an evader whose chaser crashes is alone for 2 s longer than under `centralised`.
 
     There are five pursuers, heartbeats each 0.34 s, and `timeout` is how long announcements are believed.
     """
     late = FIVE_CRASHED.with_({"protocol": protocol, "announce.belief_timeout": timeout})
-
-    def number(options: Options) -> tuple[float, float]:
-        idle, least = options.measure([late, FIVE_CRASHED.with_({"protocol": "centralised"})], "", idle_time)
-        return in_trials(sum(some > other + 2.0 for some, other in zip(idle, least, strict=True)), len(idle))
-
-    return number
+    idle, least = options.measure([late, FIVE_CRASHED.with_({"protocol": "centralised"})], "", idle_time)
+    return in_trials(sum(some > other + 2.0 for some, other in zip(idle, least, strict=True)), len(idle))
 
 
 def alone_in(scenario: Scenario, seed: int) -> Number:
@@ -406,14 +381,11 @@ def broken(name: str) -> Scenario:
     return load(SCENARIOS.parent / f"docs/_static/broken/{name}.toml")
 
 
-def alone(name: str, changes: Mapping[str, Any] = MappingProxyType({})) -> Number:
-    """Return what measures how long the evader is left alone in a scenario that breaks a protocol, changed or not."""
-
-    def number(options: Options) -> tuple[float, float]:
-        scenario = broken(name).with_(changes)
-        return alone_in(scenario, scenario.seed)(options)
-
-    return number
+@number
+def alone(options: Options, name: str, changes: Mapping[str, Any] = MappingProxyType({})) -> Measured:
+    """Measure how long the evader is left alone in a scenario that breaks a protocol, changed or not."""
+    scenario = broken(name).with_(changes)
+    return alone_in(scenario, scenario.seed)(options)
 
 
 def crash_time(name: str) -> Number:
@@ -421,21 +393,16 @@ def crash_time(name: str) -> Number:
     return lambda _: (broken(name).fault[0].start, 0.0)
 
 
-def alone_in_relay(protocol: str, *, beyond: bool = False) -> Number:
-    """Return what measures how long the evader is left alone in the smallest scenario of an example, s.
+@number
+def alone_in_relay(options: Options, protocol: str, *, beyond: bool = False) -> Measured:
+    """Measure how long the evader is left alone in the smallest scenario of an example, s.
 
     `beyond`: how much less that is than the property allows, 2 s longer than under `centralised`.
     """
     changes = {"network.latency": 0.1, "announce.heartbeat": 0.34, "fault": (ChaserCrash(start=4.0),), "horizon": 22.0}
-
-    def number(options: Options) -> tuple[float, float]:
-        relay = load(SCENARIOS / "relay.toml").with_(changes)
-        idle, least = (
-            alone_in(relay.with_({"protocol": one}), 1_000_018)(options)[0] for one in (protocol, "centralised")
-        )
-        return (least + 2.0 - idle if beyond else idle), 0.0
-
-    return number
+    relay = load(SCENARIOS / "relay.toml").with_(changes)
+    idle, least = (alone_in(relay.with_({"protocol": one}), 1_000_018)(options)[0] for one in (protocol, "centralised"))
+    return (least + 2.0 - idle if beyond else idle), 0.0
 
 
 def benchmarked(part: str, protocol: str) -> Number:
@@ -446,14 +413,14 @@ def benchmarked(part: str, protocol: str) -> Number:
 def least_and_greatest(part: str, protocols: Sequence[str]) -> tuple[Number, Number]:
     """Return what reads by how much at least and at most protocols are behind `local_min` in the benchmark."""
 
-    def number(choose: Callable[[list[float]], float], options: Options) -> tuple[float, float]:
+    def number(choose: Callable[[list[float]], float], options: Options) -> Measured:
         reference, *others = (benchmarked(part, protocol)(options)[0] for protocol in ("local_min", *protocols))
         return choose([reference - other for other in others]), 0.0
 
     return partial(number, min), partial(number, max)
 
 
-def runs_of_version(_: Options) -> tuple[float, float]:
+def runs_of_version(_: Options) -> Measured:
     """Return the number of runs of the newest version of the benchmark."""
     return bench().runs, 0.0
 
@@ -468,18 +435,15 @@ def learning_cost(rule: Rule, latency: float) -> Number:
     return average(learning_runs.cost, learning_runs.scenario(rule, latency))
 
 
-def cost_of_learned(trained_at: float, latency: float) -> Number:
-    """Return what measures the cost at a latency of the rule that `scenarios.learning` trains at another one, s.
+@number
+def cost_of_learned(options: Options, trained_at: float, latency: float) -> Measured:
+    """Measure the cost at a latency of the rule that `scenarios.learning` trains at another one, s.
 
     The training has the root seed 0, as that of the page: another seed gives another rule. Its runs are kept in `out`.
     """
-
-    def number(options: Options) -> tuple[float, float]:
-        training = replace(options, name=f"check_pages.trained_{trained_at:g}", runs=1, seed=0)
-        generations = learning_runs.train(training, learning_runs.notebook(training), trained_at)
-        return learning_cost(learning_runs.linear(generations[-1].mean), latency)(options)
-
-    return number
+    training = replace(options, name=f"check_pages.trained_{trained_at:g}", runs=1, seed=0)
+    generations = learning_runs.train(training, learning_runs.notebook(training), trained_at)
+    return learning_cost(learning_runs.linear(generations[-1].mean), latency)(options)
 
 
 def nearest_only(me: Any) -> Any:
