@@ -15,8 +15,7 @@ from desim import Scenario, load
 from desim.analysis.metrics import active_time, end_time
 from desim.analysis.statistics import Estimate, estimate, paired
 from desim.analysis.tables import aligned
-from desim.simulation.run import Result
-from scenarios.studies.study import SCENARIOS, Options, study
+from scenarios.studies.study import SCENARIOS, Options, each, study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,16 +54,12 @@ def rooms(protocol: str, blocks: Sequence[str]) -> Scenario:
     return base.with_(changes)
 
 
-def both(result: Result) -> tuple[float, ...]:
-    """Return the metrics of a run."""
-    return tuple(metric(result) for metric in METRICS.values())
-
-
 def measure(options: Options) -> list[Cost]:
     """Run all protocols among all walls, and compare the runs of equal seeds."""
     cases = [(protocol, blocked) for protocol in PROTOCOLS for blocked in BLOCKED]
-    scenarios = [rooms(protocol, BLOCKED[blocked]) for protocol, blocked in cases]
-    values = dict(zip(cases, options.measure(scenarios, "walls", both), strict=True))
+    values = options.measure_each(
+        cases, lambda protocol, blocked: rooms(protocol, BLOCKED[blocked]), "walls", each(*METRICS.values())
+    )
     costs = []
     for protocol, blocked in cases:
         for k, metric in enumerate(METRICS):

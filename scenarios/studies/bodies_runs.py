@@ -24,7 +24,7 @@ from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Recording
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Rounds, SharedSeed
-from scenarios.studies.study import Options
+from scenarios.studies.study import Options, each
 
 N = 8
 SPEED = 1.2
@@ -60,17 +60,6 @@ class Handovers(NamedTuple):
     number: int
     excess: float
     """Active time in excess of one pursuer between the lone chases of the old and the new pursuer, s."""
-
-
-class Run(NamedTuple):
-    """The measurements of one run."""
-
-    captured: bool
-    duration: float
-    """Capture time, or the horizon, s."""
-    active_time: float
-    """s"""
-    handovers: Handovers
 
 
 @dataclass(frozen=True)
@@ -118,28 +107,29 @@ def pursuit(rule: str, motion: str, latency: float) -> Scenario:
 def measure(options: Options) -> list[Cell]:
     """Run each rule with each motion at each latency, and return the results."""
     keys = [(rule, motion, latency) for rule in RULES for motion in MOTIONS for latency in LATENCIES]
-    runs = dict(zip(keys, options.measure([pursuit(*key) for key in keys], "bodies", _measured), strict=True))
-    times = {key: np.array([run.active_time for run in runs_of_key]) for key, runs_of_key in runs.items()}
-    return [_cell(key, runs[key], times) for key in keys]
+    runs = options.measure_each(keys, pursuit, "bodies", each(active_time, captured, end_time, handovers))
+    times = {key: np.array([active_time for active_time, *_ in of_key]) for key, of_key in runs.items()}
+    return [_cell(key, of_key, times) for key, of_key in runs.items()]
 
 
-def _cell(key: tuple[str, str, float], runs: Sequence[Run], times: Mapping[tuple[str, str, float], Floats]) -> Cell:
+def _cell(key: tuple[str, str, float], runs: Sequence[Any], times: Mapping[tuple[str, str, float], Floats]) -> Cell:
     """Return the results of one combination; `times` has the active times of all."""
     rule, motion, latency = key
+    _, caught, durations, handed_over = zip(*runs, strict=True)
 
     def late(moving: str) -> Floats:
         return times[rule, moving, latency] - times[rule, moving, 0.0]
 
     return Cell(
         *key,
-        portable_sum(run.captured for run in runs) / len(runs),
-        estimate([run.duration for run in runs]),
+        portable_sum(caught) / len(runs),
+        estimate(durations),
         estimate(times[key]),
         estimate(late(motion)),
         paired(late(motion), late(SIMPLE)),
         paired(times[key], times[ONE, motion, latency]),
-        estimate([float(run.handovers.number) for run in runs]),
-        ratio([run.handovers.excess for run in runs], [run.handovers.number for run in runs]),
+        estimate([float(one.number) for one in handed_over]),
+        ratio([one.excess for one in handed_over], [one.number for one in handed_over]),
     )
 
 
@@ -174,7 +164,3 @@ def handovers(result: Result) -> Handovers:
         active ^= {pursuer}
         before = t
     return Handovers(count, excess)
-
-
-def _measured(result: Result) -> Run:
-    return Run(captured(result), end_time(result), active_time(result), handovers(result))

@@ -1,13 +1,12 @@
 """The scenarios and measurements of `python -m scenarios.coherence`."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
-from desim import Result, Scenario
+from desim import Scenario
 from desim.analysis.statistics import Estimate, estimate
 from desim.kernel.models.coherence import Coherence
 from desim.kernel.models.latency import Constant
@@ -15,7 +14,17 @@ from desim.kernel.models.links import Links
 from desim.kernel.models.reception import Nakagami
 from scenarios.studies import transport_runs
 from scenarios.studies.study import Options
-from scenarios.studies.transport_runs import CODED, EQUAL, HEARTBEATS, ONCE, RELIABLE, Budget, Run, Setting, budget_of
+from scenarios.studies.transport_runs import (
+    CODED,
+    HEARTBEATS,
+    ONCE,
+    RELIABLE,
+    Budget,
+    Run,
+    Setting,
+    budget_of,
+    with_equal_bytes,
+)
 
 WAYS = (ONCE, RELIABLE, HEARTBEATS, CODED)
 """How a change of action is announced, see `scenarios.studies.transport_runs`."""
@@ -75,8 +84,8 @@ def _on(channel: str, scenario: Scenario) -> Scenario:
 
 def measure(options: Options) -> list[Cell]:
     """Run each way to announce on each channel."""
-    pursued = _with_equal_bytes(options, pursuit, "pursuits", transport_runs.run_of_pursuit)
-    rested = _with_equal_bytes(options, at_rest, "ages", transport_runs.run_at_rest)
+    pursued = with_equal_bytes(options, CHANNELS, WAYS, pursuit, "pursuits", transport_runs.run_of_pursuit)
+    rested = with_equal_bytes(options, CHANNELS, WAYS, at_rest, "ages", transport_runs.run_at_rest)
     return [
         _cell(channel, way, pursued[channel, way], pursued[channel, ONCE], rested[channel, way])
         for channel in CHANNELS
@@ -88,16 +97,3 @@ def _cell(channel: str, way: str, runs: list[Run], reference: list[Run], ages: l
     times, of_reference = (np.array([run.value for run in run_list]) for run_list in (runs, reference))
     age = estimate([run.value for run in ages])
     return Cell(channel, way, estimate(times), estimate(of_reference - times), age, budget_of(runs).bytes)
-
-
-def _with_equal_bytes(
-    options: Options, make: Callable[..., Scenario], label: str, metric: Callable[[Result], Run]
-) -> dict[tuple[str, str], list[Run]]:
-    """Run each way on each channel; heartbeats and copies have the bytes of `RELIABLE` on the same channel."""
-    first = [(channel, way) for channel in CHANNELS for way in WAYS if way not in EQUAL]
-    runs: dict[tuple[str, str], Any] = dict(
-        zip(first, options.measure([make(*key) for key in first], label, metric), strict=True)
-    )
-    equal = [(channel, way) for channel in CHANNELS for way in EQUAL]
-    scenarios = [make(channel, way, budget_of(runs[channel, RELIABLE])) for channel, way in equal]
-    return runs | dict(zip(equal, options.measure(scenarios, f"{label}, equal bytes", metric), strict=True))

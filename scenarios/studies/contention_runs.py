@@ -24,7 +24,7 @@ from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson
 from protocols.schedules.token import TokenRing
-from scenarios.studies.study import Options
+from scenarios.studies.study import Options, each
 
 N = 10
 BITRATE = 19_200.0
@@ -141,8 +141,8 @@ def _scenario(protocol: Any, announce: Announcements, network: Links, size: int 
 def measure(options: Options) -> list[Pursuits]:
     """Run each protocol under each access model at each offered load."""
     keys = [(name, access, load) for name in NAMES for access in ACCESSES for load in LOADS]
-    runs = options.measure([pursuit(*key) for key in keys], "pursuits", _pursued)
-    measured = {key: np.array(values, dtype=float).T for key, values in zip(keys, runs, strict=True)}
+    runs = options.measure_each(keys, pursuit, "pursuits", each(active_time, captured, share_lost))
+    measured = {key: np.array(values, dtype=float).T for key, values in runs.items()}
     pursuits = []
     for (name, access, load), (times, caught, lost) in measured.items():
         differences = times - measured[name, REFERENCE, load][0]
@@ -152,9 +152,9 @@ def measure(options: Options) -> list[Pursuits]:
     return pursuits
 
 
-def _pursued(result: Result) -> tuple[float, bool, float]:
-    counts = messages(result)
-    return active_time(result), captured(result), counts.lost / max(counts.sent, 1)
+def share_lost(result: Result) -> float:
+    """Return the share of the messages that are lost."""
+    return messages(result).lost / max(messages(result).sent, 1)
 
 
 def best_heartbeat(size: int) -> float:
@@ -191,8 +191,8 @@ def measure_ages(options: Options) -> list[Age]:
         for size in TEAM_SIZES
         for factor in FACTORS
     ]
-    runs = options.measure([standing(*key) for key in keys], "ages", age_mean)
-    return [Age(*key, estimate(values)) for key, values in zip(keys, runs, strict=True)]
+    runs = options.measure_each(keys, standing, "ages", age_mean)
+    return [Age(*key, estimate(values)) for key, values in runs.items()]
 
 
 def measure_lora(options: Options) -> list[LoRaPursuits]:

@@ -5,6 +5,7 @@ The first part of the study compares the strategies of the evader; the second pa
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby
 from math import inf
 from types import MappingProxyType
@@ -167,8 +168,7 @@ def watched(radius: float, made: str, latency: float = LATENCY) -> Scenario:
 def measure_chases(options: Options, latency: float) -> list[Cell]:
     """Run each strategy against each protocol."""
     keys = [(strategy, protocol) for strategy in STRATEGIES for protocol in PROTOCOLS]
-    scenarios = [chase(*key, latency) for key in keys]
-    runs = dict(zip(keys, options.measure(scenarios, "strategies", summary), strict=True))
+    runs = options.measure_each(keys, partial(chase, latency=latency), "strategies", summary)
     return [cell(key, latency, runs[key], reference=runs[REFERENCE, key[1]]) for key in keys]
 
 
@@ -190,8 +190,7 @@ def measure_sight(options: Options, latency: float) -> list[Sighted]:
     """Run each estimate at each radius; at infinite radius only "hold", because all estimates are equal there."""
     keys = [(radius, made) for radius in RADII for made in (ESTIMATES if radius < inf else [HELD])]
     more = replace(options, runs=MORE * options.runs)
-    scenarios = [watched(*key, latency) for key in keys]
-    runs = dict(zip(keys, more.measure(scenarios, "sight", observe), strict=True))
+    runs = more.measure_each(keys, partial(watched, latency=latency), "sight", observe)
     return [sighted(*key, runs[key], reference=runs[key[0], HELD]) for key in keys]
 
 

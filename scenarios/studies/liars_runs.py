@@ -3,9 +3,9 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
-from desim import Result, Scenario
+from desim import Scenario
 from desim.analysis.deception import false_accusations
 from desim.analysis.metrics import active_time, captured, end_time
 from desim.analysis.statistics import Estimate, estimate, paired, share
@@ -23,7 +23,7 @@ from protocols.cbba import CBBA
 from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson
-from scenarios.studies.study import Options
+from scenarios.studies.study import Options, each
 
 N = 12
 NONE = "none"
@@ -75,17 +75,6 @@ LATE = 0.2
 """Mean latency where clocks are wrong, s."""
 LOSSES = 0.1
 """Probability of a loss where there is latency."""
-
-
-class Run(NamedTuple):
-    """The measurements of one run."""
-
-    captured: bool
-    duration: float
-    """Capture time, or the horizon, s."""
-    active_time: float
-    """s"""
-    false_accusations: int
 
 
 @dataclass(frozen=True)
@@ -151,9 +140,9 @@ def scenario_of(part: str, protocol: str, lie: str, defence: str, value: float) 
 
 def measure(options: Options) -> list[Cell]:
     """Run each cell, and the honest team without a defence with which it is compared."""
-    wanted = keys()
-    runs = dict(zip(wanted, options.measure([scenario_of(*key) for key in wanted], "liars", _measured), strict=True))
-    return [_cell(key, runs[key], runs[_reference(key)]) for key in wanted]
+    metric = each(captured, end_time, active_time, false_accusations)
+    runs = options.measure_each(keys(), scenario_of, "liars", metric)
+    return [_cell(key, runs[key], runs[_reference(key)]) for key in runs]
 
 
 def _reference(key: tuple[str, str, str, str, float]) -> tuple[str, str, str, str, float]:
@@ -163,15 +152,7 @@ def _reference(key: tuple[str, str, str, str, float]) -> tuple[str, str, str, st
     return part, protocol, HONEST, NONE, value
 
 
-def _cell(key: tuple[str, str, str, str, float], runs: Sequence[Run], reference: Sequence[Run]) -> Cell:
-    return Cell(
-        *key,
-        share([run.captured for run in runs]),
-        paired([run.duration for run in runs], [run.duration for run in reference]),
-        estimate([run.active_time for run in runs]),
-        estimate([float(run.false_accusations) for run in runs]),
-    )
-
-
-def _measured(result: Result) -> Run:
-    return Run(captured(result), end_time(result), active_time(result), false_accusations(result))
+def _cell(key: tuple[str, str, str, str, float], runs: Sequence[Any], reference: Sequence[Any]) -> Cell:
+    caught, durations, active_times, accusations = zip(*runs, strict=True)
+    _, honest, *_ = zip(*reference, strict=True)
+    return Cell(*key, share(caught), paired(durations, honest), estimate(active_times), estimate(accusations))

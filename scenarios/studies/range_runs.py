@@ -113,5 +113,5 @@ def games(team: str, range: float, options: Options) -> Games:  # noqa: A002
 def measure(options: Options) -> list[Pursuits]:
     """Run each protocol for each team at each range."""
     keys = [(team, range_, protocol) for team in TEAMS for range_ in RANGES for protocol in PROTOCOLS]
-    times = dict(zip(keys, options.measure([scenario(*key) for key in keys], "ranges", active_time), strict=True))
+    times = options.measure_each(keys, scenario, "ranges", active_time)
     return [Pursuits(*key, estimate(times[key]), paired(times[key], times[(*key[:2], REFERENCE)])) for key in keys]

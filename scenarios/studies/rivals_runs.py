@@ -105,7 +105,7 @@ def measure(options: Options) -> list[Cell]:
     """Run each protocol in each scenario of `WORLDS` at each latency, and return the results."""
     protocols = [kind for kind in PROTOCOLS.choices() if kind != LEARNED] + [SILENT]
     keys = [(world, protocol, latency) for world in WORLDS for latency in LATENCIES for protocol in protocols]
-    runs = dict(zip(keys, options.measure([scenario(*key) for key in keys], "rivals", measured), strict=True))
+    runs = options.measure_each(keys, scenario, "rivals", measured)
     return [
         cell(
             (world, protocol, latency),

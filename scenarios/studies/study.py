@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from desim import Result, Scenario
 
+Key = TypeVar("Key", bound=tuple[Any, ...])
 Measured = TypeVar("Measured")
 SCENARIOS = Path(__file__).parents[1]
 """Folder of the scenario files."""
@@ -51,6 +52,17 @@ class Options:
             run_many([(scenario, seed) for scenario in scenarios for seed in seeds], self.jobs, label, metric)
         )
         return [[next(values) for _ in seeds] for _ in scenarios]
+
+    def measure_each(
+        self,
+        keys: Iterable[Key],
+        scenario: Callable[..., "Scenario"],
+        label: str,
+        metric: Callable[["Result"], Measured],
+    ) -> dict[Key, list[Measured]]:
+        """Run the scenario of each key, whose parts are its arguments; return the metric of each of its runs by key."""
+        listed = list(keys)
+        return dict(zip(listed, self.measure([scenario(*key) for key in listed], label, metric), strict=True))
 
     def show(self, document: dict[str, Any], table: str, figure: Callable[[], "Figure"] | None = None) -> None:
         """Print the table, or the document as JSON if requested; write both, and any figure, to the folder `out`.
@@ -85,6 +97,11 @@ class Options:
         for name, figure in figures():
             for path in save(figure, self.out / name, dpi=dpi):
                 click.echo(f"wrote {path}", err=True)
+
+
+def each(*metrics: Callable[["Result"], Any]) -> Callable[["Result"], tuple[Any, ...]]:
+    """Return the metric of a run that consists of several."""
+    return lambda result: tuple(metric(result) for metric in metrics)
 
 
 def draw_estimates(axes: "Axes", x: Sequence[float], estimates: Sequence[Estimate], **look: Any) -> None:

@@ -1,6 +1,6 @@
 """The scenarios and measurements of `python -m scenarios.transport`."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -189,14 +189,14 @@ def _scenario(setting: Setting, announce: Announcements, size: int = N, **more: 
 def measure(options: Options) -> list[Cell]:
     """Run each way to announce in each setting."""
     settings = {(name, value): Setting(**{name: value}) for name, values in SWEEPS.items() for value in values}
-    pursued = _with_equal_bytes(options, settings, pursuit, "pursuits", run_of_pursuit)
-    resting = {key: setting for key, setting in settings.items() if key[0] in WITH_AGES}
-    rested = _with_equal_bytes(options, resting, at_rest, "ages", run_at_rest)
+    pursued = with_equal_bytes(options, settings.values(), WAYS, pursuit, "pursuits", run_of_pursuit)
+    resting = [setting for (name, _), setting in settings.items() if name in WITH_AGES]
+    rested = with_equal_bytes(options, resting, WAYS, at_rest, "ages", run_at_rest)
     return [
         _cell(
-            name, value, way, pursued[name, value, way], pursued[name, value, REFERENCE], rested.get((name, value, way))
+            *key, way, pursued[here, way], pursued[here, REFERENCE], rested[here, way] if key[0] in WITH_AGES else None
         )
-        for name, value in settings
+        for key, here in settings.items()
         for way in WAYS
     ]
 
@@ -213,21 +213,21 @@ def _cell(
     )
 
 
-def _with_equal_bytes(
+def with_equal_bytes(
     options: Options,
-    settings: Mapping[tuple[str, float], Setting],
+    places: Iterable[Any],
+    ways: Sequence[str],
     make: Callable[..., Scenario],
     label: str,
     metric: Callable[[Result], Run],
-) -> dict[tuple[str, float, str], list[Run]]:
-    """Run each way in each setting; first those with bytes of their own, then those with the bytes of `RELIABLE`."""
-    unequal = [(*key, way) for key in settings for way in WAYS if way not in EQUAL]
-    runs = dict(
-        zip(unequal, options.measure([make(settings[key[:2]], key[2]) for key in unequal], label, metric), strict=True)
-    )
-    equal = [(*key, way) for key in settings for way in EQUAL]
-    scenarios = [make(settings[key[:2]], key[2], budget_of(runs[*key[:2], RELIABLE])) for key in equal]
-    return runs | dict(zip(equal, options.measure(scenarios, f"{label}, equal bytes", metric), strict=True))
+) -> dict[tuple[Any, str], list[Run]]:
+    """Run each way at each place, such as a setting; those of `EQUAL` have the bytes that `RELIABLE` takes there."""
+    places = dict.fromkeys(places)
+    first = [(place, way) for place in places for way in ways if way not in EQUAL]
+    runs = options.measure_each(first, make, label, metric)
+    equal = [(place, way, budget_of(runs[place, RELIABLE])) for place in places for way in EQUAL]
+    measured = options.measure_each(equal, make, f"{label}, equal bytes", metric)
+    return runs | {(place, way): of_key for (place, way, _), of_key in measured.items()}
 
 
 def budget_of(runs: Sequence[Run]) -> Budget:
