@@ -190,7 +190,7 @@ def _run_kept(keep: Path, folder: Path, scenario: "Scenario", prop: "Property", 
         _, case = source_of(file, (), folder=folder)
         if case.protocol_name != scenario.protocol_name or prop.text not in [one.text for one in case.properties]:
             continue
-        case_run = CaseJudge(prop, workers_for(1), timeout=timeout)(case, case.seed)
+        case_run = CaseJudge(prop, workers_for(1, timeout=timeout))(case, case.seed)
         verb = "fails" if case_run.failure else "holds" if case_run.verdict.holds else "violates"
         echo(f"kept: {file}: {verb}: {told_text(case_run.verdict, case_run.failure, prop)}")
         if not case_run.verdict.holds:

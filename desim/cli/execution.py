@@ -59,7 +59,7 @@ class Execution:
 
         with failures_told(kept):
             try:
-                connected = workers_for(self.executor, runs)
+                connected = workers_for(self.executor, runs, self.timeout)
             except ValueError:
                 fail(f"{self.cluster}: no scheduler answers: an address is for instance tcp://192.168.0.5:8786")
             with connected as workers:

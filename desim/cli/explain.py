@@ -52,7 +52,7 @@ def explain(
         seed, runs = variants.plan.root, variants.plan.reps
         record_command(store, folder, "explain", scenario, seed=seed, runs=runs, folder=file.parent)
         with execution.workers(store, variants.plan.runs) as workers:
-            explanation = variants.carry_out(store, workers, shown, timeout=execution.timeout)
+            explanation = variants.carry_out(store, workers, shown)
     present(explanation, folder, "explain", as_json=as_json)
     if explanation.failed:
         echo(f"for {explanation.failed} seeds a run failed; the same command retries them", err=True)

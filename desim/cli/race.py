@@ -78,7 +78,7 @@ def race(
         plan.register(store, mix_versions=execution.mix_versions)
         store.note_command(str(Path.cwd()), sys.argv)
         with execution.workers(store, plan.runs) as workers:
-            result = carry_out_race(plan, store, workers, rules, timeout=execution.timeout)
+            result = carry_out_race(plan, store, workers, rules)
         made = provenance.document("race", scenario, seed=plan.root, runs=result.runs, folder=file.parent)
         provenance.write(folder, made)
     present(result, folder, "race", as_json=as_json)

@@ -67,7 +67,7 @@ def sensitivity(
     folder = out or folder_for(scenario, None) / "sensitivity"
     with adding_to(folder) as store:
         with execution.workers(store) as workers:
-            result = analysis.carry_out(store, workers, timeout=execution.timeout, mix_versions=execution.mix_versions)
+            result = analysis.carry_out(store, workers, mix_versions=execution.mix_versions)
         root, count = analysis.plan.root, len(store)
         record_command(store, folder, "sensitivity", scenario, seed=root, runs=count, folder=file.parent)
     present(result, folder, "sensitivity", as_json=as_json)

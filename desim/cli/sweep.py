@@ -154,7 +154,7 @@ def sweep(
         note = partial(
             record_command, store, folder, "sweep", scenario, **about, **planned.entries(keys, plan.reps, until)
         )
-        common: dict[str, Any] = {"fail_fast": fail_fast, "timeout": execution.timeout, "metrics": shown}
+        common: dict[str, Any] = {"fail_fast": fail_fast, "metrics": shown}
         with execution.workers(store, plan.runs) as workers:
             if claim:
                 result = carry_out_claimed(plan, store, workers, claim, **common, on_start=note)
@@ -271,7 +271,7 @@ def _controlled(
     with storing(folder), Store(folder / f"control-{folder_name(control_plan.name)}.sqlite") as store:
         control_plan.plan.register(store, mix_versions=execution.mix_versions)
         with execution.workers(store, control_plan.plan.runs) as workers:
-            return control_plan.carry_out(result, store, workers, names or SHOWN, timeout=execution.timeout)
+            return control_plan.carry_out(result, store, workers, names or SHOWN)
 
 
 def _print_plan(

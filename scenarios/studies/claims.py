@@ -558,7 +558,10 @@ CLAIMS = (
             "is {9.0 +- 2.4}, {4.4 +- .8}, {1.94 +- .12} and {1.45 +- .07}",
             [consistency(diffusion) for diffusion in (0.05, 0.1, 0.32, 1.0)],
         ),
-        ("With covariance intersection and c = .32 it is {1.26 +- .11}", [consistency(0.32, "covariance_intersection")]),
+        (
+            "With covariance intersection and c = .32 it is {1.26 +- .11}",
+            [consistency(0.32, "covariance_intersection")],
+        ),
         share=2 / 3,
         sigmas=NORMAL_975,
     ),

@@ -488,7 +488,7 @@ def replace(patch, calls):
         ).reshape(-1, keys),
         "study.sweeps.array_job.states": lambda _: {},
         "study.sweeps.array_job.submit_scripts": lambda _: "77",
-        "study.workers.executors.workers_for": lambda *_: InProcess(),
+        "study.workers.executors.workers_for": lambda *_, **__: InProcess(),
         "view.formats.perfetto.write": lambda _, path: path.write_bytes(b""),
         "view.pages.play_page.play_page": lambda _: b"",
         "view.pages.play_server.PlayServer.serve_until_closed": lambda _: None,
@@ -500,7 +500,7 @@ def replace(patch, calls):
     for name, answer in answers.items():
         patch.setattr(f"desim.{name}", calls.replaced(name.rpartition(".")[2], answer))
     for module in ("breaking.losses", "breaking.search", "workers.batch"):
-        patch.setattr(f"desim.study.{module}.workers_for", calls.replaced("workers_for", lambda *_: InProcess()))
+        patch.setattr(f"desim.study.{module}.workers_for", calls.replaced("workers_for", lambda *_, **__: InProcess()))
     patch.setattr("webbrowser.open", calls.replaced("webbrowser.open", lambda _: True))
     patch.setattr("os.cpu_count", lambda: 2)
 

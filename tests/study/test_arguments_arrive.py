@@ -114,8 +114,8 @@ def test_what_the_arguments_of_a_function_become_is_golden(name, tmp_path, monke
     for place in reversed(places):  # a method before its class
         note(monkeypatch, lines, place, place == places[-1])
 
-    def workers_for(*args):
-        lines.append(call_of("workers_for", {"args": args}))
+    def workers_for(*args, **named):
+        lines.append(call_of("workers_for", {"args": args, "named": named}))
         return InProcess()
 
     monkeypatch.setattr(f"{function.__module__}.workers_for", workers_for)
@@ -136,8 +136,8 @@ def test_the_runs_of_a_control_have_the_arguments_of_the_sweep(monkeypatch):
     monkeypatch.setattr("desim.study.comparing.control.carry_out", carry_out)
     plan = import_module("desim.study.comparing.control").ControlPlan("the plan", (), "local_min")
     with suppress(ArrivedError):
-        plan.carry_out("result", "store", "workers", ["mine"], timeout=50.0)
-    assert calls == [(("the plan", "store", "workers"), {"timeout": 50.0, "metrics": ["mine"]})]
+        plan.carry_out("result", "store", "workers", ["mine"])
+    assert calls == [(("the plan", "store", "workers"), {"metrics": ["mine"]})]
 
 
 def test_a_race_is_decided_by_its_rules(monkeypatch):

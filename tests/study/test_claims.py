@@ -130,7 +130,7 @@ def carry_out_one(whole, store, workers, claims, number):
     """Perform the runs of one lot; return how many there are in the store."""
     from desim.study.sweeps.sweep import perform_jobs
 
-    perform_jobs(claims.lots[number], whole, store, workers, fail_fast=False, timeout=None)
+    perform_jobs(claims.lots[number], whole, store, workers, fail_fast=False)
     claims.finish(number)
     return len(store)
 

@@ -77,9 +77,9 @@ def explain(
     shown = [shown] if isinstance(shown, str) else list(shown)
     variants = Variants.of(scenario, runs, seed, metrics)
     variants.check_shown(shown)
-    with Store(path_of_store(store)) as kept, workers_for(executor, variants.plan.runs) as workers:
+    with workers_for(executor, variants.plan.runs, timeout) as workers, Store(path_of_store(store)) as kept:
         variants.plan.register(kept, mix_versions=mix_versions)
-        return variants.carry_out(kept, workers, shown, timeout=timeout)
+        return variants.carry_out(kept, workers, shown)
 
 
 @dataclass(frozen=True)
@@ -130,26 +130,16 @@ class Variants:
         for metric in shown:
             check_numeric(metric, dict(self.plan.metrics))
 
-    def carry_out(
-        self,
-        store: Store,
-        workers: Workers,
-        shown: Sequence[str] = tuple(EXPLAINED),
-        *,
-        timeout: float | None = None,
-    ) -> Explanation:
+    def carry_out(self, store: Store, workers: Workers, shown: Sequence[str] = tuple(EXPLAINED)) -> Explanation:
         """Perform the runs that a store lacks, and compare the variants in each of the metrics `shown`.
-
-        A run that takes longer than `timeout` s of wall time (None: no limit) counts as failed.
 
         Raises:
             RunError: if no seed completes in all variants.
-            ValueError: if no metric is shown, a metric does not exist or is not numeric, or `timeout` is out of its
-                range.
+            ValueError: if no metric is shown, or a metric does not exist or is not numeric.
         """
         self.check_shown(shown)
         plan = self.plan
-        groups = carry_out(plan, store, workers, metrics=shown, timeout=timeout).groups
+        groups = carry_out(plan, store, workers, metrics=shown).groups
         by_key = {
             configuration.key: {row.replication: row for row in group.rows}
             for configuration, group in zip(plan.configurations, groups, strict=True)

@@ -11,12 +11,12 @@ from desim.config.errors import ArgumentError
 from desim.kernel.core.portable_math import portable_sum
 from desim.scenario.properties import Property, recording
 from desim.scenario.scenario import Scenario
-from desim.simulation.run import Result, run
+from desim.simulation.run import Result
 from desim.simulation.watchdog import TimedOut
 from desim.study.breaking.case_log import FAILED, CaseLog, CaseRun
 from desim.study.breaking.features import Case
 from desim.study.breaking.sightings import seen_in
-from desim.study.workers.dispatch import Measurement, Outcome, Simulate, Task, drive, simulation
+from desim.study.workers.dispatch import Measurement, Outcome, Task, drive
 from desim.study.workers.workers import Workers
 
 
@@ -35,14 +35,13 @@ class CaseJudge:
         prop: the property.
         workers: they make the runs.
         log: what was judged before; None: nothing is kept.
-        timeout: the longest wall time of a run, s; None: no limit.
 
     Attributes:
         seconds: the wall time of all runs that were judged, s, that of the runs in the log included.
     """
 
-    def __init__(self, prop: Property, workers: Workers, log: CaseLog | None = None, timeout: float | None = None):
-        self._prop, self._workers, self._log, self._timeout = prop, workers, log, timeout
+    def __init__(self, prop: Property, workers: Workers, log: CaseLog | None = None):
+        self._prop, self._workers, self._log = prop, workers, log
         self.seconds = 0.0
 
     def __call__(self, scenario: Scenario, seed: int) -> CaseRun:
@@ -66,11 +65,11 @@ class CaseJudge:
         """Make the run of each case, and append it to the log."""
         tasks = [(with_messages(planned.scenario, self._prop), planned.seed) for planned in cases]
         begin = time.perf_counter()
-        outcomes = outcomes_of(tasks, self._workers, partial(_case_run, self._prop), simulation(self._timeout))
+        outcomes = outcomes_of(tasks, self._workers, partial(_case_run, self._prop))
         seconds = round((time.perf_counter() - begin) / len(cases), 4)
         runs = [
             CaseRun(FAILED, [], seconds, failure)
-            if (failure := failure_of(outcome, self._timeout))
+            if (failure := failure_of(outcome, self._workers.timeout))
             else outcome.value._replace(seconds=seconds)
             for outcome in outcomes
         ]
@@ -126,11 +125,9 @@ def with_messages(scenario: Scenario, prop: Property) -> Scenario:
     return recorded
 
 
-def outcomes_of(
-    tasks: Sequence[Task], workers: Workers, measure: Measurement, simulate: Simulate = run
-) -> list[Outcome]:
+def outcomes_of(tasks: Sequence[Task], workers: Workers, measure: Measurement) -> list[Outcome]:
     """Return the outcome of each run, in the order of the tasks."""
     by_place: dict[int, Outcome] = {}
-    with closing(drive(tasks, workers, measure, simulate)) as outcomes:
+    with closing(drive(tasks, workers, measure)) as outcomes:
         by_place.update(outcomes)
     return [by_place[place] for place in range(len(tasks))]

@@ -34,13 +34,12 @@ from desim.pursuit.team.announcements import Announcements
 from desim.scenario.properties import Property, recording
 from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.simulation.run import Result
-from desim.simulation.watchdog import checked_limit
 from desim.study.breaking.case_log import FAILED
 from desim.study.breaking.copies import MessageCopy, ReadingTime, copies, looks, readings
 from desim.study.breaking.judging import failure_of, judged, outcomes_of
 from desim.study.breaking.loss_table import FATES, FatalLosses, LossTable, MessageFate, message_faults
 from desim.study.breaking.search import GENERATION, checked_property
-from desim.study.workers.dispatch import Outcome, simulation
+from desim.study.workers.dispatch import Outcome
 from desim.study.workers.executors import workers_for
 from desim.study.workers.progress import advance, progress
 from desim.study.workers.workers import Workers
@@ -93,8 +92,6 @@ def fatal_losses(
     if (most := whole(most, "most")) < 1:
         raise ArgumentError("most", f"should be at least 1 (got {most})")
     delay, limit = real(delay, "delay"), whole(limit, "limit")
-    if timeout is not None:
-        timeout = checked_limit(timeout)
     fates = _checked_fates(fates, delay)
     prop = checked_property(prop, scenario)
     table = LossTable(most, (scenario.seed,) if seeds is None else tuple(seeds), fates, delay, prop.unit)
@@ -102,7 +99,7 @@ def fatal_losses(
         raise ArgumentError("seeds", "should not be empty")
     skips = prune and hides_old_news(scenario, prop)
     observed = recording(scenario, [prop]).with_({"record.messages": True})
-    with workers_for(jobs, GENERATION) as workers, progress(0, "losses", "run") as bar:
+    with workers_for(jobs, GENERATION, timeout) as workers, progress(0, "losses", "run") as bar:
 
         def ran(count: int) -> None:
             bar.total = max(bar.total or 0, table.runs)
@@ -111,7 +108,7 @@ def fatal_losses(
                 on_run()
 
         for seed in table.seeds:
-            _Choices(observed, prop, seed, table, workers, timeout, ran, prune=skips).try_all(limit)
+            _Choices(observed, prop, seed, table, workers, ran, prune=skips).try_all(limit)
     return table
 
 
@@ -204,7 +201,6 @@ class _Choices:
         seed: the seed.
         table: receives the results.
         workers: they make the runs.
-        timeout: the longest wall time of a run, s.
         ran: called with the number of runs that were made.
         prune: whether messages that do not matter, and symmetric choices, are left out.
     """
@@ -216,13 +212,12 @@ class _Choices:
         seed: int,
         table: LossTable,
         workers: Workers,
-        timeout: float | None,
         ran: Callable[[int], object],
         *,
         prune: bool,
     ):
         self._scenario, self._seed, self._table, self._workers, self._ran = scenario, seed, table, workers, ran
-        self._prune, self._timeout = prune, timeout
+        self._prune = prune
         self._delay = 0 if table.delay == inf else nanoseconds(table.delay)  # without one, no fate needs it
         self._measure = partial(_tell, prop, table.fates, self._delay, prune)
 
@@ -291,14 +286,14 @@ class _Choices:
                 else:
                     missing[key] = choice
             tasks = [(self._disturbed(choice), self._seed) for choice in missing.values()]
-            outcomes = outcomes_of(tasks, self._workers, self._measure, simulation(self._timeout))
+            outcomes = outcomes_of(tasks, self._workers, self._measure)
             told |= {key: self._told_by(outcome) for key, outcome in zip(missing, outcomes, strict=True)}
             self._table.runs += len(missing)
             self._ran(len(missing))
         return {key: told[key] for key in choices}
 
     def _told_by(self, outcome: Outcome) -> _Told:
-        failure = failure_of(outcome, self._timeout)
+        failure = failure_of(outcome, self._workers.timeout)
         told: _Told = _Told(FAILED, [], 0, {}, failure) if failure else outcome.value
         return told
 

@@ -14,7 +14,6 @@ from desim.config.suggestion import did_you_mean
 from desim.kernel.core.seeds import run_seed, stream
 from desim.scenario.properties import CANNOT_FAIL, Property
 from desim.scenario.scenario import PROTOCOLS, Scenario
-from desim.simulation.watchdog import checked_limit
 from desim.study.breaking.case_log import CaseLog, CaseRun
 from desim.study.breaking.features import FEATURES, Case, Draw, applied, changed_or_none, drawn, of_grid
 from desim.study.breaking.judging import CaseJudge, Planned
@@ -200,8 +199,6 @@ def find_violation(
         raise ArgumentError("budget", f"should be positive, s (got {budget:g})")
     if whole(runs, "runs") < 1:
         raise ArgumentError("runs", f"should be at least 1 (got {runs})")
-    if timeout is not None:
-        timeout = checked_limit(timeout)
     if (shrinking := whole(shrinking, "shrinking")) < 0:
         raise ArgumentError("shrinking", f"should be at least 0 (got {shrinking})")
     if not isinstance(log, CaseLog | None):
@@ -214,8 +211,8 @@ def find_violation(
         runs,
     )
     search = Search()
-    with progress(runs, "search", "case") as bar, workers_for(jobs, min(runs, GENERATION)) as workers:
-        judge_run = CaseJudge(prop, workers, log, timeout)
+    with workers_for(jobs, min(runs, GENERATION), timeout) as workers, progress(runs, "search", "case") as bar:
+        judge_run = CaseJudge(prop, workers, log)
         while search.violation is None and search.runs < runs:
             if judge_run.seconds >= budget:
                 search.stopped = True

@@ -15,7 +15,6 @@ from desim.config.python_numbers import whole
 from desim.config.traits import kind_of
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
-from desim.simulation.watchdog import checked_limit
 from desim.study.ablation.imperfections import with_perfect_network, without_messages
 from desim.study.comparing.scores import Benchmark, NoPart
 from desim.study.comparing.suite import (
@@ -79,12 +78,10 @@ def bench(
     count = suite.runs if runs is None else whole(runs, "runs")
     if not 2 <= count <= suite.runs:
         raise ArgumentError("runs", f"should be 2 to {suite.runs}, those of version {version} (got {count})")
-    if timeout is not None:
-        timeout = checked_limit(timeout)
     entrants = Entrants(suite, _by_name(protocols, suite), again=again)
-    with workers_for(executor, entrants.runs(count)) as workers:
+    with workers_for(executor, entrants.runs(count), timeout) as workers:
         return entrants.carry_out(
-            count, workers, folder=None if folder is None else Path(folder), timeout=timeout, mix_versions=mix_versions
+            count, workers, folder=None if folder is None else Path(folder), mix_versions=mix_versions
         )
 
 
@@ -153,7 +150,6 @@ class Entrants:
         workers: Workers,
         *,
         folder: Path | None = None,
-        timeout: float | None = None,
         mix_versions: bool = False,
     ) -> Benchmark:
         """Perform the runs that the stores lack, and score all protocols.
@@ -177,7 +173,7 @@ class Entrants:
             plan = SweepPlan(scenario, tuple(distinct.values()), count, scenario.seed)
             with Store(None if folder is None else folder / f"{name}.sqlite") as store:
                 plan.register(store, mix_versions=mix_versions)
-                measured = _performed(plan, store, workers, timeout)
+                measured = _performed(plan, store, workers)
             for variant in variants:
                 costs[name].setdefault(variant.settings["protocol"], {})[variant.settings["network"]] = measured[
                     variant.key
@@ -203,10 +199,10 @@ def _first(costs: CostsByProtocol, count: int) -> dict[str, dict[str, Any]]:
     }
 
 
-def _performed(plan: SweepPlan, store: Store, workers: Workers, timeout: float | None) -> dict[str, Floats]:
+def _performed(plan: SweepPlan, store: Store, workers: Workers) -> dict[str, Floats]:
     """Perform the runs that a store lacks; return the (n,) costs of each configuration by its hash."""
     costs: dict[str, Floats] = {}
-    result = carry_out(plan, store, workers, timeout=timeout, metrics=METRICS)
+    result = carry_out(plan, store, workers, metrics=METRICS)
     for configuration, group in zip(plan.configurations, result.groups, strict=True):
         for row in group.failed[:1]:
             check_ok(configuration, row)

@@ -90,16 +90,10 @@ class ControlPlan:
         return cls(plan, tuple(keys), name)
 
     def carry_out(
-        self,
-        result: SweepResult,
-        store: Store,
-        workers: Workers,
-        metrics: Sequence[str] = SHOWN,
-        *,
-        timeout: float | None = None,
+        self, result: SweepResult, store: Store, workers: Workers, metrics: Sequence[str] = SHOWN
     ) -> "Controlled":
         """Perform the runs of the control that a store lacks, and correct the means of the result of the sweep."""
-        control = carry_out(self.plan, store, workers, timeout=timeout, metrics=metrics)
+        control = carry_out(self.plan, store, workers, metrics=metrics)
         places = {configuration.key: k for k, configuration in enumerate(self.plan.configurations)}
         groups = tuple(None if key is None else control.groups[places[key]] for key in self.keys)
         runs = self.plan.reps * len(self.plan.configurations)
@@ -281,11 +275,11 @@ def controlled(
     for metric in shown:
         check_numeric(metric, dict(plan.metrics))
     with (
+        workers_for(executor, plan.runs, timeout) as workers,
         Store(path_of_store(store)) as kept,
         Store(path_of_store(control_store)) as kept_control,
-        workers_for(executor, plan.runs) as workers,
     ):
         plan.register(kept, mix_versions=mix_versions)
         control_plan.plan.register(kept_control, mix_versions=mix_versions)
-        result = carry_out(plan, kept, workers, timeout=timeout, metrics=shown)
-        return control_plan.carry_out(result, kept_control, workers, shown, timeout=timeout)
+        result = carry_out(plan, kept, workers, metrics=shown)
+        return control_plan.carry_out(result, kept_control, workers, shown)

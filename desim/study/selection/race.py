@@ -19,7 +19,6 @@ from desim.config.errors import ArgumentError
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.sweep_table import Design
-from desim.simulation.watchdog import checked_limit
 from desim.study.plan.configurations import SweepGrid
 from desim.study.selection.kim_nelson import check_confidence, check_first, check_zone, kim_nelson
 from desim.study.selection.race_result import RaceResult
@@ -97,15 +96,13 @@ def race(
         StoreError: if the store cannot be used; see `sweep`.
         RunError: if a run fails.
     """
-    if timeout is not None:
-        checked_limit(timeout)
     if not isinstance(scenario, Source):
         scenario_argument(Scenario).check(scenario, "race")
     plan = SweepPlan.of(scenario, grid, most, seed, metrics, design)
     rules = RaceRules.of(plan, metric, zone, confidence, maximise, first)
-    with Store(path_of_store(store)) as kept, workers_for(executor) as workers:
+    with workers_for(executor, timeout=timeout) as workers, Store(path_of_store(store)) as kept:
         plan.register(kept, mix_versions=mix_versions)
-        return carry_out_race(plan, kept, workers, rules, timeout=timeout)
+        return carry_out_race(plan, kept, workers, rules)
 
 
 @dataclass(frozen=True)
@@ -148,9 +145,7 @@ class RaceRules:
         return cls(metric, maximise, zone, confidence, first)
 
 
-def carry_out_race(
-    plan: SweepPlan, store: Store, workers: Workers, rules: RaceRules, *, timeout: float | None = None
-) -> RaceResult:
+def carry_out_race(plan: SweepPlan, store: Store, workers: Workers, rules: RaceRules) -> RaceResult:
     """Run a race of the configurations of a plan, at most `plan.reps` runs of each; see `race`.
 
     Raises:
@@ -158,7 +153,7 @@ def carry_out_race(
         RunError: if a run fails.
     """
     with progress(None, plan.base.name, "run") as bar:
-        samples = _Samples(plan, store, workers, rules, timeout, bar)
+        samples = _Samples(plan, store, workers, rules, bar)
         selection = kim_nelson(
             samples,
             len(plan.configurations),
@@ -186,17 +181,9 @@ def carry_out_race(
 class _Samples:
     """The values of a metric by configuration and replication; runs that the store lacks are performed."""
 
-    def __init__(
-        self,
-        plan: SweepPlan,
-        store: Store,
-        workers: Workers,
-        rules: RaceRules,
-        timeout: float | None,
-        bar: "tqdm[Any]",
-    ):
+    def __init__(self, plan: SweepPlan, store: Store, workers: Workers, rules: RaceRules, bar: "tqdm[Any]"):
         self._plan, self._store, self._workers = plan, store, workers
-        self._metric, self._first, self._timeout, self._bar = rules.metric, rules.first, timeout, bar
+        self._metric, self._first, self._bar = rules.metric, rules.first, bar
         self._places = {configuration.key: k for k, configuration in enumerate(plan.configurations)}
         self._rows = {(k, row.replication): row for k, row in plan.rows_done(store, {rules.metric})}
 
@@ -222,7 +209,7 @@ class _Samples:
             if (system, k) not in self._rows
         ]
         self._bar.set_postfix_str(f"{len(systems)} of {len(self._places)} left", refresh=False)
-        with closing(job_batches(jobs, self._plan, self._store, self._workers, self._timeout)) as batches:
+        with closing(job_batches(jobs, self._plan, self._store, self._workers)) as batches:
             for batch in batches:
                 advance(self._bar, len(batch))
                 for configuration, row in batch:

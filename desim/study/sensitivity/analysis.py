@@ -24,7 +24,6 @@ from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import validate
 from desim.scenario.value_ranges import KeyRange, is_range, setting_at
-from desim.simulation.watchdog import checked_limit
 from desim.study.plan.configurations import (
     SweepGrid,
     checked_ranges,
@@ -99,11 +98,9 @@ def sensitivity(
         StoreError: if the store cannot be used; see `sweep`.
         RunError: if a run fails.
     """
-    if timeout is not None:
-        checked_limit(timeout)
     analysis = Analysis.of(scenario, grid, metric, points, trajectories, runs, seed, metrics)
-    with Store(path_of_store(store)) as kept, workers_for(executor) as workers:
-        return analysis.carry_out(kept, workers, timeout=timeout, mix_versions=mix_versions)
+    with workers_for(executor, timeout=timeout) as workers, Store(path_of_store(store)) as kept:
+        return analysis.carry_out(kept, workers, mix_versions=mix_versions)
 
 
 @dataclass(frozen=True)
@@ -157,9 +154,7 @@ class Analysis:
         unit = unit_of(metric, {name: one.unit for name, one in added})
         return cls(source, ranges, metric, unit, points, trajectories, plan)
 
-    def carry_out(
-        self, store: Store, workers: Workers, *, timeout: float | None = None, mix_versions: bool = False
-    ) -> SensitivityResult:
+    def carry_out(self, store: Store, workers: Workers, *, mix_versions: bool = False) -> SensitivityResult:
         """Perform the runs that a store lacks, and return what decides.
 
         Raises:
@@ -169,7 +164,7 @@ class Analysis:
         """
 
         def values_at(shares: Floats) -> Floats:
-            return self._values(shares, store, workers, timeout, mix_versions)
+            return self._values(shares, store, workers, mix_versions)
 
         keys = len(self.grid)
         effects: ElementaryEffects | None = None
@@ -205,9 +200,7 @@ class Analysis:
             indices,
         )
 
-    def _values(
-        self, shares: Floats, store: Store, workers: Workers, timeout: float | None, mix_versions: bool
-    ) -> Floats:
+    def _values(self, shares: Floats, store: Store, workers: Workers, mix_versions: bool) -> Floats:
         """Return the (points, runs) values of the metric at points, given their (points, keys) shares of the ranges."""
         places: dict[str, int] = {}
         distinct: list[dict[str, Any]] = []
@@ -218,7 +211,7 @@ class Analysis:
                 distinct.append(settings)
         plan = replace(self.plan, configurations=tuple(valid_configurations(self.source, self.grid, distinct)))
         plan.register(store, mix_versions=mix_versions)
-        result = carry_out(plan, store, workers, fail_fast=True, timeout=timeout, metrics=[self.metric])
+        result = carry_out(plan, store, workers, fail_fast=True, metrics=[self.metric])
         values: Floats = metric_values(plan, result, self.metric)[at]
         return values
 

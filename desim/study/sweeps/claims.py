@@ -116,7 +116,6 @@ def carry_out_claimed(
     folder: Path,
     *,
     fail_fast: bool = False,
-    timeout: float | None = None,
     metrics: Sequence[str] = SHOWN,
     on_start: Callable[[], None] = lambda: None,
 ) -> SweepResult:
@@ -138,7 +137,7 @@ def carry_out_claimed(
             jobs = [
                 (configuration, k) for configuration, k in claims.lots[number] if (configuration.key, k) not in done
             ]
-            failures = perform_jobs(jobs, plan, store, workers, fail_fast=fail_fast, timeout=timeout) if jobs else {}
+            failures = perform_jobs(jobs, plan, store, workers, fail_fast=fail_fast) if jobs else {}
             claims.finish(number)
             failed |= failures
         finally:

@@ -15,7 +15,6 @@ from desim.config.python_numbers import real
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.sweep_table import Design
-from desim.simulation.watchdog import checked_limit
 from desim.study.plan.configurations import Configuration, SweepGrid
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import SHOWN
@@ -24,7 +23,7 @@ from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep_plan import MAX_RUNS, Job, SweepPlan
 from desim.study.workers.batch_system import JobExecutor
-from desim.study.workers.dispatch import drive_batches, simulation
+from desim.study.workers.dispatch import drive_batches
 from desim.study.workers.executors import workers_for
 from desim.study.workers.progress import advance, progress
 from desim.study.workers.workers import Workers
@@ -96,8 +95,6 @@ def sweep(
         BrokenExecutor: if a worker of the user's own executor dies.
         RunError: if a run fails and `fail_fast` is set.
     """
-    if timeout is not None:
-        checked_limit(timeout)
     plan = SweepPlan.of(scenario, grid, MAX_RUNS if until is not None and reps is None else reps, seed, metrics, design)
     if until is not None:
         pair: Any = until
@@ -106,9 +103,9 @@ def sweep(
             raise ValueError(f"until should be a metric and a half width, {form} for instance (got {until!r})")
         until = until[0], real(until[1], f"the half width of {until[0]}")
         check_target(*until, plan.metrics)
-    with Store(path_of_store(store)) as kept, workers_for(executor, plan.runs) as workers:
+    with workers_for(executor, plan.runs, timeout) as workers, Store(path_of_store(store)) as kept:
         plan.register(kept, mix_versions=mix_versions)
-        return carry_out(plan, kept, workers, until=until, fail_fast=fail_fast, timeout=timeout)
+        return carry_out(plan, kept, workers, until=until, fail_fast=fail_fast)
 
 
 def carry_out(
@@ -119,24 +116,19 @@ def carry_out(
     until: tuple[str, float] | None = None,
     shard: tuple[int, int] = (1, 1),
     fail_fast: bool = False,
-    timeout: float | None = None,
     metrics: Collection[str] = SHOWN,
     on_start: Callable[[], None] = lambda: None,
 ) -> SweepResult:
     """Perform the runs of a plan that a store lacks, and return the result; runs that failed before are repeated.
 
-    A run that takes longer than `timeout` s of wall time (None: no limit) counts as failed. A stored run is repeated if
-    it lacks one of the given metrics, the metric of `until` or a metric of the plan. If the repetition fails, the
-    stored run is kept, and the result reports the failure. `on_start` is called before the first run, unless there is
-    none to perform.
+    A stored run is repeated if it lacks one of the given metrics, the metric of `until` or a metric of the plan. If the
+    repetition fails, the stored run is kept, and the result reports the failure. `on_start` is called before the first
+    run, unless there is none to perform.
 
     Raises:
-        ValueError: if `until` is invalid, or given together with one of several shards, or `timeout` is out of its
-            range.
+        ValueError: if `until` is invalid, or given together with one of several shards.
         RunError: if a run fails and `fail_fast` is set.
     """
-    if timeout is not None:
-        checked_limit(timeout)
     if until is not None:
         check_target(*until, plan.metrics)
         if shard != (1, 1):
@@ -152,12 +144,12 @@ def carry_out(
         if not is_started:
             on_start()
             is_started = True
-        failed |= perform_jobs(jobs, plan, store, workers, fail_fast=fail_fast, timeout=timeout)
+        failed |= perform_jobs(jobs, plan, store, workers, fail_fast=fail_fast)
         done |= {(configuration.key, k) for configuration, k in jobs}
 
 
 def perform_jobs(
-    jobs: Sequence[Job], plan: SweepPlan, store: Store, workers: Workers, *, fail_fast: bool, timeout: float | None
+    jobs: Sequence[Job], plan: SweepPlan, store: Store, workers: Workers, *, fail_fast: bool
 ) -> dict[tuple[str, int], Row]:
     """Perform some runs, add each batch to the store as it ends, and return those that failed.
 
@@ -167,7 +159,7 @@ def perform_jobs(
     failed: dict[tuple[str, int], Row] = {}
     with (
         progress(len(jobs), plan.base.name, "run") as bar,
-        closing(job_batches(jobs, plan, store, workers, timeout)) as batches,
+        closing(job_batches(jobs, plan, store, workers)) as batches,
     ):
         for batch in batches:
             advance(bar, len(batch))
@@ -180,13 +172,13 @@ def perform_jobs(
 
 
 def job_batches(
-    jobs: Sequence[Job], plan: SweepPlan, store: Store, workers: Workers, timeout: float | None
+    jobs: Sequence[Job], plan: SweepPlan, store: Store, workers: Workers
 ) -> Generator[list[tuple[Configuration, Row]], None, None]:
     """Perform some runs, add each batch to the store as it ends, and yield it."""
     seeds = [plan.seed(configuration, k) for configuration, k in jobs]
     tasks = [(configuration.scenario, seed) for (configuration, _), seed in zip(jobs, seeds, strict=True)]
     measure = partial(measured, plan.metrics)
-    with closing(drive_batches(tasks, workers, measure=measure, simulate=simulation(timeout))) as batches:
+    with closing(drive_batches(tasks, workers, measure)) as batches:
         for batch in batches:
             rows = [
                 (jobs[at][0], Row(jobs[at][1], seeds[at], outcome.status, outcome.value, outcome.traceback))

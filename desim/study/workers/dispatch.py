@@ -97,6 +97,7 @@ def drive_batches(
         ConnectionError: if the connection to the workers is lost.
     """
     waiting = deque(range(len(tasks)))
+    simulate = simulation(workers.timeout, simulate)
 
     def submit(batch: list[int]) -> Future[Any]:
         return workers.submit(partial(perform, [tasks[k] for k in batch], measure, simulate))

@@ -2,8 +2,10 @@
 
 import os
 from concurrent.futures import Executor
+from copy import copy
 
 from desim.config.python_numbers import whole
+from desim.simulation.watchdog import checked_limit
 from desim.study.workers.batch_system import JobExecutor, JobWorkers
 from desim.study.workers.workers import Cluster, InProcess, Processes, Workers
 
@@ -11,23 +13,32 @@ START_TIMEOUT = 10.0
 """The time-out, s of wall time, for answers of a cluster."""
 
 
-def workers_for(executor: Executor | JobExecutor | Workers | int | str, calls: int | None = None) -> Workers:
+def workers_for(
+    executor: Executor | JobExecutor | Workers | int | str, calls: int | None = None, timeout: float | None = None
+) -> Workers:
     """Return the workers for an executor, the address of a Dask scheduler, or a number of processes.
 
     An executor whose `submit` returns jobs instead of futures is one of a batch system, such as submitit's. The number
     0 stands for the number of cores. There are no more processes than `calls`, the largest number of calls, if it is
-    known. With the number 1, calls are made in this process.
+    known. With the number 1, calls are made in this process. A run that takes longer than `timeout` s of wall time
+    counts as failed.
 
     Raises:
         ConnectionError: if Dask is not installed, or a scheduler does not answer or has no workers.
-        ValueError: if a number is negative, or the executor is of another type.
+        ValueError: if a number is negative, the executor is of another type, or `timeout` is out of its range.
     """
+    if timeout is not None:
+        timeout = checked_limit(timeout)
+    workers = copy(executor) if isinstance(executor, Workers) else _new_workers(executor, calls)
+    workers.timeout = timeout
+    return workers
+
+
+def _new_workers(executor: Executor | JobExecutor | int | str, calls: int | None) -> Workers:
     if isinstance(executor, str) and executor.isdecimal():
         raise ValueError(f"executor should be the number {executor} instead of the text {executor!r}")
     if isinstance(executor, str) and ":" in executor:
         return Cluster(executor, START_TIMEOUT)
-    if isinstance(executor, Workers):
-        return executor
     if isinstance(executor, Executor):
         return Workers(executor)
     if hasattr(executor, "submit"):

@@ -35,6 +35,8 @@ class Workers:
     """The largest number of runs in a batch."""
     shares = 2
     """How many batches each worker still gets when the runs run out; more balance unequal runs, fewer cost less."""
+    timeout: float | None = None
+    """The wall time of a run, s, after which it counts as failed; None: no limit."""
 
     def __init__(self, executor: Executor, count: int | None = None, name: str = ""):
         self.executor = executor
