@@ -14,6 +14,7 @@ from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
 from desim.analysis.activity import changes
+from desim.analysis.deliveries import chasing, deliveries, outages
 from desim.analysis.drawing.palette import ACTIVE, ACTIVE_WITH_OTHERS, COLLISION_MARK, GREY, LOST, LOST_MARK, SERIES
 from desim.analysis.drawing.plots import Axes, Figure, styled
 from desim.analysis.drawing.trajectory import draw_trajectory
@@ -29,7 +30,6 @@ from desim.pursuit.core.events import Estimated
 from desim.pursuit.core.state import coordinates
 from desim.pursuit.team.announcements import action_in_game
 from desim.simulation.run import Result
-from desim.view.data.deliveries import chasing, deliveries, outages
 from desim.view.pictures.link_traces import link_traces
 from desim.view.pictures.spacetime import spacetime
 

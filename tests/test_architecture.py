@@ -32,7 +32,7 @@ FLOORS = [
     {"desim.scenario", "protocols"},
     {"desim.simulation"},
     {"desim.analysis"},
-    {"desim.analysis.drawing", "desim.view.data"},
+    {"desim.analysis.drawing"},
     {"desim.results"},
     {"desim.study.plan", "desim.view.formats"},
     {"desim.study.store", "desim.study.workers"},

@@ -839,7 +839,7 @@ def seen():
     """Yield what is known of the messages of runs made by hand, and what is seen in these."""
     chased = Decided(690 * MS, 2, 1), FaultStarted(695 * MS, Crash(node=2, start=0.695))
     stayed = Decided(390 * MS, 0, 0), Decided(610 * MS, 0, 1)
-    for result in (history(), pair(), history(*chased), history(*stayed), history(messages=False, samples=(0, 1000))):
+    for result in (history(), pair(), history(*chased), history(*stayed)):
         sent, looked = copies(result), looks(result)
         yield "\n".join(
             [

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from desim.analysis.headings import Headings
 from desim.analysis.knowledge import knowledge
 from desim.analysis.trace_index import started
 from desim.kernel.core.events import LOST, Broadcast, Lost, Sent
 from desim.kernel.core.units import SECOND
 from desim.pursuit.core.events import Captured, Sampled
-from desim.view.data.headings import Headings
 from desim.view.formats.foxglove import SHOWN, TOPICS, write
 from desim.view.formats.foxglove_schemas import SCHEMAS
 from tests.view.by_hand import MS, history, pair

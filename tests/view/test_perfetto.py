@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from desim import Scenario, run, summary
+from desim.analysis.deliveries import chasing, deliveries
 from desim.kernel.core.events import DeadlineMissed, Expired, GivenUp, LivelinessLost, Retransmitted, Sent
 from desim.pursuit.core.events import Decided
 from desim.scenario.scenario import Recording
-from desim.view.data.deliveries import chasing, deliveries
 from desim.view.formats.perfetto import FIRST, PURSUERS, _microseconds, perfetto, trace_events, write
 from protocols.centralised import Centralised
 from tests.golden import golden

@@ -7,12 +7,12 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
+from desim.analysis.deliveries import deliveries
 from desim.analysis.drawing.palette import COLLISION_MARK, LOST, LOST_MARK
 from desim.kernel.core.events import Broadcast, Lost, Queued
 from desim.kernel.models.faults import Partition
 from desim.kernel.models.traced_faults import FaultStarted
 from desim.pursuit.core.events import Decided
-from desim.view.data.deliveries import deliveries
 from desim.view.pictures.spacetime import MAX_DENSITY, spacetime
 from tests.view.by_hand import ACTIVE, MS, history
 

@@ -3,9 +3,12 @@
 from bisect import bisect_left, bisect_right
 from collections import defaultdict
 from math import inf
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from desim.kernel.core.events import LOST, Broadcast, Lost, Queued, Sent
+import numpy as np
+
+from desim.analysis.deliveries import delivery_table
+from desim.kernel.core.events import LOST, Broadcast, Queued, Sent
 from desim.kernel.core.units import seconds
 from desim.kernel.link_layer.link_layer import FIRST_COPY
 from desim.pursuit.core.events import Decided
@@ -40,27 +43,19 @@ def copies(result: Result) -> list[MessageCopy]:
 
     Copies that faults make are left out: they have no numbers.
     """
-    fates: dict[int, dict[int, tuple[int, int, int, int | None, Any]]] = {}
-    for event in result.trace:
-        if isinstance(event, Queued):
-            fates.setdefault(event.transmission, {}).update(
-                dict.fromkeys(event.dst, (event.src, event.t, LOST, None, None))
-            )
-        elif isinstance(event, Broadcast | Sent):
-            seq = event.seq if isinstance(event, Broadcast) else None
-            receivers = fates.setdefault(event.transmission, {})
-            for dst, arrival in event.fates():
-                receivers[dst] = event.src, event.created, arrival, seq, event.body
-        elif isinstance(event, Lost):
-            receivers = fates.setdefault(event.transmission, {})
-            src, sent, _, seq, body = receivers.get(event.dst, (event.src, event.t, LOST, None, None))
-            receivers[event.dst] = src, sent, LOST, seq, body
-    numbered = sorted(transmission for transmission in fates if transmission < FIRST_COPY)
-    ordered = ((dst, fate) for transmission in numbered for dst, fate in fates[transmission].items())
-    return [
-        MessageCopy(number, src, dst, sent, arrival, seq, announced_action(body))
-        for number, (dst, (src, sent, arrival, seq, body)) in enumerate(ordered, start=1)
-    ]
+    table = delivery_table(result)
+    table = table.in_order_of(table.transmission)
+    numbered = int(np.searchsorted(table.transmission, FIRST_COPY))
+    columns = table.event, table.dst, table.created, np.where(table.cause < 0, table.until, LOST)
+    rows = zip(*(column[:numbered].tolist() for column in columns), strict=True)
+    return [_copy(number, table.events[event], *fate) for number, (event, *fate) in enumerate(rows, start=1)]
+
+
+def _copy(number: int, event: Broadcast | Sent | Queued, dst: int, sent: int, arrival: int) -> MessageCopy:
+    if isinstance(event, Queued):  # it has not left
+        return MessageCopy(number, event.src, dst, sent, LOST, None, None)
+    seq = event.seq if isinstance(event, Broadcast) else None
+    return MessageCopy(number, event.src, dst, sent, arrival, seq, announced_action(event.body))
 
 
 def looks(result: Result) -> dict[int, list[int]]:

@@ -4,34 +4,24 @@ The idea is that of "sometimes" assertions, which tell whether a test has reache
 """
 
 from collections.abc import Callable, Mapping
-from math import inf
 from types import MappingProxyType
 
 from desim.analysis.activity import action, handovers, idle_time, relays
+from desim.analysis.deliveries import outages
 from desim.analysis.trace_index import captures, messages, trace_index
 from desim.config.traits import kind_of
 from desim.kernel.core.events import LOST
 from desim.kernel.models.faults import nodes_of
-from desim.kernel.models.traced_faults import FaultEnded, FaultStarted, TracedFault
+from desim.kernel.models.traced_faults import FaultStarted, TracedFault
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Started
 from desim.simulation.run import Result
 from desim.study.breaking.copies import copies, looks, readings
 
 
-def _faults(result: Result) -> list[tuple[int, float, object]]:
-    """Return the begin and the end of each fault, ns, and the fault."""
-    ends = [(event.t, event.fault) for event in result.trace.of(FaultEnded)]
-    return [
-        (event.t, next((t for t, fault in ends if fault == event.fault and t >= event.t), inf), event.fault)
-        for event in result.trace.of(FaultStarted)
-    ]
-
-
 def _handed_over_during_a_fault(result: Result) -> bool:
-    windows = [(begin, end) for begin, end, _ in _faults(result)]
     evaders = range(1, len(result.scenario.evaders) + 1)
     times = [start for evader in evaders for start, _ in relays(result, evader)[1:]]
-    return any(begin <= t <= end for t in times for begin, end in windows)
+    return any(window.begin <= t <= window.end for t in times for _, window in outages(result))
 
 
 def _chaser_down(result: Result) -> bool:

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from desim.analysis.drawing.palette import ACTIVE, ACTIVE_WITH_OTHERS, EVADER, IN_FLIGHT, INACTIVE, LOST
+from desim.analysis.headings import Headings
 from desim.analysis.knowledge import Pieces, knowledge
 from desim.config.model import Value
 from desim.kernel.core.events import LOST as NEVER
@@ -32,7 +33,6 @@ from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Sampled, Started, TracePoint
 from desim.results.run_folder import StreamedResult
 from desim.simulation.run import Result
-from desim.view.data.headings import Headings
 from desim.view.formats.foxglove_schemas import SCHEMAS
 
 Message = dict[str, Any]

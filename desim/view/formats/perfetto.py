@@ -18,6 +18,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, Literal
 
 from desim.analysis.activity import action, changes, changes_with_previous, chases, decisions
+from desim.analysis.deliveries import chasing, deliveries, handover_events, outages
 from desim.analysis.trace_index import ended, messages_recorded, started
 from desim.config.json_numbers import to_json
 from desim.config.model import Value
@@ -28,7 +29,6 @@ from desim.kernel.core.trace_file import body_json
 from desim.kernel.core.units import SECOND
 from desim.pursuit.core.events import Captured
 from desim.simulation.run import Result
-from desim.view.data.deliveries import chasing, deliveries, handover_events, outages
 
 PURSUERS = 1
 """The number (pid) of the process whose threads are the pursuers."""

@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from desim.analysis.activity import Change, Released, action, changes_with_previous, chases
+from desim.analysis.deliveries import delivery_table, handover_events, outages
 from desim.analysis.knowledge import Pieces, knowledge
 from desim.analysis.trace_index import captures, ended, lacks_messages, messages, started
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.traced_faults import TracedFault
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Distrusted
 from desim.simulation.run import Result
-from desim.view.data.deliveries import delivery_table, handover_events, outages
 from desim.view.pages.headline import outcome, run_name
 from desim.view.pages.replay_columns import ReplayData, Ticks, packed_column
 from desim.view.pages.replay_plane import (
@@ -108,7 +108,7 @@ def _kind(result: Result) -> str:
 
 
 def _relays(result: Result, ticks: Ticks) -> ReplayData:
-    """Return the handovers (`desim.view.data.deliveries.Handover`) as columns."""
+    """Return the handovers (`desim.analysis.deliveries.Handover`) as columns."""
     handovers = handover_events(result)
     return {
         "t": ticks([handover.t for handover in handovers]),

@@ -1,7 +1,7 @@
 """A run as a GIF or an MP4 for slides: a plan view of the players that shows active pursuers and messages in flight.
 
 Colours, symbols and the motion of messages are as in the replay: see `desim.analysis.drawing.palette` and
-`desim.view.data.deliveries`.
+`desim.analysis.deliveries`.
 
 All frames share one background and one palette; equal runs give equal bytes.
 """
@@ -19,6 +19,7 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.lines import Line2D
 from PIL import Image
 
+from desim.analysis.deliveries import deliveries
 from desim.analysis.drawing.palette import (
     ACTIVE,
     ACTIVE_WITH_OTHERS,
@@ -43,7 +44,6 @@ from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import nanoseconds, seconds, time_text
 from desim.simulation.run import Result
 from desim.study.workers.progress import progress
-from desim.view.data.deliveries import deliveries
 from desim.view.pictures.paths import EvaderStyle, Paths, active_periods
 
 WIDTH, HEIGHT = 4.8, 5.4

@@ -13,6 +13,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.text import Text
 
 from desim.analysis.activity import EvaderPursuit, evader_pursuits
+from desim.analysis.deliveries import Handover, handover_events
 from desim.analysis.drawing.palette import (
     ACTIVE,
     ACTIVE_WITH_OTHERS,
@@ -32,7 +33,6 @@ from desim.analysis.trace_index import captures, sampled
 from desim.config.arrays import Floats, Integers
 from desim.kernel.core.portable_math import portable_sum
 from desim.simulation.run import Result
-from desim.view.data.deliveries import Handover, handover_events
 
 LabelPosition = tuple[float, float]
 LABEL_SIZE = 6.0

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from desim.analysis.activity import changes, changes_with_previous, chases, decisions
+from desim.analysis.deliveries import Delivery, Interval, chasing, deliveries, outages
 from desim.analysis.drawing.palette import CAPTURE_MARK, COLLISION_MARK, GREY, LOST, LOST_MARK
 from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, figure_of, in_style, size_of, styled
 from desim.analysis.trace_index import ended, started
@@ -24,7 +25,6 @@ from desim.kernel.core.units import SECOND, nanoseconds, seconds
 from desim.pursuit.core.events import Captured
 from desim.pursuit.team.announcements import action_in_game
 from desim.simulation.run import Result
-from desim.view.data.deliveries import Delivery, Interval, chasing, deliveries, outages
 from desim.view.pictures.paths import HALO, EvaderStyle
 
 if TYPE_CHECKING:

@@ -5,6 +5,7 @@ from collections import Counter
 import pytest
 
 from desim import summary
+from desim.analysis.deliveries import Chase, Delivery, Interval, chasing, deliveries, handover_events, outages
 from desim.analysis.trace_index import ended
 from desim.kernel.core.events import Broadcast, Lost, Queued, Sent
 from desim.kernel.core.units import SECOND
@@ -12,7 +13,6 @@ from desim.kernel.models.faults import Crash, Jamming
 from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.pursuit.core.events import Decided
 from desim.pursuit.team.announcements import announced_action
-from desim.view.data.deliveries import Chase, Delivery, Interval, chasing, deliveries, handover_events, outages
 from desim.view.pictures.paths import active_periods
 from tests.view.by_hand import ACTIVE, CRASH, INACTIVE, JAMMING, MS, history, pair
 

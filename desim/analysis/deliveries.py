@@ -1,4 +1,4 @@
-"""The data that pictures show besides positions: deliveries of messages, chases, handovers and faults.
+"""Deliveries of messages, chases, handovers and faults of a run, which pictures show besides positions.
 
 In the replay and the animation, a message moves at constant speed from the position of its sender at transmission to
 that of its receiver at arrival. In a space-time diagram a message is an arrow between two lines. A lost message ends in
