@@ -389,7 +389,7 @@ POSITIONS = {
     "desim.kernel.state.transmission:Transmission": "number src created size receivers content port reachable to_one",
     "desim.pursuit.motion.dead_reckoning:TrackSegment": "begun evader aim velocity end",
     "desim.kernel.transport.log:MessageFlow": "src dst port",
-    "desim.pursuit.sensing.fusion:Information": "matrix vector trace",
+    "desim.pursuit.sensing.fusion:Information": "matrix vector determinant",
     "desim.pursuit.sensing.fusion:InformedTrack": "track information",
     "desim.pursuit.sensing.tracking:Track": "stamp state covariance",
     "desim.pursuit.sensing.tracking:Measurement": "stamp observer x y covariance origin_x origin_y",

@@ -330,7 +330,7 @@ VALUES = {
         [{"a": 1, "records": (RECORD,)}] * 2,
     ),
     "tables of measurements on links and on edges of a graph": lambda: (
-        [place for place, _ in TRACED.traces()],
+        [place for place, _ in TRACED.tables()],
         [("latency",), ("link", 0, "loss"), ("graph", "edges", 1, "latency")],
     ),
     "frames that are forwarded at random times": lambda: (
