@@ -206,7 +206,8 @@ def _end_with_search(
 
     violation = search.violation
     texts = [search_text(search, prop)]
-    document: dict[str, Any] = {"property": prop.text, "runs": search.runs, "seen": search.seen, "violation": None}
+    document: dict[str, Any] = {"property": prop.text, "unit": prop.unit}
+    document |= {"runs": search.runs, "seen": search.seen, "violation": None}
     if violation is not None:
         smallest = folder / "smallest.toml"
         command = shlex.join(["desim", *sys.argv[1:]])
@@ -256,6 +257,7 @@ def _end_with_losses(
         texts += ["", _drawn(broken, worst.seed, folder, at, command_for("run", str(smallest), broken, code))]
     document = {
         "property": prop.text,
+        "unit": prop.unit,
         "most": table.most,
         "fates": table.fates,
         "delay": table.delay,

@@ -142,6 +142,7 @@ class Agreement:
         rows = [
             {
                 "metric": row.metric,
+                "unit": row.unit,
                 "live": row.live.mean,
                 "simulated": row.simulated.mean,
                 "difference": row.difference.mean,

@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from html import unescape
-from itertools import product
+from itertools import pairwise, product
 from math import isnan, nan
 from pathlib import Path
 
@@ -20,6 +20,9 @@ from scipy import stats
 from desim import load, run, summary
 from desim.analysis.metrics import METRICS, Summary, title
 from desim.cli import main
+from desim.kernel.core.seeds import stream
+from desim.study.sensitivity.morris import morris_points
+from desim.study.sensitivity.sobol_indices import saltelli_points
 from tests.command import strict_json
 
 SCENARIO = """\
@@ -263,6 +266,7 @@ def test_two_sweeps_are_compared_by_the_pairs_of_their_runs(folder, name, other)
     shown = [metric for metric in SHOWN if metric in METRICS]
     command += [text for metric in shown for text in ("-y", metric)]
     text, document = desim(*command), strict_json(desim(*command, "--json"))
+    assert document["units"] == {metric: METRICS[metric].unit for metric in shown}
     rows = rows_of(text, next(iter(GRID)))
     groups = [simulated(folder, one) for one in (name, other)]
     for row, entry, first, second in zip(rows, document["configurations"], *groups, strict=True):
@@ -375,6 +379,7 @@ def test_the_table_of_a_race_is_that_of_its_runs(folder, metric):
     command += ["-o", folder / f"race-{metric}", "--grid=team.speeds=1.2,1.4,3.0", "--maximise"]
     text, document = desim(*command), strict_json(desim(*command, "--json"))
     rows = rows_of(text, "   ")
+    assert document["unit"] == METRICS[metric].unit
     assert ("in brackets a Wilson interval" in text) == (metric == "captured")
     taken = {}
     for row, entry in zip(rows, document["configurations"], strict=True):
@@ -393,6 +398,64 @@ def test_the_table_of_a_race_is_that_of_its_runs(folder, metric):
             check_cell(row[3], behind, len(taken[speed]))
             assert int(row[4]) == count
     assert document["runs"] == sum(map(len, taken.values()))
+
+
+RANGES = {"network.loss.p": (0.0, 0.5), "team.speeds": (1.2, 1.6)}
+
+
+@pytest.mark.whole
+def test_the_effects_and_the_indices_of_an_analysis_are_those_of_its_runs(folder):
+    """Morris' effects and Saltelli's sums over all pairs of different seeds, from single runs at the same points."""
+    trajectories, size, seeds = 4, 8, 2
+    command = ["sensitivity", folder / "numbers.toml", "--trajectories", trajectories, "--points", size, "-n", seeds]
+    command += [
+        "-y",
+        "energy",
+        "-o",
+        folder / "analysis",
+        "--allow-import",
+        "-g",
+        "network.loss.p=0:0.5",
+        "-g",
+        "team.speeds=1.2:1.6",
+    ]
+    document = strict_json(desim(*command, "--json"))
+
+    @cache
+    def values_at(*shares: float) -> np.ndarray:
+        settings = {
+            key: float(f"{low + (high - low) * share:.6g}")
+            for (key, (low, high)), share in zip(RANGES.items(), shares, strict=True)
+        }
+        runs = [_simulated(folder, "some are captured", settings, SEED + k) for k in range(seeds)]
+        return np.array(values_of(runs, "energy"))
+
+    effects: list[list[float]] = [[], []]
+    for trajectory in morris_points(trajectories, 2, stream(0, "morris")).tolist():
+        for before, after in pairwise(trajectory):
+            (k,) = [k for k in range(2) if before[k] != after[k]]
+            change = np.mean(values_at(*after) - values_at(*before))
+            effects[k].append(float(change) / (after[k] - before[k]))
+    for of_key, changes in zip(document["keys"], effects, strict=True):
+        assert of_key["effect"]["value"] == pytest.approx(np.mean(np.abs(changes)))
+        assert of_key["mean_effect"] == pytest.approx(np.mean(changes))
+        assert of_key["spread"] == pytest.approx(np.std(changes, ddof=1))
+    assert not any(of_key["screened_out"] for of_key in document["keys"])
+    values = np.array([[values_at(*point) for point in points] for points in saltelli_points(size, 2).tolist()])
+    (a, b, *mixed), means = values, values[:2].mean(axis=(0, 1))
+
+    def products(first: np.ndarray, second: np.ndarray) -> float:
+        pairs = [(i, j) for i in range(seeds) for j in range(seeds) if i != j]
+        return float(np.mean([first[:, i] * second[:, j] for i, j in pairs]))
+
+    variance = (products(a - means, a - means) + products(b - means, b - means)) / 2.0
+    chance = float(np.mean([np.var(point, ddof=1) for points in (a, b) for point in points]))
+    assert document["variance"] == pytest.approx(variance)
+    assert document["chance"] == pytest.approx(chance / (chance + max(variance, 0.0)))
+    for of_key, changed in zip(document["keys"], mixed, strict=True):
+        assert of_key["first"]["value"] == pytest.approx(products(b - means, changed - a) / variance)
+        assert of_key["total"]["value"] == pytest.approx(products(changed - a, changed - a) / variance / 2.0)
+    assert document["runs"] == (trajectories * 3 + size * 4) * seeds
 
 
 CHANGES: Mapping[str, tuple[str, ...]] = {

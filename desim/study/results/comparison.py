@@ -202,6 +202,7 @@ class Comparison(TabularResult):
             "names": list(self.names),
             "changes": {key: list(values) for key, values in self.changes.items()},
             "unmatched": list(self.unmatched),
+            "units": {metric: unit_of(metric, self.units) for metric in self.metrics},
             "sentences": self.sentences(),
             "configurations": [
                 {

@@ -183,6 +183,7 @@ class RaceResult(TabularResult):
         return {
             "name": self.name,
             "metric": self.metric,
+            "unit": self.unit,
             "best": self._plain(self.selection.selected),
             "is_decided": self.is_decided,
             "maximise": self.maximise,

@@ -183,6 +183,7 @@ class SensitivityResult(TabularResult):
         return {
             "name": self.name,
             "metric": self.metric,
+            "unit": self.unit,
             "runs": self.runs,
             "runs_at_point": self.runs_at_point,
             "variance": None if self.indices is None else json_number(self.indices.variance),
