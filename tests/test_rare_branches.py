@@ -13,6 +13,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from click import Context
 
 import desim
 from desim import Crash, Fault, Links, Scenario
@@ -21,7 +22,10 @@ from desim.analysis.drawing.plots import in_style
 from desim.analysis.metrics import Summary
 from desim.analysis.properties import margin
 from desim.analysis.statistics import differences, mean
+from desim.cli import main
+from desim.cli.usage import _context_of
 from desim.config import calls, fresh, packages, stateless, trust
+from desim.config.arguments import missing_attribute
 from desim.config.copier import Describer
 from desim.config.errors import KeyedError, NoMetricError, Problem
 from desim.config.json_numbers import to_json
@@ -51,7 +55,8 @@ from desim.kernel.topology.correlated_channel import _missing, unknown_fading
 from desim.kernel.topology.topology import Topology
 from desim.kernel.transport.frames import CodedPiece
 from desim.kernel.transport.receiver import REMEMBERED, CodedReceiver
-from desim.pursuit.byzantine.lies import Liar, draw_lies
+from desim.pursuit.byzantine import lies
+from desim.pursuit.byzantine.lies import Liar, Spoof, draw_lies
 from desim.pursuit.byzantine.speaker import Speaker
 from desim.pursuit.game.game import greedy_maximal_independent_set
 from desim.pursuit.mobility.bonnmotion_file import _increase
@@ -60,6 +65,7 @@ from desim.pursuit.motion.environment import Environment
 from desim.pursuit.motion.flow import NoFlow, RecordedFlow
 from desim.pursuit.motion.turning import shortest_path
 from desim.pursuit.paths.space import PLANE
+from desim.pursuit.sensing.noisy_sensing import TrackingView
 from desim.pursuit.sensing.sensing import spiral
 from desim.pursuit.team.announcements import MAX_SEQ, MAX_STAMP, _is_record, relayed_records, with_records
 from desim.pursuit.team.targeted_faults import NewsFault
@@ -67,6 +73,7 @@ from desim.scenario.assumptions import times_known
 from desim.scenario.overrides import Source
 from desim.scenario.simultaneous import _instants
 from desim.scenario.toml import looked_up_in
+from desim.scenario.toml_lines import unreadable
 from desim.simulation.restartable import _start_behaviour
 from desim.simulation.world import initial_state
 from desim.study.breaking.search import Violation
@@ -74,6 +81,7 @@ from desim.study.comparing.scores import Ratio
 from desim.study.results.explanation import Explanation
 from desim.study.store.file import view_of
 from desim.study.sweeps.sweep_plan import SweepPlan
+from desim.view.formats.foxglove import PART, Scene
 from desim.view.formats.trace_table import _is_event
 from protocols.schedules.periodic import Rounds
 from protocols.schedules.synchronous import Synchronous
@@ -145,13 +153,6 @@ RECORD = Record(0, 1, 2, "body")
 POSES = ["0 0 0 0 0 0 0 1", "1 0 0 0 0 0 0 1"]
 
 
-def missing_attribute():
-    """Return the error of an attribute that a scenario does not have."""
-    with pytest.raises(AttributeError) as raised:
-        SHORT.horizn  # noqa: B018
-    return raised.value
-
-
 def kept_after(before):
     """Return the beginnings of the transmissions that are kept if arrivals are decided from a time on, ns."""
     transmitter = SimpleNamespace(recent=[(begin, 1, 0) for begin in (0, 4, 5, 9)], _longest=2, _lag=1)
@@ -183,6 +184,28 @@ def received_while_transmitting(begin):
 
 
 NOBODY_LEFT = SimpleNamespace(id=0, view=SimpleNamespace(state=SimpleNamespace(at_large=[], position=abs)))
+
+
+TWO_LINKS = "t,src,dst,value\n0,0,1,0.1\n10,0,1,0.2\n20,0,1,0.2\n0,1,0,0.3\n10,1,0,0.4\n"
+RUN = Context(main.commands["run"], info_name="run")
+PROGRAM = Context(main, info_name="desim")
+
+
+def victims(size):
+    """Return the pursuers in whose names pursuer 1 announces, of a team of some size."""
+    me = SimpleNamespace(id=1, rng=np.random.default_rng(1), view=SimpleNamespace(state=SimpleNamespace(size=size)))
+    forger = SimpleNamespace(victim=None, action=0, falsified=lambda other, body, action: body)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(lies, "replace", lambda _, **named: SimpleNamespace(action=abs))
+        return {Spoof.says(forger, me, None)[0] for _ in range(30)}
+
+
+def size_of_marks(places):
+    """Return the size, m, of the marks of players at some places."""
+    scene = SimpleNamespace()
+    start = SimpleNamespace(active=(0,), pursuers=places[:1], evaders=places[1:])
+    Scene._start(scene, start)
+    return scene._size
 
 
 def phi_of_a_liar(evader):
@@ -264,8 +287,8 @@ VALUES = {
     ),
     "a queue that cannot be read": lambda: (Describer(BytesIO()).reducer_override(SimpleQueue()), (int, (0,))),
     "a missing attribute that is sent": lambda: (
-        pickle.loads(pickle.dumps(missing_attribute())).args,
-        (str(missing_attribute()),),
+        [(error := missing_attribute(3, "nope")).name, pickle.loads(pickle.dumps(error)).args],
+        ["nope", ("an int has no 'nope'",)],
     ),
     "a file where none is read": lambda: (_with_file("a.csv", ("x",), None, None), ""),
     "a number that is too large": lambda: (isnan(as_real(10**400)), True),
@@ -344,6 +367,28 @@ VALUES = {
     "a key under another table": lambda: (other_key(("a.horizn",), ["horizon"], Scenario), ", did you mean 'horizon'?"),
     "the least capture time of a liar": lambda: ([phi_of_a_liar(evader) for evader in (0, 1, 2)], [2.5, 5.0, 2.5]),
     "the capture time of a liar if no evader is left": lambda: (Speaker.least_phi(NOBODY_LEFT, 0), inf),
+    "the mean of measurements of links with other times": lambda: (
+        [LatencyTrace(table=TWO_LINKS, between=between).mean_latency() for between in ("hold", "linear")],
+        pytest.approx([16.0 / 60.0, 15.5 / 60.0]),
+    ),
+    "lines of a TOML text that cannot be read": lambda: (
+        [*map(unreadable, ("a = 1\nb = = 2\n", "a = 1\nb = " + "[" * 3000 + "]" * 3000, "a = 1\n"))],
+        [2, 2, None],
+    ),
+    "the context of a command": lambda: (
+        [_context_of(words, PROGRAM).info_name for words in (["--nope", "run", "f.toml"], ["nope"], [])],
+        ["run", "desim", "desim"],
+    ),
+    "the context of no group": lambda: (_context_of(["run"], RUN), RUN),
+    "the newest stamp of no sighting": lambda: (
+        TrackingView._newest_stamp(SimpleNamespace(_newest={}, _tracks={1: {}}), 1),
+        -1,
+    ),
+    "the victims of a forger": lambda: ([victims(size) for size in (1, 2, 3)], [{1}, {0}, {0, 2}]),
+    "the size of marks": lambda: (
+        [size_of_marks(places) for places in ([(0.0, 0.0), (4.0, 20.0)], [(0.0, 0.0), (20.0, 4.0)], [(1.0, 1.0)] * 2)],
+        [PART * 20.0, PART * 20.0, 1.0],
+    ),
     "a ratio to nothing": lambda: (isnan(Ratio.of(np.ones(3), np.zeros(3)).value), True),
 }
 

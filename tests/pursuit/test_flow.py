@@ -485,3 +485,12 @@ def test_capture_times_in_a_wind_that_turns_are_the_first_roots():
     for k in range(3):
         reached = np.abs(offsets[k] + flight[k] * grid - drift) <= speeds[k] * grid + 0.1
         assert times[k] == pytest.approx(grid[reached.argmax()], abs=0.0011)
+
+
+@pytest.mark.parametrize("begin", [0.0, 0.3, 1.9])
+def test_the_trend_of_a_harmonic_flow_bounds_its_oscillation_and_no_less_would(begin):
+    flow = HarmonicFlow(velocity=(0.5, -0.2), amplitude=(0.3, 0.4), period=2.0, phase=0.7)
+    mean, bound = flow.trend(begin)
+    times = begin + np.linspace(0.0, 2.0, 401)
+    displacements = np.array([flow.displacement(begin, time) for time in times]) - mean * (times - begin)
+    assert np.abs(displacements[:, None] - displacements).max() == pytest.approx(bound, rel=1e-4)

@@ -166,3 +166,8 @@ def test_the_page_in_a_cell_asks_the_kernel_and_shows_its_answers(widget, browse
     assert browser.value("cell.childElementCount") == 0
     assert browser.errors == []
     assert [each for each in browser.requests if not each.startswith(("file:", "data:", "about:"))] == []
+
+
+def test_a_widget_has_the_scenario_and_the_limit_of_the_call(monkeypatch):
+    monkeypatch.setattr("desim.view.pages.widget.PlayWidget", lambda *given: given)
+    assert desim.play(SMALL, 7.0) == (SMALL, 7.0)
