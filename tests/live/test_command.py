@@ -4,8 +4,10 @@ import csv
 import json
 import re
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy import stats
 
 from desim.analysis.measuring import summary
 from desim.analysis.metrics import METRICS, plain
@@ -192,6 +194,39 @@ def test_other_runs_differ_beyond_their_errors_and_the_margin(simulated):
     row = rows["active_time"]._replace(margin=abs(rows["active_time"].difference.mean))
     assert row.errors == 0.0
     assert row.agrees
+
+
+@pytest.mark.whole
+def test_the_numbers_of_a_comparison_are_those_of_its_runs():
+    """Means, paired differences, standard errors, what late actions explain, and the verdict: by scipy."""
+    simulated = [run(game("sap"), seed) for seed in range(4)]
+    slow = game("sap").with_({"network.latency": 0.3})
+    live = [pretended(run(slow, seed)) for seed in range(4)]
+    for k, result in enumerate(live):
+        result.conduct.orders += [(k + 1) * 1_000_000, 2_000_000]
+    agreement = Agreement(game("sap"), live, simulated)
+    late = sum(0.001 * (k + 1) + 0.002 for k in range(4)) / 4
+    rows = {
+        row[0]: row[1:] for line in agreement.table().splitlines() if len(row := re.split(r" {2,}", line.strip())) > 6
+    }
+    bound = stats.t.ppf(1.0 - 0.05 / 7 / 2, 3)
+    assert f"differs by more than {bound:.3g} standard errors" in agreement.table()
+    for entry in agreement.document()["rows"]:
+        name, is_time = entry["metric"], METRICS[entry["metric"]].unit == "s"
+        first, second = ([float(summary(one)[name]) for one in side] for side in (live, simulated))
+        differences = np.subtract(first, second)
+        error, margin = float(stats.sem(differences)), late * is_time
+        beyond = max(abs(differences.mean()) - margin, 0.0)
+        numbers = np.mean(first), np.mean(second), differences.mean(), margin, error
+        found = [entry[key] for key in ("live", "simulated", "difference", "margin", "standard_error")]
+        assert found == pytest.approx(numbers, abs=1e-12)
+        cells = rows[f"{name}, s" if is_time else name]
+        for cell, number in zip(cells, numbers, strict=False):
+            assert float(cell.replace(",", "")) == pytest.approx(number, abs=0.00051)
+        if error:
+            assert float(cells[5]) == pytest.approx(np.copysign(beyond / error, differences.mean()), abs=0.051)
+            assert entry["agrees"] == (beyond <= bound * error)
+        assert cells[6] == ("agrees" if entry["agrees"] else "differs")
 
 
 def test_a_comparison_needs_two_runs_and_hands_on_its_arguments(monkeypatch):
