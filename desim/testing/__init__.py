@@ -10,6 +10,7 @@ from desim.config.exports import lazy_exports
 
 if TYPE_CHECKING:
     from desim.testing.bodies import check_body as check_body
+    from desim.testing.decisions import check_dissemination as check_dissemination
     from desim.testing.decisions import check_protocol as check_protocol
     from desim.testing.decisions import check_schedule as check_schedule
     from desim.testing.evaders import check_evader as check_evader

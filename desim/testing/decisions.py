@@ -1,4 +1,4 @@
-"""Checks of protocols and schedules: `check_protocol` and `check_schedule`."""
+"""Checks of protocols, schedules and disseminations."""
 
 import inspect
 import os
@@ -11,7 +11,6 @@ from typing import Any
 import cloudpickle
 
 from desim.config.arguments import naming_arguments
-from desim.kernel.core.clock import Phase
 from desim.kernel.core.events import Broadcast, Event, Queued, Sent
 from desim.kernel.core.units import seconds
 from desim.kernel.models.faults import Crash
@@ -21,12 +20,12 @@ from desim.pursuit.core.events import Decided, Started
 from desim.pursuit.core.traits import ProtocolTraits
 from desim.pursuit.sensing.sensing import Sensing
 from desim.pursuit.team.agent import Agent, Process
-from desim.pursuit.team.announcements import Announcements
-from desim.pursuit.team.timing import Timing
+from desim.pursuit.team.announcements import DISSEMINATIONS, Announcements
+from desim.pursuit.team.timing import Ignores
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import PROTOCOLS, Recording, Scenario
 from desim.simulation.restartable import RestartableProcess
-from desim.simulation.run import Result, run
+from desim.simulation.run import Result, Simulation, run, run_observed
 from desim.testing.judging import SEED, Subject, require_equal, subject, twice
 from protocols.best_response import BestResponse
 from protocols.rule import SCHEDULES
@@ -51,12 +50,22 @@ SITUATIONS: dict[str, dict[str, Any]] = {
 """Scenarios of five pursuers that differ from the default in one or two keys."""
 
 
-def _scenario(protocol: Any, parts: dict[str, Any]) -> Scenario:
+SHARED = (
+    "changes the attributes of the object, which all pursuers share, so that they know of each other without a message:"
+    " keep what a pursuer remembers in local variables of the generator"
+)
+"""What is wrong with an object that remembers something."""
+
+
+def _scenario(protocol: Any, parts: dict[str, Any], dissemination: Any = None) -> Scenario:
     # Without heartbeats, which would announce an action that the protocol does not announce.
     announce = Announcements(trigger="change")
     team = Team(count=5, speeds=2.0)
     usual = {"horizon": HORIZON, "team": team, "announce": announce, "record": Recording(messages=True)}
-    return Scenario(**usual | {"protocol": protocol} | parts)
+    scenario = usual | {"protocol": protocol} | parts
+    if dissemination is not None:
+        scenario["announce"] = scenario["announce"].model_copy(update={"dissemination": dissemination})
+    return Scenario(**scenario)
 
 
 @naming_arguments
@@ -105,7 +114,52 @@ def check_schedule(schedule: Any, *, limit: float = 10.0) -> None:
     _check_runs(tested, BestResponse(schedule=tested.model), limit)
 
 
-def _check_runs(tested: Subject, protocol: Any, limit: float) -> None:
+@naming_arguments
+def check_dissemination(dissemination: Any, *, limit: float = 10.0) -> None:
+    """Check a dissemination; if you are unsure whether yours is right, run this.
+
+    It runs the protocol `best_response` with the dissemination as `check_protocol` does. It also checks that
+    announcements reach a teammate, and that the object remembers nothing, since all pursuers share it.
+
+    Args:
+        dissemination: an object, a class that needs no parameters, a kind, or "module:name".
+        limit: the time that each run may take, s of wall time.
+
+    Raises:
+        ContractError: an AssertionError; if the dissemination is wrong, with the situation and what is expected.
+    """
+    tested = subject(dissemination, DISSEMINATIONS, "dissemination")
+    _check_reach(tested, limit)
+    _check_runs(tested, BestResponse(), limit, tested.model)
+
+
+def _check_reach(tested: Subject, limit: float) -> None:
+    """Require that announcements get to teammates, and that the dissemination is then as it was before."""
+    where, known, objects = f"a run of {HORIZON:g} s without losses", set(), []
+
+    def listens(me: Agent) -> Process:
+        while True:
+            yield me.sleep(0.1)
+            me.assign(1 - me.action)
+            me.announce()
+            known.update((me.id, source) for source in me.latest_records() if source != me.id)
+
+    def begins(simulation: Simulation) -> None:
+        shared = simulation.agents[0]._announcements.dissemination
+        objects.append((shared, _memory_of(shared)))
+
+    with tested.judged(where, limit):
+        run_observed(_scenario(listens, {}, tested.model), SEED, (), begins)
+    tested.require(
+        known,
+        f"{where} ends, and no pursuer has a record of another: expected broadcast(me, announcement) to send or publish"
+        " it, and the process of a receiver to call me.merge_records(records)",
+    )
+    ((shared, memory),) = objects
+    tested.require(_memory_of(shared) == memory, f"{where} {SHARED}")
+
+
+def _check_runs(tested: Subject, protocol: Any, limit: float, dissemination: Any = None) -> None:
     """Run a protocol in all situations."""
     watchers: list[_Decisions] = []
 
@@ -116,7 +170,7 @@ def _check_runs(tested: Subject, protocol: Any, limit: float) -> None:
     decided, ignores = 0, True
     situations: dict[str, dict[str, Any]] = {"a run of five pursuers": {}, **SITUATIONS}
     for where, parts in situations.items():
-        scenario = partial(_scenario, protocol, parts)
+        scenario = partial(_scenario, protocol, parts, dissemination)
         result = twice(tested, where, scenario, limit=limit, watchers=[watcher])
         watchers[-1].judge(where)
         decided += watchers[-1].decided
@@ -129,25 +183,24 @@ def _check_runs(tested: Subject, protocol: Any, limit: float) -> None:
 
 def _check_ignored(tested: Subject, where: str, scenario: Scenario, result: Result, limit: float) -> bool:
     """Require that a run is the same if no message is ignored; return whether any could be (`ignores` of `listen`)."""
-    listen, told = Timing.listen, []
+    told: list[bool] = []
 
-    def take_all(me: Timing, act: Any, port: str = "", phase: Phase = Phase.DECISION, ignores: Any = None) -> Any:
-        told.append(ignores)
-        return listen(me, act, port, phase)
+    def take_all(ignores: Ignores | None) -> None:
+        told.append(ignores is not None)
 
-    Timing.listen = take_all  # type: ignore[method-assign, assignment]
-    try:
-        with tested.judged(where, limit):
-            taken = run(scenario, SEED)
-    finally:
-        Timing.listen = listen  # type: ignore[method-assign]
+    def begins(simulation: Simulation) -> None:
+        for agent in simulation.agents:
+            agent.screen = take_all
+
+    with tested.judged(where, limit):
+        taken = run_observed(scenario, SEED, (), begins)
     require_equal(
         tested,
         f"{where} is another one if no message is ignored",
         [result, taken],
         "`ignores` of me.listen should be true only of messages with which the function does nothing, now or later",
     )
-    return any(ignores is not None for ignores in told)
+    return any(told)
 
 
 class _Decisions:
@@ -201,8 +254,7 @@ class _Decisions:
         """Require that the protocol object is as it was at the first decision."""
         self._tested.require(
             self._protocol is None or _memory_of(self._protocol) == self._memory,
-            f"{where} changes the attributes of the object, which all pursuers share, so that they know of each other"
-            " without a message: keep what a pursuer remembers in local variables of the generator",
+            f"{where} {SHARED}",
         )
 
 

@@ -15,11 +15,13 @@ from desim.pursuit.byzantine.lies import PURSUER_FAULTS
 from desim.pursuit.evaders.evasion import STRATEGIES
 from desim.pursuit.motion.dynamics import DYNAMICS
 from desim.pursuit.motion.flow import FLOWS
+from desim.pursuit.team.announcements import DISSEMINATIONS
 from desim.pursuit.team.trust import TRUSTS
 from desim.scenario.scenario import PROTOCOLS
 from desim.testing import (
     ContractError,
     check_body,
+    check_dissemination,
     check_evader,
     check_exporter,
     check_fault,
@@ -45,6 +47,7 @@ CHECKS = [
     (check_body, DYNAMICS),
     (check_evader, STRATEGIES),
     (check_schedule, SCHEDULES),
+    (check_dissemination, DISSEMINATIONS),
     (check_protocol, PROTOCOLS),
     (check_fault, PURSUER_FAULTS),
     (check_trust, TRUSTS),
@@ -74,7 +77,12 @@ CASES = [
     for kind, model in family.choices().items()
     if check is not check_loss or kind not in SHARES  # those are checked with their share
 ]
-TRIED = {"check_protocol": decisions, "check_schedule": decisions, "check_trust": trust}
+TRIED = {
+    "check_protocol": decisions,
+    "check_schedule": decisions,
+    "check_dissemination": decisions,
+    "check_trust": trust,
+}
 """By check, the module of its situations."""
 DRAWS = {"check_latency": {"draws": 100}, "check_loss": {"draws": 400}}
 

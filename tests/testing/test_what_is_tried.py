@@ -20,6 +20,7 @@ from desim.pursuit.motion.flow import HarmonicFlow
 from desim.pursuit.team.trust import Plausible
 from desim.testing import (
     check_body,
+    check_dissemination,
     check_evader,
     check_exporter,
     check_fault,
@@ -74,6 +75,7 @@ CHECKS = {
     "trust": lambda: check_trust(Plausible()),
     "protocol": lambda: check_protocol(chase),
     "schedule": lambda: check_schedule("poisson"),
+    "dissemination": lambda: check_dissemination("one_hop"),
 }
 
 
@@ -106,6 +108,14 @@ class Tried:
         patch.setattr(Subject, "require", requiring)
         for module in (decisions, exporters, metrics, pursuits):
             patch.setattr(module, "run", self.running(module.run))
+        observed = decisions.run_observed
+        noted = self.running(lambda scenario, seed, *_: observed(scenario, seed, (), self.begins))
+
+        def observing(scenario, seed, watchers, begins):
+            self.begins = begins
+            return noted(scenario, seed, *watchers)
+
+        patch.setattr(decisions, "run_observed", observing)
 
     def running(self, run):
         """Return a function that notes the scenario that it runs, and what watches the run."""

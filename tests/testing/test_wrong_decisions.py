@@ -14,7 +14,15 @@ from desim.kernel.core.events import MessageCounts
 from desim.kernel.core.units import SECOND
 from desim.pursuit.core.events import Ended
 from desim.pursuit.team.agent import Agent
-from desim.testing import ContractError, check_metric, check_protocol, check_schedule, decisions, metrics
+from desim.testing import (
+    ContractError,
+    check_dissemination,
+    check_metric,
+    check_protocol,
+    check_schedule,
+    decisions,
+    metrics,
+)
 from desim.testing.judging import SEED
 from protocols.rule import Rule
 
@@ -352,6 +360,90 @@ def test_a_wrong_schedule_is_told_what_is_wrong_with_it(name):
     model, what = SCHEDULES[name]
     with pytest.raises(ContractError, match=what):
         check_schedule(model, limit=0.5 if "does not end" in what else 20.0)
+
+
+class Spread:
+    """A dissemination by messages to the neighbours; a receiver merges those that `ignores(me, message)` leaves."""
+
+    ignores = None
+
+    def broadcast(self, me, announcement):
+        me.send(None, me.record(announcement), "spread")
+
+    def __call__(self, me):
+        def take(messages):
+            me.merge_records([message.body for message in messages])
+
+        yield me.listen(take, "spread", ignores=self.ignores and (lambda message: self.ignores(me, message)))
+
+
+class IgnoresWhileItChases(Spread):
+    def ignores(self, me, message):
+        return me.action
+
+
+class SendsNothing(Spread):
+    def broadcast(self, me, announcement):
+        pass
+
+
+class Remembers(Spread):
+    def __init__(self):
+        self.known = set()
+
+    def broadcast(self, me, announcement):
+        self.known.add(me.id)
+        super().broadcast(me, announcement)
+
+
+DISSEMINATIONS = {
+    "an ignored message that would count": (
+        IgnoresWhileItChases,
+        r"is another one if no message is ignored, first .* and then .*: `ignores` of me\.listen should be true only",
+    ),
+    "nothing is sent": (SendsNothing, r"no pursuer has a record of another: expected broadcast\(me, announcement\) to"),
+    "memory": (
+        Remembers,
+        r"a run of 1 s without losses changes the attributes of the object, which all pursuers share",
+    ),
+}
+"""Wrong disseminations, and what each is told."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", DISSEMINATIONS)
+def test_a_wrong_dissemination_is_told_what_is_wrong_with_it(name):
+    model, what = DISSEMINATIONS[name]
+    with pytest.raises(ContractError, match=what):
+        check_dissemination(model(), limit=20.0)
+
+
+@pytest.mark.slow
+def test_a_dissemination_that_is_right_passes(monkeypatch):
+    monkeypatch.setattr(decisions, "SITUATIONS", {})
+    check_dissemination(Spread(), limit=20.0)
+
+
+@pytest.mark.slow
+def test_what_one_check_takes_changes_no_other_run_meanwhile(monkeypatch):
+    """Another run that begins while a check repeats a run without `ignores` ignores as it is told."""
+    asked, repeat = [], decisions.run_observed
+
+    def ignores(me):
+        return takes_turns(me, lambda message: asked.append(message) or False)
+
+    def repeated(scenario, seed, watchers, begins):
+        def begins_with_another(simulation):
+            begins(simulation)
+            asked.clear()
+            run(Scenario(horizon=0.25, protocol=ignores), 1)
+            assert asked
+
+        return repeat(scenario, seed, watchers, begins_with_another)
+
+    monkeypatch.setattr(decisions, "run_observed", repeated)
+    monkeypatch.setattr(decisions, "SITUATIONS", {})
+    check_protocol(ignores)
 
 
 @pytest.mark.parametrize("name", metrics.SITUATIONS)

@@ -17,8 +17,17 @@ MAX_AT_ONE_INSTANT = 100_000
 """The number of times that a pursuer may wait for the present instant before it is told that time stands still."""
 
 
+Ignores = Callable[[Message], bool]
+"""Returns whether the function that listens would do nothing with a message."""
+
+
 class StandstillError(RuntimeError):
     """A pursuer waits for the present instant again and again, so that time does not go on."""
+
+
+def _as_told(ignores: Ignores | None) -> Ignores | None:
+    """Let `listen` ignore what it is told to ignore."""
+    return ignores
 
 
 class Timing:
@@ -30,6 +39,7 @@ class Timing:
     Attributes:
         id: its id.
         restarts: number of restarts without memory after a crash.
+        screen: returns what `listen` ignores, given what it is told to ignore; a check of `desim.testing` returns None.
 
     Args:
         pursuer: its id.
@@ -41,6 +51,7 @@ class Timing:
     def __init__(self, pursuer: int, env: Clock, clock: NodeClock, network: Network):
         self.id = pursuer
         self.restarts = 0
+        self.screen: Callable[[Ignores | None], Ignores | None] = _as_told
         self._env, self._clock, self._network = env, clock, network
         self._instant, self._waits = -1, 0
         """The last instant at which it waited for the present, ns, and how often it did so then."""
@@ -155,7 +166,7 @@ class Timing:
         act: Callable[[list[Message]], object],
         port: str = "",
         phase: Phase = Phase.DECISION,
-        ignores: Callable[[Message], bool] | None = None,
+        ignores: Ignores | None = None,
     ) -> simpy.Event:
         """Call a function with the messages of a port as they arrive, and return an event that never happens.
 
@@ -166,8 +177,8 @@ class Timing:
         If in doubt, leave out `ignores`: it returns whether `act` would do nothing with a message, now or at any later
         time, such as with a copy of one that it has had. It is asked when the message is sent, so what it reads may
         only grow: a message that is ignored once must stay without effect until it arrives, unless the pursuer
-        restarts without memory. It must change nothing. `desim.testing.check_protocol` compares with runs without it.
-        Where most messages are ignored, a flood takes an eighth less time.
+        restarts without memory. It must change nothing. `check_protocol` and `check_dissemination` of `desim.testing`
+        compare with runs without it. Where most messages are ignored, a flood takes an eighth less time.
 
         Kept equal to a process that waits for each arrival by
         `tests/protocols/test_dissemination.py::test_flooding_by_a_function_is_flooding_by_a_process`.
@@ -188,7 +199,7 @@ class Timing:
             act(messages)
 
         inbox = self._network.inbox(self.id, port)
-        inbox.listen(phase + self.id, take, ignores)
+        inbox.listen(phase + self.id, take, self.screen(ignores))
         self._listening.append(inbox)
         return simpy.Event(self._env)
 
