@@ -18,6 +18,7 @@ from desim.kernel.models.links import Links
 from desim.kernel.models.reception import Disk, LogDistance, QuasiUnitDisk
 from desim.kernel.network import Network
 from desim.kernel.topology import topology as topology_module
+from desim.kernel.topology.kept_receivers import KeptReceivers
 from desim.kernel.topology.topology import FEW, Topology
 
 
@@ -320,6 +321,21 @@ def test_nothing_is_kept_if_links_may_change_at_any_time_or_have_no_border(given
     topology = Topology(Complete()(4), 6.0, wandering, **given, now=(lambda: 0.0) if knows_time else None)
     assert topology._kept is None
     assert topology.steady_receivers(0) == (set(), 0.0)
+
+
+@pytest.mark.parametrize("queries", [1, 2])
+def test_queries_of_one_broadcast_count_once_in_the_pause_between_two_searches(queries):
+    """Receivers that change at once: after 1, 2, 4, ..., 64 broadcasts those of the next are kept."""
+    now, found = 0.0, []
+    kept = KeptReceivers(8, 2.0, lambda: now)
+    for broadcast in range(300):
+        now = float(broadcast)
+        for _ in range(queries):
+            assert kept.of(0) is None
+            if kept.is_worthwhile(0):
+                kept.keep(0, [1], 0.0)
+                found.append(broadcast)
+    assert found == [0, 2, 6, 14, 30, 62, 126, 190, 254]
 
 
 def test_receivers_of_nodes_that_stand_still_are_searched_for_once():

@@ -14,15 +14,15 @@ from math import inf
 from desim.kernel.topology.spatial_hash import MIN_SIDE, ROUNDING
 
 MAX_PAUSE = 63
-"""Largest number of successive queries for which nothing is kept. A broadcast whose range is checked at both ends makes
-two: which nodes receive it, and until when they stay the same."""
+"""Largest number of successive queries for which nothing is kept."""
 
 
 class KeptReceivers:
     """The receivers of the last search for each node.
 
     Where nodes are many or fast, what is kept is seldom used again, and keeping costs a tenth of a search. So after
-    each search of which something is kept the pause until the next one grows, until something is used.
+    each search of which something is kept the pause until the next one grows, until something is used, as by the second
+    query of a broadcast whose range is checked at both ends.
 
     Args:
         size: number of nodes.
@@ -37,6 +37,8 @@ class KeptReceivers:
         """By node, the time, s, before which its receivers are certain."""
         self._pause = self._left = 0
         """Number of queries for which nothing is kept, and how many of them are left."""
+        self._asked: tuple[int, float] | None = None
+        """The node and the time, s, of the last query that was counted."""
 
     def of(self, node: int) -> list[int] | None:
         """Return the nodes that receive from a node now, read-only; None: they have to be searched for."""
@@ -49,8 +51,16 @@ class KeptReceivers:
         """Return the time, s, before which the receivers of a node that are kept are certain."""
         return self._until[node]
 
-    def is_worthwhile(self) -> bool:
-        """Count a query, and return whether to search for its answer and keep it."""
+    def is_worthwhile(self, node: int) -> bool:
+        """Count a query, and return whether to search for its answer and keep it.
+
+        Queries about one node at one instant count once, and only the first is worthwhile: a broadcast whose range is
+        checked at both ends asks which nodes receive it, and until when they stay the same.
+        """
+        asked = node, self._now()
+        if asked == self._asked:
+            return False
+        self._asked = asked
         self._left -= 1
         return self._left < 0
 

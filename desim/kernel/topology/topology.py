@@ -187,15 +187,14 @@ class Topology:
     def steady_receivers(self, node: int) -> tuple[set[int], float]:
         """Return the nodes that receive from a node now, and the time, ns, before which they certainly stay the same.
 
-        The time is 0 if nothing is known; the search for receivers is not repeated for it each time. The pause between
-        two searches (`MAX_PAUSE`) counts this query and that of `hearers` for one transmission as two.
+        The time is 0 if nothing is known; the search for receivers is not repeated for it each time.
         """
         kept = self._kept
         if kept is None:
             return set(), 0.0
         receivers = kept.of(node)
         if receivers is None:
-            if not kept.is_worthwhile():
+            if not kept.is_worthwhile(node):
                 return set(), 0.0
             receivers = self._search(node, kept)
         return set(receivers), kept.until(node) * SECOND
@@ -288,7 +287,7 @@ class Topology:
         """Return the nodes that receive from a node now, ascending; read-only."""
         if (same := kept.of(node)) is not None:
             return same
-        if kept.is_worthwhile():
+        if kept.is_worthwhile(node):
             return self._search(node, kept)
         receivers: list[int] = self._near(node, self._candidates(node)).tolist()
         return receivers
