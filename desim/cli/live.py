@@ -13,6 +13,7 @@ from desim.cli.output import FAILED, RAISED, echo, fail, folder_for, make_folder
 from desim.cli.result_files import show
 from desim.cli.sources import shown_metrics, source_of
 from desim.config.file_names import LIVE
+from desim.config.whole_files import write_whole
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -151,7 +152,7 @@ def _write(result: "LiveResult", folder: Path) -> None:
 
     try:
         run_folder.write(result, folder)
-        (folder / LIVE).write_text(json.dumps(result.conduct.document(), indent=2) + "\n", encoding="utf-8")
+        write_whole(folder / LIVE, (json.dumps(result.conduct.document(), indent=2) + "\n").encode())
     except OSError as error:
         fail(f"--out {error.filename or folder}: cannot be written: {error.strerror}")
 

@@ -30,7 +30,8 @@ def replacing(path: Path) -> Iterator[Path]:
     """Yield the path PATH.*.part of a file to be written, which replaces `path` at the end; after an error, remove it.
 
     The middle of its name is random, so that two programs which write one file at once do not write into one another's.
-    A device or a pipe, such as /dev/stdout, cannot be replaced: its own path is yielded.
+    It is created here, so no file is written through a symbolic link of that name. A device or a pipe, such as
+    /dev/stdout, cannot be replaced: its own path is yielded.
 
     Raises:
         OSError: if the file cannot be replaced.
@@ -39,6 +40,7 @@ def replacing(path: Path) -> Iterator[Path]:
         yield path
         return
     part = path.with_name(f"{path.name}.{token_hex(4)}.part")
+    _create(part, path)
     try:
         yield part
         part.replace(path)
@@ -47,6 +49,21 @@ def replacing(path: Path) -> Iterator[Path]:
             part.unlink()
         if isinstance(error, OSError) and error.filename in {None, str(part)}:
             error.filename = str(path)  # the file that the caller knows
+        raise
+
+
+def _create(part: Path, path: Path) -> None:
+    """Create the empty part of a file.
+
+    Raises:
+        OSError: if it cannot be created, or something has its name; about the file that the caller knows.
+    """
+    try:
+        part.touch(exist_ok=False)
+    except OSError as error:
+        if isinstance(error, FileExistsError):
+            error.strerror = f"{part.name} exists already, and is not followed or overwritten"
+        error.filename = str(path)
         raise
 
 

@@ -358,6 +358,19 @@ def test_a_program_that_is_killed_leaves_the_first_lines(tmp_path):
     assert left.count("\n") > 2000 - BLOCK - 100
 
 
+def test_a_part_that_is_a_symbolic_link_is_not_followed(tmp_path, monkeypatch):
+    """Also if it has become one after the question: the second time, it is asked as if there were none."""
+    secret, path = tmp_path / "secret", tmp_path / "trace.jsonl"
+    secret.write_text("kept")
+    (tmp_path / "trace.jsonl.part").symlink_to(secret)
+    with pytest.raises(OSError, match=r"trace\.jsonl\.part is a symbolic link, which is not followed: remove it"):
+        written(path, beating(3))
+    monkeypatch.setattr(Path, "is_symlink", lambda _: False)
+    with pytest.raises(OSError, match="symbolic links"):
+        written(path, beating(3))
+    assert secret.read_text() == "kept"
+
+
 def test_a_broadcast_to_many_is_not_kept_in_memory(tmp_path):
     with TraceFile(tmp_path / "trace.jsonl") as file:
         file(broadcast(LONG))

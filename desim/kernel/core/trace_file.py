@@ -10,7 +10,7 @@ import json
 import os
 from collections import namedtuple
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from errno import EAGAIN
+from errno import EAGAIN, ELOOP
 from functools import cache, lru_cache
 from keyword import iskeyword
 from math import isfinite
@@ -65,6 +65,7 @@ class TraceFile:
         ValueError: if the path is none; at the beginning of the block, if another `TraceFile` of this process writes
             the file.
         BlockingIOError: at the beginning of the block, if another process writes the file.
+        OSError: at the beginning of the block, if the .part file cannot be opened, or is a symbolic link.
     """
 
     def __init__(self, path: str | Path):
@@ -139,10 +140,13 @@ def _open_alone(part: Path, path: Path) -> IO[str]:
 
     Raises:
         BlockingIOError: if another process writes it; the message names the path.
-        OSError: if it cannot be opened.
+        OSError: if it cannot be opened, or is a symbolic link.
     """
     while True:
-        file = part.open("a", encoding="utf-8", newline="\n")  # it is cut only when it is locked
+        if part.is_symlink():
+            raise OSError(ELOOP, f"{part.name} is a symbolic link, which is not followed: remove it", str(path))
+        # It is cut only when it is locked.
+        file = open(part, "a", encoding="utf-8", newline="\n", opener=_open_no_link)  # noqa: SIM115 closed by the caller
         try:
             if HAS_LOCKS:
                 _lock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -155,6 +159,11 @@ def _open_alone(part: Path, path: Path) -> IO[str]:
             why = "is written by another process: each run needs a file of its own"
             raise BlockingIOError(EAGAIN, why, str(path)) from None
         return file
+
+
+def _open_no_link(path: str, flags: int) -> int:
+    """Open a file that is no symbolic link, also if it has become one meanwhile; Windows does not know."""
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 def _lock(file: IO[str], operation: int) -> None:
