@@ -90,7 +90,7 @@ def runs(
         raise ValueError('hosts have real links between them, so links should be "drawn"')
     with _places(scenario, links, hosts) as places:
         options: Any = {"hosts": places.hosts, "namespaces": places.namespaces, "draws": links != "netem"}
-        return _play([(scenario, seed) for seed in seeds], at_once, finished, tell=tell, **options)
+        return _play(scenario, seeds, at_once, finished, tell=tell, **options)
 
 
 def _check_hosts(hosts: Any, size: int) -> None:
@@ -103,28 +103,19 @@ def _check_hosts(hosts: Any, size: int) -> None:
         raise ValueError(f"a host should have a name or an address (got {hosts!r})")
 
 
-def run_all(tasks: Sequence[tuple[Scenario, int]], *, at_once: int = 1) -> list[LiveResult]:
-    """Run several scenarios live, on the loopback, each with a seed, and return the results in their order.
-
-    Raises:
-        ValueError: if a scenario cannot run live.
-        LiveError: if a process does not start, or a protocol raises an exception.
-    """
-    return _play(tasks, at_once, None)
-
-
 def _play(
-    tasks: Sequence[tuple[Scenario, int | None]],
+    scenario: Scenario,
+    seeds: Sequence[int | None],
     at_once: int,
     finished: Callable[[LiveResult], object] | None,
     **options: Any,
 ) -> list[LiveResult]:
-    """Run scenarios live, some at the same time; `options` are those of `Referee`."""
+    """Run a scenario live with several seeds, some at the same time; `options` are those of `Referee`."""
 
     async def play() -> list[LiveResult]:
         limit = asyncio.Semaphore(at_once)
 
-        async def one(scenario: Scenario, seed: int | None) -> LiveResult:
+        async def one(seed: int | None) -> LiveResult:
             async with limit:
                 result = await Referee(scenario, seed, **options).play(nursery)
                 if finished is not None:
@@ -132,7 +123,7 @@ def _play(
                 return result
 
         async with Nursery() as nursery, asyncio.TaskGroup() as group:
-            running = [group.create_task(one(*task)) for task in tasks]
+            running = [group.create_task(one(seed)) for seed in seeds]
         return [task.result() for task in running]
 
     return _run(play)  # type: ignore[no-any-return]

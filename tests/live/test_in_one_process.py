@@ -347,7 +347,6 @@ def test_runs_are_in_the_order_of_their_seeds_and_told_as_they_end(monkeypatch):
     results = runs(experiment, [3, 1, None], at_once=2, finished=finished.append)
     assert [result.seed for result in results] == [3, 1, experiment.seed]
     assert len(finished) == 3
-    assert [result.seed for result in runs_module.run_all([(experiment, 5)])] == [5]
 
     async def within_a_loop():
         return runs_module.run(experiment, 6).seed

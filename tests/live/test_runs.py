@@ -7,6 +7,8 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
+from itertools import repeat
 from math import inf, sqrt
 from pathlib import Path
 from typing import Literal
@@ -21,7 +23,7 @@ from desim.config.model import Value
 from desim.kernel.core.events import LOST, Broadcast, ClockCorrected, Delivered, Lost, MessageCounts, Sent
 from desim.kernel.models.traced_faults import FaultStarted
 from desim.live.agreement import FALSE_ALARMS, GATE, SHOWN, Row, _row, compare
-from desim.live.live_runs import run, run_all, runs
+from desim.live.live_runs import run, runs
 from desim.live.lobby import LiveError
 from desim.live.namespaces import NamespaceError
 from desim.pursuit.core.events import Sampled
@@ -161,7 +163,8 @@ def variant(changes) -> Scenario:
 def test_each_message_and_each_model_that_runs_live_runs_as_it_is_simulated():
     """Numbers of messages are those of the simulation to a fifth, because each timer is at the same time."""
     experiments = [variant(changes) for changes in VARIANTS.values()]
-    results = run_all([(experiment, 5) for experiment in experiments], at_once=3)
+    with ThreadPoolExecutor(3) as pool:
+        results = list(pool.map(run, experiments, repeat(5)))
     for name, experiment, result in zip(VARIANTS, experiments, results, strict=True):
         conservation, once = Conservation(), DeliveredOnce()
         for event in result.trace:

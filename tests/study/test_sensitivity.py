@@ -176,8 +176,8 @@ def test_the_intervals_of_ten_trajectories_cover_the_effect_as_often_as_they_say
 
 def test_the_ends_of_a_bootstrap_are_expanded_to_those_of_student():
     """Of many values they are the plain percentiles; of ten, the normal ones at sqrt(10/9) t(9) = 2.3845."""
-    assert bootstrap_ends(10**6, 0.95) == pytest.approx([2.5, 97.5], abs=1e-3)
-    assert bootstrap_ends(10, 0.95)[0] == pytest.approx(100.0 * stats.norm.cdf(-sqrt(10 / 9) * stats.t.ppf(0.975, 9)))
+    assert bootstrap_ends(10**6) == pytest.approx([2.5, 97.5], abs=1e-3)
+    assert bootstrap_ends(10)[0] == pytest.approx(100.0 * stats.norm.cdf(-sqrt(10 / 9) * stats.t.ppf(0.975, 9)))
 
 
 @pytest.mark.slow

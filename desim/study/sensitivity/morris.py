@@ -82,7 +82,6 @@ def elementary_effects(
     values: Floats,
     spans: Floats | None = None,
     *,
-    confidence: float = 0.95,
     resamples: int = 1000,
     rng: np.random.Generator | None = None,
 ) -> ElementaryEffects:
@@ -95,7 +94,6 @@ def elementary_effects(
         spans: the (trajectories, inputs) shares of the ranges over which the steps go, and 1 for lists, whose effects
             are not scaled; None: the differences of the points. Where a share is 0, the step changes nothing, and the
             effect is 0.
-        confidence: the confidence of the intervals.
         resamples: the number of bootstrap samples, which draw trajectories.
         rng: draws them; None = one with the seed 0.
     """
@@ -120,7 +118,7 @@ def elementary_effects(
         errors = by_input(by_seed.std(axis=2, ddof=1) / sqrt(seeds))
         of_chance = np.sqrt(2.0 / pi * np.square(errors).mean(axis=0)).tolist()
     draws = rng.integers(len(effects), size=(resamples, len(effects)))
-    ends = bootstrap_ends(len(effects), confidence) if len(effects) > 1 else [0.0, 100.0]
+    ends = bootstrap_ends(len(effects)) if len(effects) > 1 else [0.0, 100.0]
     low, high = np.percentile(np.abs(effects)[draws].mean(axis=1), ends, axis=0).tolist()
     sizes = np.abs(effects).mean(axis=0).tolist()
     spreads = effects.std(axis=0, ddof=1) if len(effects) > 1 else np.zeros(len(sizes))

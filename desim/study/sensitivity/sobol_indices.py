@@ -63,9 +63,7 @@ def saltelli_points(size: int, inputs: int, seed: int = 0) -> Floats:
     return np.stack([a, b, *(np.where(np.arange(inputs) == i, b, a) for i in range(inputs))])
 
 
-def sobol_indices(
-    values: Floats, *, confidence: float = 0.95, resamples: int = 1000, rng: np.random.Generator | None = None
-) -> SobolIndices:
+def sobol_indices(values: Floats, *, resamples: int = 1000, rng: np.random.Generator | None = None) -> SobolIndices:
     """Return the indices of the inputs of a model; see the module.
 
     The intervals are percentiles of a bootstrap over the points; see `bootstrap_ends`. They hold for the seeds that
@@ -73,7 +71,6 @@ def sobol_indices(
 
     Args:
         values: the (inputs + 2, size, seeds) values of the model at the points of `saltelli_points`.
-        confidence: the confidence of the intervals.
         resamples: the number of bootstrap samples.
         rng: draws them; None = one with the seed 0.
     """
@@ -81,7 +78,7 @@ def sobol_indices(
     first, total, variance = _estimates(values)
     size, seeds = values.shape[1:]
     samples = [_estimates(values[:, rng.integers(size, size=size)]) for _ in range(resamples)]
-    ends = bootstrap_ends(size, confidence)
+    ends = bootstrap_ends(size)
     least = float(np.percentile([sample[2] for sample in samples], ends[0]))
     is_varied = variance > 0.0 and least > 0.0
     chance = float(values[:2].var(axis=2, ddof=1).mean()) if seeds > 1 else nan
@@ -107,8 +104,8 @@ def sobol_indices(
     )
 
 
-def bootstrap_ends(size: int, confidence: float) -> Floats:
-    """Return the two percentiles of bootstrap samples, in %, that bound the interval of a mean of n values.
+def bootstrap_ends(size: int) -> Floats:
+    """Return the two percentiles of bootstrap samples, in %, that bound the 95 % interval of a mean of n values.
 
     A resampled mean varies less than the mean, by the factor sqrt(1 - 1/n), and as a normal number, not as Student's t:
     of ten values, the plain percentiles cover the mean in 90 % of cases instead of 95 %. So the percentiles lie further
@@ -117,7 +114,7 @@ def bootstrap_ends(size: int, confidence: float) -> Floats:
     """
     from scipy.special import ndtr
 
-    outside = ndtr(-sqrt(size / (size - 1)) * t_quantile(size - 1, confidence))
+    outside = ndtr(-sqrt(size / (size - 1)) * t_quantile(size - 1, 0.95))
     return np.array([100.0 * outside, 100.0 * (1.0 - outside)])
 
 
