@@ -46,14 +46,9 @@ class Level(NamedTuple):
 
 
 class Tally:
-    """The quantities that follow from the actions alone, kept up to date event by event.
-
-    Attributes:
-        has_begun: whether the run has begun.
-    """
+    """The quantities that follow from the actions alone, kept up to date event by event."""
 
     def __init__(self) -> None:
-        self.has_begun = False
         self._profile: list[int] = []
         self._at_large: set[int] = set()
         self._evaders = 0
@@ -72,7 +67,7 @@ class Tally:
             self._profile = [0 if chased == event.evader else chased for chased in self._profile]
         elif isinstance(event, Started):
             self._profile, self._evaders = list(event.active), len(event.evaders)
-            self._at_large, self.has_begun = set(range(1, self._evaders + 1)), True
+            self._at_large = set(range(1, self._evaders + 1))
         elif isinstance(event, FaultStarted | FaultEnded) and isinstance(event.fault, Crash):
             if event.fault.scope == "robot":
                 self._down[event.fault.node] += 1 if isinstance(event, FaultStarted) else -1
