@@ -10,8 +10,8 @@ Parameters: schedule, utility; rho (rate of forgetting), alpha (probability of c
 Assumes: announcements of all teammates; revisions in any order. With the default parameters, regret matching has no
     regret in the long run, and the empirical frequencies of profiles (joint actions) tend to the coarse correlated
     equilibria. In the game with one evader and constant capture times, the only coarse correlated equilibrium is the
-    relay profile, if the conditions in `desim.pursuit.game.game.relay_profile` hold. Generalised regret matching
-    settles in a pure equilibrium.
+    profile in which the relay pursuer alone is active, if the conditions in `desim.pursuit.game.game.relay_pursuer`
+    hold. Generalised regret matching settles in a pure equilibrium.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats.
 """
