@@ -5,7 +5,9 @@ import json
 import os
 import subprocess
 import sys
+from inspect import signature
 from pathlib import Path
+from types import FunctionType
 from xml.etree import ElementTree
 
 import click
@@ -29,6 +31,7 @@ from desim.study.results.waterfalls import waterfall
 from desim.study.sweeps.sweep import sweep
 from tests.command import accepted, refused
 from tests.command import desim as call
+from tests.test_kinds import modules
 
 ROOT = Path(__file__).parent.parent
 SHORT = "horizon = 0.1\nteam.count = 2\n"
@@ -646,3 +649,17 @@ def test_the_name_of_a_part_is_drawn_as_it_is(tmp_path):
     for path in save(waterfall(type(found).of(document | {"name": WORST[:30]})), tmp_path / "explain"):
         assert path.stat().st_size
     ElementTree.parse(tmp_path / "explain.svg")
+
+
+def test_no_function_imports_code_of_a_file_unless_it_is_asked_to():
+    found = {}
+    for module in modules().values():
+        for owner in [module, *(kind for kind in [*vars(module).values()] if isinstance(kind, type))]:
+            for name, function in [*vars(owner).items()]:
+                called = getattr(function, "__func__", function)
+                if isinstance(called, FunctionType) and called.__module__ == module.__name__:
+                    parameter = signature(called).parameters.get("allow_import")
+                    if parameter is not None and parameter.default is not parameter.empty:
+                        found[f"{module.__name__}.{name}"] = parameter.default
+    assert len(found) > 5
+    assert set(found.values()) == {False}

@@ -331,6 +331,10 @@ NO_GRAPHS = {
     "mixed.csv": ("Source,Target,Type\n0,1,Directed\n1,2,Undirected\n", "has directed and undirected edges"),
     "parallel.csv": ("source,target,loss\n0,1,0\n0,1,1\n", "edges 0 and 1 are parallel: both join nodes 0 and 1"),
     "nodes.csv": ("Id,Label\na,a\nb,b\n", "line 1: Id, Label are the columns of a table of nodes"),
+    **{
+        f"{name}.csv": (f"{name},x\na,a\nb,b\n", f"line 1: {name}, x are the columns of a table of nodes")
+        for name in ("id", "Node", "name", "LABEL", "node_id", "NodeId", "vertex")
+    },
     "numbers.csv": ("Id;Label\n1;\n2;base\n", "line 1: Id, Label are the columns of a table of nodes"),
     "title.brite": (
         "Topology: ( 2 Nodes, 1 Edges )\nNodes: ( 2 )\n",

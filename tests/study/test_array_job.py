@@ -5,9 +5,11 @@ import os
 import shutil
 import signal
 import subprocess
+from dataclasses import asdict
 
 import pytest
 
+from desim.cli import main
 from desim.study.sweeps import array_job
 from desim.study.sweeps.array_job import ArrayJob, _ranges
 from desim.study.sweeps.status import SweepStatus
@@ -195,3 +197,11 @@ def test_a_slurm_that_does_not_answer_is_told(monkeypatch):
 @pytest.mark.parametrize(("planned", "done", "ended"), [(None, 3, False), (4, 3, False), (3, 3, True), (3, 4, True)])
 def test_a_sweep_has_ended_with_all_its_planned_runs(planned, done, ended):
     assert SweepStatus("name", planned, done, 0, ()).is_complete is ended
+
+
+def test_the_command_and_the_scripts_ask_for_the_same_resources_by_default():
+    defaults = {option.name: option.default for option in main.commands["submit"].params}
+    asked = asdict(array_job.Resources())
+    assert {name: defaults[name] for name in ("time", "cpus", "memory")} == {
+        name: value for name, value in asked.items() if name != "options"
+    }

@@ -10,6 +10,7 @@ import threading
 import time
 import warnings
 from contextlib import contextmanager
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -121,6 +122,11 @@ def test_a_link_is_followed_and_a_machine_without_the_table_recognises_nothing(t
     assert network_file_system(link / "later" / "sweep.sqlite") == "NFS"
     monkeypatch.setattr(file_systems, "MOUNTS", tmp_path / "none")
     assert network_file_system(link) == ""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the table of mounts is that of Linux")
+def test_the_table_of_mounts_is_that_of_this_machine():
+    assert Path("/") in {point for point, _ in file_systems._mounts()}
 
 
 TYPES = {
