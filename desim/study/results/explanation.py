@@ -215,14 +215,14 @@ class Explanation(TabularResult):
 
 
 def _network(metric: str, bounds: Bounds, unit: str) -> Iterator[str]:
-    """Yield a note if the network cannot matter in a metric, or its bounds cannot be told apart."""
+    """Yield a note if the network made no difference in a metric, or its bounds cannot be told apart."""
     difference = bounds.difference
     if not difference.mean.count:
         return
     if not difference.differing:
         most = percent(wilson(0, difference.mean.count)[1]).replace("%", " %")
         yield (
-            f"the network cannot matter in {metric}: a {PERFECT} and {SILENT} are equal in every run; up to"
+            f"the network made no difference in {metric}: a {PERFECT} and {SILENT} are equal in every run; up to"
             f" {most} of all seeds may differ (95 % Wilson interval)"
         )
     elif difference.mean.others is not None and not difference.excludes_0():
@@ -232,7 +232,10 @@ def _network(metric: str, bounds: Bounds, unit: str) -> Iterator[str]:
         )
     elif difference.mean.count > 1 and not difference.excludes_0():
         width = _width(difference.mean, unit)
-        yield f"the network hardly matters in {metric}: a {PERFECT} and {SILENT} cannot be told apart ({width})"
+        yield (
+            f"whether the network matters in {metric} is not known: a {PERFECT} and {SILENT} cannot be told apart"
+            f" ({width})"
+        )
 
 
 def _width(estimate: Estimate, unit: str) -> str:
