@@ -135,7 +135,9 @@ class Agreement:
     def _verdict(self) -> str:
         if not self.is_on_time:
             return f"no verdict: timers were late by more than {1e3 * GATE:g} ms; try again on an idle machine"
-        return "live and simulated agree" if self.agrees else "live and simulated differ"
+        if self.agrees:
+            return f"live and simulated agree, as far as {len(self.live)} runs of each tell"
+        return "live and simulated differ"
 
     def document(self) -> dict[str, Any]:
         """Return the comparison as JSON types."""
