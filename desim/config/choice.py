@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, is_dataclass
 from functools import cache, cached_property
 from importlib.metadata import EntryPoint
 from inspect import signature
@@ -35,6 +34,7 @@ from desim.config.named_code import (
     refusal,
 )
 from desim.config.number_texts import why_no_number
+from desim.config.parameters import parameters_of, sorted_sets
 from desim.config.python_numbers import as_python
 from desim.config.traits import Traits, attributes, is_ours, name_of, positions
 from desim.config.trust import is_trusted
@@ -147,13 +147,12 @@ class OneOf:
     def _serialize(self, value: Any, write: Callable[[Any], Any], info: SerializationInfo) -> Any:
         if self.holds(value):
             return write(value)
-        parameters = {}
         if isinstance(value, BaseModel):
             parameters = value.model_dump(exclude_none=info.exclude_none)
-        elif is_dataclass(value):
-            parameters = attributes(value, [field.name for field in fields(value) if field.init])
+        else:
+            parameters = parameters_of(value) or {}
             parameters = {key: entry for key, entry in parameters.items() if not (info.exclude_none and entry is None)}
-        return parameters | {"kind": import_name(definition_of(value))}
+        return sorted_sets(parameters) | {"kind": import_name(definition_of(value))}
 
     def _from_table(self, table: Any, info: ValidationInfo) -> Any:
         """Return the model that a table describes, or validate and return a value that already is a model.

@@ -31,6 +31,7 @@ from desim.config.errors import WORDINGS, KeyedError, Problem
 from desim.config.field_docs import annotated, fields_of
 from desim.config.interrupts import deferred
 from desim.config.json_numbers import from_json
+from desim.config.parameters import are_equal, in_json
 from desim.config.python_numbers import as_python, why_no_text
 from desim.config.suggestion import did_you_mean
 
@@ -213,6 +214,7 @@ class Value(BaseModel, metaclass=_ValueType):
         frozen=True,
         extra="forbid",
         ser_json_inf_nan="strings",
+        ser_json_bytes="hex",
         defer_build=True,  # a run uses few models, and building all of them takes longer than a short run
     )
 
@@ -275,6 +277,16 @@ class Value(BaseModel, metaclass=_ValueType):
 
     def __str__(self) -> str:
         return repr(self)
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether the other object is of this class and has equal fields; a user's may be arrays."""
+        try:
+            return super().__eq__(other)
+        except (TypeError, ValueError):
+            names = type(self).model_fields
+            return type(self) is type(other) and all(
+                are_equal(getattr(self, name), getattr(other, name)) for name in names
+            )
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Return a copy with other values of some fields, validated like a new model; `copy.replace` does the same.
@@ -374,7 +386,7 @@ class Value(BaseModel, metaclass=_ValueType):
         return {
             name: getattr(self, name)
             for name, field in type(self).model_fields.items()
-            if field.is_required() or getattr(self, name) != field.get_default(call_default_factory=True)
+            if field.is_required() or not are_equal(getattr(self, name), field.get_default(call_default_factory=True))
         }
 
     def __repr_args__(self) -> Iterator[tuple[str, Any]]:
@@ -389,9 +401,12 @@ class Value(BaseModel, metaclass=_ValueType):
             return super().model_dump(**options)
 
     def model_dump_json(self, **options: Any) -> str:
-        """Return the fields as JSON text, see `pydantic.BaseModel.model_dump_json`; interrupts are deferred."""
+        """Return the fields as JSON text, see `pydantic.BaseModel.model_dump_json`; interrupts are deferred.
+
+        What JSON lacks is written as `in_json` says.
+        """
         with deferred():
-            return super().model_dump_json(**options)
+            return super().model_dump_json(**({"fallback": in_json} | options))
 
     def plain(self) -> dict[str, Any]:
         """Return the fields as JSON values; infinity is the string "Infinity"."""

@@ -7,7 +7,6 @@ import json
 import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import is_dataclass
 from pathlib import Path
 from types import FunctionType, NoneType
 from typing import TYPE_CHECKING, Any
@@ -250,17 +249,36 @@ def _not_importable(tables: Document) -> Iterator[tuple[KeyPath, str]]:
 
 
 def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
-    """Yield the dotted key of each callable object that has state and whose class is no model and no dataclass.
+    """Yield the dotted key of each callable object with state that is neither a model nor a dataclass.
 
-    The parameters of such an object are not recorded.
+    The state of such an object is not recorded. Parameters are, except those of which JSON has a name only: their keys
+    follow.
     """
     from pydantic import BaseModel
 
+    from desim.config.parameters import is_named_only, parameters_of
+    from desim.config.traits import is_ours
+
     if isinstance(node, BaseModel):
-        for name, value in node:
-            yield from _unrecorded(value, (*place, name))
-    elif isinstance(node, tuple):
-        for k, entry in enumerate(node):
-            yield from _unrecorded(entry, (*place, str(k)))
-    elif callable(node) and not isinstance(node, FunctionType) and not is_dataclass(node) and node.__getstate__():
-        yield ".".join(place)
+        inner = dict(node)
+    elif (parameters := parameters_of(node)) is not None:
+        inner = parameters
+    elif isinstance(node, tuple) and not callable(node):
+        inner = {str(k): entry for k, entry in enumerate(node)}
+    else:
+        if callable(node) and not isinstance(node, FunctionType | type) and node.__getstate__():
+            yield ".".join(place)
+        return
+    for name, value in inner.items():
+        yield from _unrecorded(value, (*place, name))
+        if not isinstance(node, tuple) and not is_ours(type(node)) and _is_parameter(node, name, value):
+            yield from [".".join((*place, name))] if is_named_only(value) else []
+
+
+def _is_parameter(node: Any, name: str, value: Any) -> bool:
+    """Return whether a field of a user's model is no model itself, which its name would select."""
+    from desim.config.choice import choices_of
+
+    field = getattr(type(node), "model_fields", {}).get(name)
+    is_chosen = field is not None and choices_of(field)
+    return not is_chosen and (isinstance(value, FunctionType | type) or not callable(value))

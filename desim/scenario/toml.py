@@ -5,6 +5,8 @@ import re
 from codecs import BOM_UTF8
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from datetime import date, time
+from decimal import Decimal
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -15,6 +17,7 @@ import tomli_w
 from desim.config.arguments import Argument, naming_arguments
 from desim.config.errors import Problem
 from desim.config.own_modules import CodeName
+from desim.config.parameters import as_jsonable
 from desim.config.suggestion import close_to
 from desim.config.tables import nested, value_at
 from desim.config.traits import kind_of
@@ -203,7 +206,7 @@ def validate(source: Source) -> Scenario:
 
 def dump(scenario: Scenario) -> str:
     """Return a scenario as TOML, defaults included; keys with the value None are left out, because TOML has no null."""
-    tables = scenario.model_dump(exclude_none=True)
+    tables = _in_toml(scenario.model_dump(exclude_none=True))
     text = tomli_w.dumps(tables)
     # A reader of TOML changes the line ends \r\n of a text that is written in several lines.
     return text if "\\r" in text else tomli_w.dumps(tables, multiline_strings=True)
@@ -228,7 +231,18 @@ def brief(scenario: Scenario, folder: Path | None = None, **texts: Any) -> str:
         same = validate(Source("", tables, Scenario, folder=folder, allow_import=folder is not None)) == scenario
     except ScenarioError:  # files or code of the scenario are looked up elsewhere
         same = False
-    return tomli_w.dumps(tables) if same else dump(scenario)
+    return tomli_w.dumps(_in_toml(tables)) if same else dump(scenario)
+
+
+def _in_toml(value: Any) -> Any:
+    """Return a value with what JSON has in place of objects that TOML lacks; a parameter of a model may be any."""
+    if isinstance(value, dict):
+        return {str(key): _in_toml(member) for key, member in value.items()}
+    if isinstance(value, list | tuple):
+        return [_in_toml(member) for member in value]
+    if isinstance(value, TOML_TYPES):
+        return value
+    return "none" if value is None else _in_toml(as_jsonable(value))
 
 
 def _differing(tables: dict[str, Any], defaults: dict[str, Any]) -> dict[str, Any]:
@@ -272,6 +286,8 @@ def _syntax_error(file: str | PathLike[str], message: str, text: str) -> str:
     return f"{file}:{line}: not TOML: {problem}{column}"
 
 
+TOML_TYPES = (str, bool, int, float, Decimal, date, time)
+"""The types of values without parts that TOML has."""
 DOT = "', '"
 """What `tomllib` writes between the parts of a key."""
 UNCLOSED = {r"Illegal character '\n'", "Unterminated string", """Expected "'\"""", "Expected '\"'"}

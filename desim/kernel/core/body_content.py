@@ -82,6 +82,8 @@ def content(value: Any) -> Any:
         return parts
     if callable(getattr(kind, "tolist", None)):
         return value.tolist()
+    if hasattr(kind, "to_pydict"):  # of Arrow
+        return value.to_pydict()
     if hasattr(kind, "columns") and hasattr(kind, "to_dict"):
         if len({*value.columns}) < len(value.columns):
             raise ValueError("it has several columns of one name")
@@ -114,7 +116,8 @@ def public_attributes(items: Any) -> Fields:
     if not isinstance(items, list | dict | tuple | set | frozenset) or not type(items).__dictoffset__:
         return Fields()
     attributes = {} if vars(items) is items else vars(items)  # a dict may be its own attributes
-    return Fields({name: item for name, item in attributes.items() if name[0] != "_"})
+    computed = computed_names(type(items))
+    return Fields({name: item for name, item in attributes.items() if name[0] != "_" and name not in computed})
 
 
 def _with_attributes(parts: Any, items: Any) -> Any:
@@ -185,10 +188,33 @@ def _field_names(kind: Any) -> tuple[str, ...] | None:
 
 
 def attributes_of(value: Any) -> Fields:
-    """Return the attributes that are stored in an object, by name; those in slots are last, sorted."""
+    """Return the attributes that are stored in an object, by name; those in slots are last, sorted.
+
+    An attribute that its class leaves out of its pickles, such as a lock, is none, nor is a `cached_property`: it follows
+    from others, and whether it is stored depends on who has read it.
+    """
+    kind: Any = type(value)
     state = object.__getstate__(value)
     stored, slots = state if isinstance(state, tuple) else (state, None)
-    return Fields((stored or {}) | dict(sorted((slots or {}).items())))
+    stored = stored or {}
+    if stored and kind.__getstate__ is not object.__getstate__:
+        pickled = value.__getstate__()
+        if isinstance(pickled, dict) and pickled.keys() < stored.keys():
+            stored = {name: stored[name] for name in pickled}
+    if computed := computed_names(kind) & stored.keys():
+        stored = {name: part for name, part in stored.items() if name not in computed}
+    return Fields(stored | dict(sorted((slots or {}).items())))
+
+
+@functools.cache
+def computed_names(kind: type) -> frozenset[str]:
+    """Return the names of the cached properties of a class."""
+    cached = (name for base in kind.__mro__ for name, member in vars(base).items() if _is_cached(member))
+    return frozenset(cached)
+
+
+def _is_cached(member: Any) -> bool:
+    return isinstance(member, functools.cached_property)
 
 
 def check_depth(depth: int) -> None:
@@ -277,6 +303,9 @@ content.register(datetime.date, lambda date: date.isoformat())
 content.register(datetime.time, lambda time: time.isoformat())
 content.register(datetime.tzinfo, str)
 content.register(datetime.timedelta, lambda duration: duration.total_seconds())
+
+
+content.register(types.ModuleType, lambda module: str(module.__name__))
 
 
 @content.register(type)

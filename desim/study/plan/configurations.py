@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import product
 from math import isfinite, prod, ulp
@@ -10,9 +10,10 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from desim.config.data_files import in_short
+from desim.config.data_files import content_hash, in_short
 from desim.config.errors import Problem
 from desim.config.model import Value
+from desim.config.parameters import are_equal, as_jsonable, is_named_only, parameters_of, sorted_sets
 from desim.config.suggestion import did_you_mean
 from desim.config.traits import kind_of
 from desim.scenario.overrides import ScenarioError, Source
@@ -31,6 +32,8 @@ METRICS_UNSWEPT = "every run has the same metrics"
 """Why `record.metrics` cannot be swept."""
 MAX_ERRORS = 20
 """The largest number of validation errors of a grid that an error message lists."""
+LONGEST = 80
+"""The largest length of the content of an object, such as an array, in the name of a configuration, characters."""
 MAX_CONFIGURATIONS = 100_000
 """The largest number of configurations of a grid; validating one takes about 1 ms."""
 
@@ -235,8 +238,8 @@ def _check_distinct(chosen: Sequence[Configuration], source: Source, grid: Sweep
             )
         else:
             continue
-        differing = [key for key, value in configuration.settings.items() if value != other.settings[key]]
-        repeated = [key for key, values in grid.items() if any(values.count(value) > 1 for value in values)]
+        differing = [key for key, value in configuration.settings.items() if not are_equal(value, other.settings[key])]
+        repeated = [key for key, values in grid.items() if any(_count(value, values) > 1 for value in values)]
         raise ScenarioError(_about_grid(source, why, (differing or repeated)[0]))
 
 
@@ -340,7 +343,12 @@ def _with_cause(problem: Problem, among: Sequence[Settings], source: Source, gri
 
 
 def _is_needed(values: Sequence[Any], all_values: Sequence[Any]) -> bool:
-    return any(value not in values for value in all_values)
+    return any(not _count(value, values) for value in all_values)
+
+
+def _count(value: Any, values: Sequence[Any]) -> int:
+    """Return how many of some values equal a value."""
+    return sum(are_equal(value, other) for other in values)
 
 
 def in_words(settings: Settings) -> str:
@@ -372,7 +380,9 @@ def label(value: Any) -> str:
     if isinstance(value, partial):
         arguments = [*map(label, value.args), *(f"{key}={label(argument)}" for key, argument in value.keywords.items())]
         return f"{label(value.func)}({', '.join(arguments)})"
-    if is_dataclass(value) and not isinstance(value, type):
-        value = {"kind": type(value).__name__} | {field.name: getattr(value, field.name) for field in fields(value)}
-        return label(value)
-    return str(getattr(value, "__name__", type(value).__name__))
+    if (parameters := parameters_of(value)) is not None:
+        return label({"kind": type(value).__name__} | parameters)
+    if is_model or is_named_only(value):
+        return str(getattr(value, "__name__", type(value).__name__))
+    text = label(as_jsonable(sorted_sets(value)))
+    return text if len(text) <= LONGEST else f"{type(value).__name__} with the hash {content_hash(text.encode())}"

@@ -1,0 +1,83 @@
+"""Parameters of users' models, which may be any objects: what stands for them in records, and when they are equal."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import PurePath
+from typing import Any
+
+from pydantic_core import to_jsonable_python
+
+from desim.config.named_code import definition_of, import_name
+from desim.config.python_numbers import DATES, as_python
+
+CONVERTED = frozenset({bool, int, float, complex, str, list, tuple})
+"""The types of what `as_python` makes of numbers and arrays."""
+
+
+def parameters_of(value: Any) -> dict[str, Any] | None:
+    """Return what an object of a dataclass or of an attrs class was made from, by name; None: it is of neither."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: getattr(value, field.name) for field in fields(value) if field.init}
+    made: Any = getattr(type(value), "__attrs_attrs__", None)
+    return None if made is None else {field.alias: getattr(value, field.name) for field in made if field.init}
+
+
+def sorted_sets(value: Any) -> Any:
+    """Return a value in which sets are sorted lists: their own order differs from process to process."""
+    kind = type(value)
+    if kind is dict:
+        return {key: sorted_sets(member) for key, member in value.items()}
+    if kind is list or kind is tuple:
+        return kind(map(sorted_sets, value))
+    return sorted(map(sorted_sets, value), key=_order) if kind in {set, frozenset} else value
+
+
+def _order(member: Any) -> tuple[str, str]:
+    return type(member).__name__, repr(member)
+
+
+def in_json(value: Any) -> Any:
+    """Return what stands in JSON for an object that JSON and pydantic lack, such as a parameter of a user's model.
+
+    A number, an array, a series or a range becomes a number or a list. Any other object becomes { "kind": the name of
+    its class }, a function or a class { "kind": its name }; see `is_named_only`.
+    """
+    if isinstance(value, Mapping):
+        return dict(value)
+    if isinstance(value, PurePath):
+        return value.as_posix()
+    if getattr(getattr(value, "dtype", None), "kind", "") in DATES and not getattr(value, "ndim", 0):
+        return str(value)
+    plain = as_python(value)
+    if type(plain) in CONVERTED and plain is not value:
+        return plain
+    return {"kind": import_name(value if isinstance(value, type) else definition_of(value))}
+
+
+def as_jsonable(value: Any, fallback: Callable[[Any], Any] = in_json) -> Any:
+    """Return a value in JSON types, where infinity and NaN stay numbers, and bytes are hexadecimal digits."""
+    return to_jsonable_python(value, fallback=fallback, bytes_mode="hex")
+
+
+def is_named_only(value: Any) -> bool:
+    """Return whether JSON has only the name of an object, or of an object in a value, and not its content."""
+    named: list[Any] = []
+
+    def fallback(part: Any) -> Any:
+        plain = in_json(part)
+        if isinstance(plain, dict) and not isinstance(part, Mapping):
+            named.append(part)
+        return plain
+
+    as_jsonable(value, fallback)
+    return bool(named)
+
+
+def are_equal(value: Any, other: Any) -> bool:
+    """Return whether two values are equal; those that cannot tell, such as arrays, if JSON has their content alike."""
+    try:
+        return bool(value == other)
+    except (TypeError, ValueError):
+        if value is other or type(value) is not type(other) or is_named_only([value, other]):
+            return value is other
+        return bool(as_jsonable(value) == as_jsonable(other))
