@@ -7,17 +7,21 @@ from typing import NamedTuple
 
 IDENTIFIED = (
     *("vehicle", "agent", "robot", "uav", "drone", "track", "trajectory", "traj", "pedestrian", "ped", "person"),
-    *("object", "obj", "user", "tag", "target", "node"),
+    *("object", "obj", "user", "tag", "target", "node", "device", "car", "bus", "taxi", "ship", "vessel", "boat"),
+    *("animal", "individual", "player", "entity", "actor", "particle", "subject", "participant"),
 )
-"""Nouns before `id` in the name of a column, as in `track_id`."""
+"""Nouns before `id` in the name of a column, as in `track_id` or `Device ID`."""
 COLUMNS: Mapping[str, tuple[str, ...]] = {
-    "t": ("t", "time", "timestamp", "sec", "seconds", "date", "datetime"),
+    "t": (
+        *("t", "time", "timestamp", "sec", "seconds", "date", "datetime"),
+        *("time_from_start", "time_since_start", "time_elapsed", "elapsed"),
+    ),
     "x": ("x", "pos_x", "posx", "position_x", "east", "easting", "tx"),
     "y": ("y", "pos_y", "posy", "position_y", "north", "northing", "ty"),
     "z": ("z", "pos_z", "posz", "position_z", "height", "altitude", "alt", "tz"),
     "node": (
         *("node", "name", "id", "mac"),
-        *("vehicle", "agent", "robot", "uav", "drone", "track", "pedestrian", "person"),
+        *("vehicle", "agent", "robot", "uav", "drone", "track", "pedestrian", "person", "device", "car"),
         *(f"{one}{end}" for one in IDENTIFIED for end in ("_id", "id")),
     ),
 }
@@ -106,14 +110,19 @@ class Header(NamedTuple):
         of positions to others.
         """
         for name in COLUMNS[key]:
-            if name in self.names:
-                return [k for k, other in enumerate(self.names) if other == name]
+            if found := [k for k, other in enumerate(self.names) if joined(other) == name]:
+                return found
         alike = [
             k
             for k, words in enumerate(self.words)
             if words and words[-1] in ENDS.get(key, ()) and OF_OTHERS.isdisjoint(words)
         ]
         return [k for k in alike if not OF_POSITIONS.isdisjoint(self.words[k])] or alike
+
+
+def joined(name: str) -> str:
+    """Return the name of a column with `_` between its words instead of spaces, hyphens or points."""
+    return re.sub(r"[\s.-]+", "_", name)
 
 
 def header_of(cells: Iterable[str]) -> Header:

@@ -221,6 +221,10 @@ REFUSED = {
         "0 9 0 5 0 5 0 0\n0 1 2 9\n0 2 3 9\n1 1 2 8\n",
         r"line 2: .*first line should name its columns",
     ),
+    "contacts": (
+        "".join(f"{k // 3} 13 {601 + k} {650 + 2 * k} 1 0\n" for k in range(12)),
+        r"line 1: .*first line should name its columns.*; if they are waypoints, set dimensions = 2",
+    ),
     "several vectors": (
         "t,a.position.x,b.position.x,y\n0,1,2,3\n",
         r"columns a\.position\.x and b\.position\.x: which",
@@ -235,6 +239,8 @@ REFUSED = {
         '<fcd-export><timestep time="0">\n<vehicle id="a" x="1"/>',
         r"line 2: <vehicle> has no y",
     ),
+    "NMEA": ("$GPGGA,1,1929.0,S,2410.5,E,1\n", r"NMEA has positions in degrees; project them to m"),
+    "trips of SUMO": ("<tripinfos>\n</tripinfos>", r"the trips of SUMO have no positions; its option --fcd-output"),
     "FCD that is cut": ('<fcd-export><timestep time="0">', r"is not valid XML"),
     "FCD with a document type": ("<!DOCTYPE a>\n<fcd-export/>", r"should declare no document type"),
     "FCD in degrees": (
@@ -272,6 +278,33 @@ def test_a_record_that_may_mean_something_else_is_refused(tmp_path, name):
 def test_nodes_that_are_seen_once_may_stand_beside_nodes_that_move(tmp_path):
     text = "0 0 0 9 5 5\n0 1 1 9 6 6\n3 7 7\n5 8 8\n7 9 9\n"
     assert [len(read(tmp_path, text.encode(), node).waypoints) for node in range(5)] == [2, 2, 1, 1, 1]
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        *("#Time(s), Device ID, X,Y", "time_from_start,uav-id,pos_x,pos_y", "elapsed,node,x,y", "Elapsed Time,Car,x,y"),
+        *("time since start,animal id,x,y", "SimTime,VesselID,x [m],y [m]"),
+    ],
+)
+def test_words_in_the_names_of_columns_may_be_apart(tmp_path, header):
+    text = f"{header}\n0, a, 1, 2\n3, a, 4, 5\n0, b, 6, 7\n"
+    assert [waypoint[:3] for waypoint in read(tmp_path, text.encode(), node="a").waypoints] == [(0, 1, 2), (3, 4, 5)]
+
+
+def test_a_covariance_as_text_does_not_name_nodes(tmp_path):
+    text = 't,x,y,pose.covariance\n0,1,2,"(0.1, 0)"\n1,3,4,"(0.1, 0)"\n2,5,6,"(0.2, 0)"\n'
+    assert len(read(tmp_path, text.encode()).waypoints) == 3
+
+
+@pytest.mark.parametrize(
+    ("row", "dimensions"),
+    [("0 {k} 2 9{k} 3 4", None), ("{k} {k} 2 99 3 4", None), ("{k} {k} .5 9{k} 3 4", None), ("{k} {k} 2 9{k} 3 4", 2)],
+    ids=["begin together", "end together", "no integers", "said"],
+)
+def test_nodes_with_as_many_waypoints_are_no_contacts(tmp_path, row, dimensions):
+    text = "\n".join(row.format(k=k) for k in range(10))
+    assert len(read(tmp_path, text.encode(), 9, dimensions=dimensions).waypoints) == 2
 
 
 def test_dimensions_are_of_bonnmotion_and_agree_with_its_mark(tmp_path):

@@ -322,8 +322,8 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
         return [], rows
     first, below = rows[0].cells, rows[1:]
     nodes = {cell for row in below for cell in row.cells[:2]}
-    has_numbers = bool(nodes) and all(map(is_number_text, nodes))
-    is_header = has_numbers and not any(map(is_number_text, first[:2]))
+    has_numbers = bool(nodes) and all(map(str.isdecimal, nodes))
+    is_header = has_numbers and not any(cell.isdecimal() for cell in first[:2])
     if not _names_ends(first):
         of = "of nodes" if first[0].lower() in OF_NODES else "over time" if first[0].lower() in OVER_TIME else ""
         if of and nodes and nodes.isdisjoint(first[:2]) and not any(map(is_number_text, first)):
@@ -348,10 +348,10 @@ In disjoint pairs all names differ, so a list of these with names of several wor
 
 
 def _check_names(file: Path, rows: Sequence[EdgeRow]) -> None:
-    """Raise ValueError if an end is a key with a colon (YAML), or a number with a fraction, as of a measurement."""
+    """Raise ValueError if an end is a key with a colon (YAML), or a number that is negative or has a fraction."""
     for line, cells, _ in rows:
         for name in cells[:2] if len(cells) > 1 else ():
-            if name.endswith(":") or (is_number_text(name) and number_of(name) % 1.0 > 0.0):
+            if name.endswith(":") or (is_number_text(name) and (number_of(name) < 0.0 or number_of(name) % 1.0 > 0.0)):
                 why = "is probably no name of a node; if it is, name the columns in a first line, such as source,target"
                 raise ValueError(f"{file}, line {line}: {name!r} {why}")
 

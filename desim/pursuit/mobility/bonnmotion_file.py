@@ -27,6 +27,10 @@ MARKER_3D = re.compile(r"#\s*3D\b", re.IGNORECASE)
 """Matches the first line of a file of BonnMotion with heights."""
 
 
+MANY = 10
+"""The number of lines from which on integers everywhere are no coincidence."""
+
+
 class BonnMotionFile(MobilityFile):
     """A file of BonnMotion: a node is a line that is no comment."""
 
@@ -45,20 +49,35 @@ class BonnMotionFile(MobilityFile):
         """Raise ValueError if the lines seem to be the rows of a table that lacks a header.
 
         All lines but one at most are one waypoint each, and their times differ: where nearly no node moves, they have
-        no reason to. Or all lines are equally long, and in any reading some are no waypoints in order of time.
+        no reason to. Or all lines are equally long, and in any reading some are no waypoints in order of time, or
+        many lines of integers neither begin nor end together, as contacts do not; `dimensions` says that it is none.
         """
         possible = [4] if self._is_marked else [3, 4] if dimensions is None else [dimensions + 1]
         single = [row for row in self._rows if len(row[1]) in possible]
         is_table = len(single) > 2 and len(single) >= len(self._rows) - 1 and len(set(_first_times(single))) > 1
-        wrong = single[0] if is_table else None
+        wrong, end = single[0] if is_table else None, ""
         lengths = {len(row) for _, row in self._rows}
         if wrong is None and len(self._rows) > 2 and len(lengths) == 1:
             widths = [width for width in possible if not max(lengths) % width]
             unordered = [[row for row in self._rows if not _increase(row[1][::width])] for width in widths]
-            wrong = min((rows[0] for rows in unordered), default=self._rows[0]) if all(unordered) else None
+            if all(unordered):
+                wrong = min((rows[0] for rows in unordered), default=self._rows[0])
+            elif dimensions is None and not self._is_marked and self._are_integers(widths):
+                wrong, end = self._rows[0], "; if they are waypoints, set dimensions = 2"
         if wrong is not None:
             hint = "; if each line is one waypoint of a table, the first line should name its columns, t, x and y"
-            raise ValueError(f"{self.file}, line {wrong[0]}: {SHOULD_BE_TRIPLES}, in order of time{hint}")
+            raise ValueError(f"{self.file}, line {wrong[0]}: {SHOULD_BE_TRIPLES}, in order of time{hint}{end}")
+
+    def _are_integers(self, widths: Iterable[int]) -> bool:
+        """Return whether the file is many lines of integers that neither begin nor end together.
+
+        Args:
+            widths: the numbers of a waypoint that are possible.
+        """
+        rows = [row for _, row in self._rows]
+        if len(rows) < MANY or not all(cell.isdecimal() for row in rows for cell in row):
+            return False
+        return all(len({row[at] for row in rows}) > 1 for at in (0, *(-width for width in widths)))
 
     def _likely_width(self) -> int:
         """Return the numbers of a waypoint, 3 or 4; raise ValueError if both are possible."""

@@ -78,9 +78,17 @@ def has_poses(lines: Sequence[str]) -> bool:
 
 
 TABLE_ADVICE = "write it as a table with the columns t, node, x, y (s, m)"
-UNREAD = {"<": f"XML is not read; {TABLE_ADVICE}", "{": f"JSON is not read; {TABLE_ADVICE}", "[": TABLE_ADVICE}
+UNREAD = {
+    "<": f"XML is not read; {TABLE_ADVICE}",
+    "{": f"JSON is not read; {TABLE_ADVICE}",
+    "[": TABLE_ADVICE,
+    "$GP": f"NMEA has positions in degrees; project them to m, and {TABLE_ADVICE}",
+    "$GN": f"NMEA has positions in degrees; project them to m, and {TABLE_ADVICE}",
+}
 """What to do about files that are not read, by their beginning."""
 XML_ADVICE = {
     "<gpx": f"GPX has positions in degrees; project them to m, and {TABLE_ADVICE}",
+    "<tripinfo": "the trips of SUMO have no positions; its option --fcd-output writes them",
+    "<routes": "the routes of SUMO have no positions; its option --fcd-output writes them",
     "<kml": f"KML has positions in degrees; project them to m, and {TABLE_ADVICE}",
 }

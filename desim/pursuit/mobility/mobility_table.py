@@ -16,11 +16,13 @@ from desim.config.column_names import (
     COLUMNS,
     DEGREES,
     FRACTIONS,
+    OF_OTHERS,
     SAME_UNIT,
     TIME_UNITS,
     WHOLE_SECONDS,
     Header,
     header_of,
+    joined,
 )
 from desim.config.number_files import converted, number_of
 from desim.kernel.measured.csv_tables import rows_of, separator_in, with_points
@@ -147,7 +149,7 @@ class MobilityTable(MobilityFile):
     def _check_names(self, rows: Sequence[tuple[int, list[str]]]) -> None:
         """Raise ValueError if it is not clear which column names the nodes."""
         names = self._header.names
-        node_columns = [k for k, name in enumerate(names) if name in COLUMNS["node"]]
+        node_columns = [k for k, name in enumerate(names) if joined(name) in COLUMNS["node"]]
         groups = {tuple(cells[k] for k in node_columns) for _, cells in rows}
         if any(len({group[k] for group in groups}) < len(groups) for k in range(len(node_columns))):
             listed = " and ".join(names[k] for k in node_columns)
@@ -208,7 +210,9 @@ class MobilityTable(MobilityFile):
 
 def _column_of_names(header: Header, rows: Sequence[Sequence[str]]) -> str | None:
     """Return the name of a column that may name nodes: it has several texts, and at least one of them repeatedly."""
-    for name, cells in zip(header.names, zip(*rows, strict=True), strict=True):
+    for name, words, cells in zip(header.names, header.words, zip(*rows, strict=True), strict=True):
+        if not OF_OTHERS.isdisjoint(words):  # such as a covariance, whose numbers are one text
+            continue
         texts = {cell.strip() for cell in cells} - {""}
         if 1 < len(texts) < len(cells) and not any(map(_is_numeric, texts)) and name not in COLUMNS["t"]:
             return name
