@@ -25,6 +25,8 @@ settings.register_profile("steady", deadline=None, derandomize=True, max_example
 settings.register_profile("explore", deadline=None, max_examples=400)
 settings.load_profile("steady")
 BENCHMARKS = Path(__file__).parent / "benchmarks"
+WATCHERS = pytest.StashKey[list[Conservation]]()
+"""The watchers of the traces that are made in a test."""
 
 # Nearly all that is imported and collected stays, and searches for garbage in it would take a tenth of that time.
 gc.disable()
@@ -113,9 +115,8 @@ def pytest_collection_modifyitems(config, items):
 
 
 def pytest_collection_finish():
-    """Keep what has been imported and collected, all of which stays, out of every later search for garbage."""
+    """Keep what has been imported and collected, nearly all of which stays, out of every search for garbage."""
     gc.enable()
-    gc.collect()
     gc.freeze()
 
 
@@ -134,28 +135,38 @@ _after_each_test = pytest.fixture(_no_modules_left, autouse=True)
 _after_each_file = pytest.fixture(_no_modules_left, autouse=True, scope="module")
 
 
-@pytest.fixture(autouse=True)
-def _conserved(request):
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item):
     """Let every trace that is made in the process of a fast test be watched, unless it is made by hand.
 
-    Slow tests measure laws over many runs, of kinds that fast tests and the soak test watch.
+    Slow tests measure laws over many runs, of kinds that fast tests and the soak test watch. A fixture would take as
+    long as half of the tests.
     """
-    item = request.node
     unwatched = any(item.get_closest_marker(name) for name in ("own_trace", "slow"))
     if unwatched or BENCHMARKS in item.path.parents:
-        yield
-        return
-    begin, all_watchers = Trace.__init__, []
+        return (yield)
+    begin = Trace.__init__
 
     def watched(self, watchers=(), **options):
-        all_watchers.append(Conservation())
-        begin(self, (*watchers, all_watchers[-1]), **options)
+        item.stash[WATCHERS].append(Conservation())
+        begin(self, (*watchers, item.stash[WATCHERS][-1]), **options)
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Trace, "__init__", watched)
-        yield
-    for watcher in all_watchers:
+    item.stash[WATCHERS] = []
+    Trace.__init__ = watched
+    try:
+        return (yield)
+    finally:
+        Trace.__init__ = begin
+        del item.stash[WATCHERS]
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    """Let a test fail whose traces break an invariant."""
+    answer = yield
+    for watcher in item.stash.get(WATCHERS, ()):
         watcher.judge()
+    return answer
 
 
 @pytest.fixture(scope="session")
