@@ -317,6 +317,19 @@ def test_the_typical_latency_is_the_mean_of_draws_of_its_own():
     assert abs(means - typical).min() > 1e-10
 
 
+@pytest.mark.parametrize("graph", [nx.complete_graph(4), nx.path_graph(3), nx.star_graph(40), nx.complete_graph(110)])
+@pytest.mark.parametrize("latency", DRAWN)
+def test_the_typical_latency_is_that_of_draws_link_by_link(graph, latency):
+    links = Links(latency=latency, processing=Processing(receiver=0.003))
+    plain = LinkSampler(links, graph, 0, None, "typical ")
+    times = []
+    for src in list(graph) * (1 + 1000 // graph.number_of_edges()):
+        times += plain.arrivals(src, sorted(graph[src]), 0, 0, 48)
+        if len(times) > 10_000:
+            break
+    assert LinkSampler(links, graph, 0, None).typical_latency() == sum(times) / len(times) / SECOND
+
+
 def test_the_typical_latency_includes_the_processing_at_both_ends():
     links = Links(latency=Constant(value=0.1), processing=Processing(sender=0.02, receiver=0.03))
     assert sampler(links).typical_latency() == pytest.approx(0.15)
