@@ -2,9 +2,14 @@
 
 from typing import Any
 
+SHOWN = {ord(character): None for character in "\n\t"}
+"""Removes the characters that are not printable by Python's count, but stay."""
+
 
 def escaped(text: str) -> str:
     """Return a text with unprintable characters, except newline and tab, escaped as in TOML; safe on a terminal."""
+    if text.isprintable() or text.translate(SHOWN).isprintable():
+        return text
     return "".join(
         character if character.isprintable() or character in "\n\t" else _escape_sequence(ord(character))
         for character in text

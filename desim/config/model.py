@@ -32,7 +32,7 @@ from desim.config.field_docs import annotated, fields_of
 from desim.config.interrupts import deferred
 from desim.config.json_numbers import from_json
 from desim.config.parameters import are_equal, in_json
-from desim.config.python_numbers import as_python, why_no_text
+from desim.config.python_numbers import NUMBERS, as_python, why_no_text
 from desim.config.suggestion import did_you_mean
 
 # Numbers and booleans are strict: the string "60" is not 60, and true is not 1.
@@ -252,6 +252,8 @@ class Value(BaseModel, metaclass=_ValueType):
             return make(fields)
         plain, converted = _plain_fields(cls), dict(fields)
         for name in plain & fields.keys():
+            if type(fields[name]) in NUMBERS:
+                continue
             why = _why_no_list(cls, name, fields[name])
             try:
                 is_set = isinstance(fields[name], SET_TYPES)

@@ -148,7 +148,7 @@ class Traits(Value):
     @classmethod
     def passed_on(cls, value: Any) -> frozenset[str]:
         """Return the names of the traits that a model passes on from another one, and that follow from its methods."""
-        if not hasattr(type(value), "__getattr__"):
+        if isinstance(value, BaseModel) or not hasattr(type(value), "__getattr__"):
             return frozenset()
         return frozenset(name for name in _followers(cls) if is_passed_on(value, name))
 

@@ -8,6 +8,7 @@ and a schedule has a method `warnings`. Violated assumptions of protocols are wa
 """
 
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from typing import Any
 
 from pydantic import BaseModel
@@ -118,15 +119,21 @@ def _unused_warnings(model: BaseModel, above: str = "") -> Iterator[tuple[str, s
                 yield from _unused_warnings(part, f"{key}.")
 
 
-def _numbers(model: BaseModel, above: str = "") -> Iterator[tuple[str, float, list[Any]]]:
+def _numbers(model: BaseModel, above: str = "") -> Iterator[tuple[str, float, Sequence[Any]]]:
     """Yield the key, the value and the markers of every number in a model and its nested models."""
-    for name, field in type(model).model_fields.items():
-        markers = markers_of(field)
-        for key, part in _parts(f"{above}{name}", dict(model)[name]):
+    fields = dict(model)
+    for name in type(model).model_fields:
+        for key, part in _parts(f"{above}{name}", fields[name]):
             if isinstance(part, BaseModel):
                 yield from _numbers(part, f"{key}.")
             elif isinstance(part, int | float):
-                yield key, part, markers
+                yield key, part, _markers(type(model), name)
+
+
+@lru_cache(maxsize=1024)
+def _markers(model: type[BaseModel], name: str) -> tuple[Any, ...]:
+    """Return the markers of a field."""
+    return tuple(markers_of(model.model_fields[name]))
 
 
 def _parts(key: str, value: Any) -> Iterator[tuple[str, Any]]:
