@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from desim import RecordedMotion, Team
+from desim.config.column_names import header_of
 from desim.pursuit.mobility.mobility import Waypoint
 from desim.pursuit.mobility.mobility_file import read_mobility
 from tests.kernel.test_mobility_file import interpolated
@@ -438,3 +439,39 @@ def test_a_table_may_be_a_parquet_file(tmp_path):
     )
     waypoints = read_mobility(tmp_path / "a.parquet").track(4).waypoints
     assert [each[:3] for each in waypoints] == [(0.0, 1.0, 3.0), (2.5, 2.0, 4.0)]
+
+
+NOUNS = "vehicle agent robot uav drone track trajectory traj pedestrian ped person object obj user tag target node"
+WORDS = {
+    "t": "t time timestamp sec seconds date datetime",
+    "x": "x pos_x posx position_x east easting tx",
+    "y": "y pos_y posy position_y north northing ty",
+    "z": "z pos_z posz position_z height altitude alt tz",
+    "node": "node name id mac vehicle agent robot uav drone track pedestrian person"
+    + "".join(f" {noun}_id {noun}id" for noun in NOUNS.split()),
+}
+ENDINGS = {
+    "t": "t time timestamp stamp",
+    "x": "x px east easting",
+    "y": "y py north northing",
+    "z": "z pz height altitude",
+}
+OF_POSITIONS = "p pos pose position positions translation location point coord coordinate"
+OF_OTHERS = (
+    "v vel velocity speed twist linear angular acc acceleration orientation q quat quaternion rotation rot gyro cov"
+    " covariance std error goal target"
+)
+
+
+def test_a_column_is_known_by_its_name_or_by_its_last_word():
+    for key, words in WORDS.items():
+        for word in words.split():
+            assert header_of(["other", word.upper()]).columns(key) == [1], word
+    for key, words in ENDINGS.items():
+        for word in words.split():
+            assert header_of(["other", f"some.{word}"]).columns(key) == [1], word
+    for word in OF_POSITIONS.split():
+        assert header_of(["some.x", f"{word}.x"]).columns("x") == [1], word
+    for word in OF_OTHERS.split():
+        assert header_of([f"{word}.x"]).columns("x") == [], word
+    assert header_of(["UTMnorthPos12.x3"]).words == [["utm", "north", "pos", "12", "x", "3"]]
