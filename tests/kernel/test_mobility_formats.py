@@ -474,4 +474,4 @@ def test_a_column_is_known_by_its_name_or_by_its_last_word():
         assert header_of(["some.x", f"{word}.x"]).columns("x") == [1], word
     for word in OF_OTHERS.split():
         assert header_of([f"{word}.x"]).columns("x") == [], word
-    assert header_of(["UTMnorthPos12.x3"]).words == [["utm", "north", "pos", "12", "x", "3"]]
+    assert header_of(["UTM_northPos12.x3"]).words == [["utm", "north", "pos", "12", "x", "3"]]
