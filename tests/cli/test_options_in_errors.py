@@ -1,9 +1,12 @@
 """Errors about the value of an option name the option as the command line writes it."""
 
+from inspect import signature
+
 import click
 import pytest
 from click.testing import CliRunner
 
+import desim
 from desim import Scenario, sweep
 from desim.cli import main
 from desim.cli.program import Program
@@ -157,3 +160,17 @@ def test_an_option_of_another_command_is_no_key_of_a_sweep(tmp_path):
         assert f"No such option '{option}'" in told
         assert "It is an option of" in told
         assert "sweep." not in told
+
+
+def test_an_option_has_the_default_of_the_parameter_of_its_name():
+    """A command and the function of its name, from which scripts call the same, do alike unless told otherwise."""
+    compared = {}
+    for name, command in main.commands.items():
+        function = getattr(desim, {"break": "find_violation"}.get(name, name), None)
+        parameters = signature(function).parameters if callable(function) else {}
+        for option in command.params:
+            if isinstance(option.default, str | int | float) and option.name in parameters:
+                compared[f"{name} {option.name}"] = (option.default, parameters[option.name].default)
+    assert compared.pop("break jobs") == (1, 0)  # a script has all cores
+    assert len(compared) >= 9
+    assert all(default == other for default, other in compared.values()), compared
