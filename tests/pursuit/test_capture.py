@@ -148,3 +148,13 @@ def test_the_least_time_is_that_of_the_fastest_to_the_last_bit(speed, v_e, dista
     """The bound of a claim and the capture time of a pursuer of the greatest speed are one formula."""
     radial = RadialTime(np.array([speed]), v_e, 0.1)
     assert least_capture_time(distance, 0.1, speed, v_e) == radial.of(0, distance)
+
+
+@pytest.mark.parametrize("kind", [np.int8, np.int64])
+def test_whole_numbers_are_computed_with_as_others(kind):
+    """The distance of 200 m is no number of one byte, nor is the square of the speed."""
+    evader, pursuers, speeds = [100, 0], [[-100, 0], [60, 0]], [12, 5]
+    of_kind = [np.array(values, dtype=kind) for values in (evader, pursuers, speeds)]
+    assert capture_time(*of_kind, 1.0, 2.0).tolist() == capture_time(evader, pursuers, speeds, 1.0, 2.0).tolist()
+    times = [intercept_time(e, (1.0, 2.0), p, v, 1.0).tolist() for e, p, v in (of_kind, (evader, pursuers, speeds))]
+    assert times[0] == times[1]
