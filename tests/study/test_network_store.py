@@ -488,3 +488,11 @@ def test_a_database_that_refuses_the_first_command_is_closed(monkeypatch):
     with pytest.raises(sqlite3.OperationalError, match="no way"):
         connection.connected(None)
     assert made.is_closed
+
+
+def test_a_rollback_journal_is_set_under_the_file_system_of_the_store(monkeypatch, tmp_path):
+    """Where it has no locks, SQLite has to open the file without."""
+    opened, database = [], SimpleNamespace(execute=lambda _: None, close=lambda: None)
+    monkeypatch.setattr(connection, "connected", lambda *args, **named: opened.append((args, named)) or database)
+    connection.use_rollback_journal(tmp_path / "sweep.sqlite", "Lustre")
+    assert opened == [((tmp_path / "sweep.sqlite",), {"network": "Lustre"})]
