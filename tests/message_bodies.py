@@ -7,7 +7,9 @@ import dataclasses
 import datetime
 import enum
 import functools
+import math
 import random
+import threading
 import types
 import uuid
 from collections import Counter, OrderedDict, UserDict, UserList, UserString, defaultdict, deque
@@ -18,8 +20,10 @@ from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any, NamedTuple
 
 import attrs
+import networkx as nx
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pydantic
 
 from desim.config.model import Value
@@ -72,6 +76,60 @@ class NamedWithAttributes(Named):
 class Plan:
     def __init__(self, *path):
         self.path = list(path)
+
+
+class Computed(Plan):
+    """Keeps what was computed from its path."""
+
+    @functools.cached_property
+    def total(self):
+        return sum(self.path)
+
+
+class WithModule(Plan):
+    """Holds the module that computes with it, as rotations of scipy do."""
+
+    def __init__(self, *path):
+        super().__init__(*path)
+        self.code = math
+
+    def __reduce__(self):
+        return type(self), tuple(self.path)
+
+
+class Locked(Plan):
+    """Leaves out of its pickles what cannot be copied."""
+
+    def __init__(self, *path):
+        super().__init__(*path)
+        self.lock = threading.Lock()
+
+    def __getstate__(self):
+        return {"path": self.path}
+
+    def __setstate__(self, state):
+        self.__init__(*state["path"])
+
+
+class Mean(list):
+    """A list that keeps what was computed from its items."""
+
+    @functools.cached_property
+    def mean(self):
+        return sum(self) / len(self)
+
+
+def looked_at():
+    """Return a graph whose nodes and degrees were read: networkx keeps the views that it has made for that."""
+    graph = nx.Graph([(1, 2, {"w": 0.5})])
+    list(graph.nodes), graph.degree(1), graph.adj, graph.edges
+    return graph
+
+
+def read(body, name):
+    """Return an object whose attribute was read."""
+    assert getattr(body, name)
+    return body
 
 
 class Slotted:
@@ -319,6 +377,26 @@ MUTABLE: dict[str, tuple[Any, Any, int | None]] = {
     "frozen model of a list": (FrozenWithList(path=[1]), {"path": [1]}, 8),
     "attrs": (Attrs([1]), {"path": [1]}, 8),
     "plain object": (Plan(1, 2), {"class_name": "Plan", "path": [1, 2]}, 16),
+    "object with a cached property": (
+        read(Computed(1, 2), "total"),
+        {"class_name": "Computed", "path": [1, 2]},
+        16,
+    ),
+    "object with a module": (WithModule(1), {"class_name": "WithModule", "path": [1], "code": "math"}, 8),
+    "object that leaves out a lock": (Locked(1, 2), {"class_name": "Locked", "path": [1, 2]}, 16),
+    "list with a cached property": (read(Mean([1, 2]), "mean"), [1, 2], 16),
+    "graph": (
+        looked_at(),
+        {
+            "class_name": "Graph",
+            "graph": {},
+            "_node": {"1": {}, "2": {}},
+            "_adj": {"1": {"2": {"w": 0.5}}, "2": {"1": {"w": 0.5}}},
+            "__networkx_cache__": {},
+        },
+        66,
+    ),
+    "table of Arrow": (pa.table({"a": [1, 2], "b": ["x", None]}), {"a": [1, 2], "b": ["x", None]}, 19),
     "object in slots": (Slotted(), {"class_name": "Slotted", "_Slotted__secret": 2, "path": [1]}, 16),
     "object with a class name": (Self(), {"class_name_": "Self", "class_name": 7}, 8),
     "namespace": (types.SimpleNamespace(a=[1]), {"class_name": "SimpleNamespace", "a": [1]}, 8),

@@ -11,6 +11,7 @@ from functools import partial
 from io import StringIO
 from logging import getLogger
 from pathlib import Path
+from types import MappingProxyType
 from zoneinfo import ZoneInfo
 
 import networkx as nx
@@ -33,7 +34,7 @@ from desim.kernel.models.links import Links
 from desim.kernel.models.transport import Coded, Reliable
 from desim.kernel.network import Network
 from desim.pursuit.team.announcements import Forwarded
-from tests.message_bodies import BODIES, IMMUTABLE, MUTABLE, Bid, ByIdentity, Named, Plan, Slotted
+from tests.message_bodies import BODIES, IMMUTABLE, MUTABLE, Bid, ByIdentity, Computed, Mean, Named, Plan, Slotted
 
 ROOT = Path(__file__).parents[2]
 each_body = pytest.mark.parametrize("name", BODIES)
@@ -240,7 +241,14 @@ def generator():
         (sys.stdout, f"a body of type {type(sys.stdout).__name__} cannot be sent: "),
         ({1: property()}, "a body of type dict cannot be sent: the content of an object of type property is not known"),
         (getLogger(), "a body of type RootLogger cannot be sent: "),
-        ({}.keys(), "a body of type dict_keys cannot be sent: cannot pickle 'dict_keys' object"),
+        (
+            {}.keys(),
+            "a body of type dict_keys cannot be sent: cannot pickle 'dict_keys' object: send a list instead",
+        ),
+        (
+            [MappingProxyType({})],
+            "a body of type list cannot be sent: cannot pickle 'mappingproxy' object: send a dict instead",
+        ),
         (cyclic(), "a body of type list cannot be sent: it is nested more than 100 levels deep, or contains itself"),
         (Cell(), "a body of type Cell cannot be sent: it is nested more than 100 levels deep, or contains itself"),
         (nested(1, MAX_DEPTH + 2), "a body of type tuple cannot be sent: it is nested more than 100 levels deep"),
@@ -337,6 +345,19 @@ def test_a_wrapper_that_looks_for_itself_is_refused_and_one_that_does_not_is_cop
 
     copied = as_sent(Copied(np.arange(3)))
     assert (type(copied), copied.stamp, copied.sum()) == (Copied, 3, 3)
+
+
+def test_the_content_of_a_body_does_not_depend_on_who_has_looked_at_it():
+    """Nor does its size: networkx, and a `cached_property`, keep what was read in the object itself."""
+    for create, look in (
+        (partial(nx.path_graph, 3), lambda graph: (list(graph.nodes), list(graph.edges), graph.degree(1))),
+        (partial(Computed, 1, 2), lambda body: body.total),
+        (partial(Mean, [1, 2]), lambda body: body.mean),
+    ):
+        fresh, seen = create(), create()
+        look(seen)
+        assert in_json_types(seen) == in_json_types(fresh) == in_json_types(as_sent(seen))
+        assert size_of(seen) == size_of(fresh)
 
 
 def test_missing_numbers_are_null_and_as_long_as_numbers():

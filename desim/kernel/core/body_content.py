@@ -188,22 +188,32 @@ def _field_names(kind: Any) -> tuple[str, ...] | None:
 
 
 def attributes_of(value: Any) -> Fields:
-    """Return the attributes that are stored in an object, by name; those in slots are last, sorted.
+    """Return the attributes of which the content of an object consists, by name; those in slots are last, sorted.
 
-    An attribute that its class leaves out of its pickles, such as a lock, is none, nor is a `cached_property`: it follows
-    from others, and whether it is stored depends on who has read it.
+    An attribute that its class leaves out of its pickles, such as a lock, is none, nor is a `cached_property`: it
+    follows from others, and whether it is stored depends on who has read it.
     """
     kind: Any = type(value)
-    state = object.__getstate__(value)
-    stored, slots = state if isinstance(state, tuple) else (state, None)
-    stored = stored or {}
+    stored, slots = _stored(value)
     if stored and kind.__getstate__ is not object.__getstate__:
         pickled = value.__getstate__()
         if isinstance(pickled, dict) and pickled.keys() < stored.keys():
             stored = {name: stored[name] for name in pickled}
     if computed := computed_names(kind) & stored.keys():
         stored = {name: part for name, part in stored.items() if name not in computed}
-    return Fields(stored | dict(sorted((slots or {}).items())))
+    return Fields(stored | dict(sorted(slots.items())))
+
+
+def stored_parts(value: Any) -> list[Any]:
+    """Return all objects that are stored in an object."""
+    return [part for held in _stored(value) for part in held.values()]
+
+
+def _stored(value: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the attributes that are stored in an object, and those in its slots, by name."""
+    state = object.__getstate__(value)
+    stored, slots = state if isinstance(state, tuple) else (state, None)
+    return stored or {}, slots or {}
 
 
 @functools.cache

@@ -23,11 +23,12 @@ from pydantic import BaseModel
 from desim.kernel.core.body_content import (
     JSON_ATOMS,
     Fields,
-    attributes_of,
     check_depth,
+    computed_names,
     content,
     in_json_types,
     is_missing,
+    stored_parts,
 )
 
 ATOMS = JSON_ATOMS | {
@@ -41,6 +42,8 @@ COMPARED = (int, float, complex, np.generic, tuple)
 """Types that compare with one another."""
 SHARED = (list, dict, set, bytearray, deque, np.ndarray)
 """Types of collections that a sender can change after it has sent them."""
+COPIED = {"mappingproxy": "a dict", "dict_keys": "a list", "dict_values": "a list", "dict_items": "a list"}
+"""What to send instead of an object that Python cannot copy, by the name of its type."""
 Parts = Callable[[Any], Iterable[Any]]
 """A function that returns the objects of which an object consists."""
 
@@ -64,6 +67,7 @@ def as_sent(body: Any) -> Any:
         _check_copy(body, copied)
     except Exception as error:
         reason = f"it is nested too deeply{_passed_on(body)}" if isinstance(error, RecursionError) else str(error)
+        reason += next((f": send {other} instead" for kind, other in COPIED.items() if f"'{kind}'" in reason), "")
         raise ValueError(f"a body of type {type(body).__name__} cannot be sent: {reason}") from error
     return copied
 
@@ -102,7 +106,7 @@ def _check_copy(value: Any, copied: Any, depth: int = 0) -> None:
             for item in value:
                 _check_copy(item, item, depth + 1)
         if hasattr(type(value), "__deepcopy__"):
-            for part in attributes_of(value).values():
+            for part in stored_parts(value):
                 if isinstance(part, SHARED):
                     raise ValueError(f"its copies would share a {type(part).__name__}")
         return
@@ -169,7 +173,7 @@ def _is_frozen(kind: type) -> bool:
 
     A class that is derived from a frozen dataclass, and is none itself, lets its objects have other attributes.
     """
-    if any(isinstance(member, functools.cached_property) for base in kind.__mro__ for member in vars(base).values()):
+    if computed_names(kind):
         return False
     if issubclass(kind, BaseModel):
         return bool(kind.model_config.get("frozen"))
@@ -181,7 +185,7 @@ def _attributes_of_frozen(value: Any) -> list[Any]:
     if isinstance(value, BaseModel):
         hidden = value.model_extra, value.__pydantic_private__
         return [part for table in (vars(value), *hidden) for part in (table or {}).values()]
-    return list(attributes_of(value).values())
+    return stored_parts(value)
 
 
 def _variables(function: types.FunctionType) -> list[Any]:

@@ -12,7 +12,7 @@ values, and that of an object the sum of the sizes of its fields or attributes, 
 array of numpy or a series takes 8 bytes whatever its type, and one in an `array.array` as many as its type has. An
 enumeration has the size of its value, and a quantity that of its value without its unit. A record inside a body, for
 instance a forwarded one, includes its own header. An object without known content, such as a function, has no size: the
-sender has to tell it.
+sender has to tell it. A module, which some objects hold, takes nothing.
 
 For example, a message takes 24 bytes if its body is an action (one number), 32 if it is an action and a capture time,
 and 48 if it is an action, a position (two numbers) and a speed.
@@ -133,6 +133,9 @@ def _no_size(body: Any) -> int:
         f"an object of type {type(body).__name__} has no size: send it with size=, the number of bytes of the message,"
         " or send numbers, texts, collections or dataclasses instead"
     )
+
+
+size.register(types.ModuleType, lambda _: 0)
 
 
 @size.register(int)
