@@ -15,7 +15,21 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from desim import Announcements, Fault, Links, Scenario, Sensing, Team, run, summary, sweep
+from desim import (
+    Announcements,
+    Crash,
+    Csma,
+    Fault,
+    Links,
+    Recording,
+    Reliable,
+    Scenario,
+    Sensing,
+    Team,
+    run,
+    summary,
+    sweep,
+)
 from desim.config.answers import value_text
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import Lost, MessageCounts
@@ -45,13 +59,15 @@ from desim.pursuit.motion.guidance import guided_velocities
 from desim.pursuit.sensing.noise import PositionNoise
 from desim.pursuit.sensing.noisy_sensing import NoisySensor
 from desim.pursuit.team.judges import Judge, ignored_by
+from desim.pursuit.team.targeted_faults import ChaserCut
 from desim.pursuit.team.trust import Credulous
 from desim.results.run_folder import read, write
 from desim.scenario.checks import warnings
+from desim.testing import watched
 from desim.view.pages.replay import replay_page
 from protocols.temperature import inverse_temperatures
 from tests.config.test_arrays import Quantity
-from tests.test_overrides import FAMILIES, events, is_refused, linked, plain, scenario
+from tests.test_overrides import FAMILIES, chases, events, is_refused, linked, plain, scenario
 
 CASES = [name for name, family in FAMILIES.items() if name not in {"relay", "interference"}]
 
@@ -670,6 +686,62 @@ def test_losses_of_a_users_model_have_a_cause_of_their_own():
         result = run(scenario(**parts), 1)
         assert {event.cause for event in result.trace.of(Lost)} == {cause}
         assert dict(summary(result).messages_lost_by) == {cause: len(result.trace.of(Lost))}
+
+
+class Battery(Crash):
+    cause: ClassVar[str] = "battery"
+
+
+class Brownout(Fault):
+    """Parts of it are built-in faults, and a crash with a cause of its own."""
+
+    cause: ClassVar[str] = "brownout"
+
+    def begin(self, site):
+        window = {"start": self.start, "end": self.end}
+        parts = Crash(node=0, **window), Partition(groups=((1,),), **window), Battery(node=2, **window)
+        ends = [site.begin(part) for part in parts]
+        return lambda: [end() for end in ends]
+
+
+class Cut(ChaserCut):
+    cause: ClassVar[str] = "cable"
+
+
+@pytest.mark.parametrize("messages", [True, False])
+@pytest.mark.parametrize(
+    "network",
+    [
+        {"latency": 0.1},
+        {"latency": Lognormal(mean=0.1)},
+        {"medium": Bitrate(bitrate=1e4)},
+        {"medium": Bitrate(bitrate=2e4, access=Csma())},
+        {"latency": 0.1, "transport": Reliable()},
+        {"latency": 0.1, "range": 5.0, "range_check": "both"},
+    ],
+    ids=["constant", "random", "airtime", "contending", "transport", "range"],
+)
+def test_losses_by_a_crash_have_the_cause_of_its_class(network, messages):
+    """As many as have the cause "crash" without it, wherever they are decided."""
+    settings = {"network": Links(**network), "record": Recording(messages=messages)}
+    faults = [(kind(node=1, start=0.15, end=0.4), Crash(node=2, start=0.1, end=0.2)) for kind in (Battery, Crash)]
+    counts = [watched(scenario(fault=fault, **settings), 1).trace.of(MessageCounts)[0] for fault in faults]
+    theirs, usual = (dict(count.lost_by) for count in counts)
+    assert theirs["battery"] > 0
+    assert theirs.pop("battery") + theirs.pop("crash", 0) == usual.pop("crash")
+    assert theirs == usual
+
+
+def test_parts_of_a_fault_have_its_cause_unless_they_have_their_own():
+    def causes(*faults):
+        return set(
+            summary(run(scenario(network=Links(latency=0.1), fault=faults, protocol=chases), 1)).messages_lost_by
+        )
+
+    window = {"start": 0.15, "end": 0.5}
+    assert causes(Brownout(**window)) == {"brownout", "battery"}
+    assert causes(Cut(**window)) == {"cable"}
+    assert causes(ChaserCut(**window)) == {"partition"}
 
 
 @pytest.mark.slow

@@ -11,10 +11,11 @@ from desim.config.calls import check_at_once, check_call
 from desim.config.model import MAX_TIME
 from desim.config.traits import kind_of
 from desim.kernel.core.clock import Clock, Instant, Phase
-from desim.kernel.core.events import Trace
+from desim.kernel.core.events import Cause, Trace
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.faults import Crash, Delays, Fault, Jamming, Partition, Undo, cause_of, nodes_of
 from desim.kernel.models.traced_faults import FaultEnded, FaultStarted, traced
+from desim.kernel.models.traits import FaultTraits
 from desim.kernel.network import Network
 
 Hook = Callable[[Crash], object]
@@ -81,6 +82,7 @@ class _Site:
 
     Args:
         fault: the fault.
+        whole: the own cause of the fault of which it is a part; None: it is none, or that one has no own cause.
     """
 
     def __init__(
@@ -92,11 +94,13 @@ class _Site:
         crashed: Hook,
         recovered: Hook,
         targets: Targets,
+        whole: Cause | None = None,
     ):
         self.fault, self.targets = fault, targets
         self._env, self._network, self._trace = env, network, trace
         self._crashed, self._recovered = crashed, recovered
-        self._record, self._cause = traced(fault), cause_of(fault)
+        self._own_cause = FaultTraits.of(fault).cause or whole
+        self._record, self._cause = traced(fault), self._own_cause or cause_of(fault)
 
     @property
     def size(self) -> int:
@@ -121,7 +125,8 @@ class _Site:
     def begin(self, fault: Fault) -> Undo:
         if not isinstance(fault, Fault):
             raise ValueError(f"begin(fault) should be given a fault, such as Crash(start=1.0, node=0) (got {fault!r})")
-        part = _Site(self._env, self._network, self._trace, fault, self._crashed, self._recovered, self.targets)
+        hooks = self._crashed, self._recovered, self.targets
+        part = _Site(self._env, self._network, self._trace, fault, *hooks, self._own_cause)
         part.record(FaultStarted)
         undo = part.apply()
 
@@ -134,7 +139,7 @@ class _Site:
     def crash(self, crash: Crash) -> Undo:
         if not isinstance(crash, Crash):
             raise ValueError(f"crash(crash) should be given a Crash, such as Crash(start=1.0, node=0) (got {crash!r})")
-        self._network.crash(crash.node)
+        self._network.crash(crash.node, self._cause)
         self._crashed(crash)
 
         def recover() -> None:

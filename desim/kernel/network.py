@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from desim.config.python_numbers import whole
 from desim.kernel.core.clock import Clock, NodeClock
-from desim.kernel.core.events import MessageCounts, Trace, TransportCounts
+from desim.kernel.core.events import Cause, MessageCounts, Trace, TransportCounts
 from desim.kernel.core.message_body import as_sent, own_copy
 from desim.kernel.core.message_size import checked_size, size_of
 from desim.kernel.core.ports import check_port
@@ -348,15 +348,17 @@ class Network(ReceivingNodes):
 
     # Faults and counts.
 
-    def crash(self, node: int) -> None:
+    def crash(self, node: int, cause: Cause = "crash") -> None:
         """Take the radio of a node down: it neither sends nor receives, and its unfinished transmissions are lost.
+
+        The cause is that of its losses.
 
         Raises:
             ValueError: if the network was created without a `FaultState`, or its faults are planned (see `FaultState`).
         """
         node = self._node(node)
-        self.fault_state.crash(node)
-        self._link_layer.crash(node)
+        self.fault_state.crash(node, cause)
+        self._link_layer.crash(node, cause)
 
     def recover(self, node: int, *, memory: bool = True) -> None:
         """End one crash of a node; if `memory` is false, delete its received records and unread messages.

@@ -11,7 +11,7 @@ from collections.abc import Collection
 from math import inf
 from typing import TYPE_CHECKING, Any, Literal
 
-from desim.kernel.core.events import LOST, Broadcast, Cause, Delivered, Event, Lost, MessageCounts, Queued, Sent
+from desim.kernel.core.events import CAUSES, LOST, Broadcast, Cause, Delivered, Event, Lost, MessageCounts, Queued, Sent
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.access import CsmaCa
 from desim.kernel.models.faults import Crash, Partition
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
 ON_AIR: Collection[Cause] = frozenset({"collision", "half_duplex", "crash"})
-"""Causes by which a message for whose channel nodes contend is lost before its arrival."""
+"""Causes by which a message for whose channel nodes contend is lost before its arrival, besides those of users."""
 MIN_BATCH = 64
 """Initial limit of the number of unchecked transmissions, above which deliveries are checked.
 
@@ -140,7 +140,8 @@ class Conservation:
             _require(due is not None and due >= event.t, "only a message in flight is lost, and only once", event)
             # A frame that contends is lost in the noise as it ends, which precedes its arrival.
             is_noise = event.cause == "loss" and event.transmission in self._queued
-            is_on_air = (event.cause in ON_AIR or is_noise) and event.t >= departure.t
+            is_early = event.cause in ON_AIR or event.cause not in CAUSES or is_noise
+            is_on_air = is_early and event.t >= departure.t
             _require(is_on_air or due == event.t, "a message is lost at transmission, on the air or on arrival", event)
 
     def _begin(self, event: FaultStarted) -> None:

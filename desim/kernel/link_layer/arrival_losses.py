@@ -37,19 +37,19 @@ class ArrivalLosses:
         self._transmitter, self._processing, self._checks_range = transmitter, processing, checks_range
         self._on_air: dict[int, tuple[int, int]] = {}
         """By sender: the number of its last transmission with an airtime, and the end of the airtime, ns."""
-        self._cut_short: set[int] = set()
-        """The numbers of the transmissions whose sender crashed while it transmitted."""
+        self._cut_short: dict[int, Cause] = {}
+        """By number of each transmission whose sender crashed while it transmitted: the cause of its loss."""
 
     def start(self, flight: Flight) -> None:
         """Note that a transmission with an airtime starts now."""
         transmission, airtime = flight
         self._on_air[transmission.src] = transmission.number, self._env.now + airtime
 
-    def crash(self, node: int) -> None:
+    def crash(self, node: int, cause: Cause) -> None:
         """Note that the radio of a node goes down now: its transmission that is on the air is lost on arrival."""
         number, end = self._on_air.get(node, (0, 0))
         if self._env.now < end:
-            self._cut_short.add(number)
+            self._cut_short[number] = cause
 
     def causes(self, nodes: list[int], times: int | list[int], flights: Flight | list[Flight]) -> dict[int, Cause]:
         """Return the cause of the loss of each of k arrivals that is lost, by its index.
@@ -104,13 +104,10 @@ class ArrivalLosses:
                 yield k
 
     def _crashed(self, nodes: list[int], number: int | Integers) -> list[Cause | None] | None:
-        """Return "crash" where the receiver is down or the sender crashed while sending, (k,); None: nowhere."""
+        """Return the cause where the receiver is down or the sender crashed while sending, (k,); None: nowhere."""
         assert self._fault_state is not None
-        down, cut_short = self._fault_state.down_nodes, self._cut_short
-        if not down and not cut_short:
+        down_cause, cut_short = self._fault_state.down_cause, self._cut_short
+        if not self._fault_state.down_nodes and not cut_short:
             return None
         numbers = repeat(number) if isinstance(number, int) else number.tolist()
-        return [
-            "crash" if node in down or number in cut_short else None
-            for node, number in zip(nodes, numbers, strict=False)
-        ]
+        return [down_cause(node) or cut_short.get(number) for node, number in zip(nodes, numbers, strict=False)]

@@ -22,6 +22,7 @@ from typing import Any
 
 from desim.kernel.channel.transmitter import Transmitter
 from desim.kernel.core.clock import Instant, Phase
+from desim.kernel.core.events import Cause
 from desim.kernel.core.records import Arrival, Record, pairs, per_receiver
 from desim.kernel.link_layer.arrival_losses import ArrivalLosses
 from desim.kernel.state.network_state import NetworkState
@@ -131,14 +132,14 @@ class Arrivals:
         self._with_events = 0
         """Number of arrivals that have an event."""
         self.kept, self._all = KeptArrivals(topology.size), range(topology.size)
-        self._at_downed: list[tuple[int, Transmission, int]] = []
-        """Losses that are certain, at nodes that are down: time, transmission and receiver."""
+        self._at_downed: list[tuple[int, Transmission, dict[int, Cause]]] = []
+        """Losses that are certain, at nodes that are down: time, transmission, and the cause by receiver."""
         self._count_at = self._forget_at = MANY_PAST
         """Lengths of `_at_downed` and of `transmitter.recent` at which items that are no longer needed are removed."""
 
-    def crash(self, node: int) -> None:
+    def crash(self, node: int, cause: Cause) -> None:
         """Note that the radio of a node goes down now: its transmission that is on the air is lost on arrival."""
-        self._losses.crash(node)
+        self._losses.crash(node, cause)
 
     def in_flight(self) -> int:
         """Return the number of arrivals that are not decided yet."""
@@ -184,7 +185,9 @@ class Arrivals:
             self.schedule(transmission, nodes, arrival, 0)
             return
         times = per_receiver(arrival, len(nodes))
-        self._at_downed += [(when, transmission, node) for node, when in zip(nodes, times, strict=True)]
+        assert self._fault_state is not None
+        causes: list[dict[int, Cause]] = [{node: self._fault_state.down_cause(node) or "crash"} for node in nodes]
+        self._at_downed += [(when, transmission, cause) for cause, when in zip(causes, times, strict=True)]
         if len(self._at_downed) > self._count_at:
             self.count_losses()
             self._count_at = 2 * len(self._at_downed) + MANY_PAST
@@ -192,9 +195,9 @@ class Arrivals:
     def count_losses(self) -> None:
         """Count the certain losses up to now."""
         now = self._env.now
-        for when, transmission, node in self._at_downed:
+        for when, transmission, causes in self._at_downed:
             if when <= now:
-                self._lose(transmission, {node: "crash"})
+                self._lose(transmission, causes)
         self._at_downed = [entry for entry in self._at_downed if entry[0] > now]
 
     def settle_for_reader(self, node: int | None = None) -> None:

@@ -52,8 +52,8 @@ class Departure:
     def attempt(self, transmission: Transmission, draw: int) -> Cause | None:
         """Draw the losses of an attempt to transmit to one node, which ends now; return the cause, or None."""
         (node,), faults = transmission.receivers, self._fault_state
-        if faults is not None and (faults.down(node) or faults.down(transmission.src)):
-            return "crash"
+        if faults is not None and (down := faults.down_cause(node) or faults.down_cause(transmission.src)) is not None:
+            return down
         if faults is not None and (jammed := faults.jammed([node], self._env.now)) is not None and jammed[0]:
             return jammed[0]
         src, topology = transmission.src, self._topology

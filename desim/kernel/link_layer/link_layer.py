@@ -115,17 +115,17 @@ class LinkLayer:
         """Register a function to call with each transmission that is lost at some receivers; see `Network`."""
         self._log.loss_watchers.append(watch)
 
-    def crash(self, node: int) -> None:
-        """Lose the queued transmissions of a node whose radio goes down now.
+    def crash(self, node: int, cause: Cause) -> None:
+        """Lose the queued transmissions of a node whose radio goes down now, with the cause of its losses.
 
         A transmission that is on the air now is lost, too: at once if nodes contend, else on arrival.
         """
-        self.delivery.arrivals.crash(node)
+        self.delivery.arrivals.crash(node, cause)
         taken = self._transmitter.flush(node) if self._transmitter is not None else []
         taken += self._hosts.flush(node) if self._hosts is not None else []
         for transmission in taken:
             reached, *_ = self._on_air.pop(transmission.number, (transmission.receivers,))
-            self._log.lose(transmission, dict.fromkeys(reached, "crash"))
+            self._log.lose(transmission, dict.fromkeys(reached, cause))
 
     def message_counts(self) -> MessageCounts:
         """Return the counts of messages up to now; each sent message is delivered, lost or in flight."""

@@ -54,7 +54,10 @@ class FaultSite(Protocol):
         ...
 
     def begin(self, fault: "Fault") -> Undo:
-        """Begin another fault as a part of this one; the trace records both."""
+        """Begin another fault as a part of this one; the trace records both.
+
+        Its losses have its own `cause`, or else that of this fault, if either class has one.
+        """
         ...
 
     def crash(self, crash: "Crash") -> Undo:

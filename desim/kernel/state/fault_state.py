@@ -59,6 +59,7 @@ class FaultState:
     def __init__(self, positions: PositionFunction | None = None, *, surprises: bool = False):
         self._positions = None if positions is None else as_position_source(positions)
         self._down: Counter[int] = Counter()
+        self._down_causes: dict[int, Cause] = {}
         self._planned: list[int] | None = None
         self._surprises = surprises
         self._is_changing = False
@@ -136,6 +137,10 @@ class FaultState:
         """Return whether the radio of a node is down."""
         return self._down[node] > 0
 
+    def down_cause(self, node: int) -> Cause | None:
+        """Return the cause of losses at a node whose radio is down, that of its last crash; None if it is up."""
+        return self._down_causes.get(node)
+
     def separated(self, src: int | Integers, nodes: list[int] | Integers) -> list[Cause | None] | None:
         """Return the cause of loss, (k,), where an active partition or cut blocks the link to a node, else None.
 
@@ -173,10 +178,11 @@ class FaultState:
                 causes[k] = cause
         return causes
 
-    def crash(self, node: int) -> None:
+    def crash(self, node: int, cause: Cause = "crash") -> None:
         """Take the radio of a node down; overlapping crashes of a node are counted."""
         self._require_change()
         self._down[node] += 1
+        self._down_causes[node] = cause
 
     def recover(self, node: int) -> None:
         """End one crash of a node; its radio is up again once all its crashes have ended.
@@ -189,7 +195,7 @@ class FaultState:
             raise ValueError(f"node {node} is not down")
         self._down[node] -= 1
         if not self._down[node]:
-            del self._down[node]
+            del self._down[node], self._down_causes[node]
 
     def partition(self, groups: Iterable[Iterable[int]], cause: Cause = "partition") -> Cut:
         """Separate groups of nodes from each other and from all other nodes; return the cut, which `rejoin` ends."""
