@@ -329,7 +329,7 @@ def test_any_text_is_read_or_refused(words):
             "# link 0 -> 1\ntc qdisc add dev a root netem\n# link 0 -> 1\ntc qdisc add dev b root netem loss 1%",
             "tc:4:1: differs from the command above for link 0 -> 1",
         ),
-        ("ip link set eth0 up", "tc:1:4: 'link' is not allowed here"),
+        ("ip link set eth0 down", "tc:1:4: 'link' is not allowed here"),
         (
             "tc qdisc add dev a root netem\ntc qdisc add dev b root netem loss 1%",
             "tc:2:1: differs from the command above for",
@@ -486,7 +486,7 @@ def test_a_script_is_read_as_a_shell_reads_it(script_of_shell):
         (f"tc {ADD} || tc qdisc change dev eth0 root netem delay 1ms", "tc:1:58: differs from the command before ||"),
         (f"docker run a tc {ADD}", "tc:1:8: 'run' is not allowed here"),
         ("tc qdisc link dev a root netem", "tc:1:10: 'link' is not allowed here"),
-        ("tc qdisc add dev a root netem delay 1ms 'x", 'tc:1:41: "\'" is not allowed here'),
+        ("tc qdisc add dev a root netem delay 1ms 'x", 'tc:1:37: "\'" is not allowed here'),
     ],
 )
 def test_a_script_that_does_other_things_is_refused(text, why):
@@ -515,6 +515,39 @@ def test_a_comment_names_the_link_of_its_line_or_of_the_next_command():
         {"src": 0, "dst": 1, "loss": {"kind": "bernoulli", "p": 0.01}},
         {"src": 1, "dst": 2, "loss": {"kind": "bernoulli", "p": 0.03}},
     ]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "DEV=eth0\nexport DELAY=100ms LOSS='10%'\ntc qdisc add dev $DEV root netem delay ${DELAY} loss $LOSS",
+        'DEV=${1:-eth0}; D="100ms 0ms"\nD=100ms\ntc qdisc add dev "$DEV" root netem delay "${D}" loss ${LOSS:-10%}',
+        "ip address add 10.0.0.1/24 dev eth0\nsudo ip link set eth0 up; modprobe ifb\nip netns add n\n"
+        "ip netns exec n ip link set lo up && ip netns exec n tc qdisc add dev eth0 root netem delay 100ms loss 10%",
+        'N="netem delay 100ms loss 10%"\ntc qdisc add dev eth0 root $N',
+        "tc -s qdisc show dev eth0; tc qd ls\ntc qd add dev eth0 root netem delay 100ms loss 10%",
+    ],
+)
+def test_variables_have_the_values_that_lines_above_give_them_and_addresses_no_effect(text):
+    assert read_script(text).network == {
+        "latency": {"kind": "constant", "value": 0.1},
+        "loss": {"kind": "bernoulli", "p": 0.1},
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("tc qdisc add dev a root netem delay $D", r"1:37: '\$D' .*; no line above gives this variable a value"),
+        ("D=5ms\nD=$1\ntc qdisc add dev a root netem delay $D", r"3:37: '\$D' .*no line above"),
+        ("D=5ms\ntc qdisc add dev a root netem delay '$D'", r"2:37: '\$D' .*no line above"),
+        ("ip link set eth0 down", r"1:4: 'link' is not allowed here"),
+        ("ip netns exec n ip link del a", r"'link' is not allowed here"),
+    ],
+)
+def test_a_variable_without_a_value_and_the_end_of_a_link_are_refused(text, why):
+    with pytest.raises(TcError, match=why):
+        read_script(text)
 
 
 RUNNERS = ["", "sudo ", "/sbin/", "sudo -n /usr/sbin/", "env A=1 ", "B=2 sudo "]

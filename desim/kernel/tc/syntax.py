@@ -2,7 +2,8 @@
 
 The text is a script of a shell: commands end with a line, `;`, `&&` or `||`; a backslash continues a line; `#` begins a
 comment; the output of a command may be redirected. A command may be run by `sudo`, `env`, `ip netns exec` or
-`docker exec`. Other commands are refused, because what they do to links is not known.
+`docker exec`. Variables have the values that lines `NAME=value` above give them. Commands that set up addresses and
+modules have no effect; others are refused, because what they do to links is not known.
 """
 
 import re
@@ -60,8 +61,12 @@ class Command(NamedTuple):
 ACTIONS = ("add", "change", "replace", "delete", "show", "list", "lst")
 """What `tc qdisc` does; like tc, desim takes each beginning of a word for the first word that begins so."""
 FORM = "is not allowed here; a command is: tc qdisc add|change|replace dev DEVICE root netem OPTIONS"
-NOTHING = ("true", ":", "set", "echo")
-"""The commands that do nothing to links."""
+NOTHING = frozenset({"true", ":", "set", "echo", "ip", "ifconfig", "modprobe", "sysctl"})
+"""The commands that do nothing to links, unless they have one of the words in `ENDING`."""
+ENDING = frozenset({"down", "del", "delete", "flush"})
+_ASSIGNMENT = re.compile(r"(\w+)=(.*)", re.ASCII)
+_VARIABLE = re.compile(r"\$(?:(\w+)|\{(\w+)(?::?-([^$}]*))?\})", re.ASCII)
+"""Matches the use of a variable, perhaps with a default."""
 WITH_VALUE = {
     "sudo": {"-u", "-g", "--user", "--group"},
     "env": {"-u"},
@@ -127,9 +132,16 @@ class _Words:
         """Whether the next word begins with a digit."""
         return self.peek()[:1].isdecimal()
 
+    @property
+    def all(self) -> list[str]:
+        """All words of the command."""
+        return [word for word, _ in self._words]
+
     def wrong(self, why: str) -> TcError:
         """Return the error about the word that was taken last."""
-        return TcError(f"{self.where}: {self._words[self._next - 1][0]!r} {why}")
+        word = self._words[self._next - 1][0]
+        hint = "; no line above gives this variable a value" if "$" in word else ""
+        return TcError(f"{self.where}: {word!r} {why}{hint}")
 
 
 def order_of(*, reorders: bool, has_rate: bool) -> Order:
@@ -152,19 +164,24 @@ def commands(text: str, source: str) -> Iterator[Command]:
     """
     way: Way | None = None
     words: list[tuple[str, str]] = []
+    values: dict[str, str] = {}  # of variables
     before: Command | None = None  # the command before `||`
     line, begin = 1, 0
     for token in _TOKEN.finditer(text.removeprefix("\ufeff") + "\n"):
         where = f"{source}:{line}:{token.start() - begin + 1}"
         match token.lastgroup:
             case "word":
-                words.append((_QUOTES.sub(lambda part: part[1] or part[2] or part[3] or "", token[0]), where))
+                word = _QUOTES.sub(lambda part: part[1] or part[2] or part[3] or "", token[0])
+                known = word if "'" in token[0] else _with_values(word, values)
+                parts = known.split() if known != word and '"' not in token[0] else [known]
+                words += ((part, where) for part in parts)
             case "comment" if match := _COMMENT.fullmatch(token[0].strip()):
                 way = int(match[1]), int(match[2])
             case "other":
                 raise TcError(f"{where}: {token[0]!r} {FORM}")
             case "end" if words:
-                command = _command(_Words(words), way)
+                is_assignment = _assign(_Words(words).all, values)
+                command = None if is_assignment else _command(_Words(words), way)
                 words = []
                 if command is not None and not _repeats(command, before):
                     yield command
@@ -172,6 +189,33 @@ def commands(text: str, source: str) -> Iterator[Command]:
                 before = command if token[0] == "||" else None
         if "\n" in token[0]:
             line, begin = line + 1, token.end()
+
+
+def _with_values(word: str, values: dict[str, str]) -> str:
+    """Return a word with the values of variables; one without a value stays, unless it has a default."""
+    return _VARIABLE.sub(lambda use: values.get(use[1] or use[2], use[0] if use[3] is None else use[3]), word)
+
+
+def _assign(words: list[str], values: dict[str, str]) -> bool:
+    """Return whether a command gives values to variables, and keep them; those that a shell computes are not known."""
+    pairs = [_ASSIGNMENT.fullmatch(word) for word in words[words[0] == "export" :]]
+    if not pairs or None in pairs:
+        return False
+    for pair in pairs:
+        if pair is not None:
+            values.pop(pair[1], None)
+            values |= {} if set(pair[2]) & {"$", "`"} else {pair[1]: pair[2]}
+    return True
+
+
+def _does_nothing(words: list[str]) -> bool:
+    """Return whether a command has no effect on links."""
+    while words[:1] == ["sudo"]:
+        words = words[1:]
+    if words[:3] == ["ip", "netns", "exec"]:
+        words = words[4:]
+    name = words[0].rpartition("/")[2] if words else ""
+    return name in NOTHING and words[1:3] != ["netns", "exec"] and ENDING.isdisjoint(words)
 
 
 def _repeats(command: Command, before: Command | None) -> bool:
@@ -194,7 +238,7 @@ def _command(words: _Words, way: Way | None) -> Command | None:
         TcError: if it is no command of `tc qdisc`.
     """
     where = words.where
-    if words.peek() in NOTHING:
+    if _does_nothing(words.all):
         return None
     runner = _runner(words)
     namespace = _flags(words, "tc")
