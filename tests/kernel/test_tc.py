@@ -486,7 +486,7 @@ def test_a_script_is_read_as_a_shell_reads_it(script_of_shell):
         (f"tc {ADD} || tc qdisc change dev eth0 root netem delay 1ms", "tc:1:58: differs from the command before ||"),
         (f"docker run a tc {ADD}", "tc:1:8: 'run' is not allowed here"),
         ("tc qdisc link dev a root netem", "tc:1:10: 'link' is not allowed here"),
-        ("tc qdisc add dev a root netem delay 1ms 'x", 'tc:1:37: "\'" is not allowed here'),
+        ("tc qdisc add dev a root netem delay 1ms 'x", 'tc:1:41: "\'" is not allowed here'),
     ],
 )
 def test_a_script_that_does_other_things_is_refused(text, why):
