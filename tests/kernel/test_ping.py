@@ -71,6 +71,37 @@ def test_a_text_without_a_reply_has_no_probes(text):
     assert probes_of(text) == []
 
 
+NO_REPLY = {
+    "Linux": "PING a (10.0.0.2) 56(84) bytes of data.\n\n--- a ping statistics ---\n"
+    "5 packets transmitted, 0 received, 100% packet loss, time 4000ms\n",
+    "Linux -O": "PING a (10.0.0.2) 56(84) bytes of data.\n"
+    + "".join(f"no answer yet for icmp_seq={seq}\n" for seq in range(1, 5))
+    + "\n--- a ping statistics ---\n5 packets transmitted, 0 received, 100% packet loss, time 4149ms\n",
+    "macOS": "PING a (10.0.0.2): 56 data bytes\n"
+    + "".join(f"Request timeout for icmp_seq {seq}\n" for seq in range(4))
+    + "\n--- a ping statistics ---\n5 packets transmitted, 0 packets received, 100.0% packet loss\n",
+    "Windows": "Pinging 10.0.0.2 with 32 bytes of data:\n"
+    + 5 * "Request timed out.\n"
+    + "\nPing statistics for 10.0.0.2:\n    Packets: Sent = 5, Received = 0, Lost = 5 (100% loss),\n",
+}
+
+
+@pytest.mark.parametrize("text", NO_REPLY.values(), ids=NO_REPLY)
+def test_without_a_reply_all_probes_are_lost(text, tmp_path):
+    (tmp_path / "ping.txt").write_text(text)
+    assert LossTrace(file=str(tmp_path / "ping.txt"), value="lost").measurements.values.tolist() == [1.0] * 5
+    with pytest.raises(KeyedError, match=r"ping\.txt: ping had no reply, so there is no latency"):
+        Empirical(file=str(tmp_path / "ping.txt"))
+
+
+def test_a_summary_of_ping_is_refused(tmp_path):
+    """As printed with the option -q."""
+    (tmp_path / "ping.txt").write_text(NO_REPLY["Linux"].replace(" 0 received", " 4 received"))
+    for model in (Empirical, LossTrace):
+        with pytest.raises(KeyedError, match=r"ping\.txt has the summary of ping only; without the option -q"):
+            model(file=str(tmp_path / "ping.txt"))
+
+
 def test_a_file_of_ping_is_a_list_of_latencies_and_a_table(tmp_path):
     file = tmp_path / "ping.txt"
     file.write_text(LINUX)

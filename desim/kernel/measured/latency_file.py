@@ -31,7 +31,10 @@ def latencies_of(file: Path) -> list[float]:
     """
     text = text_of_file(file)
     if probes := _probes(text, file):
-        return [probe.rtt / 2.0 for probe in probes if probe.rtt is not None]
+        latencies = [probe.rtt / 2.0 for probe in probes if probe.rtt is not None]
+        if not latencies:
+            raise ValueError(f"{file}: ping had no reply, so there is no latency")
+        return latencies
     check_comments(text, file, "s")
     rows = [(line, items) for line, row in enumerate(text.split("\n"), 1) if (items := _items(row, file, line))]
     numbers: list[float] = []

@@ -20,6 +20,10 @@ OTHER = re.compile(r".*\b(?:icmp_)?seq[= ](\d+)\b.*", re.ASCII)
 """Matches a line of other systems about a probe without a reply."""
 TOTAL = re.compile(r"(\d+) packets transmitted, .*?(?:, time (\d+) ?ms)?", re.ASCII)
 """Matches the line with the number of probes and, on Linux, the time that they took."""
+RECEIVED = re.compile(
+    r"\d+ packets transmitted, (\d+) (?:packets )?received.*|.*Sent = \d+, Received = (\d+),.*", re.ASCII
+)
+"""Matches the line with the number of replies."""
 START = re.compile(r"(?:PING|Pinging) .*")
 INTERVAL = 1.0
 """Time between probes, s, if the output has no times."""
@@ -44,7 +48,7 @@ def ping_table(text: str) -> str | None:
     lost, 0 or 1.
 
     Raises:
-        ValueError: if the text is the output of several pings.
+        ValueError: if the text is the output of several pings, or a summary only.
     """
     rows = [
         f"{probe.sent:.6f},,1" if probe.rtt is None else f"{probe.sent:.6f},{1e3 * probe.rtt:.9g},0"
@@ -60,14 +64,18 @@ def probes_of(text: str) -> list[Probe]:
     the output on Linux, and are 1 s elsewhere.
 
     Raises:
-        ValueError: if the text is the output of several pings, or of more than `MAX_PROBES` probes.
+        ValueError: if the text is the output of several pings, a summary only, or of more than `MAX_PROBES` probes.
     """
-    if "time=" not in text and "time<" not in text:
+    if "time=" not in text and "time<" not in text and "PING " not in text and "Pinging " not in text:
         return []
     lines = [line.strip() for line in text.split("\n")]
-    if not any(map(REPLY.fullmatch, lines)):
-        return []
     starts = sum(bool(START.fullmatch(line)) for line in lines)
+    if not any(map(REPLY.fullmatch, lines)):
+        totals = [int(match[1] or match[2]) for line in lines if (match := RECEIVED.fullmatch(line))]
+        if not starts or not totals:
+            return []
+        if any(totals):
+            raise ValueError("has the summary of ping only; without the option -q, it prints a line for each reply")
     if starts > 1:
         raise ValueError("has the output of several pings; a file should have that of one")
     replies: dict[int, tuple[float | None, float]] = {}
@@ -88,7 +96,7 @@ def probes_of(text: str) -> list[Probe]:
         elif total := TOTAL.fullmatch(line):
             count, duration = int(total[1]), float(total[2]) / 1e3 if total[2] else None
     first = min({1, *replies, *lost} if starts else {*replies, *lost})  # a log may begin later
-    end = max(*replies, *lost, first + count - 1)
+    end = max([first + count - 1, *replies, *lost])
     if end - first >= MAX_PROBES:
         raise ValueError(f"has more than {MAX_PROBES:,} probes")
     stamps = {seq: stamp for seq, (stamp, _) in replies.items() if stamp is not None}
