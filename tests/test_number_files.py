@@ -325,6 +325,10 @@ def test_a_flow_may_count_from_any_date(tmp_path):
 @pytest.mark.parametrize(
     ("content", "why"),
     [
+        (
+            b"P5\n540 587\n255\n\xff\xfe",
+            "a picture of pixels: draw or trace its lines in an editor, and save them as SVG",
+        ),
         (b"PK\x03\x04\x14\x00\xff", "a zip archive or a spreadsheet: unpack it, or save its table as CSV"),
         (b"\x93NUMPY\x01\x00v\x00", r"an array of numpy: numpy\.savetxt writes it as text"),
         (b"SQLite format 3\x00", "a database of SQLite: export a table as CSV"),

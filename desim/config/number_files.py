@@ -172,6 +172,7 @@ def content_of(file: Path) -> bytes:
     return unpacked
 
 
+PICTURE = "a picture of pixels: draw or trace its lines in an editor, and save them as SVG"
 NO_TEXT = {
     b"PK\x03\x04": "a zip archive or a spreadsheet: unpack it, or save its table as CSV",
     b"\xd0\xcf\x11\xe0": "a spreadsheet: save its table as CSV",
@@ -183,6 +184,10 @@ NO_TEXT = {
     b"MATLAB 5.0": "a file of Matlab: writetable exports a table as CSV",
     b"ULog": "a log of PX4: ulog2csv exports its tables as CSV",
     b"#ROSBAG": "a bag of ROS: rostopic echo -b FILE -p TOPIC exports a topic as CSV",
+    b"P5": PICTURE,
+    b"\x89PNG": PICTURE,
+    b"\xff\xd8\xff": PICTURE,
+    b"GIF8": PICTURE,
     b"\xd4\xc3\xb2\xa1": "a capture of packets: tshark -T fields exports it as CSV",
     b"\n\r\r\n": "a capture of packets: tshark -T fields exports it as CSV",
 }

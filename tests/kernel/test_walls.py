@@ -237,6 +237,12 @@ def test_a_wall_that_is_none_is_refused_with_what_is_allowed(case):
         ('<svg><path fill-opacity="0" stroke="red" stroke-opacity="0.0" d="M0 0H1"/></svg>', "a.svg", "neither a fill"),
         ('<svg><switch><path d="M0 0H1"/><g><path d="M0 2H1"/></g></switch></svg>', "a.svg", "one is drawn"),
         ('{"type": "LineString", "coordinates": [[13.4, 52.5], [13.5, 52.5]]}', "a.geojson", "GeoJSON.* in degrees"),
+        ("[  WWW ]\n[ W   ]\n", "a.txt", "line 1: a corner should have two numbers(?!.*GeoJSON)"),
+        (
+            '<svg><path d="M0 0H1" fill="none" stroke="red"/><text>Hall</text></svg>',
+            "a.svg",
+            "<text> is no wall: delete",
+        ),
         ("t,x,y\n0,4,0\n", "a.csv", "line 1: a corner should have two numbers, x y .has 3"),
         ('<svg><path clip-path="url(#c)" d="M0 0H1"/></svg>', "a.svg", "clip-path hides a part, which would be a wall"),
         ('<svg><g style="mask:url(#c)"><path d="M0 0H1"/></g></svg>', "a.svg", "mask hides a part"),

@@ -267,7 +267,9 @@ def measurements_of(table: str, columns: Columns, meaning: Meaning, name: str) -
         # The first late row of the table, not of the order by links, is the one that a reader of the file looks for.
         late = int(row[1:][is_late].min())
         before = cells.place(int(row[:-1][is_late & (row[1:] == late)][0]))
-        raise cells.error(late, f"{columns.time} should increase; it is not later than in {before}, of the same link")
+        hint = "" if columns.src else "; if the rows are of several links, src and dst should name their columns"
+        why = f"{columns.time} should increase; it is not later than in {before}, of the same link{hint}"
+        raise cells.error(late, why)
     distinct, rank = np.unique(times, return_inverse=True)
     first = np.append(np.flatnonzero(is_first), len(row))
     lines = np.array(cells.lines)[row[first[:-1]]]

@@ -87,6 +87,8 @@ def svg_file_outlines(text: str) -> list[Outline]:
             raise ValueError("a drawing inside the drawing (<svg>) is not read: ungroup it in the editor")
         if name == "switch":
             raise ValueError("of the parts of a <switch> one is drawn, and all would be walls: delete the others")
+        if name == "text":
+            raise ValueError("<text> is no wall: delete it in the editor")
         if name in REFUSED:
             raise ValueError(f"<{name}> is not read: convert objects to paths in the editor")
         if name not in GROUPS and name not in SHAPES:

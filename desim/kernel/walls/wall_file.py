@@ -31,7 +31,7 @@ def wkt_in(file: Path, *, is_scaled: bool = False) -> str:
     first = next((line.strip() for line in lines if line.strip()), "")
     if not first:
         raise ValueError(f"{file} has no shape")
-    if first[0] in "{[":
+    if first[0] in "{[" and '"coordinates"' in text:
         raise ValueError(
             f"{file}: GeoJSON is not read, as its positions are in degrees (RFC 7946): project them to m, and write"
             " them as WKT (in Python, `geometry.wkt` of shapely)"
