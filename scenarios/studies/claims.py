@@ -562,6 +562,15 @@ CLAIMS = (
             "With covariance intersection and c = .32 it is {1.26 +- .11}",
             [consistency(0.32, "covariance_intersection")],
         ),
+        (
+            "squared error is {2.38 +- .17} and {5.5 +- .4}, and with covariance intersection {1.54 +- .15} and"
+            " {3.9 +- .7}",
+            [
+                consistency(0.32, fusion, off)
+                for fusion in ("by_stamp", "covariance_intersection")
+                for off in (0.1, 0.3)
+            ],
+        ),
         share=2 / 3,
         sigmas=NORMAL_975,
     ),

@@ -316,16 +316,17 @@ def chase_of_many(name: str) -> Scenario:
     return many_runs.moving_game(6, 6, many_runs.protocol_kind(name), many_runs.cooled(name, many_runs.COOLING))
 
 
-def noisy(diffusion: float, fusion: str) -> Scenario:
-    """Return `noisy.toml` with a kind of fusion and a diffusion of the velocity, m/s per sqrt(s)."""
-    changes = {"sensing.fusion": fusion, "sensing.estimator.velocity_diffusion": diffusion}
+def noisy(diffusion: float, fusion: str, offset: float = 0.0) -> Scenario:
+    """Return `noisy.toml` with a diffusion of the velocity, m/s per sqrt(s), a fusion, and offsets of clocks, s."""
+    faults = [{"kind": "clock_skew", "offset": offset}] if offset else []
+    changes = {"sensing.fusion": fusion, "sensing.estimator.velocity_diffusion": diffusion, "fault": faults}
     return load(SCENARIOS / "noisy.toml").with_(changes)
 
 
 @number
-def consistency(options: Options, diffusion: float, fusion: str = "by_stamp") -> Measured:
+def consistency(options: Options, diffusion: float, fusion: str = "by_stamp", offset: float = 0.0) -> Measured:
     """Measure the normalised squared error of `noisy`, over the runs in which a position is estimated."""
-    (errors,) = options.measure([noisy(diffusion, fusion)], "", normalised_error)
+    (errors,) = options.measure([noisy(diffusion, fusion, offset)], "", normalised_error)
     return of(mean([error for error in errors if not isnan(error)]))
 
 

@@ -141,6 +141,29 @@ def test_a_filter_is_compared_with_an_evader_that_turns_at_once(evader, diffusio
     assert ("sensing.estimator.velocity_diffusion" in found) == is_warned_of
 
 
+@pytest.mark.parametrize(
+    ("parts", "is_warned_of"),
+    [
+        ({"fault": [{"kind": "clock_skew", "offset": 0.3}]}, True),
+        ({"fault": [{"kind": "clock_skew", "offset": -0.3, "node": 1}]}, True),
+        ({"fault": [{"kind": "clock_skew", "drift": 0.01}]}, True),
+        ({"fault": [{"kind": "clock_skew", "offset_walk": 0.055}]}, True),
+        ({"fault": [{"kind": "clock_skew", "drift_walk": 0.0032}]}, True),
+        ({"fault": [{"kind": "clock_skew", "offset": 0.3}], "sensing": {"noise": "range_bearing"}}, True),
+        ({"fault": [{"kind": "clock_skew", "offset": 0.25}]}, False),
+        ({"fault": [{"kind": "clock_skew", "offset": 0.3}], "team": {"count": 1, "speeds": 2.0}}, False),
+        ({"fault": [{"kind": "clock_skew", "offset": 0.3}], "clocks": {"sync": "two_way"}}, False),
+        ({"fault": [{"kind": "clock_skew", "offset": 0.3}], "sensing": {"estimator": "none"}}, False),
+        ({}, False),
+    ],
+)
+def test_a_filter_that_takes_wrong_time_stamps_for_exact_is_warned_of(parts, is_warned_of):
+    """In 0.28 s an evader of 0.9 m/s moves half of the deviation of a sighting; the horizon is 30 s."""
+    sensing = {"noise": 0.5, "estimator": "kalman", "estimate": "hold"} | parts.get("sensing", {})
+    found = dict(warned(**parts | {"sensing": sensing}))
+    assert ("a filter takes time stamps for exact" in found.get("sensing.estimator", "")) == is_warned_of
+
+
 @pytest.mark.parametrize("speeds", [(1.0, 3.0), (3.0, 1.0)])
 def test_of_several_players_the_fastest_counts(speeds):
     """An evader at 3 m/s beside one at 1 m/s, and such pursuers; steps of 1 s are more than a disc of 0.2 m."""

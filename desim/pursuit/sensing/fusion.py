@@ -80,6 +80,7 @@ def fused(tracks: Sequence[InformedTrack], how: Fusion) -> Track:
             combined = _new(Information, (matrix, vector, determinant))
     if combined is None:
         return fused_by_corrections([track for track, _ in tracks], how)
+    assert covariance is not None
     return Track(first.track.stamp, product(covariance, combined.vector), covariance)
 
 
