@@ -26,6 +26,9 @@ from desim.kernel.models.traits import InterferenceTraits, ReceptionTraits
 from desim.kernel.models.transport import BestEffort, Reliable
 from desim.kernel.walls.materials import MATERIALS
 from desim.pursuit.core.traits import DisseminationTraits
+from desim.pursuit.sensing.noise import Covariance
+from desim.pursuit.sensing.noisy_sensing import Sighted, Tracked
+from desim.pursuit.sensing.tracking import Measurement
 from desim.pursuit.team.announcements import Forwarded, LocatedAssignment
 from desim.scenario.scenario import Scenario
 from desim.scenario.telling import announces_start, has_heartbeats, is_built_in, sends_announcements
@@ -40,6 +43,10 @@ SPARSE = 5.0
 """Mean time between two rows, s, from which on the times may be in ms."""
 REPORT = size_of(Forwarded((Record(0, 0, 0, LocatedAssignment(0, 0.0, 0.0, 0.0)),)))
 """Least size of a report to a server (`protocols.server`), bytes."""
+SIGHTED = Sighted(1, Measurement(0, 0, 0.0, 0.0, Covariance(0.0, 0.0, 0.0)))
+"""What a pursuer reports of an evader that it sees, if sightings are processed by their stamps."""
+TRACKED = Tracked(1, 0, (0.0,) * 4, (0.0,) * 10)
+"""What it reports if tracks are fused."""
 ROUNDS_TO_0 = "rounds to 0, because time is counted in nanoseconds"
 
 
@@ -75,6 +82,10 @@ def network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     protocol = scenario.protocol_traits
     if protocol.host is not None and protocol.period is not None and is_built_in(scenario):
         yield from _load_warnings(scenario, "protocol.period", "reports", REPORT, protocol.period, host=1)
+    sensing = scenario.sensing
+    if sensing.is_noisy and not scenario.sight_is_limited and not protocol.omniscient:  # all report all evaders
+        size = size_of((SIGHTED if sensing.fusion == "by_stamp" else TRACKED,) * len(scenario.evaders))
+        yield from _load_warnings(scenario, "sensing.period", "reports of sightings", size, sensing.period)
 
 
 def _load_warnings(

@@ -314,6 +314,23 @@ def test_of_several_players_the_fastest_counts(speeds):
             None,
             "",
         ),
+        *(
+            (
+                {
+                    "network": Links(medium=FAST | {"shared": True}),
+                    "team": Team(count=8),
+                    "protocol": Server(period=9.0),
+                    "sensing": {"noise": 0.5, "period": period, "estimator": "kalman", "fusion": fusion},
+                },
+                why and "sensing.period",
+                why,
+            )
+            for fusion, period, why in (
+                ("by_stamp", 0.025, "reports of sightings of 96 bytes alone need 1.3 times the capacity"),
+                ("naive", 0.045, "reports of sightings of 144 bytes alone need 1.1 times the capacity"),
+                ("by_stamp", 0.045, None),
+            )
+        ),
         (
             {"network": Links(medium=FAST | {"access": Csma(p=0.1)}), "announce": JITTER},
             "network.medium.access.p",
