@@ -213,8 +213,9 @@ def _stamp_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield a warning if sightings are processed by time stamps that are wrong."""
     noise, t = scenario.sensing.noise, scenario.horizon
     skews = [fault for fault in scenario.fault if isinstance(fault, ClockSkew)]
-    known = isinstance(noise, PositionNoise | RangeBearingNoise)
-    if not known or not skews or scenario.team.count == 1 or scenario.clocks.sync != Unsynchronised():
+    if not skews or scenario.team.count == 1 or scenario.clocks.sync != Unsynchronised():
+        return
+    if not isinstance(noise, PositionNoise | RangeBearingNoise):
         return
     error = max(
         hypot(skew.offset, skew.drift * t, skew.offset_walk * sqrt(t), skew.drift_walk * sqrt(t**3 / 3.0))

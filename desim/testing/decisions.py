@@ -62,10 +62,8 @@ def _scenario(protocol: Any, parts: dict[str, Any], dissemination: Any = None) -
     announce = Announcements(trigger="change")
     team = Team(count=5, speeds=2.0)
     usual = {"horizon": HORIZON, "team": team, "announce": announce, "record": Recording(messages=True)}
-    scenario = usual | {"protocol": protocol} | parts
-    if dissemination is not None:
-        scenario["announce"] = scenario["announce"].model_copy(update={"dissemination": dissemination})
-    return Scenario(**scenario)
+    scenario = Scenario(**usual | {"protocol": protocol} | parts)
+    return scenario if dissemination is None else scenario.with_({"announce.dissemination": dissemination})
 
 
 @naming_arguments
@@ -135,7 +133,9 @@ def check_dissemination(dissemination: Any, *, limit: float = 10.0) -> None:
 
 def _check_reach(tested: Subject, limit: float) -> None:
     """Require that announcements get to teammates, and that the dissemination is then as it was before."""
-    where, known, objects = f"a run of {HORIZON:g} s without losses", set(), []
+    where = f"a run of {HORIZON:g} s without losses"
+    known: set[tuple[int, int]] = set()
+    objects: list[tuple[Any, bytes | None]] = []
 
     def listens(me: Agent) -> Process:
         while True:
