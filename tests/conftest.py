@@ -3,6 +3,7 @@
 import gc
 import signal
 import sys
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from inspect import isfunction
@@ -12,6 +13,7 @@ from pkgutil import walk_packages
 
 import pytest
 from hypothesis import settings
+from xdist import is_xdist_worker
 
 import desim
 import protocols
@@ -24,7 +26,8 @@ from scenarios.studies.study import SCENARIOS
 settings.register_profile("steady", deadline=None, derandomize=True, max_examples=24)
 settings.register_profile("explore", deadline=None, max_examples=400)
 settings.load_profile("steady")
-BENCHMARKS = Path(__file__).parent / "benchmarks"
+TESTS = Path(__file__).parent
+BENCHMARKS = TESTS / "benchmarks"
 WATCHERS = pytest.StashKey[list[Conservation]]()
 """The watchers of the traces that are made in a test."""
 
@@ -75,6 +78,20 @@ def whole_are_asked_for(config):
 def pytest_ignore_collect(collection_path, config):
     """Leave out the benchmarks where they would be skipped: their workloads take long to make."""
     return True if collection_path == BENCHMARKS and config.option.benchmark_skip else None
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection(session):
+    """Let each of several workers import all tests from another file on, so that they share the work of compiling."""
+    if session.config.args_source is not session.config.ArgsSource.TESTPATHS or not is_xdist_worker(session):
+        return
+    names = sorted(".".join(path.relative_to(TESTS.parent).with_suffix("").parts) for path in TESTS.rglob("test_*.py"))
+    worker = session.config.workerinput
+    first = len(names) * int(worker["workerid"].removeprefix("gw")) // worker["workercount"]
+    for name in [*names[first:], *names[:first]]:
+        if not name.startswith("tests.benchmarks."):
+            with suppress(Exception, pytest.skip.Exception):  # is told when the file is collected
+                import_module(name)
 
 
 @pytest.hookimpl(tryfirst=True)
