@@ -384,6 +384,7 @@ def test_a_difference_is_told_apart_beyond_the_margin(differences, agrees):
     assert Row("end_time", "s", mean(values), mean(zeros), paired(values, zeros), 1.2).agrees
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, 5, 20])
 def test_live_runs_that_are_simulated_ones_seldom_differ(count):
     """The share of false alarms in 2000 comparisons has a standard error of at most 0.5 %."""
