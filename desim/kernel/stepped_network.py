@@ -93,7 +93,7 @@ class LostMessage(NamedTuple):
     sent: float
     """When it was sent, s."""
     cause: Cause
-    """Why it was lost; see `desim.kernel.core.events.Cause`."""
+    """Why it was lost; see `desim.kernel.core.events.CAUSES`."""
     port: str = ""
 
 

@@ -43,8 +43,20 @@ class Event(Protocol):
 
 
 Cause = Annotated[str, Field(min_length=1)]
-"""The cause of a loss, a name. A user's model gives one to its losses (the attribute `cause`); built-in models have
-"loss": by chance, or by noise; "out_of_range", "partition", "jamming" and "crash"; "queue": dropped from a full queue;
+"""The cause of a loss, one of `CAUSES` or a name that a user's model gives to its losses (the attribute `cause`)."""
+CAUSES = (
+    "loss",
+    "out_of_range",
+    "partition",
+    "jamming",
+    "crash",
+    "queue",
+    "access",
+    "half_duplex",
+    "tuning",
+    "collision",
+)
+"""The causes of losses of the built-in models. "loss": by chance, or by noise; "queue": dropped from a full queue;
 "access": dropped by its sender, because the channel was busy too often (csma) or its slots are too short (tdma);
 "half_duplex": the receiver was transmitting; "tuning": its radio is tuned to another frequency or spreading factor
 (lora); "collision": another frame overlapped it at the receiver."""

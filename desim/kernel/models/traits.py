@@ -38,7 +38,7 @@ class LinkTraits(Traits):
     """`mean_latency()` returns the mean latency, s, or None if it is not known; `desim check` compares it with the
     horizon."""
     cause: Annotated[str, Field(min_length=1)] = "loss"
-    """The cause of the losses that a loss model draws, in traces and counts; see `events.Cause`."""
+    """The cause of the losses that a loss model draws, in traces and counts; see `events.CAUSES`."""
     is_lost: Callable[[LinkContext], Any] | None = None
     """`is_lost(context)` returns (k,) booleans, or one for all: which messages a latency model loses. Their latencies
     have no effect."""
@@ -159,7 +159,7 @@ class InterferenceTraits(Traits):
     has_noise: Annotated[Flag, Follows("__call__")] = True
     """Whether a frame may be lost although no other overlaps it."""
     cause: Annotated[str, Field(min_length=1)] = "collision"
-    """The cause of the loss of a frame that others overlap, in traces and counts; see `events.Cause`."""
+    """The cause of the loss of a frame that others overlap, in traces and counts; see `events.CAUSES`."""
     varies: Annotated[tuple[Variation, ...], Follows("__call__")] = ()
     """Why the power of a frame at a distance is random: "fading", "shadowing" or both."""
     lock: Flag = False
@@ -192,7 +192,7 @@ class FaultTraits(Traits):
     """The optional attributes of a fault, or of a plan of faults, in addition to `__call__`."""
 
     cause: Annotated[str, Field(min_length=1)] | None = None
-    """The cause of the losses by a fault, in traces and counts, see `events.Cause`; None: its kind or class."""
+    """The cause of the losses by a fault, in traces and counts, see `events.CAUSES`; None: its kind or class."""
     named: Callable[[], Mapping[str, Sequence[int]]] | None = None
     """`named()` returns the nodes that it names, by key; an error about a node that does not exist names the key."""
     breaks: frozenset[str] = frozenset()
