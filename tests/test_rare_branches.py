@@ -35,7 +35,7 @@ from desim.config.python_numbers import _is_endless, as_real, real
 from desim.kernel.channel.transmitter import Transmitter
 from desim.kernel.clock_sync import REMEMBERED as ANSWERS
 from desim.kernel.clock_sync import Synchroniser, TimeAnswer, TimeRequest
-from desim.kernel.core.clock import Clock
+from desim.kernel.core.clock import Clock, Phase
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.core.message_body import _is_frozen
 from desim.kernel.core.message_size import size
@@ -69,6 +69,7 @@ from desim.pursuit.sensing.noisy_sensing import TrackingView
 from desim.pursuit.sensing.sensing import spiral
 from desim.pursuit.team.announcements import MAX_SEQ, MAX_STAMP, _is_record, relayed_records, with_records
 from desim.pursuit.team.targeted_faults import NewsFault
+from desim.pursuit.team.timing import MAX_AT_ONE_INSTANT, Timing
 from desim.scenario.assumptions import times_known
 from desim.scenario.overrides import Source
 from desim.scenario.simultaneous import _instants
@@ -206,6 +207,14 @@ def size_of_marks(places):
     start = SimpleNamespace(active=(0,), pursuers=places[:1], evaders=places[1:])
     Scene._start(scene, start)
     return scene._size
+
+
+def waits(count, instant):
+    """Return how often a pursuer has waited for the present, which is 0, if it did so already at an instant."""
+    timing = SimpleNamespace(id=0, _env=Clock(), _waits=count, _instant=instant, _check_phase=abs)
+    timing._standstill = RuntimeError
+    Timing._event(timing, 0, Phase.DECISION)
+    return timing._waits
 
 
 def phi_of_a_liar(evader):
@@ -389,6 +398,14 @@ VALUES = {
         [size_of_marks(places) for places in ([(0.0, 0.0), (4.0, 20.0)], [(0.0, 0.0), (20.0, 4.0)], [(1.0, 1.0)] * 2)],
         [PART * 20.0, PART * 20.0, 1.0],
     ),
+    "waits for the present": lambda: (
+        [waits(MAX_AT_ONE_INSTANT - 1, 0), waits(MAX_AT_ONE_INSTANT, -1)],
+        [MAX_AT_ONE_INSTANT, 1],
+    ),
+    "a start just before the end of measurements": lambda: (
+        [LatencyTrace(table="t,value\n0,0.5\n10,0.5\n", after="error", start=start).start for start in (0.0, 19.9)],
+        [0.0, 19.9],
+    ),
     "a ratio to nothing": lambda: (isnan(Ratio.of(np.ones(3), np.zeros(3)).value), True),
 }
 
@@ -460,6 +477,11 @@ REFUSED = {
             {"team.count": 2}
         ),
         "runs with independent seeds cannot be paired",
+    ),
+    "one wait too many for the present": (lambda: waits(MAX_AT_ONE_INSTANT, 0), "wait for longer"),
+    "a start at the end of measurements": (
+        lambda: LatencyTrace(table="t,value\n0,0.5\n10,0.5\n", after="error", start=20.0),
+        "start should be before the end of the trace at",
     ),
     "a model without keys": (lambda: desim.Complete(3), "Complete has no keys: Complete()"),
     "a model that cannot be copied": (

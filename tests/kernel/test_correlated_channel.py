@@ -15,6 +15,7 @@ from scipy.stats import ncx2
 from desim.kernel.core.portable_math import cos_of_turns
 from desim.kernel.models.coherence import LIGHT, Coherence
 from desim.kernel.models.fading import nakagami_powers, rice_powers
+from desim.kernel.topology import correlated_channel
 from desim.kernel.topology.correlated_channel import CorrelatedChannel, Ends
 
 DOPPLER = 10.0
@@ -286,3 +287,11 @@ def test_nakagami_fading_has_twice_m_processes_of_at_most_sixteen(m, count):
     powers = nakagami_powers(m, normals)
     assert asked == [count]
     assert (powers == 1.0).all() == (2.0 * m == count)
+
+
+def test_what_surrounds_nodes_is_the_same_whether_it_is_kept_or_drawn_anew(monkeypatch):
+    coherence = Coherence(decorrelation=5.0, shared=0.5, waves=8)
+    kept = states(coherence, 3).shadowing()
+    assert len(set(kept.tolist())) == 3
+    monkeypatch.setattr(correlated_channel, "ROOM", 0)
+    assert states(coherence, 3).shadowing().tolist() == kept.tolist()

@@ -610,6 +610,23 @@ def test_a_graph_of_metis_comes_back_with_any_weights(tmp_path, ends, code, name
         read(tmp_path / name, directed=True)
 
 
+@pytest.mark.parametrize(
+    ("code", "before", "beside"),
+    [
+        ("", "", ""),
+        (" 100", "7 ", ""),
+        (" 010", "8 ", ""),
+        (" 110 2", "7 8 9 ", ""),
+        (" 001", "", " 5"),
+        (" 11", "8 ", " 5"),
+    ],
+)
+def test_sizes_and_weights_of_metis_are_no_neighbours(tmp_path, code, before, beside):
+    rows = (f"{before}{' '.join(f'{k}{beside}' for k in row)}" for row in ([2], [1, 3], [2]))
+    (tmp_path / "g.graph").write_text("\n".join([f"3 2{code}", *rows, ""]))
+    assert [(edge.src, edge.dst) for edge in read(tmp_path / "g.graph").edges] == [(0, 1), (1, 2)]
+
+
 def test_a_list_of_edges_may_have_the_ending_of_metis(tmp_path):
     (tmp_path / "g.graph").write_text("0 1\n1 2\n2 0\n")
     assert len(read(tmp_path / "g.graph").edges) == 3
