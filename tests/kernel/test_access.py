@@ -1229,3 +1229,26 @@ def sent_alone(access, bursts, limit):
 def test_a_node_that_transmits_alone_contends_as_it_transmits(bursts, limit):
     """A frame starts as soon as the one before has ended, and a full queue drops its oldest, on either channel."""
     assert sent_alone(Aloha(), bursts, limit) == sent_alone(Ideal(), bursts, limit)
+
+
+@pytest.mark.parametrize(
+    ("begin", "dst", "why"),
+    [
+        (1_000_000, (2,), None),
+        (999_999, (2,), "no node receives two frames that overlap"),
+        (999_999, (3,), "no node receives while it transmits"),
+        (0, (3,), "no node receives while it transmits"),
+    ],
+)
+def test_frames_may_touch_and_not_overlap_at_a_node(begin, dst, why):
+    """Node 0 sends to 1 and 2 for 1 ms, and node 1 to another one."""
+    medium = Bitrate(bitrate=8e6, access="aloha")
+    frames = [
+        Broadcast(0, 0, 0, 0, (1, 2) if why is None or dst == (3,) else (2,), (1_000_000,), 0, 1000, None),
+        Broadcast(begin, 1, 1, 0, dst, (begin + 1_000_000,), begin, 1000, None),
+    ]
+    if why is None:
+        watch(OneFrame(medium), SimpleNamespace(events=frames))
+        return
+    with pytest.raises(AssertionError, match=why):
+        watch(OneFrame(medium), SimpleNamespace(events=frames))
