@@ -2,14 +2,16 @@
 
 import os
 import pickle
+import sys
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib import import_module
 from io import BytesIO
 from itertools import count, cycle, repeat
 from math import inf, isnan
 from pathlib import Path
 from queue import SimpleQueue
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,6 +28,7 @@ from desim.cli import main
 from desim.cli.usage import _context_of
 from desim.config import calls, fresh, packages, stateless, trust
 from desim.config.arguments import missing_attribute
+from desim.config.code_variables import _modules_of
 from desim.config.copier import Describer
 from desim.config.errors import KeyedError, NoMetricError, Problem
 from desim.config.json_numbers import to_json
@@ -558,3 +561,21 @@ def test_each_open_family_refuses_what_cannot_be_called():
     refused = [raising(lambda family=family: family.check(3)) for family in families() if not family.is_closed]
     assert len(refused) > 20
     assert {text.partition(", which ")[0] for _, text in refused} == {"should be a model"}
+
+
+def imported_inside():
+    import counter_of_users
+
+    return counter_of_users.calls
+
+
+def imported_by_text():
+    return import_module("counter_of_users").calls
+
+
+@pytest.mark.parametrize("function", [imported_inside, imported_by_text])
+def test_a_module_that_a_function_imports_while_it_runs_is_looked_through(function, monkeypatch):
+    module = ModuleType("counter_of_users")
+    module.calls, module.others = [], []
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    assert {name: set(names) for name, _, names in _modules_of(function)}["counter_of_users"] == {"calls"}
