@@ -79,7 +79,6 @@ PASSING = {
     "Owed",
     "Speaker",
     "State",
-    "Timer",
     "Trace",
 }
 """Objects of which a run makes many, or which are kept for the next run."""
