@@ -34,6 +34,7 @@ from desim.config.errors import KeyedError, NoMetricError, Problem
 from desim.config.json_numbers import to_json
 from desim.config.key_errors import _with_file
 from desim.config.key_suggestions import other_key
+from desim.config.model import MAX_TIME
 from desim.config.python_numbers import _is_endless, as_real, real
 from desim.kernel.channel.transmitter import Transmitter
 from desim.kernel.clock_sync import REMEMBERED as ANSWERS
@@ -49,6 +50,7 @@ from desim.kernel.measured.models import LatencyTrace, LossTrace
 from desim.kernel.models.graphs import Edges
 from desim.kernel.models.interference import unknown_channel
 from desim.kernel.models.link_draws import as_booleans
+from desim.kernel.models.loss import _ByKnownDistance
 from desim.kernel.models.reception import Disk
 from desim.kernel.models.traced_faults import CustomFault, Misbehaviour
 from desim.kernel.state.fault_state import _checked_delays
@@ -218,6 +220,17 @@ def waits(count, instant):
     timing._standstill = RuntimeError
     Timing._event(timing, 0, Phase.DECISION)
     return timing._waits
+
+
+def distances_asked_for():
+    """Return the distances at which probabilities are computed for two messages of 0, one from elsewhere, and of 1."""
+    used = []
+    model = _ByKnownDistance(SimpleNamespace(probability=lambda distances: used.append(distances[0]) or distances))
+    near, far = np.array([0.5]), np.array([1.0])
+    for src, distances in ((0, near), (0, near), (0, far), (1, near)):
+        context = LinkContext(src, np.array([2]), 0.0, known_distances=distances)
+        model(context, np.random.default_rng(1))
+    return used
 
 
 def phi_of_a_liar(evader):
@@ -408,6 +421,11 @@ VALUES = {
     "a start just before the end of measurements": lambda: (
         [LatencyTrace(table="t,value\n0,0.5\n10,0.5\n", after="error", start=start).start for start in (0.0, 19.9)],
         [0.0, 19.9],
+    ),
+    "losses at distances that are kept, and at others": lambda: (distances_asked_for(), [0.5, 1.0, 0.5]),
+    "a message at the last time": lambda: (
+        [fate.t for fate in desim.fates([(MAX_TIME, 0, 1, 8)], 2, wait=0.0)],
+        [MAX_TIME],
     ),
     "a ratio to nothing": lambda: (isnan(Ratio.of(np.ones(3), np.zeros(3)).value), True),
 }

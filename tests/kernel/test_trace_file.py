@@ -18,7 +18,7 @@ from pydantic import Field
 from desim import Scenario, Team, run
 from desim.kernel.core.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
 from desim.kernel.core.records import Record
-from desim.kernel.core.trace_file import BLOCK, LONG, TraceFile, events_of, line_of
+from desim.kernel.core.trace_file import BLOCK, LONG, TraceFile, _open_alone, events_of, line_of
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.faults import Crash
 from desim.kernel.models.traced_faults import FaultStarted
@@ -500,3 +500,13 @@ def test_a_line_that_is_no_event_is_named_with_what_is_wrong(line, told):
     lost = Lost(0, 0, 0, 1, "loss")
     with pytest.raises(ValueError, match=f"^line 2 is not an event: {told}"):
         list(events_of([line_of(lost), line], KINDS, {"node": Field(lt=3)}))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="files are locked by `fcntl` only")
+def test_a_file_that_one_process_writes_is_refused_to_another(tmp_path):
+    part, path = tmp_path / "trace.jsonl.part", tmp_path / "trace.jsonl"
+    with _open_alone(part, path) as file:
+        with pytest.raises(BlockingIOError, match="is written by another process: each run needs a file of its own"):
+            _open_alone(part, path)
+        assert file.writable()
+    _open_alone(part, path).close()
