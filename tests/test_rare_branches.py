@@ -12,13 +12,14 @@ from math import inf, isnan
 from pathlib import Path
 from queue import SimpleQueue
 from types import ModuleType, SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
 from click import Context
 
 import desim
-from desim import Crash, Fault, Links, Scenario
+from desim import Constant, Crash, Fault, Links, Scenario
 from desim.analysis.control_variates import ControlledEstimate
 from desim.analysis.drawing.plots import in_style
 from desim.analysis.metrics import Summary
@@ -66,6 +67,7 @@ from desim.pursuit.byzantine.speaker import Speaker
 from desim.pursuit.game.game import greedy_maximal_independent_set
 from desim.pursuit.mobility.bonnmotion_file import _increase
 from desim.pursuit.mobility.mobility_file import has_poses
+from desim.pursuit.motion.dynamics import Acceleration
 from desim.pursuit.motion.environment import Environment
 from desim.pursuit.motion.flow import NoFlow, RecordedFlow
 from desim.pursuit.motion.turning import shortest_path
@@ -87,8 +89,10 @@ from desim.study.comparing.scores import Ratio
 from desim.study.results.explanation import Explanation
 from desim.study.store.file import view_of
 from desim.study.sweeps.sweep_plan import SweepPlan
+from desim.testing.pursuits import _has_known_limit
 from desim.view.formats.foxglove import PART, Scene
 from desim.view.formats.trace_table import _is_event
+from desim.view.pages.play_server import _Handler
 from protocols.schedules.periodic import Rounds
 from protocols.schedules.synchronous import Synchronous
 from tests.test_kinds import families
@@ -231,6 +235,29 @@ def distances_asked_for():
         context = LinkContext(src, np.array([2]), 0.0, known_distances=distances)
         model(context, np.random.default_rng(1))
     return used
+
+
+class Slow(Acceleration):
+    """Dynamics with a motion of their own, whose limit is not that of the base."""
+
+    kind: str = "slow"
+
+    def __call__(self, position, course, command):
+        """Return a motion."""
+
+
+class SlowWithLimits(Slow):
+    """The same, which say what they limit."""
+
+    limits: ClassVar[str] = "acceleration"
+
+
+def sent_length(length):
+    """Return the length that a server names before it sends."""
+    sent = {}
+    handler = SimpleNamespace(send_response=abs, send_header=sent.__setitem__, end_headers=dict)
+    _Handler._begin(handler, "text/html", length)
+    return sent.get("Content-Length")
 
 
 def phi_of_a_liar(evader):
@@ -426,6 +453,11 @@ VALUES = {
     "a message at the last time": lambda: (
         [fate.t for fate in desim.fates([(MAX_TIME, 0, 1, 8)], 2, wait=0.0)],
         [MAX_TIME],
+    ),
+    "the length of what a server sends": lambda: ([sent_length(5), sent_length(None)], ["5", None]),
+    "dynamics whose limit is known": lambda: (
+        [*map(_has_known_limit, (Acceleration(), Slow(), SlowWithLimits(), Constant(value=0.1)))],
+        [True, False, True, False],
     ),
     "a ratio to nothing": lambda: (isnan(Ratio.of(np.ones(3), np.zeros(3)).value), True),
 }
