@@ -117,8 +117,11 @@ class Estimate:
 
     @property
     def bars(self) -> tuple[float, float]:
-        """The lengths of the error bars below and above the mean."""
-        low, high = self.interval
+        """The lengths of the error bars below and above the mean.
+
+        They are nan if all values are equal: a bar of no length would say that the mean is certain; see `others`.
+        """
+        low, high = self.interval if self.others is None or isinstance(self, Share) else (nan, nan)
         return self.mean - low, high - self.mean
 
     def excludes_0(self, confidence: float = 0.95) -> bool:

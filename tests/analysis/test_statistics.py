@@ -142,6 +142,14 @@ def test_a_share_has_the_interval_of_wilson_and_covers_as_often_as_it_says():
     assert estimate([1.0, 2.0, 3.0]).bars == pytest.approx((estimate([1.0, 2.0, 3.0]).half_width,) * 2)
 
 
+def test_equal_values_have_no_error_bar():
+    """A bar of no length would say that the mean is certain; the interval of a share has a width."""
+    assert np.isnan(estimate([2.0, 2.0, 2.0]).bars).all()
+    assert np.isnan(estimate([2.0]).bars).all()
+    low, _ = wilson(3, 3)
+    assert statistics.share([True] * 3).bars == pytest.approx((1.0 - low, 0.0))
+
+
 LAWS = {
     "normal": (lambda rng, size: rng.normal(size=size), 0.0, 1.0),
     "exponential": (lambda rng, size: rng.exponential(size=size), 1.0, 1.0),

@@ -253,6 +253,16 @@ def explanation_of(metric="active_time", shown=tuple(EXPLAINED), **times):
         return variants.carry_out(store, workers, shown)
 
 
+@pytest.mark.slow
+def test_small_costs_are_written_with_two_digits_above_their_bars():
+    """Without latency 4 ms less in both runs, and without loss 0.5 ms: neither is 0.00."""
+    found = explanation_of(
+        as_it_is=[0.008, 0.008], latency=[0.004, 0.004], loss=[0.0075, 0.0075], ideal=[0.0035, 0.0035]
+    )
+    texts = {text.get_text() for axes in waterfall(found).axes for text in axes.texts}
+    assert {"0.01", "+0.0040", "+0.00050", "0.0035"} <= texts
+
+
 def test_additive_costs_do_not_interact():
     """9 and 10 s; without latency 2 and 4 s less, without loss 1 and 3 s less, without both 3 and 7 s less."""
     found = explanation_of(as_it_is=[9.0, 10.0], latency=[7.0, 6.0], loss=[8.0, 7.0], ideal=[6.0, 3.0])

@@ -1,8 +1,11 @@
 """Waterfall charts of explanations: what each imperfection costs."""
 
+from math import isnan
+
 from desim.analysis.drawing.palette import BLUE, GREEN, GREY, ORANGE, SKY, VERMILION
 from desim.analysis.drawing.plots import Axes, Figure, Style, figure_of, in_style, size_of, styled
 from desim.analysis.statistics import Estimate
+from desim.analysis.tables import decimals_of
 from desim.config.escaping import escaped
 from desim.kernel.core.portable_math import portable_sum
 from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT, Cost, CostByMetric
@@ -57,7 +60,7 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
     names = [IDEAL, *steps, AS_IT_IS]
     last = len(names) - 1
     axes.bar([0, last], [cost.ideal.mean, cost.as_it_is.mean], color=[GREY, BLUE], width=0.6)
-    _mark(axes, 0, 0.0, cost.ideal, ".2f")
+    _mark(axes, 0, 0.0, cost.ideal)
     level = cost.ideal.mean
     for at, (name, step) in enumerate(steps.items(), start=1):
         is_interaction = name == "interaction"
@@ -65,15 +68,15 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
         colour = GREY if is_interaction else signs[cost.more_is][step.mean.mean <= 0.0]
         axes.bar(at, step.mean.mean, bottom=level, color=colour, width=0.6, hatch="//" if is_interaction else None)
         axes.plot([at - 0.7, at + 0.3], [level, level], color=GREY, lw=0.7)
-        _mark(axes, at, level, step.mean, "+z.2f")
+        _mark(axes, at, level, step.mean, "+z")
         level += step.mean.mean
-    _mark(axes, last, 0.0, cost.as_it_is, ".2f")
+    _mark(axes, last, 0.0, cost.as_it_is)
     places = list(range(len(names)))
     if cost.bounds is not None:
         bounds = {PERFECT: cost.bounds.perfect, SILENT: cost.bounds.silent}
         for place, (name, bound) in enumerate(bounds.items(), start=last + 2):
             axes.bar(place, bound.mean, color=SKY, width=0.6)
-            _mark(axes, place, 0.0, bound, ".2f")
+            _mark(axes, place, 0.0, bound)
             places.append(place)
             names.append(name)
     axes.set_xticks(places, list(map(literal, names)), fontsize=8, rotation=35, ha="right", rotation_mode="anchor")
@@ -81,12 +84,11 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
     axes.set_ylabel(literal(f"{cost.label} ({cost.unit})" if cost.unit else cost.label))
 
 
-def _mark(axes: Axes, at: int, base: float, estimate: Estimate, form: str) -> None:
+def _mark(axes: Axes, at: int, base: float, estimate: Estimate, sign: str = "") -> None:
     """Draw the 95 % interval at the end of a bar that starts at `base`, and write the height of the bar above it."""
     end = base + estimate.mean
     below, above = estimate.bars
     axes.errorbar(at, end, [[below], [above]], color="black", elinewidth=0.8, capsize=2)
-    top = max(base, end + above)
-    axes.annotate(
-        f"{estimate.mean:{form}}", (at, top), textcoords="offset points", xytext=(0, 3), ha="center", fontsize=7
-    )
+    top = max(base, end if isnan(above) else end + above)
+    text = f"{estimate.mean:{sign}.{decimals_of(abs(estimate.mean), 2)}f}"
+    axes.annotate(text, (at, top), textcoords="offset points", xytext=(0, 3), ha="center", fontsize=7)
