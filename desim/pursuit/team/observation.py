@@ -74,8 +74,8 @@ class OfPursuer(NamedTuple):
     """
 
     heard: float
-    """1 if an announcement has arrived, else 0. With `announce.start = "known"` the initial action counts as one that was
-    sent at the start."""
+    """1 if an announcement has arrived, else 0. With `announce.start = "known"` the initial action counts as one of the
+    start."""
     age: float
     """Time since the announcement was sent, s, at most the horizon."""
     action: float
