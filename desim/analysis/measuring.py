@@ -11,6 +11,7 @@ from typing import Any
 from desim.analysis.metrics import METRICS, Metric, Summary
 from desim.analysis.trace_index import trace_index
 from desim.config.arguments import naming_arguments, run_argument
+from desim.config.calls import check_argument, check_at_once
 from desim.config.errors import MetricError, NoMetricError
 from desim.config.fresh import fresh_copy
 from desim.config.python_numbers import as_python
@@ -98,6 +99,9 @@ def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType
             raise ValueError(f"metric {name!r} should have another name: there is a {taken} of this name")
         if not callable(of) or isinstance(of, type):
             raise ValueError(f"metric {name!r} should be a function of a result, got {of!r}")
+        function = of.of if isinstance(of, Metric) else of
+        check_argument(function, ("result",), f"metric {name!r}")
+        check_at_once(function, f"metric {name!r} ")
         if (other := next((earlier for earlier in metrics if earlier.lower() == low), name)) != name:
             raise ValueError(f"metric {name!r} should have another name: it differs from {other!r} only in case")
         metric = of if isinstance(of, Metric) else Metric(of)

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence, Set, Sized
 from functools import cache, cached_property
 from pathlib import PurePath
 from types import FunctionType, MappingProxyType, UnionType
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -34,6 +34,8 @@ from desim.config.json_numbers import from_json
 from desim.config.parameters import are_equal, in_json
 from desim.config.python_numbers import NUMBERS, as_python, why_no_text
 from desim.config.suggestion import did_you_mean
+
+Model = TypeVar("Model", bound=BaseModel)
 
 # Numbers and booleans are strict: the string "60" is not 60, and true is not 1.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
@@ -309,7 +311,9 @@ class Value(BaseModel, metaclass=_ValueType):
         kept = {name: getattr(copy, name) for name in self.own_fields()}
         values = kept | dict(update)
         try:
-            return type(self).model_validate(values, by_name=True)
+            if type(self).__init__ is BaseModel.__init__:
+                return type(self).model_validate(values, by_name=True)
+            return _made_by_own_init(type(self), values, update.keys())
         except ValidationError as error:
             problems = WORDINGS["call"](error, type(self), values)
         raise KeyedError(*problems)
@@ -317,6 +321,13 @@ class Value(BaseModel, metaclass=_ValueType):
     def copy(self, **options: Any) -> Self:
         """Do what `model_copy` does: pydantic's method of this name would not validate."""
         return self.model_copy(**options)
+
+    def __getstate__(self) -> dict[Any, Any]:
+        """Return what a pickle holds: the fields, and attributes that a user's class has set besides."""
+        state = super().__getstate__()
+        if len(self.__dict__) > len(type(self).model_fields):
+            state["beside"] = [*(self.__dict__.keys() - type(self).model_fields.keys())]
+        return state
 
     def __setstate__(self, state: dict[Any, Any]) -> None:
         """Restore a pickled value; keys that another version did not have get their defaults.
@@ -328,9 +339,8 @@ class Value(BaseModel, metaclass=_ValueType):
         fields, held = type(self).model_fields, self.__dict__
         if held.keys() == fields.keys():
             return
-        if unknown := [
-            name for name in held if name not in fields and name[0] != "_" and not hasattr(type(self), name)
-        ]:
+        known = {*fields, *state.get("beside", ())}
+        if unknown := [name for name in held if name not in known and name[0] != "_" and not hasattr(type(self), name)]:
             raise ValueError(
                 f"{with_article(type(self).__name__)} cannot be unpickled: it has no key {unknown[0]} any more, so the"
                 " pickle is of another version of desim; keep scenarios as files, or as run.json"
@@ -413,6 +423,29 @@ class Value(BaseModel, metaclass=_ValueType):
     def plain(self) -> dict[str, Any]:
         """Return the fields as JSON values; infinity is the string "Infinity"."""
         return dict(json.loads(self.model_dump_json()))
+
+
+def _made_by_own_init(model: type[Model], values: Mapping[str, Any], updated: Set[str]) -> Model:
+    """Return a value of a class with an `__init__` of its own, which should take the values of its keys as they are.
+
+    Raises:
+        KeyedError: about an updated key, if it does not.
+    """
+    try:
+        made = model.model_validate(values, by_name=True)
+    except TypeError as error:
+        why = f"takes other arguments ({error})"
+    else:
+        changed = [
+            name
+            for name, value in values.items()
+            if not are_equal(getattr(made, name), value) and (name not in updated or type(value) in {int, float})
+        ]
+        if not changed or all(isinstance(getattr(made, name), BaseModel) for name in changed):
+            return made
+        why = f"changes {changed[0]}"
+    text = f"cannot be set: {model.__name__} has its own __init__, which {why}: give another {model.__name__}(...)"
+    raise KeyedError(Problem(text, min(updated)))
 
 
 def _why_no_list(model: type[Value], name: str, value: Any) -> str:

@@ -14,7 +14,9 @@ from desim.config.errors import KeyedError, KeyPath, Problem, problems_of
 from desim.config.field_docs import fields_of
 from desim.config.key_errors import model_of
 from desim.config.model import Value
+from desim.config.parameters import parameters_of
 from desim.config.python_numbers import as_python
+from desim.config.suggestion import did_you_mean
 from desim.config.tables import holds, value_at
 from desim.kernel.models.presets import PRESETS
 from desim.scenario.override_texts import key_and_value, key_and_values
@@ -187,7 +189,7 @@ class Source:
                 raise ScenarioError(Problem(_empty_list(".".join(map(str, (*place, key)))), name))
             if isinstance(node, dict) and key not in node:
                 node[key] = {"kind": default["kind"]} if isinstance(default, dict) and "kind" in default else {}
-            if holds(node, key) and isinstance(node[key], Value):
+            if holds(node, key) and (isinstance(node[key], Value) or callable(node[key])):
                 try:
                     node[key] = _replaced(node[key], parts[depth:], value)
                 except ScenarioError as error:
@@ -282,17 +284,29 @@ def _replaced(model: Any, parts: list[str], value: Any) -> Any:
         ScenarioError: if the model has no such key or rejects the value.
     """
     name, *rest = parts
-    if not isinstance(model, Value):
-        raise ScenarioError(f"{type(model).__name__} has no key {name!r}")
+    parameters = dict(model) if isinstance(model, BaseModel) else parameters_of(model)
+    kind = type(model).__name__
+    if parameters is None:
+        text = f"{kind} has no key {name!r}"
+        raise ScenarioError(f"{text}: give another one, or make it a dataclass" if callable(model) else text)
     try:
-        if rest and name in type(model).model_fields:
-            value = _replaced(getattr(model, name), rest, value)
+        if rest and name in parameters:
+            value = _replaced(parameters[name], rest, value)
     except ScenarioError as error:
         raise ScenarioError(*(problem.below(name) for problem in error.problems)) from None
     try:
-        return model.model_copy(update={name: value})
+        if isinstance(model, Value):
+            return model.model_copy(update={name: value})
+        if name not in parameters:
+            hint = did_you_mean(name, parameters)
+            raise ScenarioError(Problem(f"unknown key{hint}; allowed: {', '.join(sorted(parameters))}", name))
+        return type(model)(**parameters | {name: value})
     except KeyedError as error:
         raise ScenarioError(*(problem._replace(where="") for problem in error.problems)) from None
+    except ScenarioError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise ScenarioError(Problem(f"cannot be set: {kind}: {error}", name)) from error
 
 
 def _copied(tables: Any) -> Any:

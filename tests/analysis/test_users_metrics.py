@@ -17,6 +17,7 @@ from desim.scenario.scenario import Recording, Scenario
 from desim.scenario.toml import dump
 from desim.simulation.run import run
 from desim.simulation.watchdog import TimedOut
+from desim.study.sweeps.sweep import sweep
 from tests.command import strict_json
 
 SHORT = Scenario(name="short", horizon=0.1, team=Team(count=2))
@@ -152,3 +153,30 @@ def test_a_metric_that_is_no_name_is_told_how_to_give_one_of_a_users():
             ValueError, match=rf'metric should be a name: "{name}", with metrics=\{{"{name}": \.\.\.\}}'
         ):
             check_numeric(metric)
+
+
+def two(result, other):
+    return 1.0
+
+
+def yielded(result):
+    yield 1.0
+
+
+async def awaited(result):
+    return 1.0
+
+
+@pytest.mark.parametrize("wrap", [lambda of: of, lambda of: Metric(of, "s")], ids=["function", "metric"])
+@pytest.mark.parametrize(
+    ("of", "why"),
+    [
+        (two, r"metric 'x' should accept a call with \(result\); two \(.*\) does not: missing a required argument"),
+        (yielded, "metric 'x' should do its work when it is called, without yield: yielded"),
+        (awaited, "metric 'x' should have `def` in place of `async def`"),
+    ],
+    ids=["two arguments", "generator", "async"],
+)
+def test_a_metric_that_cannot_be_called_with_a_result_is_refused_before_any_run(of, why, wrap):
+    with pytest.raises(ValueError, match=why):
+        sweep(SHORT, reps=10**6, metrics={"x": wrap(of)})

@@ -1,6 +1,7 @@
 """Copies of models with other values are validated like new ones, in every class; `copy.replace` makes such a copy."""
 
 import copy
+import pickle
 import sys
 
 import pytest
@@ -8,11 +9,12 @@ from pydantic import ConfigDict
 
 from desim.config.errors import KeyedError
 from desim.config.model import Value
-from desim.kernel.models.latency import Uniform
+from desim.kernel.models.latency import Lognormal, Uniform
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
+from desim.simulation.run import run
 from tests.models import MODELS, NEEDED, made
 
 VALUES = (True, 0, 2, 0.5, -1, "a", [1, 2], {"kind": "a"}, None)
@@ -119,3 +121,56 @@ def test_the_method_on_which_copy_replace_relies_validates_too():
 
 def test_needed_arguments_are_those_of_classes():
     assert NEEDED.keys() <= {model.__name__ for model in MODELS}
+
+
+class InMilliseconds(Lognormal):
+    def __init__(self, ms=100.0):
+        super().__init__(mean=ms / 1000.0)
+
+
+class Converting(Lognormal):
+    """Takes the mean in another unit than that of the key."""
+
+    def __init__(self, mean=100.0, **keys):
+        super().__init__(mean=mean / 1000.0, **keys)
+
+
+class Passing(Lognormal):
+    def __init__(self, **keys):
+        super().__init__(**{"mean": 0.2} | keys)
+
+
+def test_a_class_with_an_init_of_its_own_is_copied_if_it_takes_its_keys():
+    assert Passing(cv=0.3).model_copy(update={"mean": 0.5}) == Passing(cv=0.3, mean=0.5)
+    other = r"InMilliseconds has its own __init__, which takes other arguments \(.*'mean'\): give another InMilli"
+    changes = "mean: cannot be set: Converting has its own __init__, which changes mean: give another Converting"
+    scenario = Scenario(network=Links(latency=InMilliseconds(200.0)))
+    for act, why in (
+        (lambda: InMilliseconds().model_copy(update={"mean": 0.3}), other),
+        (lambda: scenario.with_({"network.latency.mean": 0.3}), other),
+        (lambda: Converting().model_copy(update={"mean": 0.3}), changes),
+        (lambda: Converting().model_copy(update={"cv": 0.3}), changes.replace("mean", "cv", 1)),
+    ):
+        with pytest.raises(ValueError, match=why):
+            act()
+
+
+class Prepared(Lognormal):
+    """Sets an attribute besides its keys, as frozen classes do."""
+
+    def model_post_init(self, _):
+        object.__setattr__(self, "table", [self.mean] * 3)
+
+    def __call__(self, context, rng):
+        self.table.append(0.0)
+        return self.table[0]
+
+
+def test_attributes_besides_the_keys_stay_in_copies_and_in_runs():
+    prepared = Prepared(mean=0.25)
+    for copied in (pickle.loads(pickle.dumps(prepared)), copy.deepcopy(prepared), prepared.model_copy(deep=True)):
+        assert copied.table == [0.25] * 3
+        assert copied.table is not prepared.table
+    scenario = Scenario(team=Team(count=2), horizon=0.5, network=Links(latency=prepared))
+    assert len({str(run(scenario, seed=1).trace.events) for _ in range(2)}) == 1
+    assert prepared.table == [0.25] * 3

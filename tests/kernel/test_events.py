@@ -3,6 +3,7 @@
 import pytest
 
 from desim.kernel.core.events import LOST, Broadcast, MessageCounts, Sent, Trace
+from desim.kernel.stepped_network import SteppedNetwork
 
 pytestmark = pytest.mark.own_trace
 
@@ -38,6 +39,24 @@ def test_watchers_see_messages_that_are_not_kept():
     trace.append(tally)
     assert seen == [message, tally]
     assert list(trace) == [tally]
+
+
+def test_a_class_that_overrides_how_events_are_stored_gets_all_that_are():
+    stored = []
+
+    class Theirs(Trace):
+        def append(self, event):
+            stored.append(event)
+            super().append(event)
+
+    seen = []
+    for trace in (Theirs([seen.append]), Theirs([seen.append], messages=False)):
+        with SteppedNetwork(3, {"latency": 0.1, "loss": 0.5}, trace=trace) as network:
+            network.send(0, None, "x")
+            network.step(1.0)
+        assert stored == trace.events
+        assert len(seen) == 4  # a broadcast, a loss, a delivery and the counts
+        stored.clear(), seen.clear()
 
 
 def test_only_a_watcher_that_returns_true_stops_the_run():

@@ -178,7 +178,7 @@ def test_a_wrong_key_or_value_of_a_model_that_is_not_installed_is_refused(key, v
 
 
 def test_a_key_of_a_function_is_refused():
-    with pytest.raises(ScenarioError, match=r"protocol\.gain is not a key of a table"):
+    with pytest.raises(ScenarioError, match=r"protocol: function has no key 'gain': give another one, or make it a d"):
         Source.of(Scenario(protocol=lambda me: iter(()))).set("protocol.gain", 1.0, "the test")
 
 

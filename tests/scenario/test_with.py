@@ -1,13 +1,18 @@
 """`Scenario.with_`: a scenario with other values of some keys, checked as `--set` checks those of a file."""
 
 import re
+from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
+from typing import Any
 
+import attrs
 import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import BaseModel
 
 from desim.kernel.models.faults import Crash
 from desim.kernel.models.latency import Constant, Uniform
@@ -143,3 +148,59 @@ def test_the_method_copy_validates_as_model_copy_does():
     with pytest.raises(ValueError, match="horizon: should be greater than 0"):
         Scenario().copy(update={"horizon": -5.0})
     assert Scenario().copy(update={"horizon": 5.0}) == Scenario(horizon=5.0)
+
+
+@dataclass(frozen=True)
+class Wave:
+    mean: float = 0.1
+    shape: Any = None
+
+    def __call__(self, context, rng):
+        return self.mean
+
+
+@attrs.define
+class Tide:
+    mean: float = 0.1
+    shape: Any = None
+
+    def __call__(self, context, rng):
+        return self.mean
+
+
+class Swell(BaseModel):
+    mean: float = 0.1
+    shape: Any = None
+
+    def __call__(self, context, rng):
+        return self.mean
+
+
+class Foam:
+    def __init__(self, mean=0.1):
+        self.mean = mean
+
+    def __call__(self, context, rng):
+        return self.mean
+
+
+@pytest.mark.parametrize("kind", [Wave, Tide, Swell])
+def test_what_an_object_of_a_user_was_made_from_are_keys(kind):
+    """As in a file that names its class."""
+    scenario = BASE.with_({"network.latency": kind(shape=Wave())})
+    assert scenario.with_({"network.latency.mean": 0.5}).network.latency == kind(mean=0.5, shape=Wave())
+    assert scenario.with_({"network.latency.shape.mean": 0.5}).network.latency.shape == Wave(0.5)
+    assert scenario.network.latency.mean == 0.1
+    with pytest.raises(
+        ScenarioError, match=r"network.latency.maen: unknown key, did you mean 'mean'\?; allowed: mean, shape"
+    ):
+        scenario.with_({"network.latency.maen": 0.5})
+
+
+def test_an_object_without_known_parameters_has_no_keys():
+    for model in (Foam(), partial(Foam.__call__, Foam())):
+        scenario = BASE.with_({"network.latency": model})
+        with pytest.raises(
+            ScenarioError, match=r"network.latency: \w+ has no key 'mean': give another one, or make it a"
+        ):
+            scenario.with_({"network.latency.mean": 0.5})

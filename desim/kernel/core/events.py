@@ -324,8 +324,8 @@ class Trace:
     def append_message(self, event: Event) -> None:
         """Pass a message event to the watchers, and store it if message events are kept."""
         if self._keeps_messages:
-            self.events.append(event)
-        if self._watchers:
+            self.append(event)  # which a user's class may override
+        elif self._watchers:
             self._show(event)
 
     def close(self) -> None:

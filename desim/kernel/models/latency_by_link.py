@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BaseModel, Field, ValidationInfo, model_validator
 
-from desim.config.answers import wrong_answer
+from desim.config.answers import name_and_place, wrong_answer
 from desim.config.arrays import Floats, array_of
 from desim.config.choice import OneOf
 from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
@@ -82,7 +82,7 @@ class PerPair(Value):
 def _check_quantiles(base: Any) -> None:
     if LinkTraits.of(base).quantile is None:
         inherits = " of its own, because the inherited one does not follow" if "quantile" in dir(base) else ""
-        raise ValueError(f"base should have a method quantile(u){inherits}, {base!r} has none")
+        raise ValueError(f"base should have a method quantile(u){inherits}, {name_and_place(base)} has none")
 
 
 class _Pairs:
