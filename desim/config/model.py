@@ -235,7 +235,7 @@ class Value(BaseModel, metaclass=_ValueType):
         pydantic takes it for the default of the field.
         """
         super().__pydantic_init_subclass__(**options)
-        if cls.__module__.startswith(("desim.", "protocols.")):  # hundreds, at each import
+        if _is_built_in(cls):  # hundreds, at each import
             return
         for name in cls.model_fields.keys() - annotated(cls):
             kind: type = type(cls.model_fields[name].default)
@@ -325,7 +325,7 @@ class Value(BaseModel, metaclass=_ValueType):
     def __getstate__(self) -> dict[Any, Any]:
         """Return what a pickle holds: the fields, and attributes that a user's class has set besides."""
         state = super().__getstate__()
-        if len(self.__dict__) > len(type(self).model_fields):
+        if len(self.__dict__) > len(type(self).model_fields) and not _is_built_in(type(self)):
             state["beside"] = [*(self.__dict__.keys() - type(self).model_fields.keys())]
         return state
 
@@ -423,6 +423,10 @@ class Value(BaseModel, metaclass=_ValueType):
     def plain(self) -> dict[str, Any]:
         """Return the fields as JSON values; infinity is the string "Infinity"."""
         return dict(json.loads(self.model_dump_json()))
+
+
+def _is_built_in(model: type) -> bool:
+    return model.__module__.startswith(("desim.", "protocols."))
 
 
 def _made_by_own_init(model: type[Model], values: Mapping[str, Any], updated: Set[str]) -> Model:
