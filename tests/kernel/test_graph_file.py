@@ -821,6 +821,7 @@ def test_words_in_their_names_tell_the_columns_of_the_ends(tmp_path, header):
         ("date,event\n2018-04-01,START\n2018-04-02,STOP\n", "line 1: .* of a table over time"),
         ("clients,delay\n5,10.2\n10,15.1\n", "line 2: '10.2' is probably no name of a node"),
         ("1041.51;-952.47;142.2\n1041.49;-952.38;142.1\n", "line 1: '1041.51' is probably no name"),
+        ("source,target,t\na,b,1\nsource,target,t\nb,c,2\n", "line 3: repeats the names of the columns"),
         ("rssi,lqi\n-71,88\n-75,72\n", "line 2: '-71' is probably no name"),
         ("rate: 5\nscan: '/scan'\n", "line 1: 'rate:' is probably no name"),
         ('# "quoted"\nrate: 5\nscan: 7\n', "line 2: 'rate:' is probably no name"),

@@ -332,6 +332,8 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
                 " are source and target"
             )
         return (first, below) if is_header else ([], rows)
+    if len(first) > 2 and (again := next((row.line for row in below if row.cells == first), 0)):
+        raise ValueError(f"{file}, line {again}: repeats the names of the columns: it should be left out")
     if any(map(is_number_text, first)) or (not has_numbers and not nodes.isdisjoint(first[:2])):
         return [], rows
     if len(first) == 2 and nodes and max(map(len, nodes)) == 1 == max(map(len, first)) and not has_numbers:
