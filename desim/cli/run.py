@@ -151,18 +151,18 @@ def _run_several(
     from desim.analysis.measuring import summary
     from desim.analysis.metrics import Summary
     from desim.results import provenance, run_folder
+    from desim.simulation.run import run as run_scenario
     from desim.study.workers.batch import run_many, seeds_from
-    from desim.study.workers.dispatch import simulation
 
     tasks = [(scenario, seed) for seed in seeds_from(scenario.seed, count)]
-    simulate, measure = simulation(timeout), summary
+    simulate, measure = run_scenario, summary
     if into is not None:
         out, made = into
         measure = partial(run_folder.write_below, out, made=made, simulated_there=True)
-        simulate = simulation(timeout, partial(run_folder.simulate_below, out))
+        simulate = partial(run_folder.simulate_below, out)
     start, finished = time.perf_counter(), dict[int, Summary]()
     try:
-        results = run_many(tasks, jobs, scenario.name, measure, simulate, finished.__setitem__)
+        results = run_many(tasks, jobs, scenario.name, measure, simulate, finished.__setitem__, timeout)
     except KeyboardInterrupt as error:
         _show_finished(scenario, finished, time.perf_counter() - start)
         where = f", in {into[0]}/seed-*" if into and finished else ""

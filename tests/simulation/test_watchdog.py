@@ -410,12 +410,9 @@ def test_the_time_limit_of_a_recorded_batch_ends_before_its_first_run(tmp_path, 
         yield
         active.pop()
 
-    def performed(timeout, simulate=run):
-        return lambda *task: found.append(bool(active)) or simulate(*task)
-
     monkeypatch.setattr(watchdog, "within", limit)
-    monkeypatch.setattr(dispatch, "simulation", performed)
-    monkeypatch.setattr(run_module, "run", performed(None))
+    monkeypatch.setattr(dispatch, "simulation", lambda timeout, simulate: simulate)
+    monkeypatch.setattr(run_module, "run", lambda *task: found.append(bool(active)) or run(*task))
     scenario = Scenario(horizon=0.01, team=Team(count=2))
     provenance.write(tmp_path, provenance.document(provenance.RUN, scenario, seed=0, runs=runs, folder=tmp_path))
     made = CliRunner().invoke(main, ["run", "--from", str(tmp_path / "run.json"), "--timeout", "9", "-j", "1"])

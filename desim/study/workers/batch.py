@@ -32,6 +32,7 @@ def run_many(
     measure: Callable[[Result], Measured] = summary,  # type: ignore[assignment]
     simulate: Simulate = run,
     on_done: Callable[[int, Measured], object] = lambda *_: None,
+    timeout: float | None = None,
 ) -> list[Measured]:
     """Run each task and return the measurements in the order of the tasks, whatever the number of workers.
 
@@ -45,17 +46,18 @@ def run_many(
         measure: maps a result to the measurement to keep; called in the worker.
         simulate: performs a run; called in the worker.
         on_done: called with the number and the measurement of each run that has ended, in this process.
+        timeout: the wall time, s, after which a run counts as failed; None = no limit.
 
     Raises:
         BaseException: the exception of a failed run; if several fail, the exception that is reported first. If it
             cannot be pickled, a RuntimeError with its traceback is raised instead.
         BrokenExecutor: if a run ended its worker process.
-        ValueError: if `jobs` is negative.
+        ValueError: if `jobs` is negative, or `timeout` is out of its range.
     """
     measured: list[Any] = [None] * len(tasks)
     with (
         progress(len(tasks), label, "run") as bar,
-        workers_for(jobs, len(tasks)) as workers,
+        workers_for(jobs, len(tasks), timeout) as workers,
         closing(drive(tasks, workers, measure, simulate)) as outcomes,
     ):
         for k, outcome in outcomes:
