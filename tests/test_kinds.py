@@ -10,6 +10,7 @@ from pydantic import BaseModel
 from desim.config.choice import OneOf
 from desim.config.model import markers_of
 from desim.config.traits import is_ours
+from tests.test_architecture import nodes_of
 
 ROOT = Path(__file__).parent.parent
 RECORDED = "a trace records a crash or a partition as such, also one that is a part of a user's fault"
@@ -91,16 +92,16 @@ def kinds():
     return {base for base in bases if not base.__module__.startswith("desim.config")}
 
 
-def asked(tree, module):
+def asked(nodes, module):
     """Yield the classes of which code asks whether a value is an instance: isinstance, issubclass, and match."""
     names = dict(vars(module))
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.ImportFrom) and node.module and is_ours(type("", (), {"__module__": node.module})):
             names |= {
                 alias.asname or alias.name: getattr(import_module(node.module), alias.name, None)
                 for alias in node.names
             }
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.MatchClass):
             parts = [node.cls]
         elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in {"isinstance", "issubclass"}:
@@ -123,7 +124,7 @@ def test_no_module_asks_for_a_kind_of_another_family():
     """
     every, found = kinds(), set()
     for path, module in modules().items():
-        for kind in asked(ast.parse(path.read_text()), module):
+        for kind in asked(nodes_of(path), module):
             if kind in every and kind.__module__ != module.__name__:
                 found.add((module.__name__, kind.__name__))
     allowed = {(module, kind) for each in ALLOWED.values() for module, names in each.items() for kind in names.split()}

@@ -6,7 +6,7 @@ from collections import Counter, defaultdict
 
 import pytest
 
-from tests.test_architecture import MODULES, name_of, tree_of
+from tests.test_architecture import MODULES, name_of, nodes_of, tree_of
 
 VAGUE = {"each": 20, "found": 5, "own": 5, "known": 5, "what": 10, "given": 5, "said": 0}
 """Names that say nothing of what they hold, and the most variables and arguments with each."""
@@ -117,7 +117,7 @@ def test_a_sentence_about_what_to_choose_begins_a_paragraph():
     texts = [
         (name_of(path), paragraph)
         for path in MODULES
-        for node in ast.walk(tree_of(path))
+        for node in nodes_of(path)
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and "doubt" in node.value
         for paragraph in re.split(r"\n\s*\n", node.value)
     ]
