@@ -9,7 +9,7 @@ import weakref
 from contextlib import redirect_stdout
 from functools import partial
 from io import StringIO
-from logging import getLogger
+from logging import StreamHandler, getLogger
 from pathlib import Path
 from types import MappingProxyType
 from zoneinfo import ZoneInfo
@@ -210,6 +210,12 @@ def cyclic():
     return body
 
 
+def logger():
+    made = getLogger(__name__)
+    made.handlers = [StreamHandler()]
+    return made
+
+
 def closure():
     seen = []
     return lambda: seen.append(1)
@@ -240,7 +246,7 @@ def generator():
         (StringIO("a"), "a body of type StringIO cannot be sent: an object of type StringIO can be read only once"),
         (sys.stdout, f"a body of type {type(sys.stdout).__name__} cannot be sent: "),
         ({1: property()}, "a body of type dict cannot be sent: the content of an object of type property is not known"),
-        (getLogger(), "a body of type RootLogger cannot be sent: "),
+        (logger(), "a body of type Logger cannot be sent: the content of an object of type RLock is not known"),
         (
             {}.keys(),
             "a body of type dict_keys cannot be sent: cannot pickle 'dict_keys' object: send a list instead",
