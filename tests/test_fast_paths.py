@@ -40,6 +40,12 @@ def sources():
     return {file.relative_to(ROOT).as_posix(): file.read_text(encoding="utf-8") for file in files}
 
 
+@cache
+def functions_of(file):
+    tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
+    return {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+
+
 def references():
     """Return module, plain way, file and name of the test for each fast way that names one."""
     for module, text in sources().items():
@@ -49,8 +55,7 @@ def references():
 
 @pytest.mark.parametrize(("file", "name"), sorted({(file, name) for _, _, file, name in references()}))
 def test_every_test_that_keeps_a_fast_way_equal_exists(file, name):
-    tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
-    assert name in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    assert name in functions_of(file)
 
 
 @pytest.mark.slow
