@@ -46,7 +46,7 @@ def run_many(
         measure: maps a result to the measurement to keep; called in the worker.
         simulate: performs a run; called in the worker.
         on_done: called with the number and the measurement of each run that has ended, in this process.
-        timeout: the wall time, s, after which a run counts as failed; None = no limit.
+        timeout: the wall time, s, after which a run fails with `TimedOut`; None = no limit.
 
     Raises:
         BaseException: the exception of a failed run; if several fail, the exception that is reported first. If it

@@ -2,7 +2,6 @@
 
 import os
 from concurrent.futures import Executor
-from copy import copy
 
 from desim.config.python_numbers import whole
 from desim.simulation.watchdog import checked_limit
@@ -29,7 +28,7 @@ def workers_for(
     """
     if timeout is not None:
         timeout = checked_limit(timeout)
-    workers = copy(executor) if isinstance(executor, Workers) else _new_workers(executor, calls)
+    workers = executor if isinstance(executor, Workers) else _new_workers(executor, calls)
     workers.timeout = timeout
     return workers
 
