@@ -153,6 +153,8 @@ def test_a_message_occupies_the_channel_for_longer_than_its_airtime():
         medium = Bitrate(bitrate=8000.0, access=access)
         assert medium.occupancy(10, 3) == pytest.approx(to_all)
         assert medium.occupancy(10, 3, to_one=True) == pytest.approx(to_one)
+    fits = Bitrate(bitrate=250_000.0, access=SlottedAloha(slot=1.28e-4))  # 5 slots, whose float quotient is above 5
+    assert fits.occupancy(20, 3) == pytest.approx(fits(20))
 
 
 def test_the_airtime_of_a_message_is_that_of_the_slowest_node():

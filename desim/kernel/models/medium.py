@@ -14,6 +14,7 @@ from desim.config.errors import KeyedError, Problem
 from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
 from desim.config.python_numbers import as_real
 from desim.config.traits import inherits, is_ours
+from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.access import (
     ACCESSES,
     Access,
@@ -135,7 +136,7 @@ class Radio(Value):
         if not isinstance(self.access, Tdma):
             return least
         period = len(self.access.owners(nodes)) * self.access.slot
-        return max(ceil(least / period), 1) * period
+        return max(_whole(least, period), 1) * period
 
     def occupancy(self, size: int, nodes: int, *, to_one: bool = False) -> float:
         """Return the least time, s, for which a message of `size` bytes of one of `nodes` nodes occupies the channel.
@@ -145,7 +146,7 @@ class Radio(Value):
         """
         airtime, access = airtime_of(self, size, nodes), self.access
         if isinstance(access, SlottedAloha):
-            return ceil(airtime / access.slot) * access.slot
+            return _whole(airtime, access.slot) * access.slot
         if isinstance(access, CsmaCa):
             return access.difs + airtime + (access.sifs + access.ack if to_one else 0.0)
         return airtime
@@ -158,6 +159,11 @@ class Radio(Value):
     def contends(self) -> bool:
         """Whether nodes contend for one channel."""
         return not isinstance(self.access, Ideal)
+
+
+def _whole(time: float, slot: float) -> int:
+    """Return the number of whole slots (s) that a time (s) takes, in nanoseconds, as the channel counts."""
+    return -(-nanoseconds(time) // nanoseconds(slot))
 
 
 def contends(medium: Medium) -> TypeGuard[Radio]:
