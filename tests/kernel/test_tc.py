@@ -522,6 +522,7 @@ def test_a_comment_names_the_link_of_its_line_or_of_the_next_command():
     [
         "DEV=eth0\nexport DELAY=100ms LOSS='10%'\ntc qdisc add dev $DEV root netem delay ${DELAY} loss $LOSS",
         'DEV=${1:-eth0}; D="100ms 0ms"\nD=100ms\ntc qdisc add dev "$DEV" root netem delay "${D}" loss ${LOSS:-10%}',
+        "DEV=\necho tearing down links\ntc qdisc add dev ${DEV:-eth0} root netem delay ${D-100ms} loss 10%",
         "ip address add 10.0.0.1/24 dev eth0\nsudo ip link set eth0 up; modprobe ifb\nip netns add n\n"
         "ip netns exec n ip link set lo up && ip netns exec n tc qdisc add dev eth0 root netem delay 100ms loss 10%",
         'N="netem delay 100ms loss 10%"\ntc qdisc add dev eth0 root $N',
@@ -543,6 +544,9 @@ def test_variables_have_the_values_that_lines_above_give_them_and_addresses_no_e
         ("D=5ms\ntc qdisc add dev a root netem delay '$D'", r"2:37: '\$D' .*no line above"),
         ("ip link set eth0 down", r"1:4: 'link' is not allowed here"),
         ("ip netns exec n ip link del a", r"'link' is not allowed here"),
+        ("ip -all netns exec tc qdisc add dev a root netem delay 9ms", r"1:4: '-all' is not allowed here"),
+        ("ip -n m netns exec n tc qdisc add dev a root netem delay 9ms", r"1:4: '-n' is not allowed here"),
+        ("ip -batch commands.txt", r"1:4: '-batch' is not allowed here"),
     ],
 )
 def test_a_variable_without_a_value_and_the_end_of_a_link_are_refused(text, why):

@@ -61,11 +61,15 @@ class Command(NamedTuple):
 ACTIONS = ("add", "change", "replace", "delete", "show", "list", "lst")
 """What `tc qdisc` does; like tc, desim takes each beginning of a word for the first word that begins so."""
 FORM = "is not allowed here; a command is: tc qdisc add|change|replace dev DEVICE root netem OPTIONS"
-NOTHING = frozenset({"true", ":", "set", "echo", "ip", "ifconfig", "modprobe", "sysctl"})
-"""The commands that do nothing to links, unless they have one of the words in `ENDING`."""
+NOTHING = frozenset({"true", ":", "set", "echo"})
+"""The commands that do nothing to links."""
+SET_UP = frozenset({"ip", "ifconfig", "modprobe", "sysctl"})
+"""The commands that set up addresses and modules, unless they have one of the words in `ENDING`."""
 ENDING = frozenset({"down", "del", "delete", "flush"})
+IP_OBJECTS = frozenset({"link", "addr", "address", "route", "neigh", "rule", "netns", "tuntap"})
+"""What `ip` may set up by `add` or `set`."""
 _ASSIGNMENT = re.compile(r"(\w+)=(.*)", re.ASCII)
-_VARIABLE = re.compile(r"\$(?:(\w+)|\{(\w+)(?::?-([^$}]*))?\})", re.ASCII)
+_VARIABLE = re.compile(r"\$(?:(\w+)|\{(\w+)(?:(:?-)([^$}]*))?\})", re.ASCII)
 """Matches the use of a variable, perhaps with a default."""
 WITH_VALUE = {
     "sudo": {"-u", "-g", "--user", "--group"},
@@ -193,7 +197,14 @@ def commands(text: str, source: str) -> Iterator[Command]:
 
 def _with_values(word: str, values: dict[str, str]) -> str:
     """Return a word with the values of variables; one without a value stays, unless it has a default."""
-    return _VARIABLE.sub(lambda use: values.get(use[1] or use[2], use[0] if use[3] is None else use[3]), word)
+
+    def value(use: re.Match[str]) -> str:
+        known = values.get(use[1] or use[2])
+        if known is None or (not known and use[3] == ":-"):
+            return use[0] if use[3] is None else use[4]
+        return known
+
+    return _VARIABLE.sub(value, word)
 
 
 def _assign(words: list[str], values: dict[str, str]) -> bool:
@@ -215,7 +226,9 @@ def _does_nothing(words: list[str]) -> bool:
     if words[:3] == ["ip", "netns", "exec"]:
         words = words[4:]
     name = words[0].rpartition("/")[2] if words else ""
-    return name in NOTHING and words[1:3] != ["netns", "exec"] and ENDING.isdisjoint(words)
+    if name == "ip" and not (len(words) > 2 and words[1] in IP_OBJECTS and words[2] in {"add", "set"}):
+        return False
+    return name in NOTHING or (name in SET_UP and ENDING.isdisjoint(words))
 
 
 def _repeats(command: Command, before: Command | None) -> bool:
