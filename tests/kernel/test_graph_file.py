@@ -815,6 +815,15 @@ def test_words_in_their_names_tell_the_columns_of_the_ends(tmp_path, header):
 
 
 @pytest.mark.parametrize(
+    "text", ["tx1,rx1\ntx2,rx2\ntx3,rx3\n", "src-a dst-a\nsrc-b dst-b\nsrc-c dst-c\n", "tx1,rx1\n"]
+)
+def test_nodes_with_such_words_in_their_names_are_no_columns(tmp_path, text):
+    file = tmp_path / "g.csv"
+    file.write_text(text)
+    assert len(Edges(file=str(file)).edges) == text.count("\n")
+
+
+@pytest.mark.parametrize(
     ("text", "why"),
     [
         ("timestamp,latency\n2018-04-01T19:42:45,19\n2018-04-01T20:42:47,21\n", "line 1: .* of a table over time"),

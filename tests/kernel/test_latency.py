@@ -541,8 +541,10 @@ def test_a_matrix_with_numbers_of_nodes_beside_it_and_a_number_above_is_refused(
         ("from,a,b,c\na,0,1,2\nb,3,0,4\nc,5,6,0\n", ("a", "b", "c")),
         ("-,a,b,c\na,-,1,2\nb,3,-,4\nc,5,6,-\n", ("a", "b", "c")),
         ('"";"a 1";b;c\n"a 1";0;1,0;2\nb;3;0;4\nc;5;6;0\n', ("a 1", "b", "c")),
-        (",3055,2670,7\n3055,0,1,2\n2670,3,0,4\n7,5,6,0\n", ("3055", "2670", "7")),
+        (",7,2670,3055\n7,0,1,2\n2670,3,0,4\n3055,5,6,0\n", ("7", "2670", "3055")),
+        ("id,3055,7,2670\n3055,0,5,6\n7,2,0,1\n2670,4,3,0\n", ("7", "2670", "3055")),
         ("id,0,1,2\n0,0,1,2\n1,3,0,4\n2,5,6,0\n", None),
+        ("id,1,0,2\n1,0,3,4\n0,1,0,2\n2,6,5,0\n", None),
     ],
 )
 def test_a_matrix_may_have_names_beside_it(tmp_path, text, nodes):
@@ -553,9 +555,10 @@ def test_a_matrix_may_have_names_beside_it(tmp_path, text, nodes):
     assert LatencyMatrix.model_validate(model.plain()) == model
 
 
-def test_a_matrix_that_lacks_its_diagonal_has_no_names(tmp_path):
+@pytest.mark.parametrize("text", [",5,9\n5,,3\n9,3,\n", ",5.0,9\n5.0,0,3\n9,3,0\n", "-,5,9\n5,-,3\n9,3,-\n"])
+def test_a_matrix_that_lacks_its_diagonal_has_no_names(tmp_path, text):
     """Its first line and its first column are equal, too, as it is symmetric."""
-    (tmp_path / "m.csv").write_text(",5,9\n5,,3\n9,3,\n")
+    (tmp_path / "m.csv").write_text(text)
     model = LatencyMatrix(file=str(tmp_path / "m.csv"))
     assert model.nodes is None
     assert model.base_latencies.tolist() == [[0.0, 5.0, 9.0], [5.0, 0.0, 3.0], [9.0, 3.0, 0.0]]

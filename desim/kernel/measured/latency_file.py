@@ -85,7 +85,7 @@ class NamedMatrix(NamedTuple):
     """A square matrix of numbers in a file."""
 
     names: tuple[str, ...]
-    """The names of the nodes, in the order of the rows; none if the file has none."""
+    """The names of the nodes, in the order of the rows; none if the file has none, or if they are 0 .. n - 1."""
     rows: list[list[float]]
     """A row per sender; nan where a cell is empty or nan."""
 
@@ -93,7 +93,7 @@ class NamedMatrix(NamedTuple):
 def matrix_of(file: Path, *, unit_is_given: bool = False) -> NamedMatrix:
     """Return the square matrix of numbers in a text file, perhaps with names in its first line and column.
 
-    Names that are 0 .. n - 1 are the numbers of the nodes.
+    Nodes whose names are integers are in their order, so names that are 0 .. n - 1 are the numbers of the nodes.
 
     Args:
         file: the file.
@@ -126,6 +126,9 @@ def matrix_of(file: Path, *, unit_is_given: bool = False) -> NamedMatrix:
         if len(row) != len(rows):
             why = f"has {len(row)} numbers, but the file has {len(rows)} lines of numbers: one per node"
             raise ValueError(f"{file}, line {line}: {why}; with decimal commas, separate numbers by ;")
+    if names and all(map(str.isdecimal, names)):
+        order = sorted(range(len(names)), key=lambda node: int(names[node]))
+        names, rows = tuple(names[node] for node in order), [[rows[src][dst] for dst in order] for src in order]
     return NamedMatrix(() if names == tuple(map(str, range(len(rows)))) else names, rows)
 
 

@@ -323,8 +323,8 @@ def number_or_nan(cell: str) -> float:
 def names_beside(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
     """Return the names in the first line and the first column of a square matrix; none if it has none.
 
-    The cell above the names of the lines is empty or a text. The names may be numbers, unless the matrix then lacks the
-    diagonal: without names, its first cell is empty, too.
+    The cell above the names of the lines is empty or a text. Names that are numbers are different integers, and the
+    matrix does not lack its diagonal: without names, its first cell is empty, too.
 
     Raises:
         ValueError: if the first line and the first column have different names, or an empty one.
@@ -332,13 +332,14 @@ def names_beside(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
     if len(rows) < 3 or not rows[0] or is_number_text(rows[0][0]):
         return ()
     names, begins = tuple(rows[0][1:]), tuple(row[0] for row in rows[1:])
-    lacks_diagonal = all(len(row) > k and row[k].lower() in MISSING for k, row in enumerate(rows))
-    if lacks_diagonal and all(map(is_number_text, names)):
-        return ()
     if names == begins:
         if not all(names):
             raise ValueError("a node has no name in the first line and in the first column")
-        return names
+        if not all(map(is_number_text, names)):
+            return names
+        lacks_diagonal = all(len(row) > k and row[k].lower() in MISSING for k, row in enumerate(rows))
+        are_numbers = not all(map(str.isdecimal, names)) or len({*names}) < len(names)
+        return () if lacks_diagonal or are_numbers else names
     if len(names) == len(begins) and not any(map(is_number_text, names + begins)):
         raise ValueError("the names of the first line and of the first column should be equal")
     return ()
