@@ -1,5 +1,6 @@
 """Where players are, and how soon they capture: asked for one, some or all, the answer is the same to the last bit."""
 
+from functools import partial
 from math import inf
 
 import numpy as np
@@ -16,11 +17,15 @@ from desim.pursuit.core.state import lengths
 from desim.pursuit.evaders import evader
 from desim.pursuit.evaders.evasion import Still
 from desim.pursuit.motion.dynamics import Acceleration, Courses, TurnRate
+from desim.pursuit.motion.guidance import ConstantBearing, PurePursuit
 from desim.pursuit.motion.inertia import InertialKinematics
 from desim.pursuit.motion.kinematics import Kinematics
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion
+from desim.simulation import steering
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules.periodic import SharedSeed
 from tests.worlds import world_of
 
 numbers = st.floats(-10.0, 10.0)
@@ -127,6 +132,25 @@ def test_times_of_some_are_those_of_all_with_inertia(dynamics, within_step):
     assert few == [every[pursuer] for pursuer in some]
     assert few[1] == inf
     assert len(set(every)) == 9
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("law", [PurePursuit(), ConstantBearing()])
+@pytest.mark.parametrize("evaders", [1, 3])
+@pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
+def test_pursuers_led_one_by_one_run_as_a_team_led_at_once(monkeypatch, law, evaders, order):
+    """The same trace, whatever number of pursuers counts as few."""
+    team = Team(count=12, guidance=law, active_at_start=0.7)
+    base = Scenario(team=team, evader=Evader(count=evaders), motion=Motion(order=order), horizon=2.0)
+    schedule = SharedSeed(slot=0.003)
+    play = partial(run, base.model_copy(update={"protocol": SpatialAdaptivePlay(schedule=schedule)}))
+    traces = []
+    for few in (0, 5, 99):
+        monkeypatch.setattr(steering, "MAX_SCALAR_SIZE", few)
+        monkeypatch.setattr(evader, "MAX_SCALAR_SIZE", few)
+        traces.append(list(play().trace))
+    assert traces[0] == traces[1] == traces[2]
+    assert len(traces[0]) > 600
 
 
 def test_a_clock_that_runs_past_the_horizon_comes_to_its_end():

@@ -8,14 +8,14 @@ and velocities are complex numbers, as in `desim.pursuit.core.state`.
 from collections.abc import Mapping
 from math import sqrt
 from types import MappingProxyType
-from typing import ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
 from desim.config.answers import wrong_answer
 from desim.config.arrays import Floats, Points, array_of
 from desim.config.model import Value
-from desim.config.traits import Traits
+from desim.config.traits import Traits, is_ours
 from desim.pursuit.core.geometry import SMALLEST, toward
 from desim.pursuit.core.state import lengths
 from desim.pursuit.motion.capture import NO_SPEED
@@ -130,23 +130,40 @@ def apollonius_disc(evader: complex, pursuer: complex, evader_speed: float, spee
     return evader + ratio * ratio / complement * offset, ratio * abs(offset) / complement
 
 
-def guided_velocity(law: Guidance, gap: complex, aim: complex, evader_velocity: complex, speed: float) -> complex:
-    """Return the velocity, m/s, that a law gives for one pursuer; for the other arguments see `Guidance`.
-
-    Kept equal to the velocities of all by
-    `tests/pursuit/test_guidance.py::test_the_course_of_one_is_exactly_that_of_the_team`.
+def guided_velocities(
+    law: Guidance, gaps: Points, aims: Points, evader_velocity: EvaderVelocity, speeds: Floats
+) -> Points:
+    """Return the (N,) velocities, m/s, that a law gives; for the other arguments see `Guidance`.
 
     Raises:
-        ValueError: if a user's law returns anything else than a velocity, or exceeds the speed.
+        ValueError: if a user's law returns anything else than N velocities, or exceeds the speed of a pursuer.
+    """
+    if is_ours(type(law)):
+        return law(gaps, aims, evader_velocity, speeds)
+    velocities = law(_read_only(gaps), _read_only(aims), evader_velocity, _read_only(speeds))
+    checked = array_of(velocities)
+    if checked.dtype.kind not in "iufc" or checked.shape != speeds.shape:
+        expected = f"an array of {len(speeds)} velocities, complex numbers in m/s, one for each pursuer in the call"
+        raise wrong_answer(f"a guidance law should return {expected}", velocities, law)
+    checked = checked.astype(complex)
+    if not (lengths(checked) <= speeds * (1.0 + 1e-9)).all():
+        raise wrong_answer(f"velocities should be within the speeds {speeds} m/s", velocities, law)
+    return checked
+
+
+def _read_only(array: Any) -> Any:
+    """Return a view of an array that a user's law cannot change: it would change the speeds of the team."""
+    view = array.view()
+    view.setflags(write=False)
+    return view
+
+
+def guided_velocity(law: Guidance, gap: complex, aim: complex, evader_velocity: complex, speed: float) -> complex:
+    """Return the velocity, m/s, that a law gives for one pursuer; see `guided_velocities`.
+
+    Kept equal to the velocities of all by
+    `tests/pursuit/test_kinematics.py::test_pursuers_led_one_by_one_run_as_a_team_led_at_once`.
     """
     if type(law) is PurePursuit or type(law) is ConstantBearing:  # the same result, several times faster
         return law.one(gap, aim, evader_velocity, speed)
-    velocities = law(np.array([gap]), np.array([aim]), evader_velocity, np.array([speed]))
-    checked = array_of(velocities)
-    if checked.dtype.kind not in "iufc" or checked.shape != (1,):
-        expected = "an array of 1 velocities, complex numbers in m/s, one for each pursuer in the call"
-        raise wrong_answer(f"a guidance law should return {expected}", velocities, law)
-    velocity = complex(checked[0])
-    if not abs(velocity) <= speed * (1.0 + 1e-9):
-        raise wrong_answer(f"velocities should be within the speeds [{speed}] m/s", velocities, law)
-    return velocity
+    return complex(guided_velocities(law, np.array([gap]), np.array([aim]), evader_velocity, np.array([speed]))[0])
