@@ -815,7 +815,7 @@ def test_words_in_their_names_tell_the_columns_of_the_ends(tmp_path, header):
 
 
 @pytest.mark.parametrize(
-    "text", ["tx1,rx1\ntx2,rx2\ntx3,rx3\n", "src-a dst-a\nsrc-b dst-b\nsrc-c dst-c\n", "tx1,rx1\n"]
+    "text", ["tx1,rx1\ntx2,rx2\nbase,relay\n", "src-a dst-a\nsrc-b dst-b\nsrc-c dst-c\n", "tx1,rx1\n"]
 )
 def test_nodes_with_such_words_in_their_names_are_no_columns(tmp_path, text):
     file = tmp_path / "g.csv"

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from desim.kernel.measured.csv_tables import plain_rows
-from desim.kernel.measured.measurements import names_beside, number_or_nan
+from desim.kernel.measured.measurements import counts_of, names_beside, number_or_nan
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -52,7 +52,7 @@ def read_matrix(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any] 
     size = len(numbers)
     if size < LEAST or any(len(row) != size for row in numbers):
         return None
-    if not names and numbers[0][1:] == [row[0] for row in numbers[1:]] and numbers[0][1:] in _counts(size - 1):
+    if not names and numbers[0][1:] == [row[0] for row in numbers[1:]] and numbers[0][1:] in counts_of(size - 1):
         raise ValueError(f"{file}: the first line may number the nodes: leave its first cell empty, or leave it out")
     if size == LEAST and not names and not all(number in {0.0, 1.0} for row in numbers for number in row):
         return None  # lines of three numbers may also be edges with weights
@@ -73,11 +73,6 @@ def read_matrix(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any] 
     for (src, dst), weight in weights.items():
         graph.add_edge(nodes[src], nodes[dst], **({} if weight == 1.0 else {"weight": weight}))
     return graph
-
-
-def _counts(size: int) -> list[list[float]]:
-    """Return the numbers from 0 and from 1 on."""
-    return [[float(number) for number in range(begin, begin + size)] for begin in (0, 1)]
 
 
 def _parts(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[float]]]:

@@ -337,7 +337,7 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
     if any(map(is_number_text, first)) or (not has_numbers and not nodes.isdisjoint(first[:2])):
         return [], rows
     is_plain = (first[0].lower(), first[1].lower()) in {*ENDS, *WAYS}
-    if not has_numbers and not is_plain and all(_names_ends(row.cells[:2]) for row in below):  # such as tx1,rx1
+    if not has_numbers and not is_plain and (not below or any(_names_ends(row.cells[:2]) for row in below)):  # tx1,rx1
         return [], rows
     if len(first) == 2 and nodes and max(map(len, nodes)) == 1 == max(map(len, first)) and not has_numbers:
         why = f"{first[0]} {first[1]} may be an edge or the names of the columns: write source and target above"

@@ -327,7 +327,8 @@ def names_beside(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
     matrix does not lack its diagonal: without names, its first cell is empty, too.
 
     Raises:
-        ValueError: if the first line and the first column have different names, or an empty one.
+        ValueError: if the first line and the first column have different names, or an empty one, or both may be numbers
+            of a symmetric matrix.
     """
     if len(rows) < 3 or not rows[0] or is_number_text(rows[0][0]):
         return ()
@@ -338,11 +339,24 @@ def names_beside(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
         if not all(map(is_number_text, names)):
             return names
         lacks_diagonal = all(len(row) > k and row[k].lower() in MISSING for k, row in enumerate(rows))
-        are_numbers = not all(map(str.isdecimal, names)) or len({*names}) < len(names)
-        return () if lacks_diagonal or are_numbers else names
+        if lacks_diagonal or not all(map(str.isdecimal, names)) or len({*names}) < len(names):
+            return ()
+        inner = [row[1:] for row in rows[1:]]
+        is_symmetric = [*map(list, zip(*inner, strict=False))] == inner
+        if rows[0][0].lower() in MISSING and is_symmetric and [*map(int, names)] not in counts_of(len(names)):
+            raise ValueError(
+                f"{', '.join(names)[:40]} may be the names of the nodes, or numbers of a matrix whose first cell is"
+                " empty: write a text into it if they are names, and 0 if not"
+            )
+        return names
     if len(names) == len(begins) and not any(map(is_number_text, names + begins)):
         raise ValueError("the names of the first line and of the first column should be equal")
     return ()
+
+
+def counts_of(size: int) -> list[list[int]]:
+    """Return the first numbers from 0 and from 1 on."""
+    return [[*range(begin, begin + size)] for begin in (0, 1)]
 
 
 def _links(
