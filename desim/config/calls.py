@@ -33,7 +33,7 @@ def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *
     if isinstance(getattr_static(type(function), "__call__", None), staticmethod | classmethod):
         called = called.__call__  # else `signature` takes an argument for self
     try:
-        parameters = signature(called)
+        parameters = signature(called, follow_wrapped=False)  # a decorator may give some of the arguments
     except (TypeError, ValueError):  # some functions in C have no signature
         return
     try:

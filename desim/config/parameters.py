@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
+from inspect import signature
 from pathlib import PurePath
 from typing import Any
 
@@ -20,6 +21,15 @@ def parameters_of(value: Any) -> dict[str, Any] | None:
         return {field.name: getattr(value, field.name) for field in fields(value) if field.init}
     made: Any = getattr(type(value), "__attrs_attrs__", None)
     return None if made is None else {field.alias: getattr(value, field.name) for field in made if field.init}
+
+
+def not_kept(value: Any) -> list[str]:
+    """Return the names of what an object of a dataclass was made from and does not keep (`InitVar`)."""
+    if not is_dataclass(value) or isinstance(value, type):
+        return []
+    kept = {field.name for field in fields(value)}
+    declared = value.__dataclass_fields__.keys() - kept  # also class variables, from which nothing is made
+    return sorted(declared & signature(type(value)).parameters.keys())
 
 
 def sorted_sets(value: Any) -> Any:

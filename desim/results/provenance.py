@@ -7,6 +7,7 @@ import json
 import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import FunctionType, NoneType
 from typing import TYPE_CHECKING, Any
@@ -251,18 +252,19 @@ def _not_importable(tables: Document) -> Iterator[tuple[KeyPath, str]]:
 def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
     """Yield the dotted key of each callable object with state that is neither a model nor a dataclass.
 
-    The state of such an object is not recorded. Parameters are, except those of which JSON has a name only: their keys
-    follow.
+    The state of such an object is not recorded. Parameters are, except those of which JSON has a name only and those
+    that their object does not keep: their keys follow.
     """
     from pydantic import BaseModel
 
-    from desim.config.parameters import is_named_only, parameters_of
+    from desim.config.parameters import is_named_only, not_kept, parameters_of
     from desim.config.traits import is_ours
 
     if isinstance(node, BaseModel):
         inner = dict(node)
     elif (parameters := parameters_of(node)) is not None:
         inner = parameters
+        yield from (".".join((*place, name)) for name in not_kept(node))
     elif isinstance(node, tuple) and not callable(node):
         inner = {str(k): entry for k, entry in enumerate(node)}
     else:
@@ -281,4 +283,4 @@ def _is_parameter(node: Any, name: str, value: Any) -> bool:
 
     field = getattr(type(node), "model_fields", {}).get(name)
     is_chosen = field is not None and choices_of(field)
-    return not is_chosen and (isinstance(value, FunctionType | type) or not callable(value))
+    return not is_chosen and (isinstance(value, FunctionType | type | partial) or not callable(value))

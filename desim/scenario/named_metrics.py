@@ -92,7 +92,7 @@ def _check_called(name: str, of: Any) -> None:
     if not callable(of) or isinstance(of, type):
         raise ValueError(f"{name!r} should be a function of a result (got {of!r})")
     try:
-        signature(of).bind("result")
+        signature(of, follow_wrapped=False).bind("result")
     except TypeError as error:
         raise ValueError(f"{name!r} should accept one argument, the result of a run: {error}") from error
 

@@ -14,7 +14,7 @@ from desim.config.errors import KeyedError, KeyPath, Problem, problems_of
 from desim.config.field_docs import fields_of
 from desim.config.key_errors import model_of
 from desim.config.model import Value
-from desim.config.parameters import parameters_of
+from desim.config.parameters import not_kept, parameters_of
 from desim.config.python_numbers import as_python
 from desim.config.suggestion import did_you_mean
 from desim.config.tables import holds, value_at
@@ -300,6 +300,8 @@ def _replaced(model: Any, parts: list[str], value: Any) -> Any:
         if name not in parameters:
             hint = did_you_mean(name, parameters)
             raise ScenarioError(Problem(f"unknown key{hint}; allowed: {', '.join(sorted(parameters))}", name))
+        if missing := not_kept(model):
+            raise ScenarioError(Problem(f"cannot be set: {kind} does not keep {', '.join(missing)} (InitVar)", name))
         return type(model)(**parameters | {name: value})
     except KeyedError as error:
         raise ScenarioError(*(problem._replace(where="") for problem in error.problems)) from None

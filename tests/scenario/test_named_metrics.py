@@ -1,11 +1,12 @@
 """Metrics that a scenario file names: what is imported, and what is said of the rest."""
 
-from functools import partial
+from functools import partial, wraps
 from types import SimpleNamespace
 
 import pytest
 
 import desim.scenario.named_metrics as module
+from desim.analysis.measuring import users_metrics
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Recording, Scenario
 from desim.scenario.toml import load, validate
@@ -94,6 +95,14 @@ def test_a_scenario_of_a_script_has_functions_and_says_how_a_file_would_name_the
             Recording(metrics=(unnamed,))
     with pytest.raises(ValueError, match="'of_two' should accept one argument, the result of a run"):
         Recording(metrics=(of_users.of_two,))
+
+
+def test_a_decorator_may_give_a_metric_some_of_its_arguments():
+    @wraps(of_users.of_two)
+    def bound(result):
+        return of_users.of_two(result, 3.0)
+
+    assert [name for name, _ in users_metrics((), {"bound": bound})] == ["bound"]
 
 
 def test_metrics_that_a_scenario_names_are_replaced_as_any_other_key():

@@ -1,7 +1,7 @@
 """`Scenario.with_`: a scenario with other values of some keys, checked as `--set` checks those of a file."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass
 from fractions import Fraction
 from functools import partial
 from typing import Any
@@ -195,6 +195,20 @@ def test_what_an_object_of_a_user_was_made_from_are_keys(kind):
         ScenarioError, match=r"network.latency.maen: unknown key, did you mean 'mean'\?; allowed: mean, shape"
     ):
         scenario.with_({"network.latency.maen": 0.5})
+
+
+@dataclass(frozen=True)
+class Ripple(Wave):
+    scale: InitVar[float] = 1.0
+
+    def __post_init__(self, scale):
+        object.__setattr__(self, "scaled", scale * self.mean)
+
+
+def test_what_an_object_does_not_keep_of_how_it_was_made_is_not_reset():
+    scenario = BASE.with_({"network.latency": Ripple(scale=5.0)})
+    with pytest.raises(ScenarioError, match=r"network.latency.mean: cannot be set: Ripple does not keep scale"):
+        scenario.with_({"network.latency.mean": 0.5})
 
 
 def test_an_object_without_known_parameters_has_no_keys():
