@@ -3,6 +3,7 @@
 import os
 import pickle
 import sys
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
@@ -89,6 +90,7 @@ from desim.study.comparing.scores import Ratio
 from desim.study.results.explanation import Explanation
 from desim.study.store.file import view_of
 from desim.study.sweeps.sweep_plan import SweepPlan
+from desim.testing.faults import _check_drawn
 from desim.testing.pursuits import _has_known_limit
 from desim.view.formats.foxglove import PART, Scene
 from desim.view.formats.trace_table import _is_event
@@ -112,6 +114,18 @@ class Mine(Fault):
     """A fault of a user without parameters."""
 
     kind: str = "mine"
+
+
+class Indescribable(Mine):
+    """A fault whose description is no JSON."""
+
+    def begin(self, site):
+        """Return what ends it."""
+        return print
+
+    def sketch(self):
+        """Return a complex number."""
+        return {"at": 1j}
 
 
 class Lying(Liar):
@@ -535,6 +549,10 @@ REFUSED = {
     "a start at the end of measurements": (
         lambda: LatencyTrace(table="t,value\n0,0.5\n10,0.5\n", after="error", start=20.0),
         "start should be before the end of the trace at",
+    ),
+    "a fault of a plan without a description": (
+        lambda: _check_drawn(SimpleNamespace(judged=nullcontext), Indescribable(start=0.0), None, "plan"),
+        "sketch() of a fault should return JSON values",
     ),
     "a model without keys": (lambda: desim.Complete(3), "Complete has no keys: Complete()"),
     "a model that cannot be copied": (
