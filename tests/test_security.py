@@ -656,7 +656,7 @@ def test_no_function_imports_code_of_a_file_unless_it_is_asked_to():
     for module in modules().values():
         for owner in [module, *(kind for kind in [*vars(module).values()] if isinstance(kind, type))]:
             for function in [*vars(owner).values()]:
-                called = getattr(function, "__func__", function)
+                called = function.__func__ if isinstance(function, classmethod | staticmethod) else function
                 if isinstance(called, FunctionType) and "allow_import" in unwrap(called).__code__.co_varnames:
                     parameter = signature(called).parameters.get("allow_import")
                     if parameter is not None and parameter.default is not parameter.empty:
