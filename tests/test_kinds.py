@@ -1,8 +1,12 @@
 """A kind brings its own verbs: no module asks whether a model is of a kind of another module's family."""
 
 import ast
+from collections import defaultdict
+from functools import cache
 from importlib import import_module
+from inspect import unwrap
 from pathlib import Path
+from types import FunctionType
 
 import pytest
 from pydantic import BaseModel
@@ -130,3 +134,38 @@ def test_no_module_asks_for_a_kind_of_another_family():
     allowed = {(module, kind) for each in ALLOWED.values() for module, names in each.items() for kind in names.split()}
     assert found - allowed == set()
     assert allowed - found == set(), "no longer needed"
+
+
+# Parameters of one name.
+
+SEVERAL_DEFAULTS = {
+    *("at_once", "budget", "cause", "confidence", "count", "draws", "end", "example", "first", "limit", "memory"),
+    *("message", "most", "name", "now", "phase", "runs", "speed", "symmetric", "unit"),
+}
+"""The names of parameters that have another meaning, or another usual value, from function to function."""
+
+
+@cache
+def defaults():
+    """Return the functions of the product by the name of a parameter and its default, a number, a text or a flag."""
+    found = defaultdict(lambda: defaultdict(list))
+    for module in modules().values():
+        owners = [
+            kind for kind in vars(module).values() if isinstance(kind, type) and kind.__module__ == module.__name__
+        ]
+        for value in [value for owner in (module, *owners) for value in vars(owner).values()]:
+            function = value.__func__ if isinstance(value, classmethod | staticmethod) else value
+            if isinstance(function, FunctionType) and function.__module__ == module.__name__:
+                plain = unwrap(function)
+                names, code = plain.__defaults__ or (), plain.__code__
+                last = code.co_varnames[code.co_argcount - len(names) : code.co_argcount]
+                for name, default in {**dict(zip(last, names, strict=True)), **(plain.__kwdefaults__ or {})}.items():
+                    if isinstance(default, bool | int | float | str):
+                        found[name][repr(default)].append(plain.__qualname__)
+    return found
+
+
+def test_parameters_of_one_name_have_one_default():
+    several = {name for name, by_default in defaults().items() if len(by_default) > 1}
+    assert several == SEVERAL_DEFAULTS, {name: dict(defaults()[name]) for name in several ^ SEVERAL_DEFAULTS}
+    assert sum(len(functions) for by_default in defaults().values() for functions in by_default.values()) > 200

@@ -5,9 +5,7 @@ import json
 import os
 import subprocess
 import sys
-from inspect import signature, unwrap
 from pathlib import Path
-from types import FunctionType
 from xml.etree import ElementTree
 
 import click
@@ -31,7 +29,7 @@ from desim.study.results.waterfalls import waterfall
 from desim.study.sweeps.sweep import sweep
 from tests.command import accepted, refused
 from tests.command import desim as call
-from tests.test_kinds import modules
+from tests.test_kinds import defaults
 
 ROOT = Path(__file__).parent.parent
 SHORT = "horizon = 0.1\nteam.count = 2\n"
@@ -652,14 +650,6 @@ def test_the_name_of_a_part_is_drawn_as_it_is(tmp_path):
 
 
 def test_no_function_imports_code_of_a_file_unless_it_is_asked_to():
-    found = {}
-    for module in modules().values():
-        for owner in [module, *(kind for kind in [*vars(module).values()] if isinstance(kind, type))]:
-            for function in [*vars(owner).values()]:
-                called = function.__func__ if isinstance(function, classmethod | staticmethod) else function
-                if isinstance(called, FunctionType) and "allow_import" in unwrap(called).__code__.co_varnames:
-                    parameter = signature(called).parameters.get("allow_import")
-                    if parameter is not None and parameter.default is not parameter.empty:
-                        found[f"{called.__module__}.{called.__qualname__}"] = parameter.default
-    assert len(found) > 5
-    assert set(found.values()) == {False}
+    ((default, functions),) = defaults()["allow_import"].items()
+    assert default == "False"
+    assert len(functions) > 5
