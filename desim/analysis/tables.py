@@ -134,9 +134,9 @@ def fraction(share: float) -> str:
     return f"{share:.{_decimals_of_share(share, 3)}f}"
 
 
-def percent(share: float) -> str:
-    """Return a share in [0, 1] as text in %, with one decimal, or as many as tell it apart from 0 and 100 %."""
-    return f"{share:.{max(_decimals_of_share(share, 3) - 2, 1)}%}"
+def percent(share: float, decimals: int = 1) -> str:
+    """Return a share in [0, 1] as text in %, with some decimals, or as many as tell it apart from 0 and 100 %."""
+    return f"{share:.{max(_decimals_of_share(share, 2 + decimals) - 2, decimals)}%}"
 
 
 def _decimals_of_share(share: float, least: int) -> int:

@@ -135,6 +135,13 @@ def test_the_bound_on_other_values_is_that_of_as_many_values_as_are_equal():
     )
 
 
+@pytest.mark.parametrize(
+    ("share", "text"), [(0.25, "25%"), (0.0, "0%"), (1.0, "100%"), (0.996, "99.6%"), (0.0004, "0.04%"), (0.99, "99%")]
+)
+def test_whole_percents_tell_a_share_apart_from_0_and_100(share, text):
+    assert percent(share, 0) == text
+
+
 @pytest.mark.parametrize("mean", [0.0, 0.2, -3.0, 99.0, 512.34])
 @pytest.mark.parametrize("error", [2e-8, 3e-5, 0.0002, 0.004, 0.3])
 def test_a_mean_is_not_shown_as_certain_beside_large_ones(mean, error):

@@ -17,7 +17,7 @@ from desim.analysis.control_variates import FEW_CONTROLS, MIN_PAIRS, ControlledE
 from desim.analysis.measuring import Metrics, check_numeric
 from desim.analysis.metrics import title, words
 from desim.analysis.table_formats import Table, TabularResult
-from desim.analysis.tables import as_json, counted, digits_of, with_half_width
+from desim.analysis.tables import as_json, counted, digits_of, percent, with_half_width
 from desim.config.arguments import naming_arguments
 from desim.config.python_numbers import whole
 from desim.scenario.overrides import Source
@@ -165,7 +165,7 @@ class Controlled(TabularResult):
             plain = with_half_width(estimate.plain, estimate.count, digits=digits)
             with_control = with_half_width(estimate, estimate.count, digits=digits)
             worth = "inf" if isinf(estimate.worth) else f"{estimate.worth:.0f}"
-            rows.append((*settings, str(estimate.count), plain, with_control, f"{estimate.explained:.0%}", worth))
+            rows.append((*settings, str(estimate.count), plain, with_control, percent(estimate.explained, 0), worth))
         return rows
 
     def tables(self) -> list[Table]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from desim.analysis.metrics import with_unit, words
 from desim.analysis.table_formats import Table, TabularResult
-from desim.analysis.tables import counted
+from desim.analysis.tables import counted, percent
 from desim.config.extras import naming_extras
 from desim.config.json_numbers import json_number
 from desim.study.sensitivity.morris import ElementaryEffects
@@ -90,9 +90,8 @@ class SensitivityResult(TabularResult):
         if self.runs_at_point == 1:
             sentences.append("one run at each point: chance counts as an effect of the keys; take several")
         elif not isnan(self.chance):
-            sentences.append(
-                f"of the variance of a single run {100 * self.chance:.0f} % is chance, which the indices do not count"
-            )
+            in_percent = percent(self.chance, 0).replace("%", " %")
+            sentences.append(f"of the variance of a single run {in_percent} is chance, which the indices do not count")
         return sentences
 
     _notes = sentences
