@@ -3,6 +3,7 @@
 Each family that is called is listed once, so that a new one is noticed by `tests.test_overrides`.
 """
 
+from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 from functools import partial
@@ -31,6 +32,7 @@ from desim import (
     sweep,
 )
 from desim.config.answers import value_text
+from desim.config.errors import AnswerError
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import Lost, MessageCounts
 from desim.kernel.models import medium
@@ -613,6 +615,20 @@ def test_a_mean_that_is_no_number_is_refused():
 
     with pytest.raises(ValueError, match="should return a number, s, or None"):
         dict(warnings(Scenario(network=Links(latency=Theirs()))))
+
+
+def test_a_model_of_a_dataclass_is_named_with_the_line_of_its_own_code():
+    """Not with that of its `__init__`, which Python generates."""
+
+    @dataclass
+    class Theirs:
+        late: float = -0.1
+
+        def __call__(self, context, rng):
+            return self.late
+
+    with pytest.raises(AnswerError, match=r"from test_.*Theirs\(late=-0.1\) \(.*test_users_functions.py, line \d+\)$"):
+        run(linked(latency=Theirs()), 1)
 
 
 def test_a_returned_object_is_named_without_its_address():

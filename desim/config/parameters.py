@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from inspect import signature
 from pathlib import PurePath
+from types import BuiltinFunctionType
 from typing import Any
 
 from pydantic_core import to_jsonable_python
@@ -61,7 +62,8 @@ def in_json(value: Any) -> Any:
     plain = as_python(value)
     if type(plain) in CONVERTED and plain is not value:
         return plain
-    return {"kind": import_name(value if isinstance(value, type) else definition_of(value))}
+    is_code = isinstance(value, type | BuiltinFunctionType)
+    return {"kind": import_name(value if is_code else definition_of(value))}
 
 
 def as_jsonable(value: Any, fallback: Callable[[Any], Any] = in_json) -> Any:

@@ -7,7 +7,6 @@ import json
 import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from types import FunctionType, NoneType
 from typing import TYPE_CHECKING, Any
@@ -99,7 +98,7 @@ def document(
         "runs": runs,
         "scenario": None if scenario is None else scenario.plain() | {"seed": seed},
         "folder": None if folder is None else str(folder.absolute()),
-        "unrecorded": [] if scenario is None else list(_unrecorded(scenario)),
+        "unrecorded": [] if scenario is None else list(dict.fromkeys(_unrecorded(scenario))),
         **environment(),
         "argv": list(sys.argv),
         **to_json(more),
@@ -257,6 +256,7 @@ def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
     """
     from pydantic import BaseModel
 
+    from desim.config.choice import choices_of
     from desim.config.parameters import is_named_only, not_kept, parameters_of
     from desim.config.traits import is_ours
 
@@ -273,14 +273,7 @@ def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
         return
     for name, value in inner.items():
         yield from _unrecorded(value, (*place, name))
-        if not isinstance(node, tuple) and not is_ours(type(node)) and _is_parameter(node, name, value):
-            yield from [".".join((*place, name))] if is_named_only(value) else []
-
-
-def _is_parameter(node: Any, name: str, value: Any) -> bool:
-    """Return whether a field of a user's model is no model itself, which its name would select."""
-    from desim.config.choice import choices_of
-
-    field = getattr(type(node), "model_fields", {}).get(name)
-    is_chosen = field is not None and choices_of(field)
-    return not is_chosen and (isinstance(value, FunctionType | type | partial) or not callable(value))
+        field = getattr(type(node), "model_fields", {}).get(name)
+        is_chosen = field is not None and choices_of(field)  # a model, which its name selects
+        if not (isinstance(node, tuple) or is_ours(type(node)) or is_chosen) and is_named_only(value):
+            yield ".".join((*place, name))

@@ -130,6 +130,8 @@ PARAMETERS = {
 """By name: two values of a parameter, and of the first what stands for it in JSON and in a name."""
 NAMED = {
     "function": (first, second, "tests.config.test_parameters:first"),
+    "function of Python": (len, abs, "builtins:len"),
+    "object that is called": (Called(), Of(Called()), "tests.config.test_parameters:Called"),
     "class": (Of, Frozen, "tests.config.test_parameters:Of"),
     "object": (Opaque(1), Opaque(2), "tests.config.test_parameters:Opaque"),
     "graph": (nx.path_graph(2), nx.path_graph(3), "networkx.classes.graph:Graph"),
