@@ -310,8 +310,9 @@ class Value(BaseModel, metaclass=_ValueType):
             return copy
         kept = {name: getattr(copy, name) for name in self.own_fields()}
         values = kept | dict(update)
+        model: Any = type(self)
         try:
-            if type(self).__init__ is BaseModel.__init__:
+            if model.__init__ is BaseModel.__init__:
                 return type(self).model_validate(values, by_name=True)
             return _made_by_own_init(type(self), values, update.keys())
         except ValidationError as error:

@@ -15,6 +15,7 @@ import numpy as np
 
 from desim.config.answers import wrong_answer
 from desim.config.arrays import array_of
+from desim.config.calls import check_argument, check_at_once
 from desim.pursuit.game.game import gain, welfare
 
 
@@ -91,6 +92,8 @@ def reward_named(reward: Any) -> Reward:
         ValueError: if there is no such reward.
     """
     if callable(reward):
+        check_argument(reward, ("step",), "a reward")
+        check_at_once(reward, "a reward ")
         function: Reward = reward
         return function
     if not isinstance(reward, str) or reward not in REWARDS:

@@ -318,6 +318,20 @@ def test_a_reward_of_a_user_is_a_function_of_a_step():
             env.step(1)
 
 
+@pytest.mark.parametrize(
+    ("reward", "why"),
+    [
+        (lambda: 1.0, r"a reward should accept a call with \(step\); <lambda> "),
+        (lambda step: (yield 1.0), "a reward should do its work when it is called, without yield: <lambda>"),
+    ],
+    ids=["no argument", "generator"],
+)
+def test_a_reward_that_cannot_be_called_with_a_step_is_refused_at_once(reward, why):
+    for make in (desim.env, desim.parallel_env):
+        with pytest.raises(ValueError, match=why):
+            make(small(), 3, reward=reward)
+
+
 @pytest.mark.parametrize("kind", [np.float32, np.array, Fraction, Decimal])
 def test_a_reward_may_be_a_number_of_any_kind(kind):
     for reward in (lambda step: kind(0.25), lambda step: [kind(0.25)] * 5):

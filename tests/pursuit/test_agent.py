@@ -234,6 +234,12 @@ def test_a_function_takes_the_messages_of_a_port_as_they_arrive():
         play(lambda me: iter([me.listen(print, 3)]))
     with pytest.raises(ValueError, match="pursuer 0: listen: ignores should be a function of a message"):
         play(lambda me: iter([me.listen(print, ignores=3)]))
+    with pytest.raises(ValueError, match=r"pursuer 0: listen: act should accept a call with \(messages\); <lambda>"):
+        play(lambda me: iter([me.listen(lambda: None)]))
+    with pytest.raises(ValueError, match=r"pursuer 0: listen: ignores should accept a call with \(message\); <lambda>"):
+        play(lambda me: iter([me.listen(print, ignores=lambda one, other: True)]))
+    with pytest.raises(ValueError, match=r"pursuer 0: listen: act should do its work when it is called, without yield"):
+        play(lambda me: iter([me.listen(lambda messages: (yield))]))
 
 
 @pytest.mark.parametrize("memory", [True, False])

@@ -5,7 +5,9 @@ from typing import Any
 
 import simpy
 
+from desim.config.calls import check_argument, check_at_once
 from desim.config.python_numbers import real
+from desim.config.traits import OURS, module_of
 from desim.kernel.core.clock import Clock, Instant, NodeClock, Phase
 from desim.kernel.core.ports import check_port
 from desim.kernel.network import Network
@@ -193,6 +195,10 @@ class Timing:
             raise ValueError(f"pursuer {self.id}: listen: act should be a function of messages (got {act!r})")
         if ignores is not None and not callable(ignores):
             raise ValueError(f"pursuer {self.id}: listen: ignores should be a function of a message (got {ignores!r})")
+        for function, takes, name in ((act, ("messages",), "act"), (ignores, ("message",), "ignores")):
+            if function is not None and module_of(function).partition(".")[0] not in OURS:
+                check_argument(function, takes, f"pursuer {self.id}: listen: {name}")
+                check_at_once(function, f"pursuer {self.id}: listen: {name} ")
 
         def take(messages: list[Message]) -> None:
             self.resume()
