@@ -1092,6 +1092,16 @@ def test_a_node_that_only_acknowledges_waits_with_its_own_frame_for_its_duty_cyc
     assert own == pytest.approx(1038.0 + 4 * 5000.0, abs=1.0)
 
 
+@given(LOADS, CRASHES, st.sampled_from([0.05, 0.3, 1.0]), st.sampled_from([None, 6e-4]))
+@pytest.mark.slow
+def test_no_message_waits_for_ever_under_a_duty_cycle_with_acknowledgements(load, crashes, duty_cycle, ack_timeout):
+    """A node that contends when it acknowledges contends again after its silence."""
+    access = CsmaCa(window=4, retries=2, ack=5e-4, ack_timeout=ack_timeout)
+    options = {"crashes": crashes, "duty_cycle": duty_cycle}
+    _, net, _ = history(access, Collision(), GRAPHS["complete"], load, **options)
+    assert net.message_counts().in_flight == 0
+
+
 def test_a_silent_node_keeps_the_newest_frames():
     """Frames A to Z, one per ms, and 9 ms of silence after each frame: B waits at 1 ms, and is superseded."""
     clock, net, trace = network(Aloha(), medium={"duty_cycle": 0.1, "queue_limit": 1})
