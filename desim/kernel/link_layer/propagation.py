@@ -204,7 +204,7 @@ class LinkSampler:
         Links are sampled in the order of their senders; sampling ends early once there are more than 10 000 draws.
         If latencies depend on time, the draws are spread over their `time_span`.
 
-        Draws that do not depend on the links are kept equal to draws link by link by
+        Draws that do not depend on the links are only counted. Kept equal to draws link by link by
         `tests/kernel/test_propagation.py::test_the_typical_latency_is_that_of_draws_link_by_link`.
         """
         if not self._graph.number_of_edges():
