@@ -16,6 +16,7 @@ from desim.kernel.models.latency_by_link import PerPair
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli, GilbertElliott
 from desim.pursuit.core.events import Decided, Started
+from desim.pursuit.game.game import relay_profile
 from desim.pursuit.motion.capture import capture_time
 from desim.pursuit.team.announcements import STARTS, Announcements
 from desim.scenario.players import Evader, Team
@@ -27,7 +28,6 @@ from protocols.schedules.mutex import LocalMutex
 from protocols.schedules.periodic import Periodic, Poisson, Rounds, SharedSeed
 from protocols.schedules.token import TokenRing, TokenWalk
 from protocols.temperature import ConstantTau
-from tests.games import relay_profile
 
 GREEDY = ConstantTau(value=1e-9)
 SCHEDULES = {

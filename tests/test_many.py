@@ -7,7 +7,7 @@ import pytest
 from desim import Scenario, run, summary
 from desim.analysis.statistics import wilson
 from desim.pursuit.core.events import Captured, Decided, Ended
-from desim.pursuit.game.game import equilibria, optimum, profiles, welfare
+from desim.pursuit.game.game import equilibria, gibbs, optimum, profiles, welfare
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
@@ -16,7 +16,6 @@ from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson, Rounds, SharedSeed
 from protocols.temperature import ConstantTau
 from scenarios.studies import many_runs
-from tests.games import gibbs
 from tests.law import HORIZON, batches, by_batches, distance
 
 TEAM = Team(positions=((4.4, 0.3), (-2.0, 4.0), (-2.6, -3.6)), speeds=0.2)

@@ -13,7 +13,7 @@ from desim.kernel.core.seeds import stream
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.pursuit.core.events import Decided, Ended, Sampled, Started
-from desim.pursuit.game.game import logit
+from desim.pursuit.game.game import gibbs, logit
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Recording
@@ -21,7 +21,6 @@ from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson, SharedSeed
 from protocols.temperature import ConstantTau
-from tests.games import gibbs
 from tests.law import HORIZON, PHI, RELAY, all_at_once, distance, measured, static_game, stationary
 
 

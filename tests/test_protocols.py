@@ -18,6 +18,7 @@ from desim.kernel.models.faults import Partition
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Started
+from desim.pursuit.game.game import relay_profile
 from desim.pursuit.motion.capture import capture_time
 from desim.pursuit.team.announcements import DISSEMINATIONS, STARTS, Announcements
 from desim.scenario.players import Team
@@ -25,7 +26,6 @@ from desim.scenario.scenario import PROTOCOLS, Motion, Recording
 from protocols.rule import SCHEDULES, Rule
 from protocols.schedules.periodic import Poisson
 from scenarios.studies.study import SCENARIOS
-from tests.games import relay_profile
 from tests.many import LOSSY, at_rest, chased, easy, times
 
 KINDS = PROTOCOLS.choices()

@@ -28,10 +28,9 @@ from desim.learning.episode import Episode
 from desim.learning.playing import play
 from desim.learning.rewards import team as team_reward
 from desim.pursuit.core.events import Ended
-from desim.pursuit.game.game import welfare
+from desim.pursuit.game.game import welfare, wonderful_life_utility
 from protocols import CBAA, LocalMin, Rounds, Server
 from protocols.rule import SCHEDULES
-from tests.games import wonderful_life_utility
 
 SCHEDULE_KINDS = sorted(SCHEDULES.choices())
 RELAY = Path(desim.examples()["relay"])

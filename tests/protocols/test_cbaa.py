@@ -21,7 +21,7 @@ from desim.kernel.models.latency import Constant, Lognormal
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Started
-from desim.pursuit.game.game import greedy_assignment
+from desim.pursuit.game.game import greedy_assignment, relay_profile
 from desim.pursuit.motion.capture import capture_time
 from desim.pursuit.sensing.sensing import Sensing
 from desim.pursuit.team.announcements import STARTS, Announcements, Assignment
@@ -36,7 +36,6 @@ from protocols.schedules.periodic import Periodic, Poisson, Rounds, SharedSeed
 from protocols.schedules.synchronous import Synchronous
 from protocols.schedules.token import TokenRing
 from scenarios.studies import rivals_runs
-from tests.games import relay_profile
 from tests.many import LOSSY, at_rest, by_evader, chased, easy
 from tests.many import times as times_of_all
 

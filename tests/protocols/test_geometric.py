@@ -15,7 +15,7 @@ from desim.kernel.models.latency import Constant, Lognormal
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.pursuit.core.events import Decided, Sampled, Started
-from desim.pursuit.game.game import greedy_assignment
+from desim.pursuit.game.game import greedy_assignment, relay_profile
 from desim.pursuit.motion.capture import capture_time
 from desim.pursuit.motion.environment import Environment
 from desim.pursuit.team.announcements import STARTS, Announcements
@@ -25,7 +25,6 @@ from desim.scenario.scenario import Motion, Recording
 from protocols.centralised import Centralised
 from protocols.geometric import Argmin, VelocityFilter, Voronoi, announced_chasers, first
 from protocols.geometric import owners as owners_of
-from tests.games import relay_profile
 from tests.many import at_rest, by_evader, chased, times
 
 SECOND = 1_000_000_000

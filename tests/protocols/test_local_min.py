@@ -12,7 +12,7 @@ from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.pursuit.core.events import Decided, Started
-from desim.pursuit.game.game import greedy_maximal_independent_set
+from desim.pursuit.game.game import greedy_maximal_independent_set, relay_profile
 from desim.pursuit.game.utility import EdgePenalty, LocalMean
 from desim.pursuit.team.announcements import Announcements
 from desim.pursuit.team.beliefs import Belief
@@ -25,7 +25,6 @@ from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.mutex import LocalMutex
 from protocols.schedules.periodic import Periodic, Poisson, Rounds, SharedSeed
 from protocols.temperature import ConstantTau
-from tests.games import relay_profile
 
 
 def static_game(protocol, graph, phi, seed=0, horizon=10.0, **changes):

@@ -18,7 +18,7 @@ from desim.kernel.models.faults import Crash
 from desim.kernel.models.graphs import Edges
 from desim.kernel.models.links import Links
 from desim.pursuit.core.events import Decided, Started
-from desim.pursuit.game.game import gain
+from desim.pursuit.game.game import gain, relay_profile
 from desim.pursuit.game.utility import Component, EdgePenalty, LocalMean, Mean, Minimum
 from desim.pursuit.team.announcements import Announcements, Assignment, TimedAssignment
 from desim.pursuit.team.beliefs import Belief
@@ -32,7 +32,6 @@ from protocols.rule import LearningRule, Rule, argmax, current_action
 from protocols.sap import SpatialAdaptivePlay, categorical
 from protocols.schedules.periodic import Poisson, Rounds, SharedSeed
 from protocols.temperature import ConstantTau, GeometricTau
-from tests.games import relay_profile
 from tests.protocols.test_local_min import changes_of
 from tests.protocols.test_local_min import static_game as game_on
 

@@ -10,6 +10,7 @@ from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.pursuit.core.events import Decided, Started
+from desim.pursuit.game.game import relay_profile
 from desim.pursuit.motion.capture import capture_time
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
@@ -17,7 +18,6 @@ from desim.scenario.scenario import Motion
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson
 from protocols.temperature import PaperTau
-from tests.games import relay_profile
 
 
 def final_profile(result):

@@ -21,7 +21,7 @@ from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.kernel.models.medium import Bitrate
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Started
-from desim.pursuit.game.game import greedy_assignment, optimal_assignment
+from desim.pursuit.game.game import greedy_assignment, optimal_assignment, relay_profile
 from desim.pursuit.motion.capture import capture_time
 from desim.pursuit.team.announcements import Announcements
 from desim.pursuit.team.beliefs import Belief
@@ -30,7 +30,6 @@ from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 from protocols.centralised import Centralised
 from protocols.server import Server, TeamOrder
-from tests.games import relay_profile
 from tests.many import LOSSY, at_rest, by_evader, chased, times
 from tests.omniscient import RoundTrip
 

@@ -10,6 +10,7 @@ from desim.kernel.models.clock_skew import ClockSkew
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.pursuit.core.events import Decided
+from desim.pursuit.game.game import relay_profile
 from desim.scenario.assumptions import violations
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording
@@ -20,7 +21,6 @@ from protocols.schedules.mutex import LocalMutex
 from protocols.schedules.periodic import Rounds, SharedSeed
 from protocols.schedules.synchronous import Synchronous
 from protocols.schedules.token import TokenRing, TokenWalk
-from tests.games import relay_profile
 from tests.test_protocols import outcome
 
 SLOT = 0.25

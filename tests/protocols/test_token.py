@@ -25,7 +25,7 @@ from desim.kernel.models.latency import Constant, Lognormal, ShiftedExponential,
 from desim.kernel.models.links import Links
 from desim.kernel.models.medium import Bitrate, LoRa
 from desim.pursuit.core.events import Decided, Started
-from desim.pursuit.game.game import gain
+from desim.pursuit.game.game import gain, relay_profile
 from desim.pursuit.motion.capture import capture_time
 from desim.pursuit.team.announcements import Announcements
 from desim.testing.messages import OneToken
@@ -44,7 +44,6 @@ from protocols.schedules.token_messages import (
 )
 from protocols.schedules.token_passing import TokenNode, circulate, full_token
 from protocols.temperature import ConstantTau
-from tests.games import relay_profile
 from tests.law import RELAY, measured, static_game
 from tests.protocols.traffic import SECOND, Storm, bodies, decided, flips, standing
 

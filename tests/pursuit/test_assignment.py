@@ -9,14 +9,16 @@ from hypothesis import strategies as st
 
 from desim.pursuit.game.game import (
     equilibria,
+    gibbs,
     greedy_assignment,
+    is_equilibrium,
     optimal_assignment,
     optimum,
     profiles,
     relay_pursuer,
     welfare,
+    wonderful_life_utility,
 )
-from tests.games import gibbs, is_equilibrium, wonderful_life_utility
 
 REWARD = 25.0
 SIZES = [(2, 2), (3, 2), (2, 3), (4, 2), (3, 3)]
@@ -222,7 +224,9 @@ def test_the_gibbs_law_is_that_of_the_global_utility():
     assert law[1, 1] / law[0, 0] == pytest.approx(np.exp((25 - 3.5) / 4.0))
 
 
-def test_times_of_capture_are_a_matrix_or_numbers():
+def test_times_of_capture_are_a_matrix_or_numbers_and_for_the_gibbs_law_finite():
+    with pytest.raises(ValueError, match="all capture times should be finite"):
+        gibbs([[1.0, inf]], 25.0, 1.0)
     with pytest.raises(ValueError, match=r"\(N, M\) matrix"):
         welfare([[[1.0]], [[2.0]]], (0, 1), 25.0)
     with pytest.raises(ValueError):

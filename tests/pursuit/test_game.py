@@ -12,14 +12,17 @@ from hypothesis import strategies as st
 from desim.pursuit.game.game import (
     equilibria,
     gain,
+    gibbs,
     greedy_maximal_independent_set,
+    is_equilibrium,
     logit,
     profiles,
+    relay_profile,
     relay_pursuer,
     welfare,
+    wonderful_life_utility,
 )
 from desim.pursuit.game.utility import EdgePenalty, LocalMean, Minimum
-from tests.games import gibbs, is_equilibrium, relay_profile, wonderful_life_utility
 
 times = st.floats(0.0, 60.0, allow_nan=False)
 rewards = st.floats(0.0, 60.0)
@@ -114,6 +117,11 @@ def test_the_logit_neither_overflows_nor_divides():
 def test_the_gibbs_law_of_a_cold_team_does_not_overflow():
     """exp(3 / 0.001) would."""
     assert gibbs([1.0, 2.0], 4.0, 0.001).tolist() == [0.0, 0.0, 1.0, exp(-500.0)]
+
+
+def test_the_gibbs_law_requires_finite_capture_times():
+    with pytest.raises(ValueError, match=r"should be finite, got \[1.0, inf\]"):
+        gibbs([1.0, inf], 4.0, 1.0)
 
 
 # On a graph.

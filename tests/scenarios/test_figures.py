@@ -14,8 +14,8 @@ from desim.analysis.drawing.plots import COLUMN
 from desim.analysis.timeline import timeline
 from desim.analysis.trace_index import started, trace_index
 from desim.kernel.core.units import SECOND
+from desim.pursuit.game.game import wonderful_life_utility
 from scenarios import figures, table1
-from tests.games import wonderful_life_utility
 
 
 @pytest.fixture(scope="module")

@@ -51,6 +51,15 @@ def welfare(phi: ArrayLike, actions: Sequence[int], reward: float) -> float:
     return portable_sum(_term(team, reward) for team in teams)
 
 
+def wonderful_life_utility(phi: ArrayLike, actions: Sequence[int], reward: float, i: int) -> float:
+    """Return the marginal contribution of pursuer i to the global utility, s; only the term of its evader changes."""
+    if not actions[i]:
+        return 0.0
+    times = _columns(phi)[actions[i] - 1]
+    team = [j for j, action in enumerate(actions) if action == actions[i]]
+    return _term([times[j] for j in team], reward) - _term([times[j] for j in team if j != i], reward)
+
+
 def _term(times: Sequence[float], reward: float) -> float:
     """Return the term of an evader in the global utility, s, given the capture times of those that chase it."""
     chasing = [time for time in times if time < inf]
@@ -75,13 +84,29 @@ Hearing = Sequence[Collection[int]]
 """For each pursuer the ids of the pursuers whose actions count in its utility."""
 
 
+def is_equilibrium(
+    phi: ArrayLike,
+    actions: Sequence[int],
+    reward: float,
+    gain: Gain = gain,
+    hearing: Hearing | None = None,
+) -> bool:
+    """Return whether no pursuer gains by changing its action alone (a pure Nash equilibrium).
+
+    Args:
+        phi: (N, M) capture times, s; a pursuer with inf can only be inactive and does not count for the others.
+        actions: (N,) action of each pursuer.
+        reward: the time left, r, s.
+        gain: gain from being active; `desim.pursuit.game.utility` has alternatives to the paper's.
+        hearing: the pursuers whose actions count for each pursuer; all if None.
+    """
+    return _is_equilibrium(_columns(phi), actions, reward, gain, hearing)
+
+
 def _is_equilibrium(
     columns: list[list[float]], actions: Sequence[int], reward: float, gain: Gain, hearing: Hearing | None
 ) -> bool:
-    """Return whether no pursuer gains by changing its action alone; see `equilibria`.
-
-    `columns`: the capture times of all pursuers for each evader.
-    """
+    """Do as `is_equilibrium`, given the capture times of all pursuers for each evader."""
     for i, action in enumerate(actions):
         heard = range(len(actions)) if hearing is None else hearing[i]
         gains = [0.0]
@@ -94,34 +119,46 @@ def _is_equilibrium(
 
 
 def equilibria(phi: ArrayLike, reward: float, gain: Gain = gain, hearing: Hearing | None = None) -> list[Profile]:
-    """Return all pure Nash equilibria, in which no pursuer gains by changing its action alone.
-
-    All (M + 1)^N profiles are tried, so N should be small.
-
-    Args:
-        phi: (N, M) capture times, s; a pursuer with inf can only be inactive and does not count for the others.
-        reward: the time left, r, s.
-        gain: gain from being active; `desim.pursuit.game.utility` has alternatives to the paper's.
-        hearing: the pursuers whose actions count for each pursuer; all if None.
-    """
+    """Return all pure Nash equilibria by enumeration of the (M + 1)^N profiles, for small N; see `is_equilibrium`."""
     columns = _columns(phi)
     every = profiles(len(columns[0]), len(columns))
     return [profile for profile in every if _is_equilibrium(columns, profile, reward, gain, hearing)]
 
 
 def relay_pursuer(phi: Sequence[float], reward: float) -> int | None:
-    """Return the pursuer of least capture time phi (ties: the lowest index), or None if its phi >= reward.
-
-    If the phi are distinct and the least differs from r, the game with one evader has a unique equilibrium: only this
-    pursuer is active, or nobody if there is none.
-    """
+    """Return the pursuer of least capture time phi (ties: the lowest index), or None if its phi >= reward."""
     least = min(phi)
     return phi.index(least) if least < reward else None
+
+
+def relay_profile(phi: Sequence[float], reward: float) -> Profile:
+    """Return the profile in which only the relay pursuer is active; without a relay pursuer all are inactive.
+
+    If the phi are distinct and the least differs from r, this profile is the unique equilibrium of the game.
+    """
+    relay = relay_pursuer(phi, reward)
+    return tuple(i == relay for i in range(len(phi)))
 
 
 def profiles(pursuers: int, evaders: int = 1) -> list[Profile]:
     """Return all (M + 1)^N profiles in lexicographic order: the action of the last pursuer changes fastest."""
     return list(product(range(evaders + 1), repeat=pursuers))
+
+
+def gibbs(phi: ArrayLike, reward: float, tau: float) -> Floats:
+    """Return the ((M + 1)^N,) stationary distribution of log-linear learning at the temperature tau, s.
+
+    The profiles are in the order of `profiles`. P(profile) is proportional to exp(Phi(profile) / tau): Blume 1993, "The
+    Statistical Mechanics of Strategic Interaction".
+
+    Raises:
+        ValueError: if not all capture times are finite.
+    """
+    columns = _columns(phi)
+    if not np.isfinite(columns).all():
+        raise ValueError(f"all capture times should be finite, got {np.asarray(phi).tolist()}")
+    heights = [welfare(phi, actions, reward) for actions in profiles(len(columns[0]), len(columns))]
+    return np.array(logit(heights, 1.0 / tau))
 
 
 def logit(utilities: Sequence[float], inverse_temperature: float) -> list[float]:
