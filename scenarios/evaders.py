@@ -144,7 +144,7 @@ def draw_strategies(axes: "Axes", cells: Sequence[Cell]) -> None:
     Only the points of SAP have intervals.
     """
     here = {(cell.strategy, cell.protocol): cell for cell in cells if cell.strategy != REFERENCE}
-    names = sorted({name for name, _ in here}, key=lambda name: here[name, IDEAL].difference.mean)
+    names = sorted({name for name, _ in here}, key=lambda name: (here[name, IDEAL].difference.mean, name))
     latency = max(cell.latency for cell in cells)
     rows = np.arange(len(names))
     axes.axvline(0.0, color=palette.GREY, lw=0.6)

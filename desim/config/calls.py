@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from inspect import getattr_static, isasyncgenfunction, iscoroutinefunction, isgeneratorfunction, signature
+from inspect import Signature, getattr_static, isasyncgenfunction, iscoroutinefunction, isgeneratorfunction, signature
 from typing import Any
 
 from desim.config.answers import name_and_place
@@ -33,7 +33,7 @@ def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *
     if isinstance(getattr_static(type(function), "__call__", None), staticmethod | classmethod):
         called = called.__call__  # else `signature` takes an argument for self
     try:
-        parameters = signature(called, follow_wrapped=False)  # a decorator may give some of the arguments
+        parameters = own_signature(called)
     except (TypeError, ValueError):  # some functions in C have no signature
         return
     try:
@@ -41,6 +41,20 @@ def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *
     except TypeError as error:
         call = f"a call with ({', '.join(takes)})" if takes else "a call without arguments"
         raise AnswerError(f"should accept {call}; {name_and_place(value)} does not: {error}") from error
+
+
+def own_signature(function: Callable[..., Any]) -> Signature:
+    """Return the arguments that a function takes itself: a decorator may give some to the function that it wraps.
+
+    A function without a signature, such as one of `functools.cache`, takes the arguments of what it wraps.
+
+    Raises:
+        TypeError, ValueError: if neither has a signature, as some functions in C.
+    """
+    try:
+        return signature(function, follow_wrapped=False)
+    except ValueError:
+        return signature(function)
 
 
 def check_argument(function: Any, takes: Sequence[str], name: str) -> None:

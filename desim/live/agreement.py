@@ -1,6 +1,6 @@
 """Live against simulated: whether runs of a scenario over sockets have the metrics of its simulation."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import copysign, inf
 from typing import Any, NamedTuple, get_args
@@ -170,7 +170,9 @@ def compare(
     seed: int | None = None,
     *,
     simulated: Scenario | None = None,
+    at_once: int = 1,
     links: LinkKind = "drawn",
+    finished: Callable[[LiveResult], object] | None = None,
 ) -> Agreement:
     """Run a scenario live and simulated with the same seeds, and compare the metrics.
 
@@ -179,7 +181,9 @@ def compare(
         count: number of runs of each kind, at least 2.
         seed: root seed, as of `desim run -n`; None: that of the scenario.
         simulated: another experiment to simulate, as a control that should differ; None: the same.
+        at_once: number of live runs at the same time.
         links: how the links of the live runs are made; see `desim.live.live_runs.run`.
+        finished: called with each live result.
 
     Raises:
         ValueError: if there are fewer than 2 runs, which have no standard error; and as `desim.live.live_runs.run`.
@@ -192,5 +196,5 @@ def compare(
     if (count := whole(count, "count")) < 2:
         raise ValueError(f"a comparison needs at least 2 runs of each kind (got {count})")
     seeds = seeds_from(scenario.seed if seed is None else seed, count)
-    live = runs(scenario, seeds, links=links)
+    live = runs(scenario, seeds, at_once=at_once, links=links, finished=finished)
     return Agreement(scenario, live, [run(simulated or scenario, seed) for seed in seeds])

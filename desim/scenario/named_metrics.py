@@ -3,12 +3,12 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
-from inspect import signature
 from types import FunctionType
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, PlainSerializer, PlainValidator, ValidationInfo, WithJsonSchema
 
+from desim.config.calls import own_signature
 from desim.config.named_code import import_name, load_named, named_in_file
 from desim.config.packages import MARGINS
 from desim.config.suggestion import did_you_mean
@@ -92,7 +92,7 @@ def _check_called(name: str, of: Any) -> None:
     if not callable(of) or isinstance(of, type):
         raise ValueError(f"{name!r} should be a function of a result (got {of!r})")
     try:
-        signature(of, follow_wrapped=False).bind("result")
+        own_signature(of).bind("result")
     except TypeError as error:
         raise ValueError(f"{name!r} should accept one argument, the result of a run: {error}") from error
 

@@ -363,6 +363,12 @@ def test_two_columns_that_name_the_nodes_differently_are_refused(tmp_path, names
         RecordedMotion(file=str(file))
 
 
+def test_a_column_of_equal_cells_names_no_nodes_beside_one_that_does(tmp_path):
+    file = tmp_path / "walk.csv"
+    file.write_text("node,t,x,y,device\n0,0,1,2,gps\n0,1,2,3,gps\n1,0,5,5,gps\n1,1,6,6,gps\n")
+    assert len(RecordedMotion(file=str(file)).waypoints) == 2
+
+
 @pytest.mark.parametrize("name", ["VehicleID", "drone", "track_id", "robot_id", "AgentId", "uav_id"])
 def test_a_column_of_numbers_of_robots_is_not_one_track(tmp_path, name):
     """Without its name the file would be one node that jumps from the end of a track to the beginning of the next."""

@@ -243,9 +243,9 @@ def test_a_comparison_needs_two_runs_and_hands_on_its_arguments(monkeypatch):
     with pytest.raises(ValueError, match=r"^a comparison needs at least 2 runs of each kind \(got 1\)$"):
         compare(game("sap"), 1)
     with pytest.raises(ReachedError):
-        compare(game("sap"), 2, 7, links="real")
+        compare(game("sap"), 2, 7, at_once=3, links="real", finished=print)
     assert calls == [
-        ((game("sap"), seeds_from(7, 2)), {"links": "real"}),
+        ((game("sap"), seeds_from(7, 2)), {"at_once": 3, "links": "real", "finished": print}),
     ]
 
 

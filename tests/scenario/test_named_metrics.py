@@ -1,12 +1,13 @@
 """Metrics that a scenario file names: what is imported, and what is said of the rest."""
 
-from functools import partial, wraps
+from functools import cache, partial, wraps
 from types import SimpleNamespace
 
 import pytest
 
 import desim.scenario.named_metrics as module
 from desim.analysis.measuring import users_metrics
+from desim.config.calls import own_signature
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Recording, Scenario
 from desim.scenario.toml import load, validate
@@ -103,6 +104,23 @@ def test_a_decorator_may_give_a_metric_some_of_its_arguments():
         return of_users.of_two(result, 3.0)
 
     assert [name for name, _ in users_metrics((), {"bound": bound})] == ["bound"]
+    assert Recording(metrics=(bound_half,)).metrics[0].of is bound_half
+
+
+@cache
+def cached(result, other):
+    return 0.5
+
+
+@wraps(cached)
+def bound_half(result):
+    return cached(result, 1)
+
+
+def test_a_metric_behind_a_cache_takes_the_arguments_of_what_is_cached():
+    assert own_signature(cached).parameters.keys() == {"result", "other"}
+    with pytest.raises(ValueError, match="metric 'cached' should accept a call with \\(result\\); .*'other'"):
+        users_metrics((), {"cached": cached})
 
 
 def test_metrics_that_a_scenario_names_are_replaced_as_any_other_key():

@@ -149,7 +149,8 @@ class MobilityTable(MobilityFile):
     def _check_names(self, rows: Sequence[tuple[int, list[str]]]) -> None:
         """Raise ValueError if it is not clear which column names the nodes."""
         names = self._header.names
-        node_columns = [k for k, name in enumerate(names) if joined(name) in COLUMNS["node"]]
+        named = [k for k, name in enumerate(names) if joined(name) in COLUMNS["node"]]
+        node_columns = [k for k in named if len({cells[k] for _, cells in rows}) > 1]  # equal cells name none
         groups = {tuple(cells[k] for k in node_columns) for _, cells in rows}
         if any(len({group[k] for group in groups}) < len(groups) for k in range(len(node_columns))):
             listed = " and ".join(names[k] for k in node_columns)
