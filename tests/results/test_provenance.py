@@ -866,3 +866,8 @@ def test_a_study_writes_where_it_comes_from_beside_its_numbers(tmp_path, monkeyp
     assert read(tmp_path / "b.run.json")["runs"] == 5
     said = refused("run", "--from", tmp_path / "a.run.json")
     assert said.startswith(f"{tmp_path / 'a.run.json'}: records the study 'a', which desim run cannot repeat")
+
+
+def test_the_parts_of_an_environment_that_have_names_are_in_it():
+    here = environment.environment()
+    assert {*provenance.PARTS} <= {*here["versions"], *here["platform"]}
