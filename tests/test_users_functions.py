@@ -35,6 +35,7 @@ from desim.config.answers import value_text
 from desim.config.errors import AnswerError
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import Lost, MessageCounts
+from desim.kernel.core.units import SECOND
 from desim.kernel.models import medium
 from desim.kernel.models.fault_plans import draw_faults
 from desim.kernel.models.faults import Jamming, Partition
@@ -746,6 +747,17 @@ def test_losses_by_a_crash_have_the_cause_of_its_class(network, messages):
     assert theirs["battery"] > 0
     assert theirs.pop("battery") + theirs.pop("crash", 0) == usual.pop("crash")
     assert theirs == usual
+
+
+def test_losses_have_the_cause_of_the_last_crash_that_has_not_ended():
+    """The crash of the battery begins last, and ends first."""
+    faults = Crash(node=1, start=0.1, end=0.9), Battery(node=1, start=0.3, end=0.5)
+    settings = {"network": Links(latency=1e-3), "announce": Announcements(heartbeat=0.05)}
+    losses = run(scenario(fault=faults, **settings), 1).trace.of(Lost)
+    causes = [
+        {loss.cause for loss in losses if start + 0.01 < loss.t / SECOND < start + 0.19} for start in (0.1, 0.3, 0.5)
+    ]
+    assert causes == [{"crash"}, {"battery"}, {"crash"}]
 
 
 def test_parts_of_a_fault_have_its_cause_unless_they_have_their_own():

@@ -139,11 +139,11 @@ class _Site:
     def crash(self, crash: Crash) -> Undo:
         if not isinstance(crash, Crash):
             raise ValueError(f"crash(crash) should be given a Crash, such as Crash(start=1.0, node=0) (got {crash!r})")
-        self._network.crash(crash.node, self._cause)
+        outage = self._network.crash(crash.node, self._cause)
         self._crashed(crash)
 
         def recover() -> None:
-            self._network.recover(crash.node, memory=crash.memory)
+            self._network.recover(crash.node, outage, memory=crash.memory)
             self._recovered(crash)
 
         return recover
@@ -175,9 +175,7 @@ class _Site:
 
     def jam(self, centre: tuple[float, float], radius: float) -> Undo:
         state, jamming = self._network.fault_state, Jamming(start=0.0, centre=centre, radius=radius)
-        disc = jamming.centre, jamming.radius
-        state.jam(disc, self._cause)
-        return partial(state.clear, disc, self._cause)
+        return partial(state.clear, state.jam((jamming.centre, jamming.radius), self._cause))
 
 
 def _require_nodes(nodes: Iterable[int], size: int, where: str) -> None:

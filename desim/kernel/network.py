@@ -29,7 +29,7 @@ from desim.kernel.link_layer.link_layer import LinkLayer, TransmissionListener
 from desim.kernel.link_layer.propagation import LinkSampler
 from desim.kernel.models.links import Links
 from desim.kernel.models.transport import Transport, check_transport
-from desim.kernel.state.fault_state import FaultState
+from desim.kernel.state.fault_state import FaultState, Outage
 from desim.kernel.state.inbox import Inbox, Inboxes, Message
 from desim.kernel.state.network_state import NetworkState
 from desim.kernel.state.received_records import Records
@@ -348,27 +348,34 @@ class Network(ReceivingNodes):
 
     # Faults and counts.
 
-    def crash(self, node: int, cause: Cause = "crash") -> None:
+    def crash(self, node: int, cause: Cause = "crash") -> Outage:
         """Take the radio of a node down: it neither sends nor receives, and its unfinished transmissions are lost.
 
-        The cause is that of its losses.
+        The cause is that of its losses, unless a later crash of the node has another. Return the outage, which
+        `recover` ends.
 
         Raises:
             ValueError: if the network was created without a `FaultState`, or its faults are planned (see `FaultState`).
         """
         node = self._node(node)
-        self.fault_state.crash(node, cause)
+        outage = self.fault_state.crash(node, cause)
         self._link_layer.crash(node, cause)
+        return outage
 
-    def recover(self, node: int, *, memory: bool = True) -> None:
+    def recover(self, node: int, outage: Outage | None = None, *, memory: bool = True) -> None:
         """End one crash of a node; if `memory` is false, delete its received records and unread messages.
+
+        Args:
+            node: the node.
+            outage: what `crash` returned; None: the last crash ends.
+            memory: whether the node keeps what it has received.
 
         Raises:
             ValueError: if the network was created without a `FaultState`, its faults are planned, or the node is not
                 down.
         """
         node = self._node(node)
-        self.fault_state.recover(node)
+        self.fault_state.recover(node, outage)
         if not memory:
             self._forget(node)
         self._transport_layer.recover(node, memory=memory)

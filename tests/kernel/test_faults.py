@@ -23,7 +23,7 @@ from desim.kernel.models.links import Links
 from desim.kernel.models.medium import Bitrate
 from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.kernel.network import Network
-from desim.kernel.state.fault_state import FaultState
+from desim.kernel.state.fault_state import FaultState, Jam
 from desim.scenario.players import Team
 
 PERIOD = SECOND // 10
@@ -401,6 +401,27 @@ def test_a_node_that_is_not_down_cannot_be_repaired():
         fault_state.recover(0)
 
 
+def test_the_last_crash_that_has_not_ended_is_the_cause_of_losses():
+    state = FaultState()
+    battery, _, last = (state.crash(0, cause) for cause in ("battery", "emp", "battery"))
+    state.recover(0, last)
+    assert state.down_cause(0) == "emp"
+    state.recover(0)
+    assert state.down_cause(0) == "battery"
+    state.recover(0, battery)
+    assert state.down_cause(0) is None
+    assert not state.down(0)
+
+
+def test_the_first_jam_that_has_not_ended_is_the_cause_of_losses():
+    state, disc = FaultState(lambda: np.zeros((1, 2))), ((0.0, 0.0), 1.0)
+    jams = [state.jam(disc, cause) for cause in ("storm", "sparks", "storm")]
+    state.clear(jams[2])
+    assert state.jammed([0], 0) == ["storm"]
+    state.clear(jams[0])
+    assert state.jammed([0], 0) == ["sparks"]
+
+
 def test_a_function_is_a_plan():
     """It is called once with the team's size, the horizon and a stream of its own, and what it answers happens."""
     asked = []
@@ -445,7 +466,7 @@ def test_a_change_that_is_not_planned_is_refused_among_planned_ones():
     changes += [
         partial(state.rejoin, {}),
         partial(state.jam, ((0.0, 0.0), 1.0)),
-        partial(state.clear, ((0.0, 0.0), 1.0)),
+        partial(state.clear, Jam(((0.0, 0.0), 1.0), "jamming")),
     ]
     for end in (0.0, 2.0):  # before and after a planned change
         clock.run(until=Instant(clock, round(end * SECOND), Phase.DECISION))

@@ -1,8 +1,7 @@
 """The active faults of a network: nodes whose radio is down, partitions into groups, blocked links, jammed discs."""
 
 from bisect import insort
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import compress
 from math import inf
@@ -30,6 +29,13 @@ class Cut(NamedTuple):
     """The cause of its losses."""
 
 
+class Outage(NamedTuple):
+    """A crash of a node that has not ended."""
+
+    node: int
+    cause: Cause
+
+
 class Interception(NamedTuple):
     """A rule by which messages are lost, delayed or copied."""
 
@@ -41,6 +47,13 @@ class Interception(NamedTuple):
 
 Disc = tuple[tuple[float, float], float]
 """Centre (x, y) and radius, m."""
+
+
+class Jam(NamedTuple):
+    """A disc in which reception is blocked."""
+
+    disc: Disc
+    cause: Cause
 
 
 class FaultState:
@@ -58,13 +71,12 @@ class FaultState:
 
     def __init__(self, positions: PositionFunction | None = None, *, surprises: bool = False):
         self._positions = None if positions is None else as_position_source(positions)
-        self._down: Counter[int] = Counter()
-        self._down_causes: dict[int, Cause] = {}
+        self._down: dict[int, list[Outage]] = {}
         self._planned: list[int] | None = None
         self._surprises = surprises
         self._is_changing = False
         self._cuts: list[Cut] = []
-        self._jams: list[tuple[Disc, Cause]] = []
+        self._jams: list[Jam] = []
         self._interceptions: list[Interception] = []
         self._intercepted: dict[int, dict[int, tuple[float, Cause]]] = {}
         """By number of a transmission: the extra delay, s, and the cause at each receiver that is concerned."""
@@ -129,17 +141,21 @@ class FaultState:
         return self.is_planned and (self._positions is None or self._positions.looks_back)
 
     @property
-    def down_nodes(self) -> Mapping[int, int]:
-        """The nodes whose radio is down, each with the number of its crashes that have not ended."""
+    def down_nodes(self) -> Mapping[int, Sequence[Outage]]:
+        """The nodes whose radio is down, each with its crashes that have not ended."""
         return self._down
 
     def down(self, node: int) -> bool:
         """Return whether the radio of a node is down."""
-        return self._down[node] > 0
+        return node in self._down
 
     def down_cause(self, node: int) -> Cause | None:
-        """Return the cause of losses at a node whose radio is down, that of its last crash; None if it is up."""
-        return self._down_causes.get(node)
+        """Return the cause of losses at a node whose radio is down, None if it is up.
+
+        Of several crashes that have not ended, the last counts.
+        """
+        outages = self._down.get(node)
+        return outages[-1].cause if outages else None
 
     def separated(self, src: int | Integers, nodes: list[int] | Integers) -> list[Cause | None] | None:
         """Return the cause of loss, (k,), where an active partition or cut blocks the link to a node, else None.
@@ -178,14 +194,19 @@ class FaultState:
                 causes[k] = cause
         return causes
 
-    def crash(self, node: int, cause: Cause = "crash") -> None:
-        """Take the radio of a node down; overlapping crashes of a node are counted."""
+    def crash(self, node: int, cause: Cause = "crash") -> Outage:
+        """Take the radio of a node down; return the outage, which `recover` ends. Crashes of a node may overlap."""
         self._require_change()
-        self._down[node] += 1
-        self._down_causes[node] = cause
+        outage = Outage(node, cause)
+        self._down.setdefault(node, []).append(outage)
+        return outage
 
-    def recover(self, node: int) -> None:
+    def recover(self, node: int, outage: Outage | None = None) -> None:
         """End one crash of a node; its radio is up again once all its crashes have ended.
+
+        Args:
+            node: the node.
+            outage: what `crash` returned; None: the last crash ends.
 
         Raises:
             ValueError: if the node is not down.
@@ -193,9 +214,10 @@ class FaultState:
         self._require_change()
         if not self.down(node):
             raise ValueError(f"node {node} is not down")
-        self._down[node] -= 1
+        ended = self._down[node][-1] if outage is None else outage
+        self._down[node] = [active for active in self._down[node] if active is not ended]
         if not self._down[node]:
-            del self._down[node], self._down_causes[node]
+            del self._down[node]
 
     def partition(self, groups: Iterable[Iterable[int]], cause: Cause = "partition") -> Cut:
         """Separate groups of nodes from each other and from all other nodes; return the cut, which `rejoin` ends."""
@@ -234,8 +256,8 @@ class FaultState:
         self._require_change()
         self._cuts = [active for active in self._cuts if active is not cut]
 
-    def jam(self, disc: Disc, cause: Cause = "jamming") -> None:
-        """Block reception at all nodes within a disc.
+    def jam(self, disc: Disc, cause: Cause = "jamming") -> Jam:
+        """Block reception at all nodes within a disc; return the jam, which `clear` ends.
 
         Raises:
             ValueError: if the nodes have no positions.
@@ -243,16 +265,14 @@ class FaultState:
         self._require_change()
         if self._positions is None:
             raise ValueError(f"a jamming disc needs positions (got {disc})")
-        self._jams.append((disc, cause))
+        jam = Jam(disc, cause)
+        self._jams.append(jam)
+        return jam
 
-    def clear(self, disc: Disc, cause: Cause = "jamming") -> None:
-        """End the jamming of a disc with a cause.
-
-        Raises:
-            ValueError: if the disc is not jammed.
-        """
+    def clear(self, jam: Jam) -> None:
+        """End the jamming of a disc, given what `jam` returned."""
         self._require_change()
-        self._jams.remove((disc, cause))
+        self._jams = [active for active in self._jams if active is not jam]
 
     def intercept(self, delays: Delays, cause: Cause) -> Interception:
         """Lose, delay or copy messages as a function says; return the interception, which `release` ends."""
