@@ -19,17 +19,8 @@ MAX_AT_ONE_INSTANT = 100_000
 """The number of times that a pursuer may wait for the present instant before it is told that time stands still."""
 
 
-Ignores = Callable[[Message], bool]
-"""Returns whether the function that listens would do nothing with a message."""
-
-
 class StandstillError(RuntimeError):
     """A pursuer waits for the present instant again and again, so that time does not go on."""
-
-
-def _as_told(ignores: Ignores | None) -> Ignores | None:
-    """Let `listen` ignore what it is told to ignore."""
-    return ignores
 
 
 class Timing:
@@ -41,7 +32,6 @@ class Timing:
     Attributes:
         id: its id.
         restarts: number of restarts without memory after a crash.
-        screen: returns what `listen` ignores, given what it is told to ignore; a check of `desim.testing` returns None.
 
     Args:
         pursuer: its id.
@@ -53,7 +43,6 @@ class Timing:
     def __init__(self, pursuer: int, env: Clock, clock: NodeClock, network: Network):
         self.id = pursuer
         self.restarts = 0
-        self.screen: Callable[[Ignores | None], Ignores | None] = _as_told
         self._env, self._clock, self._network = env, clock, network
         self._instant, self._waits = -1, 0
         """The last instant at which it waited for the present, ns, and how often it did so then."""
@@ -61,6 +50,10 @@ class Timing:
         """The last instant at which its protocol went on, ns, and how often it did so then."""
         self._listening: list[Inbox] = []
         """The inboxes whose messages go to functions."""
+        self._may_ignore = True
+        """Whether `listen` ignores messages; False in the runs of `desim.testing` that must take every message."""
+        self._has_ignores = False
+        """Whether a call of `listen` named messages to ignore."""
 
     def at(self, time: float, phase: Phase = Phase.DECISION) -> simpy.Event:
         """Return an event at a time (s) on the local clock, rounded to nanoseconds; a time in the past counts as now.
@@ -168,7 +161,7 @@ class Timing:
         act: Callable[[list[Message]], object],
         port: str = "",
         phase: Phase = Phase.DECISION,
-        ignores: Ignores | None = None,
+        ignores: Callable[[Message], bool] | None = None,
     ) -> simpy.Event:
         """Call a function with the messages of a port as they arrive, and return an event that never happens.
 
@@ -205,7 +198,8 @@ class Timing:
             act(messages)
 
         inbox = self._network.inbox(self.id, port)
-        inbox.listen(phase + self.id, take, self.screen(ignores))
+        inbox.listen(phase + self.id, take, ignores if self._may_ignore else None)
+        self._has_ignores |= ignores is not None
         self._listening.append(inbox)
         return simpy.Event(self._env)
 
