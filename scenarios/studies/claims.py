@@ -653,6 +653,12 @@ CLAIMS = (
         crash("generalised_regret_matching-2", "number 2, the chaser,", "0.7", "6.8"),
         ('href="broken/server-2.html#t=2">film</a>) | {5.5} |', [alone("server-2")]),
         ('href="broken/server-3.html#t=0.5">film</a>) | {5.05} |', [alone("server-3")]),
+        ('href="broken/server-4.html#t=9.9">film</a>) | {13.7} |', [alone("server-4")]),
+        ('href="broken/server-5.html#t=0.6">film</a>) | {6.9} |', [alone("server-5")]),
+        (
+            "never alone if number 2 is the server, and for {0.2} s if the jamming begins at 1.5 s",
+            [alone("server-5", {"fault.0.start": 1.5})],
+        ),
         (
             "alone for {0.4} s in the first row, for {0.9} s under `jsfp` on change only, for {0.9} s in case 6,363,"
             " for {1.0} s under `selective_sap`, for {0.5} s under `generalised_regret_matching`, and never under"
