@@ -49,7 +49,7 @@ ALLOWED = {
         "desim.kernel.transport.sender": "Coded",
     },
     "parameters of one built-in kind, which other tables name": {
-        "desim.kernel.models.links": "Edges LinkTrace",
+        "desim.kernel.models.links": "Edges LatencyMatrix LinkTrace",
         "desim.pursuit.sensing.noisy_sensing": "Noiseless",
         "desim.pursuit.sensing.sensing": "Noiseless",
         "desim.scenario.players": "RecordedMotion",
@@ -58,6 +58,7 @@ ALLOWED = {
         "desim.kernel.stepped_arguments": "Edges",
         "desim.scenario.liar_warnings": "ByzantineFault FalseAnnouncements Liar RandomLies Reputation Selective Silent"
         " Slander Trimmed",
+        "desim.scenario.motion_warnings": "ClockSkew PositionNoise RangeBearingNoise",
         "desim.scenario.link_warnings": "Disk Edges LinkTrace LoRa QuasiUnitDisk Radio Reliable Window",
     },
     "a figure of link traces, one for each unit": {

@@ -19,7 +19,7 @@ from gymnasium import spaces
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 
 from desim.adapters.env_network import EnvNetwork
-from desim.adapters.message_spaces import UNHEARD, ActionSpace, blank, joined
+from desim.adapters.message_spaces import UNHEARD, ActionSpace, blank, with_entries
 from desim.config.arrays import array_of
 
 
@@ -56,8 +56,8 @@ class AgentMessages(EnvNetwork):
     def spaces_of(self, agent: Hashable) -> tuple[ActionSpace, spaces.Dict]:
         """Return the spaces of the actions and of the observations of an agent, the same objects at each call."""
         if agent not in self._spaces:
-            action = joined(self._env.action_space(agent), "action", {"message": self._message})
-            observation = joined(self._env.observation_space(agent), "observation", self._heard)
+            action = with_entries(self._env.action_space(agent), "action", {"message": self._message})
+            observation = with_entries(self._env.observation_space(agent), "observation", self._heard)
             self._spaces[agent] = ActionSpace(action), spaces.Dict(observation)
         return self._spaces[agent]
 
@@ -97,7 +97,7 @@ class AgentMessages(EnvNetwork):
             messages[row], ages[row] = received.body, self.network.now - received.sent
         heard: Any = create_empty_array(self._message, len(messages))
         heard = concatenate(self._message, messages, heard)
-        return joined(observation, "observation", {"messages": heard, "ages": ages})
+        return with_entries(observation, "observation", {"messages": heard, "ages": ages})
 
 
 def _in_box(message: Any, dtype: Any) -> Any:

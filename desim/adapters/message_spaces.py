@@ -23,7 +23,7 @@ class ActionSpace(spaces.Dict):
         return {**({"action": mask} if self.keys() == {"action", "message"} else mask), "message": None}
 
 
-def joined(value: Any, name: str, more: dict[str, Any]) -> dict[str, Any]:
+def with_entries(value: Any, name: str, more: dict[str, Any]) -> dict[str, Any]:
     """Return a value with more keys: its own if it is a dict, or a space of dicts, or else its name.
 
     Raises:

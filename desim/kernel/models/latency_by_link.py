@@ -120,8 +120,9 @@ class LatencyMatrix(Value):
     or spaces, relative to the scenario file. Names in the first line and in the first column become `nodes`. The file
     is read once, when the model is created."""
     nodes: Annotated[tuple[Name, ...], Field(min_length=2)] | None = None
-    """Names of the nodes, in the order of the rows; the graph, or else the file of the positions, numbers them. If in
-    doubt, leave it out: without names, row k is of node k."""
+    """Names of the nodes, in the order of the rows; the graph, or else the file of the positions, numbers them.
+
+    If in doubt, leave it out: without names, row k is of node k."""
     unit: Unit = "s"
     """Unit of the values: s, ms, us or ns; if in doubt, see which of them makes the greatest value plausible."""
     rtt: Flag = False

@@ -114,10 +114,10 @@ def corrected_by_state(
         seen: the measured state.
         errors: the covariance of its errors.
     """
-    return _with_entries(state, covariance, decorrelated(seen, rows_of(errors), 4))
+    return _with_entries(state, covariance, decorrelated(seen, full_rows(errors), 4))
 
 
-def rows_of(matrix: Upper) -> Sequence[Sequence[float]]:
+def full_rows(matrix: Upper) -> Sequence[Sequence[float]]:
     """Return the rows of a matrix, given its upper triangle."""
     xx, xy, xu, xv, yy, yu, yv, uu, uv, vv = matrix
     return (xx, xy, xu, xv), (xy, yy, yu, yv), (xu, yu, uu, uv), (xv, yv, uv, vv)

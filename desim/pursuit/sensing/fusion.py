@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from math import prod
 from typing import Literal, NamedTuple
 
-from desim.pursuit.sensing.correction import StateVector, Upper, corrected_by_state, decorrelated, rows_of
+from desim.pursuit.sensing.correction import StateVector, Upper, corrected_by_state, decorrelated, full_rows
 from desim.pursuit.sensing.tracking import Track
 
 _new = tuple.__new__  # creates a named tuple in a third of the time
@@ -154,7 +154,7 @@ def fused_by_corrections(tracks: Sequence[Track], how: Fusion) -> Track:
 
 def determinant_of(covariance: Upper) -> float:
     """Return the determinant of a covariance, 0 if it is singular up to rounding errors."""
-    return prod(variance for _, _, variance in decorrelated((0.0,) * 4, rows_of(covariance), 4))
+    return prod(variance for _, _, variance in decorrelated((0.0,) * 4, full_rows(covariance), 4))
 
 
 def _scaled(matrix: Upper, factor: float) -> Upper:

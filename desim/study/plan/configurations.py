@@ -348,7 +348,7 @@ def _is_needed(values: Sequence[Any], all_values: Sequence[Any]) -> bool:
 
 def _count(value: Any, values: Sequence[Any]) -> int:
     """Return how many of some values equal a value."""
-    return sum(are_equal(value, other) for other in values)
+    return sum(1 for other in values if are_equal(value, other))
 
 
 def in_words(settings: Settings) -> str:
