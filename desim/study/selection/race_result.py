@@ -143,7 +143,8 @@ class RaceResult(TabularResult):
             cells = (with_half_width(means[rank], count, digits=digits_of(means)), behind, str(count), against)
             rows.append((place, *map(text, self.settings[system].values()), *cells))
         seeds = "the same seeds" if self.common else "independent seeds"
-        shares = ", in brackets a Wilson interval" * self.is_of_truths
+        has_interval = self.is_of_truths and any(estimate.others is None for estimate in means)
+        shares = ", in brackets a Wilson interval" * has_interval
         head = (
             f"{self.name}: a race of {len(self.settings)} configurations, {seeds}; +- is half a 95 % t interval{shares}"
         )
