@@ -32,7 +32,7 @@ FLOORS = [
     {"desim.scenario", "protocols"},
     {"desim.simulation"},
     {"desim.analysis"},
-    {"desim.analysis.drawing"},
+    {"desim.analysis.drawing", "desim.view"},
     {"desim.results"},
     {"desim.study.plan", "desim.view.formats"},
     {"desim.study.store", "desim.study.workers"},

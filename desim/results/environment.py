@@ -16,9 +16,11 @@ NUMERICS = (*ARITHMETIC, "pydantic")
 """The Python packages that results depend on, by distribution name."""
 COMPUTING = ("analysis", "config", "kernel", "pursuit", "scenario", "simulation")
 """The packages in desim whose code affects the result of a run."""
-METRICS_MODULES = ("analysis/measuring.py", "analysis/metrics.py")
-"""The modules that list and call the metrics. They are not hashed: a new metric changes no run, and the store of a
-sweep hashes the code of each metric itself."""
+NOT_COMPUTING = ("analysis/deliveries.py", "analysis/measuring.py", "analysis/metrics.py")
+"""The modules of these packages that are not hashed.
+
+They read the deliveries that pictures and searches show, and list and call the metrics. A new metric changes no run,
+and the store of a sweep hashes the code of each metric itself."""
 GIT_TIMEOUT = 2.0
 """Time limit of a git command, s."""
 GIT_VARIABLES = {"GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_OBJECT_DIRECTORY"}
@@ -35,15 +37,15 @@ def environment() -> dict[str, Any]:
 def code() -> str:
     """Return a hash of the code that a run depends on: `desim/*.py`, the packages of `COMPUTING`, and `protocols`.
 
-    Code that only lists or calls metrics, or stores or shows results, is left out: `METRICS_MODULES`, `desim/cli`,
+    Code that only lists or calls metrics, or stores or shows results, is left out: `NOT_COMPUTING`, `desim/cli`,
     `desim/results`, `desim/study` and `desim/view`.
     """
     here = Path(__file__).parents[1]
     files = [*here.glob("*.py"), *(file for part in COMPUTING for file in (here / part).rglob("*.py"))]
     protocols = find_spec("protocols")
     folders = [Path(folder) for folder in protocols.submodule_search_locations or ()] if protocols is not None else []
-    listing = [here / module for module in METRICS_MODULES]
-    names = {file.relative_to(here.parent).as_posix(): file for file in files if file not in listing}
+    left_out = [here / module for module in NOT_COMPUTING]
+    names = {file.relative_to(here.parent).as_posix(): file for file in files if file not in left_out}
     names |= {file.relative_to(folder.parent).as_posix(): file for folder in folders for file in folder.rglob("*.py")}
     digest = hashlib.sha256()
     for name, file in sorted(names.items()):

@@ -204,8 +204,8 @@ def test_the_code_is_that_of_all_that_decides_what_comes_of_a_run(tmp_path, monk
 
     before = code()
     assert before == environment.code()
-    listing = [f"desim/{module}" for module in environment.METRICS_MODULES]
-    for name in ("desim/cli/run.py", "desim/study/workers/dispatch.py", *listing):
+    left_out = [f"desim/{module}" for module in environment.NOT_COMPUTING]
+    for name in ("desim/cli/run.py", "desim/study/workers/dispatch.py", *left_out):
         (tmp_path / name).write_text("# changed\n" + (tmp_path / name).read_text())
     assert code() == before
     seen = {before}
@@ -229,6 +229,6 @@ def test_the_code_is_made_of_all_modules_that_compute_and_of_no_others(monkeypat
     files = [*root.glob("desim/**/*.py"), *root.glob("protocols/**/*.py")]
     names = {file.relative_to(root).as_posix(): file.relative_to(root).parts[1] for file in files}
     others = {"adapters", "cli", "learning", "live", "results", "study", "testing", "view"}
-    listing = {f"desim/{module}" for module in environment.METRICS_MODULES}
-    assert read == sorted(name for name, part in names.items() if part not in others and name not in listing)
+    left_out = {f"desim/{module}" for module in environment.NOT_COMPUTING}
+    assert read == sorted(name for name, part in names.items() if part not in others and name not in left_out)
     assert digest == sha256("".join(f"{name}\nx" for name in read).encode()).hexdigest()[:16]

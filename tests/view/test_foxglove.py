@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from desim.analysis.headings import Headings
 from desim.analysis.knowledge import knowledge
 from desim.analysis.trace_index import started
 from desim.kernel.core.events import LOST, Broadcast, Lost, Sent
@@ -15,6 +14,7 @@ from desim.kernel.core.units import SECOND
 from desim.pursuit.core.events import Captured, Sampled
 from desim.view.formats.foxglove import SHOWN, TOPICS, write
 from desim.view.formats.foxglove_schemas import SCHEMAS
+from desim.view.headings import Headings
 from tests.view.by_hand import MS, history, pair
 
 TYPES = {"number": (int, float), "integer": int, "string": str, "boolean": bool}

@@ -6,7 +6,6 @@ from math import pi
 import pytest
 
 from desim import Scenario
-from desim.analysis.headings import Headings
 from desim.kernel.core.units import SECOND
 from desim.pursuit.core.events import Sampled
 from desim.pursuit.evaders.recorded import RecordedMotion, RelayNode
@@ -14,6 +13,7 @@ from desim.pursuit.motion.dynamics import Acceleration, Course, TurnRate
 from desim.pursuit.motion.environment import Environment
 from desim.pursuit.motion.flow import AffineFlow, GyreFlow, HarmonicFlow, SteadyFlow
 from desim.scenario.players import Evader, Team
+from desim.view.headings import Headings
 
 PERIOD = 50_000_000
 """Time between two samples, ns."""

@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 
 from desim import Scenario, load, run
 from desim.analysis.age import belief_error
-from desim.analysis.headings import Headings
 from desim.analysis.trace_index import ended, messages, started
 from desim.cli import main
 from desim.kernel.core.events import LOST, Broadcast, Lost, Queued, Sent
@@ -42,6 +41,7 @@ from desim.pursuit.team.announcements import Announcements
 from desim.results.run_folder import write
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
+from desim.view.headings import Headings
 from desim.view.pages.headline import conditions
 from desim.view.pages.replay import missing_recordings, replay, replay_page, size_warning, with_recordings
 from desim.view.pages.replay_columns import DIFFERENCES, MAX_REPLAY_TIME, RUNS, Ticks, packed_column

@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from desim.analysis.drawing.palette import ACTIVE, ACTIVE_WITH_OTHERS, EVADER, IN_FLIGHT, INACTIVE, LOST
-from desim.analysis.headings import Headings
 from desim.analysis.knowledge import Pieces, knowledge
 from desim.config.model import Value
 from desim.kernel.core.events import LOST as NEVER
@@ -34,6 +33,7 @@ from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Sampl
 from desim.results.run_folder import StreamedResult
 from desim.simulation.run import Result
 from desim.view.formats.foxglove_schemas import SCHEMAS
+from desim.view.headings import Headings
 
 Message = dict[str, Any]
 Entry = tuple[int, str, Message]

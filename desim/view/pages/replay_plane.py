@@ -8,7 +8,6 @@ from math import atan2, isfinite, isinf
 
 import numpy as np
 
-from desim.analysis.headings import Headings
 from desim.analysis.trace_index import ended, samples, started
 from desim.config.arrays import Floats
 from desim.kernel.core.units import SECOND
@@ -22,6 +21,7 @@ from desim.kernel.topology.topology import Topology
 from desim.pursuit.core.events import Estimated
 from desim.pursuit.core.state import coordinates
 from desim.simulation.run import Result
+from desim.view.headings import Headings
 from desim.view.pages.replay_columns import ReplayData, Ticks, packed_column, raw
 
 TURN = 256
