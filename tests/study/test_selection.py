@@ -223,7 +223,7 @@ def test_the_mean_of_truths_is_a_share_with_its_own_interval():
     assert made.document()["configurations"][0]["mean"]["interval"] == pytest.approx([interval.low, interval.high])
     assert f"0.900 ({interval.low:.3f} .. {interval.high:.3f})" in made.table()
     assert "t interval, in brackets a Wilson interval\n" in made.table()
-    alike = replace(made, selection=selected(np.zeros((40, 2)), first=4))
+    alike = replace(made, selection=selected(np.zeros((80, 2)), first=4))
     assert " in all, others < " in alike.table()
     assert "brackets" not in alike.table()
 
