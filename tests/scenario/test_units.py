@@ -3,6 +3,7 @@
 import pytest
 
 from desim.config.key_index import unit_of_key
+from desim.config.number_texts import why_no_number
 from desim.scenario.scenario import Scenario
 
 
@@ -26,3 +27,14 @@ from desim.scenario.scenario import Scenario
 )
 def test_a_key_has_the_unit_of_its_description_whatever_the_kind_above_it(key, unit):
     assert unit_of_key(key, Scenario) == unit
+
+
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [
+        *(("3 s", "3"), ("3 sec", "3"), ("3 ms", "0.003"), ("3 us", "3e-06"), ("3 ns", "3e-09"), ("3 min", "180")),
+        *(("3 m", "3"), ("3 km", "3000"), ("3 cm", "0.03"), ("3 mm", "0.003"), ("3 %", "0.03"), ("1,5e1 MS", "0.015")),
+    ],
+)
+def test_a_text_that_is_meant_as_a_number_is_told_with_the_number_to_write(text, number):
+    assert f": {number} instead of the text" in why_no_number(text, ("s", "m", "1"))
