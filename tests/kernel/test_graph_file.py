@@ -936,3 +936,19 @@ def test_pairs_with_names_of_several_words_need_quotes_or_a_header(tmp_path, sig
 def test_a_file_in_place_of_a_list_is_refused_with_the_key_that_reads_it(key, table, why):
     with pytest.raises(ValueError, match=re.escape(why)):
         Scenario(**{key: table})
+
+
+def test_the_attributes_of_edges_that_are_read_are_not_told_as_unread(tmp_path):
+    """Latency, loss and order, and nothing else."""
+    (tmp_path / "g.csv").write_text("source,target,latency,loss,order,ordr\n0,1,0.5,0.25,fifo,fifo\n")
+    graph = {"kind": "edges", "file": str(tmp_path / "g.csv")}
+    (edge,) = Edges(file=graph["file"]).edges
+    assert (edge.latency, edge.loss.p, edge.order) == (Constant(value=0.5), 0.25, "fifo")
+    scenario = Scenario(team={"count": 2}, network={"graph": graph})
+    (found,) = [why for _, why in warnings(scenario) if "not read" in why]
+        why for key, why in warnings(Scenario(team={"count": 2}, network={"graph": graph})) if "not read" in why
+    ]
+    assert found == (
+        "edges have attributes that are not read: ordr (did you mean 'order'?);"
+        " those of an edge that are read are latency, loss, order"
+    )
