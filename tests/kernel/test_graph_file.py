@@ -946,8 +946,6 @@ def test_the_attributes_of_edges_that_are_read_are_not_told_as_unread(tmp_path):
     assert (edge.latency, edge.loss.p, edge.order) == (Constant(value=0.5), 0.25, "fifo")
     scenario = Scenario(team={"count": 2}, network={"graph": graph})
     (found,) = [why for _, why in warnings(scenario) if "not read" in why]
-        why for key, why in warnings(Scenario(team={"count": 2}, network={"graph": graph})) if "not read" in why
-    ]
     assert found == (
         "edges have attributes that are not read: ordr (did you mean 'order'?);"
         " those of an edge that are read are latency, loss, order"
