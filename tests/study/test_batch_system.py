@@ -73,9 +73,9 @@ def test_the_runs_of_a_killed_job_are_repeated_and_a_run_that_kills_its_job_has_
 def test_an_executor_of_jobs_is_recognised_and_its_number_of_jobs_is_the_callers():
     assert workers_for(Jobs()).count >= 1
     workers = JobWorkers(Jobs(), 7)
-    limited = workers_for(workers, timeout=2.0)
-    assert (limited.executor, limited.count, limited.timeout) == (workers.executor, 7, 2.0)
-    assert workers.timeout is None
+    assert workers_for(workers, timeout=2.0) is workers
+    assert (workers.count, workers.timeout) == (7, 2.0)
+    assert workers_for(workers).timeout is None
     with pytest.raises(ValueError, match="executor should be a number of processes"):
         workers_for(object())
 

@@ -137,6 +137,8 @@ def export(result: Result | StreamedResult, file: str | PathLike[str], exporter:
         run_argument(Result, StreamedResult).check(result, "export")
     needed = ExporterTraits.of(chosen).requires
     with replacing(file) as part, fresh_copy({"exporter": chosen}) as copied:  # it may remember something
+        if part != file:
+            part.unlink()  # the exporter creates it: one that writes nothing is told
         try:
             count = copied["exporter"](result, part)
         except ModuleNotFoundError as error:
