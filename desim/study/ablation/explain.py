@@ -6,7 +6,7 @@ add up to the difference that all imperfections make together, the imperfections
 imperfections is enough to delay a capture, removing one alone saves nothing.
 
 Two more variants bound what the network can do: a perfect network, and no messages at all. All else is as it is, so if
-they do not differ, the network cannot matter in this scenario.
+they are equal in every run, the network does not matter in this scenario.
 
 An interaction is declared only if its 99 % interval, corrected for the number of metrics, excludes 0
 (`INTERACTION_RISK` in `desim.study.results.explanation`).
