@@ -1,11 +1,4 @@
-"""Deliveries of messages, chases, handovers and faults of a run, which pictures show besides positions.
-
-In the replay and the animation, a message moves at constant speed from the position of its sender at transmission to
-that of its receiver at arrival. In a space-time diagram a message is an arrow between two lines. A lost message ends in
-a cross, which shows the receiver that did not get the message. In the replay and the animation the cross is just short
-of the receiver and appears at the time of the loss, whatever the cause of the loss. In the replay and in a space-time
-diagram a collision is an asterisk instead. For the cross in a space-time diagram see `desim.view.pictures.spacetime`.
-"""
+"""Deliveries of messages, chases, handovers and faults of a run, which pictures show besides positions."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace

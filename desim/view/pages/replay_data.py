@@ -1,4 +1,9 @@
-"""The data of a replay: a JSON object with what a run recorded, in columns."""
+"""The data of a replay: a JSON object with what a run recorded, in columns.
+
+The page draws a message as a point that moves at constant speed from the position of its sender at transmission to that
+of its receiver at arrival. A lost message ends in a cross, a collision in an asterisk. Both appear at the time of the
+loss, whatever its cause, just short of the receiver that did not get the message.
+"""
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator

@@ -1,7 +1,7 @@
 """A run as a GIF or an MP4 for slides: a plan view of the players that shows active pursuers and messages in flight.
 
 Colours, symbols and the motion of messages are as in the replay: see `desim.analysis.drawing.palette` and
-`desim.analysis.deliveries`.
+`desim.view.pages.replay_data`. A collision is a cross, as any other loss.
 
 All frames share one background and one palette; equal runs give equal bytes.
 """
