@@ -119,7 +119,7 @@ def bound_half(result):
 
 def test_a_metric_behind_a_cache_takes_the_arguments_of_what_is_cached():
     assert own_signature(cached).parameters.keys() == {"result", "other"}
-    with pytest.raises(ValueError, match="metric 'cached' should accept a call with \\(result\\); .*'other'"):
+    with pytest.raises(ValueError, match=r"metric 'cached' should accept a call with \(result\); .*'other'"):
         users_metrics((), {"cached": cached})
 
 
