@@ -34,7 +34,7 @@ from desim.config.named_code import (
     refusal,
 )
 from desim.config.number_texts import why_no_number
-from desim.config.parameters import parameters_of, sorted_sets
+from desim.config.parameters import dumped, parameters_of, sorted_sets
 from desim.config.python_numbers import as_python
 from desim.config.traits import Traits, attributes, is_ours, name_of, positions
 from desim.config.trust import is_trusted
@@ -148,7 +148,7 @@ class OneOf:
         if self.holds(value):
             return write(value)
         if isinstance(value, BaseModel):
-            parameters = value.model_dump(exclude_none=info.exclude_none)
+            parameters = dumped(value, exclude_none=info.exclude_none)
         else:
             parameters = parameters_of(value) or {}
             parameters = {key: entry for key, entry in parameters.items() if not (info.exclude_none and entry is None)}

@@ -1,16 +1,19 @@
 """Parameters of users' models, which may be any objects: what stands for them in records, and when they are equal."""
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from inspect import signature
+from operator import is_
 from pathlib import PurePath
 from types import BuiltinFunctionType
 from typing import Any
 
+from pydantic import BaseModel
 from pydantic_core import to_jsonable_python
 
 from desim.config.named_code import definition_of, import_name
-from desim.config.python_numbers import DATES, as_python
+from desim.config.python_numbers import ATOMS, DATES, as_python
 
 CONVERTED = frozenset({bool, int, float, complex, str, list, tuple})
 """The types of what `as_python` makes of numbers and arrays."""
@@ -33,20 +36,6 @@ def not_kept(value: Any) -> list[str]:
     return sorted(declared & signature(type(value)).parameters.keys())
 
 
-def sorted_sets(value: Any) -> Any:
-    """Return a value in which sets are sorted lists: their own order differs from process to process."""
-    kind = type(value)
-    if kind is dict:
-        return {key: sorted_sets(member) for key, member in value.items()}
-    if kind is list or kind is tuple:
-        return kind(map(sorted_sets, value))
-    return sorted(map(sorted_sets, value), key=_order) if kind in {set, frozenset} else value
-
-
-def _order(member: Any) -> tuple[str, str]:
-    return type(member).__name__, repr(member)
-
-
 def in_json(value: Any) -> Any:
     """Return what stands in JSON for an object that JSON and pydantic lack, such as a parameter of a user's model.
 
@@ -54,7 +43,7 @@ def in_json(value: Any) -> Any:
     its class }, a function or a class { "kind": its name }; see `is_named_only`.
     """
     if isinstance(value, Mapping):
-        return dict(value)
+        return dict(sorted_sets(value))
     if isinstance(value, PurePath):
         return value.as_posix()
     if getattr(getattr(value, "dtype", None), "kind", "") in DATES and not getattr(value, "ndim", 0):
@@ -66,9 +55,66 @@ def in_json(value: Any) -> Any:
     return {"kind": import_name(value if is_code else definition_of(value))}
 
 
+def dumped(model: BaseModel, *, exclude_none: bool = False) -> dict[str, Any]:
+    """Return the fields of a model of pydantic by name, as its serializers have them."""
+    try:
+        return model.model_dump(exclude_none=exclude_none)
+    except TypeError:  # it has dataclasses as keys or in sets: pydantic makes dicts of them, which cannot be there
+        return {name: member for name, member in model if not (exclude_none and member is None)}
+
+
+def sorted_sets(value: Any) -> Any:
+    """Return a value in which sets are sorted lists: their own order differs from process to process.
+
+    Keys of dicts are as `as_key` says. An object, such as one of a dataclass, is returned unchanged if it holds no set,
+    else a dict of what it holds.
+    """
+    return _sorted_sets(value, in_json)
+
+
+def _sorted_sets(value: Any, fallback: Callable[[Any], Any]) -> Any:
+    def inner(part: Any) -> Any:
+        return _sorted_sets(part, fallback)
+
+    if type(value) in ATOMS or isinstance(value, type):
+        return value
+    if isinstance(value, set | frozenset):
+        return sorted(map(inner, value), key=_order)
+    if isinstance(value, list | tuple):
+        items = [*map(inner, value)]
+        return value if all(map(is_, items, value)) else items if isinstance(value, list) else tuple(items)
+    if isinstance(value, Mapping):
+        entries = {as_key(key, fallback): inner(member) for key, member in value.items()}
+        is_same = all(map(is_, entries, value)) and all(map(is_, entries.values(), value.values()))
+        return value if is_same else entries
+    if isinstance(value, BaseModel):
+        held = dumped(value)
+    elif is_dataclass(value):
+        held = {field.name: getattr(value, field.name) for field in fields(value) if hasattr(value, field.name)}
+    else:
+        return value
+    plain = inner(held)
+    return value if plain is held else plain
+
+
+def as_key(key: Any, fallback: Callable[[Any], Any] = in_json) -> Any:
+    """Return the key of a dict, or its JSON as a text if it is no number, text or tuple of these."""
+    return key if _is_key(key, fallback) else json.dumps(as_jsonable(key, fallback), sort_keys=True)
+
+
+def _is_key(key: Any, fallback: Callable[[Any], Any]) -> bool:
+    if isinstance(key, tuple):
+        return all(_is_key(part, fallback) for part in key)
+    return not isinstance(as_jsonable(key, fallback), list | dict)
+
+
+def _order(member: Any) -> tuple[str, str]:
+    return type(member).__name__, repr(member)
+
+
 def as_jsonable(value: Any, fallback: Callable[[Any], Any] = in_json) -> Any:
     """Return a value in JSON types, where infinity and NaN stay numbers, and bytes are hexadecimal digits."""
-    return to_jsonable_python(value, fallback=fallback, bytes_mode="hex")
+    return to_jsonable_python(_sorted_sets(value, fallback), fallback=fallback, bytes_mode="hex")
 
 
 def is_named_only(value: Any) -> bool:

@@ -97,6 +97,22 @@ def second(context, rng, w=None):
     return 0.2
 
 
+@dataclass(frozen=True)
+class Part:
+    w: Any
+
+
+class Row(NamedTuple):
+    w: Any
+
+
+class Table(BaseModel):
+    w: Any
+
+
+LETTERS = "abcdefghij"
+
+
 PARAMETERS = {
     "int": (1, 2, 1, "1"),
     "np.float32": (np.float32(0.5), np.float32(0.25), 0.5, "0.5"),
@@ -113,6 +129,34 @@ PARAMETERS = {
     "deque": (deque([1]), deque([2]), [1], "[1]"),
     "set": ({"b", "a", "c"}, {"b"}, ["a", "b", "c"], "[a, b, c]"),
     "frozen set": (frozenset({"b", "a"}), frozenset({"b"}), ["a", "b"], "[a, b]"),
+    "set in a dataclass": (Part({*LETTERS}), Part({"b"}), {"w": [*LETTERS]}, f"Part(w=[{', '.join(LETTERS)}])"),
+    "set in a row": ([Row({*LETTERS})], [Row({"b"})], [[[*LETTERS]]], f"[[[{', '.join(LETTERS)}]]]"),
+    "set in a model": (
+        [Table(w={*LETTERS})],
+        [Table(w={"b"})],
+        [{"w": [*LETTERS]}],
+        f"[Table(w=[{', '.join(LETTERS)}])]",
+    ),
+    "set in a mapping": (
+        MappingProxyType({"a": {*LETTERS}}),
+        MappingProxyType({}),
+        {"a": [*LETTERS]},
+        f"(a=[{', '.join(LETTERS)}])",
+    ),
+    "sets as keys": (
+        {frozenset(LETTERS): 1},
+        {frozenset("b"): 1},
+        {json.dumps([*LETTERS]): 1},
+        f"({json.dumps([*LETTERS])}=1)",
+    ),
+    "dataclasses as keys": ({Part(1): 1}, {Part(2): 1}, {'{"w": 1}': 1}, '({"w": 1}=1)'),
+    "set of dataclasses": ({Part(2), Part(1)}, {Part(2)}, [{"w": 1}, {"w": 2}], "[(w=1), (w=2)]"),
+    "set in a key": (
+        {(0, frozenset(LETTERS)): 1},
+        {},
+        {json.dumps([0, [*LETTERS]]): 1},
+        f"({json.dumps([0, [*LETTERS]])}=1)",
+    ),
     "mapping": (MappingProxyType({"a": 1}), MappingProxyType({"a": 2}), {"a": 1}, "(a=1)"),
     "keys that are no texts": ({(0, 1): 0.5}, {(0, 1): 1.5}, {"0,1": 0.5}, "((0, 1)=0.5)"),
     "path": (PurePosixPath("a"), PurePosixPath("b"), "a", "a"),

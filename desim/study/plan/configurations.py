@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from desim.config.data_files import content_hash, in_short
 from desim.config.errors import Problem
 from desim.config.model import Value
-from desim.config.parameters import are_equal, as_jsonable, is_named_only, parameters_of, sorted_sets
+from desim.config.parameters import are_equal, as_jsonable, as_key, is_named_only, parameters_of
 from desim.config.suggestion import did_you_mean
 from desim.config.traits import kind_of
 from desim.scenario.overrides import ScenarioError, Source
@@ -364,7 +364,7 @@ def label(value: Any) -> str:
     if is_model and isinstance(value, tuple) and hasattr(value, "_asdict"):
         return label({"kind": type(value).__name__} | value._asdict())
     if isinstance(value, dict) and not is_model:
-        inner = ", ".join(f"{key}={label(member)}" for key, member in value.items() if key != "kind")
+        inner = ", ".join(f"{as_key(key)}={label(member)}" for key, member in value.items() if key != "kind")
         kind = str(value.get("kind", ""))
         return f"{kind}({inner})" if inner or not kind else kind
     if isinstance(value, list | tuple) and not is_model:
@@ -384,5 +384,5 @@ def label(value: Any) -> str:
         return label({"kind": type(value).__name__} | parameters)
     if is_model or is_named_only(value):
         return str(getattr(value, "__name__", type(value).__name__))
-    text = label(as_jsonable(sorted_sets(value)))
+    text = label(as_jsonable(value))
     return text if len(text) <= LONGEST else f"{type(value).__name__} with the hash {content_hash(text.encode())}"
