@@ -136,6 +136,9 @@ def are_equal(value: Any, other: Any) -> bool:
     try:
         return bool(value == other)
     except (TypeError, ValueError):
+        held, others = parameters_of(value), parameters_of(other)
+        if type(value) is type(other) and held and others:
+            return all(are_equal(held[name], others[name]) for name in held)
         if value is other or type(value) is not type(other) or is_named_only([value, other]):
             return value is other
         return bool(as_jsonable(value) == as_jsonable(other))
