@@ -36,23 +36,48 @@ def not_kept(value: Any) -> list[str]:
     return sorted(declared & signature(type(value)).parameters.keys())
 
 
+def columns_of(value: Any) -> list[tuple[Any, Any]] | None:
+    """Return the columns of a table, such as one of pandas, polars or Arrow, with their names; None if it is none."""
+    kind = type(value)
+    if hasattr(kind, "to_pydict"):  # of Arrow
+        return list(zip(value.schema.names, (column.to_pylist() for column in value.columns), strict=True))
+    if hasattr(kind, "columns") and hasattr(kind, "to_dict"):
+        return list(value.items() if hasattr(kind, "items") else ((name, value[name]) for name in value.columns))
+    return None
+
+
 def in_json(value: Any) -> Any:
     """Return what stands in JSON for an object that JSON and pydantic lack, such as a parameter of a user's model.
 
-    A number, an array, a series or a range becomes a number or a list. Any other object becomes { "kind": the name of
-    its class }, a function or a class { "kind": its name }; see `is_named_only`.
+    A number, an array, a series or a range becomes a number or a list; a table becomes a dict of its columns, or a list
+    of names and columns if two have one name. The labels of rows of pandas are a column, too, unless they are 0 .. n-1.
+    Any other object becomes { "kind": the name of its class }, a function or a class { "kind": its name }; see
+    `is_named_only`.
     """
+    plain = _content_in_json(value)
+    if plain is not None:
+        return plain
+    is_code = isinstance(value, type | BuiltinFunctionType)
+    return {"kind": import_name(value if is_code else definition_of(value))}
+
+
+def _content_in_json(value: Any) -> Any:
+    """Return what stands for the content of an object; None if nothing does."""
     if isinstance(value, Mapping):
         return dict(sorted_sets(value))
+    if hasattr(value, "iloc") and hasattr(value, "index") and list(value.index) != list(range(len(value))):
+        value = value.reset_index(allow_duplicates=True)  # of pandas
+    names = getattr(getattr(value, "dtype", None), "names", None)  # of a structured array
+    columns = [(name, value[name]) for name in names] if names else columns_of(value)
+    if columns is not None:
+        named = {as_key(name): column for name, column in columns}
+        return named if len(named) == len(columns) else columns
     if isinstance(value, PurePath):
         return value.as_posix()
     if getattr(getattr(value, "dtype", None), "kind", "") in DATES and not getattr(value, "ndim", 0):
         return str(value)
     plain = as_python(value)
-    if type(plain) in CONVERTED and plain is not value:
-        return plain
-    is_code = isinstance(value, type | BuiltinFunctionType)
-    return {"kind": import_name(value if is_code else definition_of(value))}
+    return plain if type(plain) in CONVERTED and plain is not value else None
 
 
 def dumped(model: BaseModel, *, exclude_none: bool = False) -> dict[str, Any]:
@@ -122,10 +147,9 @@ def is_named_only(value: Any) -> bool:
     named: list[Any] = []
 
     def fallback(part: Any) -> Any:
-        plain = in_json(part)
-        if isinstance(plain, dict) and not isinstance(part, Mapping):
+        if _content_in_json(part) is None:
             named.append(part)
-        return plain
+        return in_json(part)
 
     as_jsonable(value, fallback)
     return bool(named)

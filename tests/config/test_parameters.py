@@ -17,6 +17,7 @@ import attrs
 import networkx as nx
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 from pydantic import BaseModel
 
@@ -124,7 +125,28 @@ PARAMETERS = {
     "dict of an array": ({"a": np.arange(2)}, {"a": np.arange(3)}, {"a": [0, 1]}, "(a=[0, 1])"),
     "array of objects": (np.array([1, "a"], object), np.array([1, "b"], object), [1, "a"], "[1, a]"),
     "series": (pd.Series([1.5, 2.5]), pd.Series([1.5, 3.5]), [1.5, 2.5], "[1.5, 2.5]"),
-    "table": (pd.DataFrame({"a": [1]}), pd.DataFrame({"a": [2]}), [[1]], "[[1]]"),
+    "table": (pd.DataFrame({"a": [1]}), pd.DataFrame({"a": [2]}), {"a": [1]}, "(a=[1])"),
+    "names of columns": (pd.DataFrame({"a": [1]}), pd.DataFrame({"b": [1]}), {"a": [1]}, "(a=[1])"),
+    "columns of one name": (
+        pd.DataFrame([[1, 2]], columns=["a", "a"]),
+        pd.DataFrame([[1, 3]], columns=["a", "a"]),
+        [["a", [1]], ["a", [2]]],
+        "[[a, [1]], [a, [2]]]",
+    ),
+    "labels of rows": (
+        pd.DataFrame({"a": [1, 2]}, index=["p", "q"]),
+        pd.DataFrame({"a": [1, 2]}, index=["p", "r"]),
+        {"index": ["p", "q"], "a": [1, 2]},
+        "(index=[p, q], a=[1, 2])",
+    ),
+    "labels of a series": (
+        pd.Series([1.5, 2.5], index=[1, 0]),
+        pd.Series([1.5, 2.5]),
+        {"index": [1, 0], "0": [1.5, 2.5]},
+        "(index=[1, 0], 0=[1.5, 2.5])",
+    ),
+    "table of Arrow": (pa.table({"a": [1]}), pa.table({"b": [1]}), {"a": [1]}, "(a=[1])"),
+    "structured array": (np.array([(1,)], [("a", int)]), np.array([(1,)], [("b", int)]), {"a": [1]}, "(a=[1])"),
     "range": (range(2), range(3), [0, 1], "[0, 1]"),
     "deque": (deque([1]), deque([2]), [1], "[1]"),
     "set": ({"b", "a", "c"}, {"b"}, ["a", "b", "c"], "[a, b, c]"),
