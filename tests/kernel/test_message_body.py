@@ -17,6 +17,7 @@ from zoneinfo import ZoneInfo
 import networkx as nx
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -266,6 +267,10 @@ def generator():
         (
             pd.DataFrame([[1, 2]], columns=["a", "a"]),
             "a body of type DataFrame cannot be sent: it has several columns of",
+        ),
+        (
+            pa.table([[1, 2], [3, 4]], names=["a", "a"]),
+            "a body of type Table cannot be sent: it has several columns of one name",
         ),
     ],
 )

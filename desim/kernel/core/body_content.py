@@ -28,6 +28,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from desim.config.json_numbers import field_names, has_plain
+from desim.config.parameters import columns_of
 
 MAX_DEPTH = 100
 """Number of levels to which a body may be nested; a text that is nested ten times as deep cannot be read again."""
@@ -80,14 +81,13 @@ def content(value: Any) -> Any:
         return value.plain()
     if (parts := quantity_of(value)) is not None:
         return parts
+    if (columns := columns_of(value)) is not None:
+        named = dict(columns)
+        if len(named) < len(columns):
+            raise ValueError("it has several columns of one name")
+        return named
     if callable(getattr(kind, "tolist", None)):
         return value.tolist()
-    if hasattr(kind, "to_pydict"):  # of Arrow
-        return value.to_pydict()
-    if hasattr(kind, "columns") and hasattr(kind, "to_dict"):
-        if len({*value.columns}) < len(value.columns):
-            raise ValueError("it has several columns of one name")
-        return {name: value[name] for name in value.columns}
     if hasattr(kind, "__array__"):
         return np.asarray(value)
     if is_missing(value):
