@@ -36,7 +36,7 @@ def not_kept(value: Any) -> list[str]:
     return sorted(declared & signature(type(value)).parameters.keys())
 
 
-def columns_of(value: Any) -> list[tuple[Any, Any]] | None:
+def table_columns(value: Any) -> list[tuple[Any, Any]] | None:
     """Return the columns of a table, such as one of pandas, polars or Arrow, with their names; None if it is none."""
     kind = type(value)
     if hasattr(kind, "to_pydict"):  # of Arrow
@@ -68,7 +68,7 @@ def _content_in_json(value: Any) -> Any:
     if hasattr(value, "iloc") and hasattr(value, "index") and list(value.index) != list(range(len(value))):
         value = value.reset_index(allow_duplicates=True)  # of pandas
     names = getattr(getattr(value, "dtype", None), "names", None)  # of a structured array
-    columns = [(name, value[name]) for name in names] if names else columns_of(value)
+    columns = [(name, value[name]) for name in names] if names else table_columns(value)
     if columns is not None:
         named = {as_key(name): column for name, column in columns}
         return named if len(named) == len(columns) else columns

@@ -28,7 +28,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from desim.config.json_numbers import field_names, has_plain
-from desim.config.parameters import columns_of
+from desim.config.parameters import table_columns
 
 MAX_DEPTH = 100
 """Number of levels to which a body may be nested; a text that is nested ten times as deep cannot be read again."""
@@ -81,7 +81,7 @@ def content(value: Any) -> Any:
         return value.plain()
     if (parts := quantity_of(value)) is not None:
         return parts
-    if (columns := columns_of(value)) is not None:
+    if (columns := table_columns(value)) is not None:
         named = dict(columns)
         if len(named) < len(columns):
             raise ValueError("it has several columns of one name")
