@@ -1,5 +1,6 @@
-"""Files written whole or not at all, and none that would be overwritten."""
+"""Files written whole or not at all, and none that would be overwritten, or through a symbolic link."""
 
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from errno import EEXIST
@@ -23,6 +24,11 @@ def write_new(files: Mapping[Path, bytes]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("xb") as file:
             file.write(content)
+
+
+def open_no_link(path: str, flags: int) -> int:
+    """Open a file that is no symbolic link, as an `opener` of `open`; Windows cannot tell."""
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 @contextmanager

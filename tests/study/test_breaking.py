@@ -4,6 +4,7 @@ from collections import Counter
 from dataclasses import replace
 from itertools import count, islice
 from math import inf, nan
+from pathlib import Path
 from types import SimpleNamespace
 
 import networkx as nx
@@ -659,6 +660,19 @@ def test_a_budget_counts_the_time_of_earlier_runs(tmp_path):
 
 
 @pytest.mark.slow
+def test_no_log_is_written_through_a_symbolic_link(tmp_path, monkeypatch):
+    """Also if it has become one after the question: the second time, it is asked as if there were none."""
+    target, link = tmp_path / "target", tmp_path / "cases.jsonl"
+    target.write_text("kept")
+    link.symlink_to(target)
+    with pytest.raises(OSError, match="is a symbolic link, which is not followed: remove it"):
+        log_of(link)
+    monkeypatch.setattr(Path, "is_symlink", lambda _: False)
+    with pytest.raises(OSError, match="symbolic links"):
+        log_of(link).add(SMALL, 1, CaseRun(FAILED, []))
+    assert target.read_text() == "kept"
+
+
 def test_a_log_knows_runs_by_scenario_seed_and_the_code_of_the_user(tmp_path):
     log = log_of(tmp_path / "cases.jsonl")
     told = CaseRun(Judgement(1.0, 0.9, 0.0, 0.0), ["a fault began"], 0.1)

@@ -116,6 +116,29 @@ def test_a_database_of_something_else_is_refused_and_left_alone(tmp_path, file):
     assert path.read_bytes() == before
 
 
+@pytest.mark.parametrize("content", [None, b""])
+def test_no_store_is_made_through_a_symbolic_link(tmp_path, content):
+    target, link = tmp_path / "target", tmp_path / "sweep.sqlite"
+    if content is not None:
+        target.write_bytes(content)
+    link.symlink_to(target)
+    with pytest.raises(StoreError, match=r"sweep\.sqlite: is a symbolic link to .*target, which is no store"):
+        Store(link)
+    assert (target.read_bytes() if target.exists() else None) == content
+    assert {path.name for path in tmp_path.iterdir()} <= {"target", "sweep.sqlite"}
+
+
+def test_a_store_may_be_on_another_disk(tmp_path):
+    target, link = tmp_path / "target", tmp_path / "sweep.sqlite"
+    link.symlink_to(target)
+    with Store(target):
+        pass
+    with Store(link) as store:
+        store.note_command("folder", ["sweep"])
+    with Store(link, read_only=True) as store:
+        assert store.commands == [("folder", ["sweep"])]
+
+
 ANOTHER = {
     "desim.study.store.store.FORMAT": "0",
     "desim.study.store.file.TABLES": f"{module.TABLES} CREATE TABLE more (name TEXT);",

@@ -26,6 +26,7 @@ from pydantic_core import to_json
 
 from desim.config.error_texts import text_of
 from desim.config.json_numbers import field_names, has_plain
+from desim.config.whole_files import open_no_link
 from desim.kernel.core.body_content import JSON_ATOMS, Fields, content, converts_itself, in_json_types
 from desim.kernel.core.events import LOST, ArrivalTime, Body, Broadcast, Count, Event, Nanoseconds, NodeId
 from desim.kernel.core.units import SECOND, nanoseconds
@@ -146,7 +147,7 @@ def _open_alone(part: Path, path: Path) -> IO[str]:
         if part.is_symlink():
             raise OSError(ELOOP, f"{part.name} is a symbolic link, which is not followed: remove it", str(path))
         # It is cut only when it is locked.
-        file = open(part, "a", encoding="utf-8", newline="\n", opener=_open_no_link)  # noqa: SIM115 closed by the caller
+        file = open(part, "a", encoding="utf-8", newline="\n", opener=open_no_link)  # noqa: SIM115 closed by the caller
         try:
             if HAS_LOCKS:
                 _lock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -159,11 +160,6 @@ def _open_alone(part: Path, path: Path) -> IO[str]:
             why = "is written by another process: each run needs a file of its own"
             raise BlockingIOError(EAGAIN, why, str(path)) from None
         return file
-
-
-def _open_no_link(path: str, flags: int) -> int:
-    """Open a file that is no symbolic link, also if it has become one meanwhile; Windows does not know."""
-    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 def _lock(file: IO[str], operation: int) -> None:

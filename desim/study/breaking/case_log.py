@@ -1,11 +1,13 @@
 """The log of a search: what was run is not run again after an interruption."""
 
 import json
+from errno import ELOOP
 from math import inf
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from desim.analysis.properties import Judgement
+from desim.config.whole_files import open_no_link
 from desim.results.environment import computing_versions
 from desim.scenario.properties import Property
 from desim.scenario.scenario import Scenario
@@ -43,6 +45,9 @@ class CaseLog:
     Args:
         file: where the lines are; it need not exist.
         prop: the property.
+
+    Raises:
+        OSError: if the file cannot be read, or is a symbolic link.
     """
 
     def __init__(self, file: Path, prop: Property):
@@ -51,6 +56,8 @@ class CaseLog:
         self._file = file
         self._search = " ".join([prop.text, *code, json.dumps(computing_versions(), sort_keys=True)])
         self._runs: dict[tuple[str, int], CaseRun] = {}
+        if file.is_symlink():
+            raise OSError(ELOOP, "is a symbolic link, which is not followed: remove it", str(file))
         text = file.read_text("utf-8") if file.exists() else ""
         self._is_cut_off = bool(text) and not text.endswith("\n")
         for line in text.splitlines():
@@ -71,7 +78,7 @@ class CaseLog:
         key = identify(scenario).key
         self._runs[key, seed] = case_run
         entry = {"search": self._search, "scenario": key, "seed": seed, **case_run._asdict(), "case": case}
-        with self._file.open("a", encoding="utf-8") as lines:
+        with open(self._file, "a", encoding="utf-8", opener=open_no_link) as lines:
             lines.write(("\n" if self._is_cut_off else "") + json.dumps(entry) + "\n")
         self._is_cut_off = False
 

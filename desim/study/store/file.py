@@ -120,7 +120,7 @@ class StoreFile:
 
     Raises:
         StoreError: if the file cannot be opened, is not a store, was made by another version of
-            desim, or is damaged.
+            desim, or is damaged; or if it is a symbolic link to a file that does not exist or is empty.
         OSError: if its folder cannot be created.
     """
 
@@ -130,6 +130,8 @@ class StoreFile:
         self._open_things = ExitStack()
         if read_only and not (path and path.is_file()):
             raise StoreError(_missing(path))
+        if path and path.is_symlink() and not (path.is_file() and path.stat().st_size):
+            raise StoreError(f"{path}: is a symbolic link to {path.readlink()}, which is no store: remove it")
         self._open(path, read_only)
 
     @naming_the_file

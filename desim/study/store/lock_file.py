@@ -20,6 +20,8 @@ from functools import cache
 from pathlib import Path
 from typing import Self
 
+from desim.config.whole_files import open_no_link
+
 HEARTBEAT = 5.0
 """The interval, s of wall time, at which a holder rewrites its lock file."""
 STALE = 120.0
@@ -209,7 +211,8 @@ def _holder(path: Path, now: float) -> Holder | None:
     Opening the file makes NFS ask the server for its time. A file without a holder was just made, or its maker died.
     """
     try:
-        with open(path, "rb", opener=_open_no_link) as stream:
+        # A link to nowhere would be there for `os.link`, and absent for who reads it.
+        with open(path, "rb", opener=open_no_link) as stream:
             age, text = now - os.fstat(stream.fileno()).st_mtime, stream.read(LONGEST)
     except FileNotFoundError:
         return None
@@ -218,11 +221,6 @@ def _holder(path: Path, now: float) -> Holder | None:
         return Holder(str(named["host"]), str(named["place"]), int(named["pid"]), str(named["token"]), age, text)
     except (ValueError, KeyError, TypeError, RecursionError):
         return Holder("", "", 0, "", age, text)
-
-
-def _open_no_link(path: str, flags: int) -> int:
-    """Open a file that is no link; one to nowhere would be there for `os.link`, and absent for who reads it."""
-    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0))
 
 
 @cache
