@@ -106,9 +106,14 @@ def test_runs_of_another_grid_are_not_those_of_the_last_sweep(results, tmp_path)
     assert states(tmp_path)["out"] == ("sweep", 5, "complete")
     made = strict_json((tmp_path / "out" / "run.json").read_text())
     with closing(sqlite3.connect(tmp_path / "out" / "sweep.sqlite")) as store, store:
-        store.execute("DELETE FROM runs WHERE configuration = ? AND replication = 1", made["configurations"])
+        (key,) = store.execute("SELECT configuration FROM configurations ORDER BY place LIMIT 1").fetchone()
+        store.execute("DELETE FROM runs WHERE configuration = ? AND replication = 1", [key])
     assert "relay: 1 of 2 runs are done" in accepted("status", tmp_path / "out").stdout
     assert states(tmp_path)["out"] == ("sweep", 4, "unfinished: 1 of 2")
+    with closing(sqlite3.connect(tmp_path / "out" / "sweep.sqlite")) as store, store:  # as a script with another grid
+        store.execute("UPDATE configurations SET place = -place")
+    assert "relay: 4 runs are done" in accepted("status", tmp_path / "out").stdout
+    assert states(tmp_path)["out"] == ("sweep", 4, "has runs of another grid than that of run.json")
     del made["configurations"], made["reps"]  # as an older version wrote it: no 4 of 2
     (tmp_path / "out" / "run.json").write_text(json.dumps(made))
     assert "relay: 4 runs are done" in accepted("status", tmp_path / "out").stdout

@@ -156,6 +156,12 @@ class Store(SweepProperties, RunRows):
 
     @property
     @naming_the_file
+    def keys(self) -> list[str]:
+        """The hashes of the configurations, in order: those of the last sweep that was registered are the first."""
+        return [key for (key,) in self.database.execute("SELECT configuration FROM configurations ORDER BY place")]
+
+    @property
+    @naming_the_file
     def failed_runs(self) -> int:
         """The number of runs that failed."""
         return int(self.database.execute("SELECT count(*) FROM runs WHERE status != 'ok'").fetchone()[0])

@@ -15,7 +15,7 @@ from desim.config.file_names import STORE, STORE_PARTS, TRACE
 from desim.config.html import html_table
 from desim.results import provenance
 from desim.study.store.store import Store
-from desim.study.sweeps.planned import PlannedRuns
+from desim.study.sweeps.planned import PlannedRuns, Run
 
 HEAD = ("folder", "kind", "scenario", "date", "runs", "state")
 UNPLANNED = ("explain", "race", "sensitivity")
@@ -148,20 +148,26 @@ def _entry(folder: Path, stores: list[Path], has_trace: bool, modified: float) -
             )
         return Entry(folder, kind, scenario, modified, planned, "; ".join([*problems, "no runs recorded"]))
     runs: int | None = 0
-    failed, held = 0, set[tuple[str, int]]()
+    is_told = plan is not None and plan.configurations is not None
+    failed, outcomes, keys = 0, set[Run](), list[list[str]]()
     try:
         for path in stores:
             with Store(path, read_only=True) as store:
                 runs = (runs or 0) + len(store)
                 failed += store.failed_runs
-                held |= set().union(*store.outcomes())
+                if is_told:
+                    outcomes.update(*store.outcomes())
+                    keys.append(store.keys)
                 scenario = scenario or (store.read_property("name", str) if "name" in store.about else "")
     except (OSError, ValueError) as error:
         return Entry(folder, kind, scenario, modified, None, _first_line(error))
     parts = ["parts of a sweep: merge them"] if stores[0].name != STORE else []
-    count = len(held if plan is None else plan.among(held))
+    includes = plan.includes(keys) if plan is not None and is_told else None
+    count = (runs or 0) if includes is None else len([*filter(includes, outcomes)])
     if kind in UNPLANNED or planned is None or not runs:
         parts += [] if runs else ["empty"]
+    elif is_told and includes is None:
+        parts.append(f"has runs of another grid than that of {provenance.FILE}")
     elif count < planned:
         parts.append(f"unfinished: {count:,} of {'at most ' * (plan is not None and plan.is_most)}{planned:,}")
     parts += [f"{failed:,} failed"] if failed else []

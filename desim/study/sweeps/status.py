@@ -11,7 +11,7 @@ from desim.config.file_names import STORE, STORE_PARTS
 from desim.results import provenance
 from desim.study.store.store import Store
 from desim.study.sweeps.array_job import ArrayJob, states
-from desim.study.sweeps.planned import PlannedRuns
+from desim.study.sweeps.planned import PlannedRuns, Run
 
 HEAD = ("part", "planned", "done", "failed", "state")
 
@@ -103,35 +103,39 @@ def status(folder: str | Path) -> SweepStatus:
     plan = PlannedRuns(job.runs) if job is not None else _planned(folder)
     done = frozenset().union(*(count.done for count in counts.values()))
     failed = frozenset().union(*(count.failed for count in counts.values())) - done
-    if plan is not None:  # a store may have runs of other grids
-        done, failed = plan.among(done), plan.among(failed)
-    is_known = plan is not None and not plan.is_most and len(done) <= plan.count
+    includes = plan.includes(count.keys for count in counts.values()) if plan is not None else None
+    if includes is not None:  # a store may have runs of other grids
+        done, failed = frozenset(filter(includes, done)), frozenset(filter(includes, failed))
+    is_known = plan is not None and includes is not None and not plan.is_most and len(done) <= plan.count
     name = job.name if job is not None else next((count.name for count in counts.values() if count.name), "")
     return SweepStatus(name, plan.count if plan and is_known else None, len(done), len(failed), tuple(parts))
 
 
 @dataclass(frozen=True)
 class _Counts:
-    """The runs in a store, as pairs of configuration and replication."""
+    """The runs in a store."""
 
     name: str
-    done: frozenset[tuple[str, int]]
-    failed: frozenset[tuple[str, int]]
+    done: frozenset[Run]
+    failed: frozenset[Run]
     problem: str = ""
+    keys: tuple[str, ...] = ()
+    """The hashes of its configurations, in order."""
 
     @classmethod
     def of(cls, path: Path) -> "_Counts":
         """Return the runs in a store; none if it is missing or cannot be read."""
-        nothing: frozenset[tuple[str, int]] = frozenset()
+        nothing: frozenset[Run] = frozenset()
         if not path.exists():
             return cls("", nothing, nothing, "not begun")
         try:
             with Store(path, read_only=True) as store:
                 done, failed = store.outcomes()
+                keys = tuple(store.keys)
                 name = store.read_property("name", str) if "name" in store.about else ""
         except (OSError, ValueError) as error:
             return cls("", nothing, nothing, str(error))
-        return cls(name, done, failed)
+        return cls(name, done, failed, keys=keys)
 
 
 def _stores(folder: Path, job: ArrayJob | None) -> Iterator[tuple[str, Path]]:
