@@ -15,7 +15,7 @@ from desim import Scenario, load
 from desim.analysis.metrics import active_time, end_time
 from desim.analysis.statistics import Estimate, estimate, paired
 from desim.analysis.tables import aligned
-from scenarios.studies.study import SCENARIOS, Options, each, study
+from scenarios.studies.study import SCENARIOS, Options, metrics_of, study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -58,7 +58,7 @@ def measure(options: Options) -> list[Cost]:
     """Run all protocols among all walls, and compare the runs of equal seeds."""
     cases = [(protocol, blocked) for protocol in PROTOCOLS for blocked in BLOCKED]
     values = options.measure_each(
-        cases, lambda protocol, blocked: rooms(protocol, BLOCKED[blocked]), "walls", each(*METRICS.values())
+        cases, lambda protocol, blocked: rooms(protocol, BLOCKED[blocked]), "walls", metrics_of(*METRICS.values())
     )
     costs = []
     for protocol, blocked in cases:

@@ -133,7 +133,7 @@ def check_dissemination(dissemination: Any, *, limit: float = 10.0) -> None:
 def _check_reach(tested: Subject, limit: float) -> None:
     """Require that announcements get to teammates, and that the dissemination is then as it was before."""
     where = f"a run of {HORIZON:g} s without losses"
-    known: set[tuple[int, int]] = set()
+    reached: set[tuple[int, int]] = set()
     objects: list[tuple[Any, bytes | None]] = []
 
     def listens(me: Agent) -> Process:
@@ -141,7 +141,7 @@ def _check_reach(tested: Subject, limit: float) -> None:
             yield me.sleep(0.1)
             me.assign(1 - me.action)
             me.announce()
-            known.update((me.id, source) for source in me.latest_records() if source != me.id)
+            reached.update((me.id, source) for source in me.latest_records() if source != me.id)
 
     def begins(simulation: Simulation) -> None:
         shared = simulation.agents[0]._announcements.dissemination
@@ -150,7 +150,7 @@ def _check_reach(tested: Subject, limit: float) -> None:
     with tested.judged(where, limit):
         run_observed(_scenario(listens, {}, tested.model), SEED, (), begins)
     tested.require(
-        known,
+        reached,
         f"{where} ends, and no pursuer has a record of another: expected broadcast(me, announcement) to send or publish"
         " it, and the process of a receiver to call me.merge_records(records)",
     )

@@ -24,7 +24,7 @@ from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Recording
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Rounds, SharedSeed
-from scenarios.studies.study import Options, each
+from scenarios.studies.study import Options, metrics_of
 
 N = 8
 SPEED = 1.2
@@ -107,7 +107,7 @@ def pursuit(rule: str, motion: str, latency: float) -> Scenario:
 def measure(options: Options) -> list[Cell]:
     """Run each rule with each motion at each latency, and return the results."""
     keys = [(rule, motion, latency) for rule in RULES for motion in MOTIONS for latency in LATENCIES]
-    runs = options.measure_each(keys, pursuit, "bodies", each(active_time, captured, end_time, handovers))
+    runs = options.measure_each(keys, pursuit, "bodies", metrics_of(active_time, captured, end_time, handovers))
     times = {key: np.array([active_time for active_time, *_ in of_key]) for key, of_key in runs.items()}
     return [_cell(key, of_key, times) for key, of_key in runs.items()]
 

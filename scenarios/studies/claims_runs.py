@@ -74,9 +74,9 @@ def average(metric: Callable[[Any], float], scenario: Scenario, scale: float = 1
     return lambda options: of(mean(options.measure([scenario], "", metric)[0]), scale)
 
 
-def difference(metric: Callable[[Any], float], some: Scenario, subtrahend: Scenario, scale: float = 1.0) -> Number:
+def difference(metric: Callable[[Any], float], minuend: Scenario, subtrahend: Scenario, scale: float = 1.0) -> Number:
     """Return what measures the paired difference of a metric between two scenarios."""
-    return lambda options: of(paired(*options.measure([some, subtrahend], "", metric)), scale)
+    return lambda options: of(paired(*options.measure([minuend, subtrahend], "", metric)), scale)
 
 
 @number
@@ -180,10 +180,10 @@ def unsettled(options: Options, team: str, distance: float) -> Measured:
 
 def lost_by(protocol: str, access: str, load: float, start: Start = "announced", scale: float = 1.0) -> Number:
     """Return what measures the active time lost by an access model."""
-    some, reference = (
+    contended, reference = (
         contention_runs.pursuit(protocol, medium, load) for medium in (access, contention_runs.REFERENCE)
     )
-    return difference(active_time, started(some, start), started(reference, start), scale)
+    return difference(active_time, started(contended, start), started(reference, start), scale)
 
 
 def started(scenario: Scenario, start: Start) -> Scenario:
@@ -208,10 +208,10 @@ def transported(options: Options, /, way: str | None, scale: float = 1.0, **sett
     budget = transport_runs.budget_of(reliable)
     ways = [way or transport_runs.HEARTBEATS, transport_runs.HEARTBEATS]
     games = [transport_runs.pursuit(here, way_of_game, budget) for way_of_game in ways]
-    some, reference = (
+    values, reference = (
         [run.value for run in runs] for runs in options.measure(games, "", transport_runs.run_of_pursuit)
     )
-    return of(mean(reference) if way is None else paired(some, reference), scale)
+    return of(mean(reference) if way is None else paired(values, reference), scale)
 
 
 def retransmitting_saves(channel: str) -> Number:
@@ -232,10 +232,10 @@ def age(options: Options, way: str) -> Measured:
 
 def delayed_by(protocol: str, lie: str) -> Number:
     """Return what measures by how much one liar delays the capture."""
-    some, reference = (
+    lying, honest = (
         liars_runs.scenario_of("lies", protocol, kind_of_lie, "none", 1.0) for kind_of_lie in (lie, liars_runs.HONEST)
     )
-    return difference(end_time, some, reference)
+    return difference(end_time, lying, honest)
 
 
 @number
@@ -267,8 +267,8 @@ def of_inertia(options: Options, latency: float, motion: str) -> Measured:
 
 def all_at_once(latency: float, motion: str) -> Number:
     """Return what measures how much more active time a body needs if all decide at once."""
-    some, reference = (bodies_runs.pursuit(rule, motion, latency) for rule in (bodies_runs.ALL, bodies_runs.ONE))
-    return difference(active_time, some, reference)
+    at_once, in_turn = (bodies_runs.pursuit(rule, motion, latency) for rule in (bodies_runs.ALL, bodies_runs.ONE))
+    return difference(active_time, at_once, in_turn)
 
 
 @number
@@ -281,10 +281,10 @@ def per_handover(options: Options, motion: str, latency: float) -> Measured:
 
 def survives(protocol: str) -> Number:
     """Return what measures how much longer an evader survives that flees the active pursuers only."""
-    some, reference = (
+    misled, reference = (
         evaders_runs.chase(strategy, protocol) for strategy in (evaders_runs.CLAIMED, evaders_runs.REFERENCE)
     )
-    return difference(end_time, some, reference)
+    return difference(end_time, misled, reference)
 
 
 def inferring(interval: float, error: float = 0.0, scale: float = 1.0) -> Number:
@@ -369,7 +369,7 @@ def leaves_alone(options: Options, protocol: str, timeout: str) -> Measured:
     """
     late = FIVE_CRASHED.with_({"protocol": protocol, "announce.belief_timeout": timeout})
     idle, least = options.measure([late, FIVE_CRASHED.with_({"protocol": "centralised"})], "", idle_time)
-    return in_trials(sum(some > other + 2.0 for some, other in zip(idle, least, strict=True)), len(idle))
+    return in_trials(sum(time > other + 2.0 for time, other in zip(idle, least, strict=True)), len(idle))
 
 
 def alone_in(scenario: Scenario, seed: int) -> Number:
@@ -402,7 +402,9 @@ def alone_in_relay(options: Options, protocol: str, *, beyond: bool = False) -> 
     """
     changes = {"network.latency": 0.1, "announce.heartbeat": 0.34, "fault": (ChaserCrash(start=4.0),), "horizon": 22.0}
     relay = load(SCENARIOS / "relay.toml").with_(changes)
-    idle, least = (alone_in(relay.with_({"protocol": one}), 1_000_018)(options)[0] for one in (protocol, "centralised"))
+    idle, least = (
+        alone_in(relay.with_({"protocol": rule}), 1_000_018)(options)[0] for rule in (protocol, "centralised")
+    )
     return (least + 2.0 - idle if beyond else idle), 0.0
 
 

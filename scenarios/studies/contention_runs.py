@@ -24,7 +24,7 @@ from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson
 from protocols.schedules.token import TokenRing
-from scenarios.studies.study import Options, each
+from scenarios.studies.study import Options, metrics_of
 
 N = 10
 BITRATE = 19_200.0
@@ -141,7 +141,7 @@ def _scenario(protocol: Any, announce: Announcements, network: Links, size: int 
 def measure(options: Options) -> list[Pursuits]:
     """Run each protocol under each access model at each offered load."""
     keys = [(name, access, load) for name in NAMES for access in ACCESSES for load in LOADS]
-    runs = options.measure_each(keys, pursuit, "pursuits", each(active_time, captured, share_lost))
+    runs = options.measure_each(keys, pursuit, "pursuits", metrics_of(active_time, captured, share_lost))
     measured = {key: np.array(values, dtype=float).T for key, values in runs.items()}
     pursuits = []
     for (name, access, load), (times, caught, lost) in measured.items():

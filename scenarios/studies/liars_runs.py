@@ -23,7 +23,7 @@ from protocols.cbba import CBBA
 from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson
-from scenarios.studies.study import Options, each
+from scenarios.studies.study import Options, metrics_of
 
 N = 12
 NONE = "none"
@@ -140,7 +140,7 @@ def scenario_of(part: str, protocol: str, lie: str, defence: str, value: float) 
 
 def measure(options: Options) -> list[Cell]:
     """Run each cell, and the honest team without a defence with which it is compared."""
-    metric = each(captured, end_time, active_time, false_accusations)
+    metric = metrics_of(captured, end_time, active_time, false_accusations)
     runs = options.measure_each(keys(), scenario_of, "liars", metric)
     return [_cell(key, runs[key], runs[_reference(key)]) for key in runs]
 

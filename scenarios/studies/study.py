@@ -99,8 +99,8 @@ class Options:
                 click.echo(f"wrote {path}", err=True)
 
 
-def each(*metrics: Callable[["Result"], Any]) -> Callable[["Result"], tuple[Any, ...]]:
-    """Return the metric of a run that consists of several."""
+def metrics_of(*metrics: Callable[["Result"], Any]) -> Callable[["Result"], tuple[Any, ...]]:
+    """Return a metric of runs whose value is the tuple of the values of several metrics."""
     return lambda result: tuple(metric(result) for metric in metrics)
 
 

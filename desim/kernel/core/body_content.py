@@ -206,7 +206,7 @@ def attributes_of(value: Any) -> Fields:
 
 def stored_parts(value: Any) -> list[Any]:
     """Return all objects that are stored in an object."""
-    return [part for held in _stored(value) for part in held.values()]
+    return [part for attributes in _stored(value) for part in attributes.values()]
 
 
 def _stored(value: Any) -> tuple[dict[str, Any], dict[str, Any]]:

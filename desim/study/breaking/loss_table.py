@@ -76,9 +76,8 @@ class LossTable:
         lines = [f"seed {seed}: violated without any loss" for seed in self.broken]
         for fatal in self.fatal:
             these = f"if these are {fates}" if len(self.fates) == 1 else "with these"
-            told = f"fails ({fatal.failure})" if fatal.failure else f"margin {fatal.verdict.margin:.3g} {self.unit}"
-            told = told.rstrip()
-            lines.append(f"seed {fatal.seed}: {told} {these}:")
+            outcome = f"fails ({fatal.failure})" if fatal.failure else f"margin {fatal.verdict.margin:.3g} {self.unit}"
+            lines.append(f"seed {fatal.seed}: {outcome.rstrip()} {these}:")
             for copy, fate in zip(fatal.messages, fatal.fates, strict=True):
                 lines.append(f"  {'' if len(self.fates) == 1 else f'{words[fate]}: '}{copy}")
         if not lines:
