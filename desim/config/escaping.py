@@ -3,7 +3,7 @@
 from typing import Any
 
 SHOWN = {ord(character): None for character in "\n\t"}
-"""Removes the characters that are not printable by Python's count, but stay."""
+"""Removes newlines and tabs, which `str.isprintable` calls unprintable, but which need no escape."""
 
 
 def escaped(text: str) -> str:

@@ -55,7 +55,10 @@ UNIT = delay_runs.LAMBDA / delay_runs.N
 
 
 def number(measure: Callable[Concatenate[Options, Parameters], Measured]) -> Callable[Parameters, Number]:
-    """Let a function that measures wait for the options: called without them, it returns what measures."""
+    """Return a function of the arguments that follow the options; it returns a function of the options.
+
+    So `share(captured, scenario)` is a number of the table of claims, which is measured once the options are known.
+    """
 
     @wraps(measure)
     def prepared(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Number:

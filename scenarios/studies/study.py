@@ -60,7 +60,14 @@ class Options:
         label: str,
         metric: Callable[["Result"], Measured],
     ) -> dict[Key, list[Measured]]:
-        """Run the scenario of each key, whose parts are its arguments; return the metric of each of its runs by key."""
+        """Return the values of a metric in the runs of several scenarios, by key.
+
+        Args:
+            keys: the keys.
+            scenario: returns the scenario of a key, given its entries as arguments.
+            label: the text of the progress display.
+            metric: the metric.
+        """
         listed = list(keys)
         return dict(zip(listed, self.measure([scenario(*key) for key in listed], label, metric), strict=True))
 

@@ -1,4 +1,4 @@
-"""Passages, spells and stints: every message, chase and fault of a run, each once and in full."""
+"""Deliveries, chases, outages and handovers: every message, chase and fault of a run, each once and in full."""
 
 from collections import Counter
 

@@ -261,7 +261,7 @@ class Contention(Generic[Item]):
         self._prepare(frame.src)
 
     def _rest(self, frame: Frame) -> None:
-        """Let the sender of a frame be silent after it, if there is a duty cycle; what it owes already comes first."""
+        """Let the sender of a frame be silent after it, if there is a duty cycle; a silence that lasts is prolonged."""
         if self._medium.duty_cycle is None:
             return
         airtime, node = frame.end - frame.begin, frame.src

@@ -28,7 +28,7 @@ MARKER_3D = re.compile(r"#\s*3D\b", re.IGNORECASE)
 
 
 MANY = 10
-"""The number of lines from which on integers everywhere are no coincidence."""
+"""The least number of lines of a file in which only integers mean that it has no coordinates."""
 
 
 class BonnMotionFile(MobilityFile):
@@ -50,7 +50,8 @@ class BonnMotionFile(MobilityFile):
 
         All lines but one at most are one waypoint each, and their times differ: where nearly no node moves, they have
         no reason to. Or all lines are equally long, and in any reading some are no waypoints in order of time, or
-        many lines of integers neither begin nor end together, as contacts do not; `dimensions` says that it is none.
+        `MANY` lines of integers neither begin nor end together, as contacts do not. With `dimensions` given,
+        integers may be coordinates.
         """
         possible = [4] if self._is_marked else [3, 4] if dimensions is None else [dimensions + 1]
         single = [row for row in self._rows if len(row[1]) in possible]

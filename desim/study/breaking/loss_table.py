@@ -46,9 +46,9 @@ class LossTable:
         unit: the unit of margins.
         fatal: the choices that violate the property, the smallest first.
         runs: the number of runs.
-        skipped: how often one more message was not added to a choice that was run, because it does not matter in that
-            run; with most = 1, the number of choices that were not run.
-        symmetric: the number of choices that were not run, as a choice that was has the same run.
+        skipped: the number of times that a choice was not extended by a message, because the message has no effect in
+            the run of the choice; with most = 1, the number of choices that were not run.
+        symmetric: the number of choices that were not run, because another choice has the same run.
         messages: by seed, the number of messages in the undisturbed run.
         broken: the seeds with which the property is violated without any choice.
     """

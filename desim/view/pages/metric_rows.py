@@ -40,8 +40,8 @@ def differences_over_seeds(
     """Return the progress of a comparison, and the mean difference of each metric with its 95 % interval.
 
     A metric `differs` as soon as all pairs are there, if its difference is told apart from 0 at a level of 5 % for all
-    metrics of `FIRST` together (Bonferroni): the table is drawn anew after each pair, and would find something in time.
-    `named_metrics` are the user's metrics by name.
+    metrics of `FIRST` together (Bonferroni). Before that none does, although the table is drawn after each pair: of
+    repeated tests, one would sooner or later be significant by chance. `named_metrics` are the user's metrics by name.
     """
     rows: list[Answer] = []
     done = len(pairs) + len(failures)
