@@ -110,8 +110,8 @@ class Header(NamedTuple):
         of positions to others.
         """
         for name in COLUMNS[key]:
-            if found := [k for k, other in enumerate(self.names) if joined(other) == name]:
-                return found
+            if columns := [k for k, other in enumerate(self.names) if joined(other) == name]:
+                return columns
         alike = [
             k
             for k, words in enumerate(self.words)
