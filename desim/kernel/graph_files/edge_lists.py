@@ -111,8 +111,8 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
                 f"{file} has a column Type, which says {'un' if directed else ''}directed: leave out directed"
             )
         directed = "directed" in kinds
-    said = next((line for line in text.split("\n", 9)[:9] if ONE_WAY.match(line.strip())), "")
-    return _graph(file, nodes, edges, directed, said.strip())
+    comment = next((line for line in text.split("\n", 9)[:9] if ONE_WAY.match(line.strip())), "")
+    return _graph(file, nodes, edges, directed, comment.strip())
 
 
 def read_adjacency_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any]":
@@ -396,7 +396,7 @@ def _attribute(name: str, cell: str, place: str) -> Any:
 
 
 def _graph(
-    file: Path, nodes: Sequence[str], edges: Sequence[NamedEdge], directed: bool | None, said: str = ""
+    file: Path, nodes: Sequence[str], edges: Sequence[NamedEdge], directed: bool | None, comment: str = ""
 ) -> "nx.Graph[Any]":
     """Return the graph of a list; an undirected edge may be listed in both directions.
 
@@ -405,7 +405,7 @@ def _graph(
         nodes: nodes, perhaps without edges.
         edges: the edges.
         directed: whether edges are one-way; None if it is not known.
-        said: a comment that says that they are; it counts if some have no way back.
+        comment: a comment that says that they are; it counts if some have no way back.
 
     Raises:
         ValueError: if it is not known, and matters.
@@ -422,7 +422,11 @@ def _graph(
         else:
             graph.add_edge(src, dst, **attributes)
         seen[src, dst] = attributes
-    if directed is None and (twice or said) and twice < len(edges) / 2:
-        why = f"the comment {said[:40]!r}" if said else f"{twice} of its edges in both directions and the others in one"
+    if directed is None and (twice or comment) and twice < len(edges) / 2:
+        why = (
+            f"the comment {comment[:40]!r}"
+            if comment
+            else f"{twice} of its edges in both directions and the others in one"
+        )
         raise ValueError(f"{file} has {why}: set directed = true if edges are one-way, or false")
     return graph

@@ -76,8 +76,8 @@ def shortened(names: Sequence[str]) -> str:
 def _labels(graph: "nx.Graph[Any]") -> list[Any] | None:
     """Return the labels of the nodes, without white space around them, if all have different ones."""
     for key in LABELS:
-        given = (attributes.get(key) for _, attributes in graph.nodes(data=True))
-        labels = [label.strip() if isinstance(label, str) else label for label in given]
+        values = (attributes.get(key) for _, attributes in graph.nodes(data=True))
+        labels = [label.strip() if isinstance(label, str) else label for label in values]
         if labels and None not in labels and "" not in labels and len(set(map(str, labels))) == len(labels):
             return labels
     return None

@@ -176,8 +176,8 @@ def commands(text: str, source: str) -> Iterator[Command]:
         match token.lastgroup:
             case "word":
                 word = _QUOTES.sub(lambda part: part[1] or part[2] or part[3] or "", token[0])
-                known = word if "'" in token[0] else _with_values(word, values)
-                parts = known.split() if known != word and '"' not in token[0] else [known]
+                expanded = word if "'" in token[0] else _with_values(word, values)
+                parts = expanded.split() if expanded != word and '"' not in token[0] else [expanded]
                 words += ((part, where) for part in parts)
             case "comment" if match := _COMMENT.fullmatch(token[0].strip()):
                 way = int(match[1]), int(match[2])
@@ -198,13 +198,13 @@ def commands(text: str, source: str) -> Iterator[Command]:
 def _with_values(word: str, values: dict[str, str]) -> str:
     """Return a word with the values of variables; one without a value stays, unless it has a default."""
 
-    def value(use: re.Match[str]) -> str:
-        known = values.get(use[1] or use[2])
-        if known is None or (not known and use[3] == ":-"):
+    def expansion(use: re.Match[str]) -> str:
+        value = values.get(use[1] or use[2])
+        if value is None or (not value and use[3] == ":-"):
             return use[0] if use[3] is None else use[4]
-        return known
+        return value
 
-    return _VARIABLE.sub(value, word)
+    return _VARIABLE.sub(expansion, word)
 
 
 def _assign(words: list[str], values: dict[str, str]) -> bool:
