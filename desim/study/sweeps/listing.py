@@ -39,7 +39,8 @@ class Entry:
     runs: int | None
     """The number of runs that it holds; None if it cannot be read."""
     state: str
-    """complete; unfinished, with the number of planned runs; the number of failed runs; or what cannot be read."""
+    """complete; unfinished, with the number of planned runs; that its store was used for another grid since; the number
+    of failed runs; or what cannot be read."""
 
     @property
     def date(self) -> str:
