@@ -299,10 +299,10 @@ class Node:
         """Hand the datagrams that have arrived to the link layer."""
         assert self.clock is not None
         unread, self._unread = self._unread, []
+        now, begin = self.clock.now(), self._env.now  # a clock that begins in the future is below 0 at first
         for datagram, sender, when in unread:
-            self.link.receive(datagram, sender, max(self.clock.now(), 0) if when is None else when)
+            self.link.receive(datagram, sender, max(now if when is None else when, begin))
         if self._mailbox is not None:
-            now, begin = self.clock.now(), self._env.now
             for datagram, address, age in self._mailbox.read():
                 self.link.receive(datagram, self._number_of.get(address), max(now - age, begin))
 
@@ -443,7 +443,8 @@ class _ToldPositions(PursuerPositions):
     """
 
     def __init__(self, state: WorldState, pursuer: int):
-        super().__init__(state, inf)  # they may jump
+        super().__init__(state, inf)
+        self.max_speed = inf  # they may jump, also those that do not move
         self._pursuer, self.are_told = pursuer, True
 
     def __call__(self) -> Floats:
@@ -489,4 +490,4 @@ def _points(name: str, pairs: Any, *shape: int) -> Any:
     if is_wrong or not (np.abs(array) <= MAX_COORDINATE).all():
         allowed = f"numbers of shape {shape}, at most {MAX_COORDINATE:g} from 0"
         raise ValueError(f"{name} should be finite {allowed} (got {pairs!r})")
-    return array.astype(float).view(complex).ravel()
+    return array.astype(float, order="C").view(complex).ravel()

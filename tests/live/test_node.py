@@ -401,6 +401,15 @@ def test_a_robot_whose_teammates_are_anywhere_does_not_take_them_for_where_a_sim
         hear()
 
 
+@pytest.mark.parametrize("static", [False, True])
+def test_positions_that_are_told_may_jump_and_lie_in_memory_as_they_like(static):
+    node = Node(scenario().with_({"network.range": 2.0, "motion.static": static}), 1, 5)
+    for x, heard in ((9.0, []), (1.0, [2])):
+        places = np.array([[30.0, 0.0, x], [0.0, 0.0, 0.0]]).T  # not contiguous
+        node.sense(places[1], np.array([[5.0], [1.0]]).T, places)
+        assert list(node._network.topology.neighbours(1)) == heard
+
+
 def test_a_robot_that_should_sense_its_teammates_is_asked_for_them():
     node = Node(scenario(), 1, 5)
     with pytest.raises(ValueError, match=r"^teammates should be the positions of all pursuers: with announce.payload"):
@@ -468,6 +477,22 @@ def test_a_record_is_read_later_as_if_at_its_arrival_and_a_message_at_once():
         assert node.link.drops.foreign == 1
 
     asyncio.run(play())
+
+
+def test_a_record_that_comes_before_a_clock_begins_arrives_as_it_begins():
+    async def play():
+        node, time = Node(scenario().with_({"fault": [Crash(node=2, start=0.5)]}), 1, 5), [-500_000_000]
+        node.connect([(LOCAL, 1), (LOCAL, 2), (LOCAL, 3)])
+        running = asyncio.create_task(node.run(lambda: time[0]))
+        await asyncio.sleep(0)
+        time[0] = -400_000_000
+        node.arrived(announcement(1), (LOCAL, 1))
+        time[0] = 100_000_000
+        node.stop(50_000_000)
+        await running
+        return [outcome.arrival for outcome in node.link.outcomes]
+
+    assert asyncio.run(play()) == [100_000_000]  # after its latency
 
 
 @pytest.mark.skipif(sockets.TIMESTAMP is None, reason="the system does not stamp datagrams")

@@ -877,6 +877,7 @@ def test_cases_and_texts_are_golden(part):
         (Outcome("error", error=ValueError("no\nmore")), None, "ValueError: no"),
         (Outcome("error", error=TimedOut("took longer than 1 s")), 1.0, "TimedOut: took longer than 1 s"),
         (Outcome("crashed", traceback="a\nended by signal 9\n"), None, "RuntimeError: ended by signal 9"),
+        (Outcome("error", traceback="a\ntheirs.OddError: boom: 1\n"), None, "OddError: boom: 1"),
     ],
 )
 def test_a_run_fails_by_its_exception_or_its_limit(outcome, timeout, told):

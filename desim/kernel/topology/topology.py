@@ -150,7 +150,7 @@ class Topology:
 
         Args:
             src: the sender, one for all or (k,).
-            dst: (k,) the receivers.
+            dst: (k,) the receivers, which are other nodes.
             message: the number of the message, one for all or (k,).
             times: ns, one for all or (k,), see `PositionSource.at`; None: now.
         """

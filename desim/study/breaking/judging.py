@@ -95,7 +95,11 @@ def failure_of(outcome: Outcome, timeout: float | None) -> str:
     """
     if outcome.status == "ok":
         return ""
-    error = outcome.error or RuntimeError(outcome.traceback.strip().splitlines()[-1])
+    last = outcome.traceback.strip().splitlines()[-1:]
+    kind, colon, text = "".join(last).partition(": ")
+    if outcome.error is None and kind.replace(".", "").isidentifier():  # an exception that cannot be pickled
+        return f"{kind.rpartition('.')[2]}{colon}{text}"
+    error = outcome.error or RuntimeError("".join(last))
     is_too_long = timeout is not None and isinstance(error, TimedOut)
     if isinstance(error, JudgementError) or not (isinstance(error, Exception) or is_too_long):
         raise error
