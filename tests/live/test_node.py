@@ -407,7 +407,7 @@ def test_positions_that_are_told_may_jump_and_lie_in_memory_as_they_like(static)
     for x, heard in ((9.0, []), (1.0, [2])):
         places = np.array([[30.0, 0.0, x], [0.0, 0.0, 0.0]]).T  # not contiguous
         node.sense(places[1], np.array([[5.0], [1.0]]).T, places)
-        assert list(node._network.topology.neighbours(1)) == heard
+        assert list(node._network.topology.hearers(1)) == heard
 
 
 def test_a_robot_that_should_sense_its_teammates_is_asked_for_them():
