@@ -130,7 +130,7 @@ def as_key(key: Any, fallback: Callable[[Any], Any] = in_json) -> Any:
 def _is_key(key: Any, fallback: Callable[[Any], Any]) -> bool:
     if isinstance(key, tuple):
         return all(_is_key(part, fallback) for part in key)
-    return not isinstance(as_jsonable(key, fallback), list | dict)
+    return type(key) in ATOMS or not isinstance(as_jsonable(key, fallback), list | dict)
 
 
 def _order(member: Any) -> tuple[str, str]:
