@@ -403,11 +403,11 @@ def test_a_robot_whose_teammates_are_anywhere_does_not_take_them_for_where_a_sim
 
 @pytest.mark.parametrize("static", [False, True])
 def test_positions_that_are_told_may_jump_and_lie_in_memory_as_they_like(static):
-    node = Node(Scenario().with_({"team.count": 3, "network.range": 2.0, "motion.static": static}), 1, 5)
-    for x, y, heard in ((1.0, 90.0, [0]), (80.0, 1.0, [2])):
-        places = np.array([[x, 0.0, y], [0.0, 0.0, 0.0]]).T  # not contiguous
-        node.sense(places[1], np.array([[5.0], [1.0]]).T, places)
-        assert [list(node._network.topology.hearers(1)) for _ in range(2)] == [heard] * 2
+    node = Node(Scenario().with_({"team.count": 3, "network.range": 2.0, "motion.static": static}), 0)
+    for x, y, heard in ((1.0, 90.0, [1]), (80.0, 1.0, [2])):
+        places = np.array([[0.0, x, y], [0.0, 0.0, 0.0]]).T  # not contiguous
+        node.sense(places[0], np.array([[50.0], [50.0]]).T, places)
+        assert [list(node._network.topology.hearers(0)) for _ in range(2)] == [heard] * 2
 
 
 def test_a_robot_that_should_sense_its_teammates_is_asked_for_them():
