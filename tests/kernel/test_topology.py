@@ -376,7 +376,7 @@ def test_pair_uniforms_are_the_same_with_and_without_caching():
     with patch("desim.kernel.topology.range_check.ROOM", 100):
         scarce = Topology(nx.complete_graph(40), 10.0, lambda: at, LogDistance(), seed=2)
         assert [scarce.hearers(node) for node in range(40)] == [kept.hearers(node) for node in range(40)]
-        assert len(scarce._received._drawn) == 2
+        assert len(scarce._range_check._drawn) == 2
 
 
 @pytest.mark.parametrize(

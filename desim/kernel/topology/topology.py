@@ -23,17 +23,18 @@ from desim.kernel.topology.spatial_hash import CellList
 from desim.kernel.walls.wall import Wall
 
 FEW = 4
-"""Number of receivers up to which each is asked for by itself, because operations on arrays take longer."""
+"""Number of receivers up to which their distances are computed one by one: operations on arrays take longer."""
 SMALL_NETWORK = 400
-"""Number of nodes up to which computing all distances is faster than a cell list."""
+"""Number of nodes up to which computing all distances is faster than a cell list, and receivers are kept."""
 
 
 class Topology:
     """The neighbourhoods of nodes 0 .. n - 1.
 
-    The static graph is read once. With a range, distances are computed at every query, so the neighbourhoods follow the
-    positions. In a large complete graph, if reception has a maximum distance, a query uses a cell list and computes
-    only the distances of nearby nodes.
+    The static graph is read once. With a range, the neighbourhoods follow the positions: a query computes the
+    distances, unless the receivers of the last search certainly still hold (`KeptReceivers`). In a large complete
+    graph, if reception has a maximum distance, a query uses a cell list and computes only the distances of nearby
+    nodes.
 
     Kept equal to a search among all nodes by
     `tests/kernel/test_topology.py::test_queries_with_many_nodes_equal_those_with_few`.
@@ -52,11 +53,14 @@ class Topology:
         walls: walls; those that block radio shorten the range of the lines that cross them.
 
     Attributes:
+        size: number of nodes.
+        channel: see above.
+        per_link: see above.
         walls: the walls that block radio; None if there are none.
 
     Raises:
-        ValueError: if the nodes are not 0 .. n - 1, a node has a self-loop, or the range is finite, or a wall blocks
-            radio, without positions.
+        ValueError: if the nodes are not 0 .. n - 1, a node has a self-loop, or, without positions, the range is
+            finite or a wall blocks radio.
     """
 
     def __init__(
@@ -84,7 +88,7 @@ class Topology:
         self._range, self._now = range, now
         self.channel, self.per_link = channel, per_link
         self.walls: RadioWalls | None = None
-        self._received = RangeCheck(reception, range, per_link, seed, size)
+        self._range_check = RangeCheck(reception, range, per_link, seed, size)
         has_walls = any("radio" in wall.blocks for wall in walls)
         if has_walls and positions is None:
             raise ValueError("walls that block radio need positions")
@@ -92,17 +96,20 @@ class Topology:
             as_position_source(positions) if positions is not None and (range < inf or has_walls) else None
         )
         if has_walls and self._positions is not None:
-            self._received = WalledRangeCheck(reception, range, per_link, seed, size)
-            self.walls, self._bound = RadioWalls(walls, size, self._received.exponent), self._received.bound
+            self._range_check = WalledRangeCheck(reception, range, per_link, seed, size)
+            self.walls, self._bound = RadioWalls(walls, size, self._range_check.exponent), self._range_check.bound
         self._few = 1
-        """Number of receivers up to which `reaches` asks for each by itself: 1 if each asks for positions anew."""
+        """Number of receivers that `reaches` may take one by one: `FEW` if the source has a fast `distance`, else 1."""
         self._kept: KeptReceivers | None = None
-        """The receivers of the last searches; None: they may change at any time, or there are too many nodes."""
+        """The receivers of the last searches.
+
+        None: links have no certain border, nothing bounds the time until a node crosses one, or nodes are too many.
+        """
         if self._positions is not None:
             if type(self._positions).distance is not PositionSource.distance:
                 self._few = FEW
-            self._candidates = _candidates(self._lists, size, self._positions, self._received.bound, now)
-            have_borders = self._received.has_border and channel is None and self.walls is None
+            self._candidates = _candidate_finder(self._lists, size, self._positions, self._range_check.bound, now)
+            have_borders = self._range_check.has_border and channel is None and self.walls is None
             if have_borders and size <= SMALL_NETWORK and now is not None and self._positions.max_speed < inf:
                 self._kept = KeptReceivers(size, self._positions.max_speed, now)
 
@@ -123,7 +130,7 @@ class Topology:
         return nodes != src if self._complete else np.isin(nodes, self._lists[src])
 
     def hearers(self, node: int, message: int = 0) -> list[int]:
-        """Return the nodes that a message of `node` reaches now, ascending.
+        """Return the nodes that a message of `node` reaches now, ascending; read-only.
 
         With fading per message, each message has its own draws; `message` is the number of the message.
 
@@ -158,14 +165,17 @@ class Topology:
         if source is None or not len(dst):
             return [True] * len(dst)
         if isinstance(src, int) and times is None:
+            # In a complete graph, the receivers of the last search are all other nodes in range.
             if self._kept is not None and self._complete:
-                if len(dst) > self._few:
+                if len(dst) > self._few:  # enough receivers that a search pays
                     return list(map({src, *self._within_border(src, self._kept)}.__contains__, dst))
-                if (kept := self._kept.of(src)) is not None:
+                if (kept := self._kept.of(src)) is not None:  # few receivers: only if no search is needed
                     return list(map(kept.__contains__, dst))
+            # Few receivers: one by one.
             if self.channel is None and self.walls is None and len(dst) <= self._few and isinstance(message, int):
-                one, distance = self._received.one, source.distance
+                one, distance = self._range_check.one, source.distance
                 return [one(src, node, distance(src, node), message) for node in map(int, dst)]
+        # The plain way, for all receivers at once.
         places = source.of if times is None else partial(source.at, times=times)
         receivers = np.asarray(dst)
         if isinstance(src, int):
@@ -178,16 +188,16 @@ class Topology:
         if self.walls is not None:
             apart = self.walls.stretched(src, receivers, starts, ends, apart, self._bound)
         if self.channel is None:
-            received: list[bool] = self._received(src, receivers, apart, message).tolist()
+            received: list[bool] = self._range_check(src, receivers, apart, message).tolist()
         else:
             pairs = Ends(src, receivers, starts[0] if isinstance(src, int) else starts, ends, self._seconds(times))
-            received = self._received.through(self.channel.between(pairs), apart).tolist()
+            received = self._range_check.through(self.channel.between(pairs), apart).tolist()
         return received
 
     def steady_receivers(self, node: int) -> tuple[set[int], float]:
         """Return the nodes that receive from a node now, and the time, ns, before which they certainly stay the same.
 
-        The time is 0 if nothing is known; the search for receivers is not repeated for it each time.
+        An empty set and 0: nothing is known. A search is made only if it is worthwhile (`KeptReceivers.is_worthwhile`).
         """
         kept = self._kept
         if kept is None:
@@ -200,7 +210,7 @@ class Topology:
         return set(receivers), kept.until(node) * SECOND
 
     def _seconds(self, times: int | Integers | None = None) -> float | Floats:
-        """Return the times, s, of some times in ns; those of the present if None."""
+        """Return times in s, given in ns; None: now."""
         if times is None:
             return self._now() if self._now is not None else 0.0
         return np.asarray(times) / SECOND
@@ -296,7 +306,7 @@ class Topology:
         """Search for the nodes that receive from a node now, and keep them."""
         candidates = self._candidates(node)
         index, _, apart = self._distances(node, candidates)
-        beyond = apart - self._received.border(node, candidates)
+        beyond = apart - self._range_check.border(node, candidates)
         beyond[index] = inf
         receivers: list[int] = candidates[beyond <= 0.0].tolist()
         kept.keep(node, receivers, np.abs(beyond).min().item())
@@ -309,10 +319,10 @@ class Topology:
         if self.walls is not None:
             apart = self.walls.stretched(node, candidates, places[index : index + 1], places, apart, self._bound)
         if self.channel is None or message is None:
-            received = self._received(node, candidates, apart, message)
+            received = self._range_check(node, candidates, apart, message)
         else:
             state = self.channel.between(Ends(node, candidates, places[index], places, self._seconds()))
-            received = self._received.through(state, apart)
+            received = self._range_check.through(state, apart)
         received[index] = False
         return candidates[received]
 
@@ -357,14 +367,14 @@ def _check(graph: "nx.Graph[int]") -> None:
         raise ValueError(f"no node should be linked to itself, got {loops}")
 
 
-def _candidates(
+def _candidate_finder(
     lists: "list[list[int]] | _AllOthers",
     size: int,
     positions: PositionSource,
     bound: float,
     now: Callable[[], float] | None,
 ) -> Callable[[int], Nodes]:
-    """Return a function that returns the nodes that may receive from a node now, and itself, ascending.
+    """Return a function from a node to the nodes that may receive from it now, and the node itself, ascending.
 
     Args:
         lists: by node, the nodes that the graph links it to.
