@@ -58,9 +58,9 @@ from desim.simulation.world import initial_state, make_steering, possible_action
 from protocols.dissemination import PORT as ANNOUNCEMENTS
 
 MAX_UNREAD = 256
-"""Number of datagrams that wait to be read at most."""
+"""Largest number of datagrams that wait, during the run, until the clock goes on."""
 DRAIN = 0.02
-"""Time for which a node reads its socket after the end, so that the fates of what was on the way are known, s."""
+"""Time, s, for which a node reads its socket after the end, so that the fates of the last messages are known."""
 
 
 class Node:
@@ -116,7 +116,10 @@ class Node:
         self._mirror, self._steering = Mirror(state, pursuer), make_steering(scenario, state)
         self.trace = Trace()
         self._unread: list[tuple[bytes, int | None, int | None]] = []
-        """Datagrams with their senders, and when they arrived, ns; None: before the start."""
+        """Datagrams, the pursuers that sent them, and when they arrived, ns.
+
+        The sender is None if its address is that of no pursuer, and the time is None before the start.
+        """
         self._datagrams: Datagrams | None = None
         self._mailbox: Mailbox | None = None
         self._peers: list[Address] = []
@@ -130,30 +133,35 @@ class Node:
         Instant(env, self._horizon, Phase.SAMPLE + 1).callbacks.append(lambda _: self.stop())
 
     def _make_agent(self, *, draws: bool) -> Agent:
-        """Create the network and the agent of the pursuer, as `desim.simulation.run` does, and start its processes."""
+        """Create the network and the agent of the pursuer, as `desim.simulation.run` does, and start its processes.
+
+        This also sets the link layer, the network, the positions and the view.
+        """
         scenario, state, env, seed, me = self._scenario, self._state, self._env, self._seed, self.pursuer
 
         def link_layer(net: NetworkState, links: Links, sampler: LinkSampler, *rest: Any) -> SocketLinkLayer:
-            own = sampler.renamed(f"live {me} ")
-            self.link = SocketLinkLayer(net, links, own, *rest, node=me, wire=self._wire, post=self._post, draws=draws)
+            sampler = sampler.renamed(f"live {me} ")
+            wire, post = self._wire, self._post
+            self.link = SocketLinkLayer(net, links, sampler, *rest, node=me, wire=wire, post=post, draws=draws)
             return self.link
 
         self._positions = _ToldPositions(state, me)
         built = make_network(env, scenario, state, seed, self.trace, link_layer, positions=self._positions)
-        network, clocks, faults = self._network, _, _ = built
+        network, clocks, faults = built
+        self._network = network
         announced: Any = DisseminationTraits.of(scenario.announce.dissemination).transport
         network.listen({} if announced is None else {ANNOUNCEMENTS: announced})
         self.link.trusts_stamps = not is_skewed(scenario.network_faults)
         if isinstance(sync := scenario.clocks.sync, TwoWay):
             synchroniser = Synchroniser(env, network, clocks, sync, seed, self.trace, nodes=[me])
-            synchroniser.answered = self._wire.answered
+            synchroniser.answered = self._wire.answered  # t3 travels in the answer
         self._view = View(state, scenario.prune)
         global_state = GlobalState(state, scenario.prune, self._set_action)
         agents, judges = make_agents(env, scenario, seed, built, [self._view] * state.size, global_state, self.trace)
-        team = TeamProcesses(env, scenario, _Body(self), {me: agents[me]}, judges, None, None)
+        team = TeamProcesses(env, scenario, _CrashingRobot(self), {me: agents[me]}, judges, None, None)
         inject(faults, env, network, crashed=team.crashed, recovered=team.recovered)
         team.begin()
-        # Computed, and imported, at the first use, which would be a late one.
+        # Use them once now: the first use imports and computes, and would be late during the run.
         _, _ = agents[me].latency, agents[me].mean_degree
         as_sent(agents[me].announcement())
         return agents[me]
@@ -167,7 +175,7 @@ class Node:
         if self._on_action is not None:
             self._on_action(action)
 
-    # Sockets.
+    # The sockets and the run.
 
     @asynccontextmanager
     async def open(
@@ -179,10 +187,10 @@ class Node:
             address: its own host and port; port 0: a free one.
             peers: (N,) the addresses of all pursuers, in order; this one's own is not used.
             now: returns the time since the start of the run, ns, which all nodes should have in common; None: this node
-                starts now. See "clocks" in the documentation.
+                starts now. See docs/howto/live.md, "Clocks".
 
         Raises:
-            ValueError: if an address is none, or `now` returns no integer; see also `connect`.
+            ValueError: if an address is not a host and a port, or `now` does not return an integer; see also `connect`.
             OSError: if the address cannot be used.
             RuntimeError: if it has been opened before.
             BaseException: what the protocol raises.
@@ -207,10 +215,10 @@ class Node:
         return self._datagrams.address
 
     def bind_mailbox(self, bound: socket.socket) -> Address | None:
-        """Take records at another socket, which wakes no process; return its address.
+        """Take records at another socket, which does not wake the event loop; return its address.
 
-        Return None, and close the socket, if a record may have to wake a process, or the system does not tell when a
-        datagram arrived.
+        Return None, and close the socket, if a process of the clock may have to see a record at once, or the system
+        does not tell when a datagram arrived.
         """
         if self.link.delivery.is_certain:
             with suppress(OSError):
@@ -227,7 +235,7 @@ class Node:
             mailboxes: where they take records; None, or nothing: at the same sockets.
 
         Raises:
-            ValueError: if they are no pairs of a host and a port, or there are more or fewer of them than pursuers.
+            ValueError: if an address is not a host and a port, or there are more or fewer addresses than pursuers.
             OSError: if a host is not known.
         """
         addresses = [checked_address(peer) for peer in peers]
@@ -259,10 +267,10 @@ class Node:
                     bound.close()
 
     def stop(self, at: int | None = None) -> None:
-        """End the run of this node.
+        """End the run of this node, now or at a time.
 
         Args:
-            at: the time of its last events, ns, also if it is late and has yet to perform them; None: it performs none.
+            at: end after all events up to this time, ns, also those that are overdue; None: end at once.
         """
         if at is not None:
             at = whole(at, "the time of the end, ns,")
@@ -278,7 +286,7 @@ class Node:
         return self._over.triggered
 
     def _post(self, datagram: bytes, nodes: Iterable[int]) -> None:
-        """Send a datagram to some nodes, as far as their addresses are known."""
+        """Send a datagram to some nodes; before `bind` and `connect` it is dropped."""
         if self._datagrams is not None and self._peers:
             addresses = self._mailboxes if is_record(datagram) else self._peers
             self._datagrams.send(datagram, [addresses[node] for node in nodes])
@@ -286,8 +294,8 @@ class Node:
     def arrived(self, datagram: bytes, address: Address) -> None:
         """Take a datagram from the socket.
 
-        A record that certainly arrives wakes no process. It is read when the clock goes on, together with others, which
-        takes a quarter of the time.
+        If nothing is left to decide about a record when it arrives (`is_certain`), it does not wake the clock. It is
+        read with later ones when the clock goes on: a quarter of the cost of one at a time.
         """
         clock = self.clock
         self._unread.append((datagram, self._number_of.get(address), None if clock is None else clock.now()))
@@ -306,7 +314,7 @@ class Node:
             for datagram, address, age in self._mailbox.read():
                 self.link.receive(datagram, self._number_of.get(address), max(now - age, begin))
 
-    # What the robot tells, and what it is told.
+    # The robot: positions in, actions and velocities out.
 
     @property
     def action(self) -> int:
@@ -315,7 +323,7 @@ class Node:
 
     @property
     def now(self) -> float:
-        """The time of the last event, s since the start of the run; an event is also what the robot tells."""
+        """The time of the last event, s since the start of the run. A call of `sense`, say, is an event, too."""
         return seconds(self._env.now)
 
     def show(self, frame: WorldFrame) -> None:
@@ -325,8 +333,8 @@ class Node:
     def sense(self, position: Any, evaders: Any, teammates: Any = None, velocities: Any = None) -> None:
         """Tell the node where the pursuer and the evaders are now.
 
-        Between two calls, evaders go on at their velocities, and pursuers stand. Before the first, which may come
-        before `open`, all are where a simulation begins.
+        Between two calls, evaders go on at their velocities, and pursuers stand. Before the first call, which
+        may come before `open`, all are where a simulation begins.
 
         Args:
             position: [x, y] of the pursuer, m.
@@ -388,8 +396,8 @@ class Node:
     def velocity(self) -> list[float]:
         """Return the velocity that the pursuer should command now, [vx, vy], m/s.
 
-        It is that of the guidance of the scenario, along the shortest path among walls, and relative to the flow. A
-        robot that asks for it less often than each `motion.step` may pass the corner of a wall.
+        It is that of the guidance of the scenario, along the shortest path among walls, and relative to the flow. Ask
+        at least once per `motion.step`: otherwise the robot may run past the corner of a wall.
         """
         self._meet()
         state, action = self._state, self.action
@@ -406,6 +414,8 @@ class Node:
         else:
             self.clock.meet(act)
 
+    # Counts of the run so far.
+
     def lateness(self) -> Lateness:
         """Return how late the timers of the node have been so far."""
         return Lateness.of([] if self.clock is None else self.clock.lateness)
@@ -416,8 +426,11 @@ class Node:
         return counts if counts is not None and counts.submitted + counts.delivered else None
 
 
-class _Body:
-    """The robot of a node, as scheduled crashes take it down; the referee does so with the true one."""
+class _CrashingRobot:
+    """The robot that scheduled crashes take down and up again in the node's own state of the world.
+
+    `TeamProcesses` gets it in place of the world. The referee takes down the true robot.
+    """
 
     def __init__(self, node: Node):
         self._node = node
@@ -477,7 +490,7 @@ class _ToldPositions(PursuerPositions):
 
 
 def _check_time(now: Any) -> None:
-    """Raise ValueError if a function that returns the time is none, or returns another one: seconds, for example."""
+    """Raise ValueError if `now` is not a function without arguments, or does not return ns as an integer."""
     if now is not None:
         check_argument(now, (), "now")
         whole(now(), "what now returns, the time since the start of the run in ns,")

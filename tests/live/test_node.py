@@ -22,7 +22,7 @@ from desim.kernel.transport.frames import Segment
 from desim.kernel.transport.layer import PORT as FRAMES
 from desim.live import Node, NotLiveError, compare, sockets
 from desim.live.frames import _segment_of, frame_of, hex_digits, segment_list
-from desim.live.node import _Body
+from desim.live.node import _CrashingRobot
 from desim.live.own_bodies import OwnBodies
 from desim.live.pursuer import _Pursuer
 from desim.live.refusals import reasons
@@ -257,7 +257,7 @@ def test_a_pursuer_leaves_as_its_last_report_has_been_read():
 
 def test_a_crash_of_a_robot_is_that_of_its_own_node():
     node = Node(scenario(), 1, 5)
-    robot = _Body(node)
+    robot = _CrashingRobot(node)
     node._mirror.set_action(1)
     robot.crash(0)
     assert not node._state.broken.any()
