@@ -31,7 +31,7 @@ class CaseRun(NamedTuple):
     seen: list[str]
     """What was seen in it; see `SIGHTINGS`."""
     seconds: float = 0.0
-    """The wall time that it took, s."""
+    """Its share of the wall time of the runs that were made together with it, s."""
     failure: str = ""
     """The exception that it raised, as text; the judgement is then `FAILED`."""
 

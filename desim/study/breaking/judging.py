@@ -1,4 +1,4 @@
-"""Runs judged by a property: by several workers, and those of a log without a run."""
+"""Judge the runs of cases by a property: workers make the runs, except those whose judgement is in a log."""
 
 import time
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ class Planned(NamedTuple):
 
 
 class CaseJudge:
-    """Judges runs by a property; those in a log are not made again, and it receives those that are made.
+    """Judges runs by a property. Runs that a log has are not made again; the log receives the others.
 
     Args:
         prop: the property.
@@ -51,15 +51,15 @@ class CaseJudge:
 
     def judge_all(self, cases: Sequence[Planned]) -> list[CaseRun]:
         """Judge the run of each case, in order. A run that raises an exception, or is too long, has failed."""
-        told: dict[int, CaseRun] = {}
+        known: dict[int, CaseRun] = {}
         if self._log is not None:
             logged = ((k, self._log.find(planned.scenario, planned.seed)) for k, planned in enumerate(cases))
-            told = {k: case_run for k, case_run in logged if case_run is not None}
-        missing = [k for k in range(len(cases)) if k not in told]
+            known = {k: case_run for k, case_run in logged if case_run is not None}
+        missing = [k for k in range(len(cases)) if k not in known]
         if missing:
-            told |= dict(zip(missing, self._run_all([cases[k] for k in missing]), strict=True))
-        self.seconds += portable_sum(case_run.seconds for case_run in told.values())
-        return [told[k] for k in range(len(cases))]
+            known |= dict(zip(missing, self._run_all([cases[k] for k in missing]), strict=True))
+        self.seconds += portable_sum(case_run.seconds for case_run in known.values())
+        return [known[k] for k in range(len(cases))]
 
     def _run_all(self, cases: Sequence[Planned]) -> list[CaseRun]:
         """Make the run of each case, and append it to the log."""
@@ -91,7 +91,7 @@ def failure_of(outcome: Outcome, timeout: float | None) -> str:
         timeout: the longest wall time of a run, s; None: no limit.
 
     Raises:
-        BaseException: if it was ended from outside, or its property cannot be judged.
+        BaseException: if the run was ended from outside, or its property cannot be judged.
     """
     if outcome.status == "ok":
         return ""
@@ -111,10 +111,12 @@ def _case_run(prop: Property, result: Result) -> CaseRun:
 
 
 def judged(prop: Property, result: Result) -> Judgement:
-    """Return the judgement of a run that has ended; no exception from here on is one of its protocol.
+    """Return the judgement of a run.
+
+    The run has ended, so an exception is not its protocol's: it is raised as a JudgementError.
 
     Raises:
-        JudgementError: if a function of a user raises one, or the run of the reference does.
+        JudgementError: if a function of a user raises an exception, or the run of the reference does.
     """
     try:
         return judge(prop, result)
