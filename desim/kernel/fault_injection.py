@@ -19,6 +19,7 @@ from desim.kernel.models.traits import FaultTraits
 from desim.kernel.network import Network
 
 Hook = Callable[[Crash], object]
+"""Is called with a crash when it starts, or when it ends."""
 Targets = Callable[[], Sequence[int]]
 """Returns the nodes that matter most now; see `FaultSite.targets`."""
 
@@ -31,7 +32,7 @@ def inject(
     *,
     crashed: Hook = lambda _: None,
     recovered: Hook = lambda _: None,
-    targets: Targets = tuple,
+    targets: Targets = lambda: (),
 ) -> None:
     """Schedule faults for a network that was created with a `FaultState`.
 
@@ -59,14 +60,15 @@ def inject(
     def begin(site: _Site, _: simpy.Event) -> None:
         site.record(FaultStarted)
         with network.fault_state.planned_change():
-            end = site.apply()
+            undo = site.apply()
+            # The end is scheduled only now, because `undo` does not exist earlier.
             if site.fault.end <= MAX_TIME:  # no run lasts longer than `MAX_TIME`
-                schedule(site.fault.end, partial(finish, site, end))
+                schedule(site.fault.end, partial(finish, site, undo))
 
-    def finish(site: _Site, end: Undo, _: simpy.Event) -> None:
+    def finish(site: _Site, undo: Undo, _: simpy.Event) -> None:
         site.record(FaultEnded)
         with network.fault_state.planned_change():
-            end()
+            undo()
 
     def schedule(time: float, change: Callable[[simpy.Event], None]) -> None:
         when = nanoseconds(time)
@@ -81,8 +83,15 @@ class _Site:
     """What a fault can do to a network; see `desim.kernel.models.faults.FaultSite`.
 
     Args:
+        env: the clock of the simulation.
+        network: the network on which it acts.
+        trace: receives the events of the fault; None: nobody does.
         fault: the fault.
-        whole: the own cause of the fault of which it is a part; None: it is none, or that one has no own cause.
+        crashed: called with each crash when it starts.
+        recovered: called with each crash when it ends.
+        targets: returns the nodes that matter most now.
+        inherited_cause: the stated cause of the fault that began this one as its part; None: no fault did, or its
+            cause is not stated.
     """
 
     def __init__(
@@ -94,13 +103,13 @@ class _Site:
         crashed: Hook,
         recovered: Hook,
         targets: Targets,
-        whole: Cause | None = None,
+        inherited_cause: Cause | None = None,
     ):
         self.fault, self.targets = fault, targets
         self._env, self._network, self._trace = env, network, trace
         self._crashed, self._recovered = crashed, recovered
-        self._own_cause = FaultTraits.of(fault).cause or whole
-        self._record, self._cause = traced(fault), self._own_cause or cause_of(fault)
+        self._stated_cause = FaultTraits.of(fault).cause or inherited_cause
+        self._record, self._cause = traced(fault), self._stated_cause or cause_of(fault)
 
     @property
     def size(self) -> int:
@@ -113,20 +122,20 @@ class _Site:
 
     def apply(self) -> Undo:
         """Let the fault begin; return the function that ends it."""
-        undo: Any = self.fault.begin(self)
-        if not callable(undo):
+        answer: Any = self.fault.begin(self)
+        if not callable(answer):
             expected = "a function without arguments that ends the fault"
-            raise wrong_answer(f"begin(site) of a fault should return {expected}", undo, self.fault)
-        check_call(undo, (), undo)
-        check_at_once(undo, "the function that ends a fault ")
-        end: Undo = undo
-        return end
+            raise wrong_answer(f"begin(site) of a fault should return {expected}", answer, self.fault)
+        check_call(answer, (), answer)
+        check_at_once(answer, "the function that ends a fault ")  # it is not a generator
+        undo: Undo = answer
+        return undo
 
     def begin(self, fault: Fault) -> Undo:
         if not isinstance(fault, Fault):
             raise ValueError(f"begin(fault) should be given a fault, such as Crash(start=1.0, node=0) (got {fault!r})")
         hooks = self._crashed, self._recovered, self.targets
-        part = _Site(self._env, self._network, self._trace, fault, *hooks, self._own_cause)
+        part = _Site(self._env, self._network, self._trace, fault, *hooks, self._stated_cause)
         part.record(FaultStarted)
         undo = part.apply()
 
@@ -154,9 +163,9 @@ class _Site:
         except TypeError:
             example = "[[0, 1], [2, 3]] for instance"
             raise ValueError(f"partition(groups) should be given lists of nodes, {example} (got {groups!r})") from None
-        state, part = self._network.fault_state, Partition(start=0.0, groups=parts)
-        _require_nodes(part.named()["groups"], self.size, "partition: ")
-        return partial(state.rejoin, state.partition(part.groups, self._cause))
+        state, partition = self._network.fault_state, Partition(start=0.0, groups=parts)  # checks the arguments
+        _require_nodes(partition.named()["groups"], self.size, "partition: ")
+        return partial(state.rejoin, state.partition(partition.groups, self._cause))
 
     def block(self, is_blocked: Callable[[int, int], bool]) -> Undo:
         state = self._network.fault_state
@@ -174,6 +183,7 @@ class _Site:
         return partial(state.release, state.intercept(delays, self._cause))
 
     def jam(self, centre: tuple[float, float], radius: float) -> Undo:
+        # Creating a fault checks the arguments.
         state, jamming = self._network.fault_state, Jamming(start=0.0, centre=centre, radius=radius)
         return partial(state.clear, state.jam((jamming.centre, jamming.radius), self._cause))
 
