@@ -33,26 +33,28 @@ def env(
     observes what its agent knows, and nothing else.
 
     Args:
-        scenario: the experiment, or the path of its file; None = that of Lee & Bakolas. Its protocol has to be a rule;
-            its schedule counts, and its choices do not.
+        scenario: the experiment, or the path of its file; None = that of Lee & Bakolas. Its protocol has to be a rule,
+            of which only the schedule is used: the caller makes the choices.
         seed: the seed of the first episode, as in `desim run -s`; None = a random one. Later ones have the seeds of
             runs 1, 2, ... of this root seed, unless `reset` gets another.
-        reward: the marginal contribution of the pursuer to the utility of the team (wonderful_life), the utility of the
-            team (team), both as mean over the horizon, s; or a function of a step
+        reward: "wonderful_life": the marginal contribution of the pursuer to the utility of the team, as mean over the
+            horizon, s; "team": the utility of the team, as mean over the horizon, s; or a function of a step
             (`desim.learning.rewards.Step`) that returns a number for all or one for each pursuer.
         observation: a vector of numbers, whose names are `observation_names`, with the mask of the actions in the info;
             or a dict of both ("observation" and "action_mask").
         omniscient: whether pursuers observe the true positions and actions of all players; for comparison only.
         max_cycles: the greatest number of turns of a pursuer; then it keeps its action, and the episode is truncated
             when no pursuer has a turn left. None = no limit.
-        agents_leave: whether a pursuer leaves the episode at the first turn of anybody at which its robot is down;
-            otherwise all live to its end, and the mask of one that is down allows 0 only.
+        agents_leave: whether a pursuer whose robot is down leaves the episode, at the next turn of any pursuer;
+            otherwise it stays until the end of the episode, and while its robot is down its mask allows 0 only.
         render_mode: what `render` returns: a picture of the present as an array, or the replay page as HTML.
 
     Raises:
         ModuleNotFoundError: if PettingZoo or greenlet is not installed; the message names the extra.
-        TypeError: if it is neither a scenario nor a path, or its protocol has no turns of pursuers.
+        TypeError: if `scenario` is neither a scenario nor a path, or its protocol has no turns of pursuers.
         ValueError: if an option is not valid.
+        ScenarioError: if the file of the scenario is not valid.
+        OSError: if it cannot be read.
     """
     from desim.learning.environments import AECPursuit
 
@@ -83,9 +85,9 @@ def parallel_env(
 ) -> "ParallelPursuit":
     """Return an environment of PettingZoo in which all pursuers decide at once, in rounds.
 
-    Use it for libraries that expect the parallel interface. The schedule of the scenario becomes `rounds`, in which
-    every pursuer takes part, unless it is `rounds` already (its period counts) or another one at whose turns all decide
-    at once. Pursuers whose clocks are wrong decide at other instants, in steps of their own.
+    Use it for libraries that expect the parallel interface. If the schedule of the scenario is `rounds`, its period
+    counts, and every pursuer takes part in each round. A schedule at whose turns all pursuers decide anyway is kept.
+    Any other becomes `rounds`. Pursuers whose clocks are wrong decide at other instants, in steps of their own.
 
     Args:
         scenario: as in `env`, and so are the other arguments.
@@ -94,13 +96,15 @@ def parallel_env(
         observation: the form of observations.
         omniscient: whether pursuers observe the true state.
         max_cycles: the greatest number of steps; the episode is truncated then. None = no limit.
-        agents_leave: whether a pursuer leaves at the first step at whose end its robot is down.
+        agents_leave: whether a pursuer whose robot is down at the end of a step leaves the episode then.
         render_mode: what `render` returns.
 
     Raises:
         ModuleNotFoundError: if PettingZoo or greenlet is not installed; the message names the extra.
-        TypeError: if it is neither a scenario nor a path, or its protocol has no turns of pursuers.
+        TypeError: if `scenario` is neither a scenario nor a path, or its protocol has no turns of pursuers.
         ValueError: if an option is not valid.
+        ScenarioError: if the file of the scenario is not valid.
+        OSError: if it cannot be read.
     """
     from desim.learning.environments import ParallelPursuit
 
@@ -117,7 +121,7 @@ def parallel_env(
 
 
 def _scenario(scenario: Any, function: str) -> Scenario:
-    """Return a scenario, given it or the path of its file; None: that of the paper."""
+    """Return a scenario, given it or the path of its file; None: that of Lee & Bakolas."""
     if scenario is None:
         return Scenario()
     if isinstance(scenario, str | PathLike):
