@@ -8,7 +8,7 @@ import click
 from desim.cli.options import MIX_VERSIONS
 from desim.cli.output import echo, fail, storing
 from desim.cli.result_files import record_command
-from desim.config.file_names import STORE, TRACE
+from desim.config.file_names import STORE, STORES, TRACE
 
 
 @click.command()
@@ -21,9 +21,11 @@ def merge(stores: tuple[Path, ...], out: Path, mix_versions: bool) -> None:
 
     with storing(out), ExitStack() as opened:
         parts = [opened.enter_context(Store(path, read_only=True)) for path in store_files(stores)]
+        # `Store.merge` checks this, too; here it is checked before the first store is merged, so that `out` is not
+        # touched if a later one does not belong to the same sweep.
         for part in parts:
             parts[0].check_same(part.about)
-            parts[0].check_versions(part.versions, f"{part.path} has those of", mix=mix_versions)
+            parts[0].check_versions(part.versions, subject=f"{part.path} has those of", mix=mix_versions)
         store = opened.enter_context(Store(out / STORE))
         for part in parts:
             store.merge(part, mix_versions=mix_versions)
@@ -35,7 +37,7 @@ def merge(stores: tuple[Path, ...], out: Path, mix_versions: bool) -> None:
 
 
 def store_files(stores: tuple[Path, ...]) -> list[Path]:
-    """Return the files of stores; a folder stands for all stores in it, shards included."""
+    """Return the files of stores; a folder stands for all stores in it, of a sweep or of its shards."""
     return [file for source in stores for file in (_stores_in(source) if source.is_dir() else [source])]
 
 
@@ -43,7 +45,7 @@ def _stores_in(folder: Path) -> list[Path]:
     """Return the files of the stores in a folder; end the program if it has none."""
     from desim.study.sweeps.folder import contents
 
-    stores = sorted(folder.glob("sweep*.sqlite"))
+    stores = sorted(folder.glob(STORES))
     if not stores:
         has_run = (folder / TRACE).exists()
         fail(f"{folder}: {'is the folder of a run, not of a sweep' if has_run else contents(folder)}")

@@ -10,6 +10,8 @@ STORE = "sweep.sqlite"
 """The runs of a sweep."""
 STORE_PARTS = "sweep.*-of-*.sqlite"
 """Matches the stores of the shards of a sweep."""
+STORES = "sweep*.sqlite"
+"""Matches the stores in a folder: that of a sweep and those of its shards."""
 PICTURE_SUFFIXES = (".svg", ".png", ".pdf")
 """Suffixes of diagrams; by default, files with the first two are written."""
 LIVE = "live.json"

@@ -7,7 +7,7 @@ from typing import Any
 
 from desim.analysis.tables import aligned, counted
 from desim.config.arguments import RESULTS, naming_arguments
-from desim.config.file_names import STORE, STORE_PARTS
+from desim.config.file_names import STORE, STORE_PARTS, STORES
 from desim.results import provenance
 from desim.study.store.store import Store
 from desim.study.sweeps.array_job import ArrayJob, states
@@ -144,7 +144,7 @@ def _stores(folder: Path, job: ArrayJob | None) -> Iterator[tuple[str, Path]]:
         for part in range(1, job.parts + 1):
             yield str(part), job.store(folder, part)
     else:
-        for path in sorted([*folder.glob(STORE_PARTS), *folder.glob("*/sweep*.sqlite")]):
+        for path in sorted([*folder.glob(STORE_PARTS), *folder.glob(f"*/{STORES}")]):
             yield str(path.relative_to(folder)), path
     if (folder / STORE).exists():
         yield ("merged" if job is not None else STORE), folder / STORE
