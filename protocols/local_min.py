@@ -6,10 +6,11 @@ Paper: LocalMin: the greedy maximal independent set of the communication graph, 
     capture time; computed in local rounds as in Métivier, Robson, Saheb-Djahromi & Zemmari 2011. ArgminKnown: none, a
     heuristic.
 Parameters: schedule.
-Assumes: symmetric links. Then, under LocalMin, every pursuer that could capture in time is active or has an active
-    neighbour, and no two neighbours chase the same evader. If announcements reach the whole team, over several hops if
-    need be (see `announce.dissemination`), ArgminKnown leaves one pursuer of the team active for each evader, as long
-    as a free pursuer could capture it in time. Otherwise it may leave a pursuer and all its neighbours inactive.
+Assumes: LocalMin, symmetric links: then every pursuer that could capture in time is active or has an active neighbour,
+    and no two neighbours chase the same evader. ArgminKnown, announcements that reach the whole team, over several hops
+    if need be (see `announce.dissemination`): then one pursuer of the team stays active for each evader, as long as a
+    free pursuer could capture it in time. If they do not reach the whole team, ArgminKnown may leave a pursuer and all
+    its neighbours inactive.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats. Both rules settle under any schedule.
 """
@@ -36,14 +37,14 @@ class LocalMin(Rule):
         """Yield the chosen evader, or 0, at each turn."""
         while True:
             near = set(me.counted_teammates("neighbours"))
-            ahead = [evader for evader in me.options()[1:] if self._is_first(me, evader, near)]
-            yield min(ahead, key=me.capture_time, default=0)
+            won = [evader for evader in me.options()[1:] if self._is_first(me, evader, near)]
+            yield min(won, key=me.capture_time, default=0)
 
     def _is_first(self, me: Agent, evader: int, near: set[int]) -> bool:
         """Return whether the pursuer would be in time and comes before all neighbours that chase the evader."""
         claim = me.capture_time(evader), me.id
-        active = [(phi, j) for j, phi in me.believed_chasers(evader).items() if j in near]
-        return claim[0] < me.time_left() and all(claim < other for other in active)
+        rivals = [(phi, j) for j, phi in me.believed_chasers(evader).items() if j in near]
+        return claim[0] < me.time_left() and all(claim < rival for rival in rivals)
 
 
 class ArgminKnown(Rule):
