@@ -4,8 +4,8 @@ Paper: BestResponse: Cournot; Monderer & Shapley 1996, "Potential Games", for th
     BetterReply: better reply with inertia, Young 2004, "Strategic Learning and Its Limits"; Marden, Arslan & Shamma
     2007, "Regret Based Dynamics".
 Parameters: schedule, utility; for BetterReply alpha (probability of changing).
-Assumes: announcements of all teammates. Best response ends in an equilibrium of any potential game if revisions happen
-    one at a time, and in an equilibrium of the game with one evader (`desim.pursuit.game.game`) under any schedule.
+Assumes: announcements of all teammates. Best response ends in an equilibrium: in any potential game if revisions happen
+    one at a time, and in the game with one evader (`desim.pursuit.game.game`) under any schedule.
     Better reply with inertia (alpha < 1) ends in an equilibrium of any potential game under any schedule.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats.
@@ -20,7 +20,7 @@ from desim.pursuit.team.agent import Agent
 from protocols.rule import LearningRule, argmax, current_action
 
 RevisionProbability = Annotated[float, Field(gt=0, le=1, strict=True)]
-"""A probability greater than 0."""
+"""Probability that a pursuer which revises its action changes to a better one, in (0, 1]."""
 
 
 class BestResponse(LearningRule):
@@ -42,7 +42,7 @@ class BetterReply(LearningRule):
     alpha: RevisionProbability = 0.5
     """Probability of changing if there is a better action, in (0, 1]; 1 - alpha is the inertia.
 
-    If all change at once with probability 1, they may swap actions for ever; with a small one they settle slowly.
+    If all change at once with probability 1, they may swap actions for ever; with a small alpha they settle slowly.
 
     If in doubt, use 0.5, or 1 if only one pursuer revises at a time.
     """
@@ -53,5 +53,5 @@ class BetterReply(LearningRule):
             utilities = self.utilities(me)
             current = current_action(me, utilities)
             better = [action for action, value in utilities.items() if value > utilities[current]]
-            revises = me.rng.random() < self.alpha
-            yield better[me.rng.integers(len(better))] if better and revises else current
+            changes = me.rng.random() < self.alpha
+            yield better[me.rng.integers(len(better))] if better and changes else current

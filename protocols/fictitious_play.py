@@ -78,7 +78,7 @@ class JointStrategyFictitiousPlay(LearningRule):
     alpha: RevisionProbability = 0.5
     """Probability of changing to a better action, in (0, 1]; 1 - alpha is the inertia.
 
-    If all change at once with probability 1, they may swap actions for ever; with a small one they settle slowly.
+    If all change at once with probability 1, they may swap actions for ever; with a small alpha they settle slowly.
 
     If in doubt, use 0.5.
     """
@@ -98,7 +98,7 @@ class JointStrategyFictitiousPlay(LearningRule):
             utilities = self.utilities(me)
             for action, utility in utilities.items():
                 average[action] += weight * (utility - average[action])
-            current, revises = current_action(me, utilities), me.rng.random() < self.alpha
+            current, changes = current_action(me, utilities), me.rng.random() < self.alpha
             averages = {action: average[action] for action in utilities}
             better = argmax(averages)
-            yield better if revises and averages[current] < averages[better] else current
+            yield better if changes and averages[current] < averages[better] else current

@@ -61,8 +61,8 @@ class RegretMatching(LearningRule):
                 regret[action] += weight * (utility - utilities[current] - regret[action])
             positive = [max(regret[action], 0.0) for action in utilities]
             total = portable_sum(positive)
-            revises = me.rng.random() < self.alpha
-            if total > 0.0 and revises:
+            changes = me.rng.random() < self.alpha
+            if total > 0.0 and changes:
                 yield list(utilities)[categorical([r / total for r in positive], me.rng)]
             else:
                 yield current
