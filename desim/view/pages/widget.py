@@ -27,7 +27,7 @@ export default {
     };
     model.on("msg:custom", hear);
     const ask = (what, body, signal, show) => new Promise((done, fail) => {
-      const number = `${Math.random()}`;  // another view of the widget hears the same answers
+      const number = `${Math.random()}`;  // random: a second view hears these answers, too; a counter would collide
       asked.set(number, { done, fail, show });
       signal?.addEventListener("abort", () => {
         if (!asked.delete(number)) return;
@@ -48,7 +48,9 @@ export default {
   },
 };
 """
-"""The script that connects the page to the notebook's kernel. A request and its answers have the same number.
+"""The script that connects the page to the Python process of the notebook.
+
+A request and its answers have the same `number`, a random text.
 
 The frame of the replay is not sandboxed, because the page reads and sets the time of the replay. All text in the replay
 is escaped.
@@ -82,18 +84,18 @@ class PlayWidget(anywidget.AnyWidget):
         else:
             self.send({"number": request["number"], "error": "the request is malformed"})
 
-    def _answer(self, number: str, kind: str, body: Answer) -> None:
+    def _answer(self, number: str, what: str, body: dict[str, Any]) -> None:
         session, last = self._session, Answer()
-        if kind == "run":
+        if what == "run":
             last = session.run(body["now"], body["pinned"], body["page"])
-        elif kind == "save":
+        elif what == "save":
             last = session.save(body["now"])
-        elif kind == "cancel":
+        elif what == "cancel":
             session.cancel(body["page"])
-        elif kind == "seeds":
+        elif what == "seeds":
             try:
                 for answer in session.compare(body["now"], body["pinned"], body["count"], body["page"]):
                     self.send({"number": number, "answer": answer, "isLast": False})
-            except Exception as error:
+            except Exception as error:  # an answer that the page shows as the title of the table
                 self.send({"number": number, "answer": {"error": f"{type(error).__name__}: {error}"}, "isLast": False})
         self.send({"number": number, "answer": last, "isLast": True})
