@@ -761,6 +761,8 @@ ELSEWHERE = {
     "LinkTrace.span": "warns of a table that ends",
     "Edges.notes": "warns",
     "Radio.interval": "estimates; see below",
+    "Radio.occupancy": "warns of the load of a channel",
+    "LatencyMatrix.name": "errors",
     "LoRa.is_tuned": "contending nodes; see below",
     "LoRa.hears": "contending nodes; see below",
     "Faded.gains": "only with fading",

@@ -419,7 +419,7 @@ VALUES = {
         [{"a": 1, "records": (RECORD,)}] * 2,
     ),
     "tables of measurements on links and on edges of a graph": lambda: (
-        [place for place, _ in TRACED.tables()],
+        [place for place, _ in TRACED.measured_tables()],
         [("latency",), ("link", 0, "loss"), ("graph", "edges", 1, "latency")],
     ),
     "frames that are forwarded at random times": lambda: (

@@ -340,8 +340,10 @@ class Value(BaseModel, metaclass=_ValueType):
         fields, held = type(self).model_fields, self.__dict__
         if held.keys() == fields.keys():
             return
-        known = {*fields, *state.get("beside", ())}
-        if unknown := [name for name in held if name not in known and name[0] != "_" and not hasattr(type(self), name)]:
+        allowed = {*fields, *state.get("beside", ())}
+        if unknown := [
+            name for name in held if name not in allowed and name[0] != "_" and not hasattr(type(self), name)
+        ]:
             raise ValueError(
                 f"{with_article(type(self).__name__)} cannot be unpickled: it has no key {unknown[0]} any more, so the"
                 " pickle is of another version of desim; keep scenarios as files, or as run.json"

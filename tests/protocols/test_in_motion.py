@@ -55,8 +55,8 @@ def outcome(seeds, protocol, **given):
 class Forgetful(Server):
     """A server that forgets its orders: it takes each pursuer to go on as it reported."""
 
-    def _chasers(self, me, orders, transmission):
-        return super()._chasers(me, {pursuer: [] for pursuer in orders}, 0.0)
+    def _chasers(self, me, orders, delay, present):
+        return super()._chasers(me, {pursuer: [] for pursuer in orders}, 0.0, present)
 
 
 @pytest.mark.whole

@@ -222,4 +222,6 @@ def test_traits_are_read_through_their_classes_only():
     home = Path(desim.__file__).parents[1]
     modules = [path for name in ("desim", "protocols", "scenarios") for path in sorted((home / name).rglob("*.py"))]
     found = {path.stem: named_attributes(path.read_text(encoding="utf-8")) & traits for path in modules}
-    assert {name: each for name, each in found.items() if each} == {"python_numbers": {"kind"}}  # that of a dtype
+    assert {name: each for name, each in found.items() if each} == {
+        name: {"kind"} for name in ("parameters", "python_numbers")
+    }  # that of a dtype

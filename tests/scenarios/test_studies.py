@@ -449,7 +449,7 @@ def test_the_study_of_bodies_compares_motions_and_rules_in_the_same_runs(monkeyp
     (seed,) = seeds_from(1, 1)
     times = {}
     for key in cells:
-        (time,) = (measured.active_time for task, measured in runs if task == (bodies_runs.pursuit(*key), seed))
+        (time,) = (active for task, (active, *_) in runs if task == (bodies_runs.pursuit(*key), seed))
         times[key] = np.array([time])
     for key in [*cells][::5]:
         assert times[key] == active_time(run(bodies_runs.pursuit(*key), seed))

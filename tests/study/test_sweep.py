@@ -218,10 +218,10 @@ def test_the_number_of_runs_is_the_same_with_two_workers_and_after_an_interrupti
     assert sweep(BASE, grid, executor=2, **target) == whole
     drive_batches = module.drive_batches
 
-    def interrupted(tasks, workers, **options):
+    def interrupted(tasks, workers, measure):
         """Do five runs, the last first, and leave."""
         tasks = list(tasks)
-        last = drive_batches(tasks[::-1][:5], workers, **options)
+        last = drive_batches(tasks[::-1][:5], workers, measure)
         yield from ([(len(tasks) - 1 - k, outcome) for k, outcome in batch] for batch in last)
         raise KeyboardInterrupt
 

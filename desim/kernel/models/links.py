@@ -152,10 +152,10 @@ class Links(Value):
         """The names of the nodes, by number: those of the graph, else of the first table of measurements with names."""
         if names := names_of(self.graph):
             return names
-        orders = (table.node_order for _, table in self.tables())
+        orders = (table.node_order for _, table in self.measured_tables())
         return next((order for order in orders if order), ())
 
-    def tables(self) -> Iterator[tuple[tuple[str | int, ...], LinkTrace | LatencyMatrix]]:
+    def measured_tables(self) -> Iterator[tuple[tuple[str | int, ...], LinkTrace | LatencyMatrix]]:
         """Yield the key and the model of each table of measurements, over time or between all nodes."""
         edges = self.graph.edges if isinstance(self.graph, Edges) else ()
         owners: list[tuple[tuple[str | int, ...], Any]] = [((), self)]
@@ -172,7 +172,7 @@ class Links(Value):
         A table that has other names is unchanged; see `desim.kernel.models.own_links`.
         """
         changed: dict[tuple[str | int, ...], LinkTrace | LatencyMatrix] = {}
-        for place, table in self.tables():
+        for place, table in self.measured_tables():
             with suppress(ValueError):
                 if (numbered := table.numbered(names)) is not table:
                     changed[place] = numbered

@@ -73,7 +73,7 @@ def link_misfits(links: Links, graph: "nx.Graph[int]") -> Iterator[tuple[Place, 
 def _name_misfits(links: Links) -> Iterator[tuple[Place, str]]:
     """Yield the key and the text of each table of measurements that cannot have the numbers of the named nodes."""
     names = links.node_names
-    for place, table in links.tables():
+    for place, table in links.measured_tables():
         order = table.node_order
         if not names or order == names:
             continue

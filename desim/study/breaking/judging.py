@@ -51,15 +51,15 @@ class CaseJudge:
 
     def judge_all(self, cases: Sequence[Planned]) -> list[CaseRun]:
         """Judge the run of each case, in order. A run that raises an exception, or is too long, has failed."""
-        known: dict[int, CaseRun] = {}
+        by_case: dict[int, CaseRun] = {}
         if self._log is not None:
             logged = ((k, self._log.find(planned.scenario, planned.seed)) for k, planned in enumerate(cases))
-            known = {k: case_run for k, case_run in logged if case_run is not None}
-        missing = [k for k in range(len(cases)) if k not in known]
+            by_case = {k: case_run for k, case_run in logged if case_run is not None}
+        missing = [k for k in range(len(cases)) if k not in by_case]
         if missing:
-            known |= dict(zip(missing, self._run_all([cases[k] for k in missing]), strict=True))
-        self.seconds += portable_sum(case_run.seconds for case_run in known.values())
-        return [known[k] for k in range(len(cases))]
+            by_case |= dict(zip(missing, self._run_all([cases[k] for k in missing]), strict=True))
+        self.seconds += portable_sum(case_run.seconds for case_run in by_case.values())
+        return [by_case[k] for k in range(len(cases))]
 
     def _run_all(self, cases: Sequence[Planned]) -> list[CaseRun]:
         """Make the run of each case, and append it to the log."""

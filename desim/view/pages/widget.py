@@ -84,15 +84,15 @@ class PlayWidget(anywidget.AnyWidget):
         else:
             self.send({"number": request["number"], "error": "the request is malformed"})
 
-    def _answer(self, number: str, what: str, body: dict[str, Any]) -> None:
+    def _answer(self, number: str, task: str, body: dict[str, Any]) -> None:
         session, last = self._session, Answer()
-        if what == "run":
+        if task == "run":
             last = session.run(body["now"], body["pinned"], body["page"])
-        elif what == "save":
+        elif task == "save":
             last = session.save(body["now"])
-        elif what == "cancel":
+        elif task == "cancel":
             session.cancel(body["page"])
-        elif what == "seeds":
+        elif task == "seeds":
             try:
                 for answer in session.compare(body["now"], body["pinned"], body["count"], body["page"]):
                     self.send({"number": number, "answer": answer, "isLast": False})
