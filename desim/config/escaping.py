@@ -2,13 +2,13 @@
 
 from typing import Any
 
-SHOWN = {ord(character): None for character in "\n\t"}
-"""Removes newlines and tabs, which `str.isprintable` calls unprintable, but which need no escape."""
+WITHOUT_BREAKS = {ord(character): None for character in "\n\t"}
+"""Removes newlines and tabs by `str.translate`: `str.isprintable` calls them unprintable, but they need no escape."""
 
 
 def escaped(text: str) -> str:
     """Return a text with unprintable characters, except newline and tab, escaped as in TOML; safe on a terminal."""
-    if text.isprintable() or text.translate(SHOWN).isprintable():
+    if text.isprintable() or text.translate(WITHOUT_BREAKS).isprintable():
         return text
     return "".join(
         character if character.isprintable() or character in "\n\t" else _escape_sequence(ord(character))

@@ -96,10 +96,11 @@ def _load_warnings(
     `host`: 1 if one pursuer does not send them, to which all others do; else 0.
     """
     network, count = scenario.network, scenario.team.count
-    medium, contend = network.medium, contends(network.medium)
-    if contends(medium) and (medium.duty_cycle is not None or isinstance(medium.access, Tdma)):
-        interval = medium.interval(size, count)
-        why = "its duty cycle" if medium.duty_cycle is not None else "the slots of the TDMA"
+    medium = network.medium
+    radio = medium if contends(medium) else None
+    if radio is not None and (radio.duty_cycle is not None or isinstance(radio.access, Tdma)):
+        interval = radio.interval(size, count)
+        why = "its duty cycle" if radio.duty_cycle is not None else "the slots of the TDMA"
         if interval > period:
             yield (
                 key,
@@ -107,14 +108,14 @@ def _load_warnings(
                 f" sending again, {interval:.3g} s, because of {why}: {messages} are delayed or dropped",
             )
     all_hear_all = network.range == inf and inherits(network.graph, Complete)
-    is_one_channel = medium.shared or (contend and all_hear_all)
-    occupancy = medium.occupancy(size, count, to_one=host > 0) if contends(medium) else airtime_of(medium, size, count)
+    is_one_channel = medium.shared or (radio is not None and all_hear_all)
+    occupancy = airtime_of(medium, size, count) if radio is None else radio.occupancy(size, count, to_one=host > 0)
     load = occupancy / period * (count - host if is_one_channel else 1)
     if load > 1.0:
         yield (
             key,
             f"{messages} of {size} bytes alone need {load:.1f} times the capacity of the channel: queues grow without"
-            f" bound, or messages {'collide or ' if contend else ''}are dropped",
+            f" bound, or messages {'' if radio is None else 'collide or '}are dropped",
         )
 
 
