@@ -112,6 +112,7 @@ BAD = {
     "no shape": ({}, "exactly one of line, polygon, wkt, svg, file"),
     "two shapes": ({"line": SQUARE, "svg": "M0 0H1"}, "has line and svg"),
     "a point": ({"line": [[0, 0]]}, "at least 2 corners"),
+    "a ring of one corner": ({"wkt": "POLYGON ((0 0))"}, "a polygon should have at least 3 corners"),
     "two corners": ({"polygon": SQUARE[:2]}, "at least 3 corners"),
     "a corner twice": ({"line": [[0, 0], [1, 1], [1, 1]]}, r"\[1, 1\] comes twice"),
     "a ring that ends twice": ({"polygon": [*SQUARE, SQUARE[0], SQUARE[0]]}, r"\[0, 0\] comes twice"),
@@ -302,6 +303,7 @@ UNFILLED = {
     "<style>.room, #hall {fill: none; stroke: red}</style><path id='hall' fill='grey' DATA/>": False,
     "<style>path {fill: none; stroke: red}</style><path style='fill:#ccc' DATA/>": True,
     "<style>.room {fill: none; stroke: red}</style><path class='solid' DATA/>": True,
+    "<style>.a {fill: none} .b {fill: none} .a {fill: none} .b {fill: red}</style><path class='b a' DATA/>": True,
 }
 
 

@@ -8,6 +8,7 @@ a fill, solid shapes in others, and objects that are drawn by others.
 
 import re
 from collections.abc import Callable, Iterator, Mapping
+from itertools import count
 from math import cos, radians, sin, tan
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -160,6 +161,7 @@ _Rules = dict[str, list[_Rule]]
 def _style_rules(root: ElementTree.Element) -> _Rules:
     """Return the rules of all style sheets that say what is drawn."""
     rules: _Rules = {}
+    places = count()
     for sheet in root.iter():
         if _name(sheet) != "style" or sheet.get("media", "all") not in {"all", "screen"}:
             continue
@@ -177,7 +179,7 @@ def _style_rules(root: ElementTree.Element) -> _Rules:
                         f"the selector {selector!r} of its style sheet is not read: give styles to objects"
                     )
                 element, kind = (match[1] or "").strip("*"), match[2] or ""
-                weight = {"": 0, ".": 2, "#": 4}[kind] + bool(element), len(rules)
+                weight = {"": 0, ".": 2, "#": 4}[kind] + bool(element), next(places)
                 rules.setdefault(kind + (match[3] or ""), []).append(_Rule(weight, element, style))
     return rules
 
