@@ -106,7 +106,7 @@ class _Wkt:
 
     def _ring(self) -> Outline:
         corners = self._line().corners
-        if corners[0] != corners[-1] or len(corners) == 1:
+        if corners[0] != corners[-1]:
             (x, y), (u, v) = corners[0], corners[-1]
             raise self._error(f"a ring should end where it begins, at {x:g} {y:g} (ends at {u:g} {v:g})")
         return Outline(corners[:-1], closed=True)
