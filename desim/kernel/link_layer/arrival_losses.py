@@ -35,21 +35,26 @@ class ArrivalLosses:
     ):
         self._env, self._topology, self._fault_state = state.env, state.topology, state.fault_state
         self._transmitter, self._processing, self._checks_range = transmitter, processing, checks_range
-        self._on_air: dict[int, tuple[int, int]] = {}
-        """By sender: the number of its last transmission with an airtime, and the end of the airtime, ns."""
+        self._on_air: dict[int, tuple[list[int], int]] = {}
+        """By sender: the numbers of its last transmission and of the copies of it, and the end of its airtime, ns."""
         self._cut_short: dict[int, Cause] = {}
-        """By number of each transmission whose sender crashed while it transmitted: the cause of its loss."""
+        """By number of each transmission whose sender crashed while it transmitted, and of each copy of one: the cause
+        of its loss."""
 
     def start(self, flight: Flight) -> None:
-        """Note that a transmission with an airtime starts now."""
+        """Note that a transmission with an airtime starts now, or a copy of one that has just started."""
         transmission, airtime = flight
-        self._on_air[transmission.src] = transmission.number, self._env.now + airtime
+        numbers, end = self._on_air.get(transmission.src, ([], 0))
+        if airtime or end <= self._env.now:
+            numbers, end = [], self._env.now + airtime
+        numbers.append(transmission.number)
+        self._on_air[transmission.src] = numbers, end
 
     def crash(self, node: int, cause: Cause) -> None:
         """Note that the radio of a node goes down now: its transmission that is on the air is lost on arrival."""
-        number, end = self._on_air.get(node, (0, 0))
+        numbers, end = self._on_air.get(node, ((), 0))
         if self._env.now < end:
-            self._cut_short[number] = cause
+            self._cut_short |= dict.fromkeys(numbers, cause)
 
     def causes(self, nodes: list[int], times: int | list[int], flights: Flight | list[Flight]) -> dict[int, Cause]:
         """Return the cause of the loss of each of k arrivals that is lost, by its index.
