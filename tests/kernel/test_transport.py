@@ -40,6 +40,7 @@ from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.kernel.state.inbox import Message
 from desim.kernel.transport.frames import Acknowledgement, CodedPiece, Segment, Skip
+from desim.kernel.wandering_clock import ClockWalk, WanderingClock
 from desim.pursuit.team.announcements import Assignment, Eavesdropper, Forwarded
 from desim.scenario.scenario import Clocks
 from desim.testing.messages import Conservation, DeliveredOnce, OneToken
@@ -76,7 +77,7 @@ class Lab:
             seed=seed,
             trace=self.trace,
             fault_state=FaultState() if faults else None,
-            clocks=[NodeClock(self.clock, *each) for each in clocks],
+            clocks=[clock(self.clock) if callable(clock) else NodeClock(self.clock, *clock) for clock in clocks],
         )
         inject(faults, self.clock, self.net, self.trace)
 
@@ -215,6 +216,40 @@ def test_the_age_of_a_message_is_read_from_two_clocks():
     clocks = [(0.0, 1.0), (1.0, 1.0)]
     for lifespan, count in ((1.0, 0), (1.2, 1)):
         assert len(Lab(BestEffort(lifespan=lifespan), clocks=clocks).send(0.0, "a").run().delivered()) == count
+
+
+@pytest.mark.parametrize(
+    ("model", "sends", "event"),
+    [
+        (STOP_AND_WAIT, [0.0], Retransmitted),
+        (BestEffort(deadline=TIMEOUT), [0.0], DeadlineMissed),
+        (BestEffort(lease=TIMEOUT), [0.0, 2.0, 4.0], LivelinessLost),
+        (Coded(pieces=2, needed=2, spacing=TIMEOUT), [0.0, 2.0, 4.0], Delivered),
+    ],
+    ids=["time-out", "deadline", "lease", "spacing"],
+)
+def test_a_node_measures_each_time_with_its_own_clock_even_if_that_wanders(model, sends, event):
+    clocks = []
+
+    def wandering(env):
+        walk = ClockWalk(0.0, 0.2, 1.0, 9 * SECOND, np.random.default_rng(len(clocks)))
+        clocks.append(WanderingClock(env, 0.0, 1.0, walk))
+        return clocks[-1]
+
+    lab = Lab(model, clocks=[wandering] * 2, lost=range(4 * (event is Retransmitted)))
+    for start in sends:
+        lab.send(start, "a")
+    lab.run(8.0)
+    clock = clocks[event in {DeadlineMissed, LivelinessLost}]
+    ends = [each.t - round(L * SECOND) * (event is Delivered) for each in lab.trace.of(event)]
+    if len(sends) == 1:
+        begins = [0 if event is Retransmitted else round(L * SECOND), *ends[:-1]]
+    else:
+        begins = [round((start + L * (event is LivelinessLost)) * SECOND) for start in sends]
+    assert len(ends) > 2
+    assert [clock.at(end) - clock.at(begin) for begin, end in zip(begins, ends, strict=True)] == pytest.approx(
+        [TIMEOUT] * len(ends), abs=1e-8
+    )
 
 
 def test_a_broadcast_is_repeated_to_those_alone_that_have_not_acknowledged_it():

@@ -233,8 +233,8 @@ class TransportLayer:
                 if self._is_up(node):
                     tell(src, node, port)
 
-            duration, priority = self._clocks[node].span(within), Phase.RELAY + node
-            expectation = Expectation(self._env, priority, duration, miss, again=kind == "deadline")
+            span, priority = partial(self._clocks[node].span, within), Phase.RELAY + node
+            expectation = Expectation(self._env, priority, span, miss, again=kind == "deadline")
             expectations[kind, src, port] = expectation
         if expectation is not None:
             expectation.meet()

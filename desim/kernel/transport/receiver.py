@@ -98,19 +98,19 @@ class Expectation:
     Args:
         env: the clock.
         priority: the priority of the event at which it is missed.
-        within: the time, ns.
+        span: returns the time, ns, from now; a clock that wanders changes it.
         miss: called when it has not happened for that time.
         again: whether it is missed again each time that the time passes once more, until it happens.
     """
 
-    def __init__(self, env: Clock, priority: int, within: int, miss: Callable[[], object], *, again: bool):
-        self._env, self._within, self._miss, self._again = env, within, miss, again
+    def __init__(self, env: Clock, priority: int, span: Callable[[], int], miss: Callable[[], object], *, again: bool):
+        self._env, self._span, self._miss, self._again = env, span, miss, again
         self._due = 0
         self._timer = Timer(env, priority, self._check)
 
     def meet(self) -> None:
         """Note that it happens now; the first time, it is expected from now on."""
-        self._due = self._env.now + self._within
+        self._due = self._env.now + self._span()
         self._timer.set(self._due)
 
     def drop(self) -> None:
@@ -122,5 +122,5 @@ class Expectation:
             self._miss()
             if not self._again:
                 return
-            self._due = self._env.now + self._within
+            self._due = self._env.now + self._span()
         self._timer.set(self._due)

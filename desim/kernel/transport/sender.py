@@ -201,7 +201,7 @@ class ReliableSender:
         if not entry.owed:
             del self._entries[entry.seq]
             return
-        due = self._endpoint.env.now + self._timeout(entry.size, len(entry.owed), 0)
+        due = self._end_of_timeout(entry, 0)
         for owed in entry.owed.values():
             owed.attempts, owed.due = 1, due
 
@@ -214,7 +214,7 @@ class ReliableSender:
             return
         first = self._first(node)
         assert first is not None
-        owed.due = self._endpoint.env.now + self._timeout(entry.size, len(entry.owed), owed.attempts)
+        owed.due = self._end_of_timeout(entry, owed.attempts)
         owed.attempts += 1
         if owed.is_held:
             skip = Skip(self._flow.port, self._flow.dst is None, self._endpoint.session, first.seq)
@@ -231,15 +231,20 @@ class ReliableSender:
         )
         self._endpoint.transmit(flow.src, dst, _new(Message, (flow.src, message.stamp, segment)), entry.size + FRAME)
 
-    def _timeout_after(self, size: int, receivers: int, attempts: int) -> int:
-        """Return the time-out of a message to some receivers after a number of earlier attempts, ns of true time."""
+    def _end_of_timeout(self, entry: Entry, attempts: int) -> int:
+        """Return the end, ns, of the time-out of a message that is transmitted now after a number of attempts."""
+        endpoint = self._endpoint
+        return endpoint.env.now + endpoint.clock.span(self._timeout(entry.size, len(entry.owed), attempts))
+
+    def _timeout_after(self, size: int, receivers: int, attempts: int) -> float:
+        """Return the time-out of a message to some receivers after a number of attempts, s of the node's own clock."""
         model = self._model
         first = model.timeout
         if first == "auto":
             first = self._endpoint.auto_timeout(model, size + FRAME, receivers)
         # A bounded exponent: a float to a higher power raises OverflowError before `min` could bound it.
         grown = min(first * model.backoff ** min(attempts, MAX_GROWTH), model.max_timeout)
-        return self._endpoint.clock.span(max(first, grown))
+        return max(first, grown)
 
     def _drop(self, entry: Entry, cause: GiveUp) -> None:
         """Give up a message to all receivers that have not acknowledged it."""
@@ -284,7 +289,6 @@ class CodedSender:
 
     def __init__(self, flow: MessageFlow, model: Coded | BestEffort, endpoint: Endpoint):
         self._flow, self._model, self._endpoint = flow, model, endpoint
-        self._spacing = endpoint.clock.span(model.spacing)
         self._next = 1
         """The sequence number of the next message."""
         self._waiting: list[tuple[int, int, int, Message, int, int]] = []
@@ -298,8 +302,9 @@ class CodedSender:
         self._endpoint.log.submitted += count
         if isinstance(self._model, Coded):
             size = piece_size(size, self._model.needed)
+        spacing = self._endpoint.clock.span(self._model.spacing)
         for part in range(1, self._model.pieces + 1):
-            heappush(self._waiting, (now + (part - 1) * self._spacing, self._next, part, message, size, count))
+            heappush(self._waiting, (now + (part - 1) * spacing, self._next, part, message, size, count))
         self._next += 1
         self.advance()
 
