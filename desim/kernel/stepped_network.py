@@ -185,6 +185,7 @@ class SteppedNetwork:
                 walls=self._walls,
             )
         inject(faults, clock, network, trace)
+        clock.advance(0)  # faults from time 0 also concern messages that are sent before the first step
         network.watch_losses(self._lose)
         self._seed, self._trace, self._clock, self._positions = seed, trace, clock, places
         self._network, (self._queue,) = network, queues

@@ -26,6 +26,7 @@ from desim import (
     Jamming,
     Links,
     Lognormal,
+    MessageFault,
     Partition,
     Propagation,
     RandomCrashes,
@@ -547,6 +548,16 @@ def test_what_is_done_to_a_lost_message_changes_none_that_arrives(call):
         lost.body.append(2)
     arrived = [*network.step(1.0), *(network.latest(node)[0] for node in range(1, 6) if network.latest(node))]
     assert [message.body for message in arrived] == [[1], [1]]
+
+
+@pytest.mark.parametrize("kind", [partial(Crash, node=0), partial(MessageFault, messages=[1])])
+def test_a_fault_from_the_start_concerns_what_is_sent_before_the_first_step(kind):
+    def arrived(start):
+        network = SteppedNetwork(2, Links(latency=0.1), faults=[kind(start=start)])
+        network.send(0, 1, "hi")
+        return len(network.step(1.0))
+
+    assert [arrived(0.0), arrived(0.05)] == [0, 1]
 
 
 def test_nodes_leave_and_join():
