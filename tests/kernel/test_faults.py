@@ -454,6 +454,11 @@ def test_no_clock_is_slower_than_the_bound_of_a_drift():
     assert min(drift for _, drift in clock_errors([ClockSkew(drift=2.0)], 50, 0)) == MIN_DRIFT
 
 
+def test_a_clock_of_no_node_is_refused():
+    with pytest.raises(ValueError, match=r"clock_skew\.node: there is no node 2: the nodes are 0 \.\. 1"):
+        clock_errors([ClockSkew(node=2)], 2, 0)
+
+
 def test_a_change_that_is_not_planned_is_refused_among_planned_ones():
     """Messages that arrive before the next planned fault have been delivered already."""
     clock = Clock()

@@ -70,11 +70,16 @@ def clock_errors(faults: Iterable[object], size: int, seed: int) -> list[tuple[f
 
     A `ClockSkew` without a node adds an error drawn for each node. A sum of drifts below `MIN_DRIFT` is raised
     to it.
+
+    Raises:
+        ValueError: if a `ClockSkew` names a node that does not exist.
     """
     errors = np.zeros((size, 2))
     for k, skew in enumerate(fault for fault in faults if isinstance(fault, ClockSkew)):
         if skew.node is None:
             errors += stream(seed, "clocks", k).standard_normal((size, 2)) * (abs(skew.offset), abs(skew.drift))
+        elif skew.node >= size:
+            raise ValueError(f"clock_skew.node: there is no node {skew.node}: the nodes are 0 .. {size - 1}")
         else:
             errors[skew.node] += skew.offset, skew.drift
     errors[:, 1] = np.maximum(errors[:, 1], MIN_DRIFT)
