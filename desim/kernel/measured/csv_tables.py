@@ -173,8 +173,8 @@ def select(text: str, columns: tuple[str, ...], name: str) -> str:
             problem = "no column" if column not in header else "several columns"
             raise ValueError(f"{name} has {problem} {column!r}; its columns are {', '.join(header)}{_headless(header)}")
     chosen = itemgetter(*(header.index(column) for column in columns))
-    rows, kept = rows_of(text, name), StringIO()
     has_commas = separator_of(text) == ","
+    rows, kept = _as_long_as(header, rows_of(text, name), name, has_commas=has_commas), StringIO()
     if not has_commas:
         rows = with_points(rows, chosen, name)
     writer = csv.writer(kept, lineterminator="\n")
@@ -183,15 +183,27 @@ def select(text: str, columns: tuple[str, ...], name: str) -> str:
     writer.writerow(columns)
     below = first + 1
     for line, cells in rows:
-        if len(cells) != len(header):
-            hint = "; with decimal commas, separate cells by ;" if has_commas and len(cells) > len(header) else ""
-            problem = f"has {len(cells)} cells, but the table has {len(header)} columns"
-            raise ValueError(f"{name}, {row_place(line, name)}: {problem}{hint}")
         if line > below:
             kept.write("\n" * (line - below))
         writer.writerow(chosen(cells))
         below = line + 1
     return kept.getvalue()
+
+
+def _as_long_as(
+    header: Sequence[str], rows: Iterator[tuple[int, list[str]]], name: str, *, has_commas: bool
+) -> Iterator[tuple[int, list[str]]]:
+    """Yield the line and the cells of each row.
+
+    Raises:
+        ValueError: if a row is too short or too long.
+    """
+    for line, cells in rows:
+        if len(cells) != len(header):
+            hint = "; with decimal commas, separate cells by ;" if has_commas and len(cells) > len(header) else ""
+            problem = f"has {len(cells)} cells, but the table has {len(header)} columns"
+            raise ValueError(f"{name}, {row_place(line, name)}: {problem}{hint}")
+        yield line, cells
 
 
 def _headless(header: Sequence[str]) -> str:
