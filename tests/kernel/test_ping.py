@@ -31,7 +31,26 @@ Request timeout for icmp_seq 0
 --- 8.8.8.8 ping statistics ---
 3 packets transmitted, 1 packets received, 66.7% packet loss
 """
+UNEVEN = """\
+PING 10.0.0.2 (10.0.0.2) 56(84) bytes of data.
+[100.5] 64 bytes from 10.0.0.2: icmp_seq=2 ttl=64 time=500 ms
+[101.5] 64 bytes from 10.0.0.2: icmp_seq=4 ttl=64 time=500 ms
+[105.5] 64 bytes from 10.0.0.2: icmp_seq=5 ttl=64 time=500 ms
+
+--- 10.0.0.2 ping statistics ---
+6 packets transmitted, 3 received, 50% packet loss, time 5000ms
+"""
 BUSYBOX = "PING 1.1.1.1 (1.1.1.1): 56 data bytes\n64 bytes from 1.1.1.1: seq=0 ttl=57 time=3.611 ms\n"
+FIRST_LOST = """\
+PING 1.1.1.1 (1.1.1.1): 56 data bytes
+64 bytes from 1.1.1.1: seq=1 ttl=57 time=3.611 ms
+
+--- 1.1.1.1 ping statistics ---
+3 packets transmitted, 1 packets received, 66% packet loss
+"""
+WINDOWS_IPV6 = (
+    "Pinging ::1 with 32 bytes of data:\nReply from ::1: time<1ms \nRequest timed out.\nReply from ::1: time=3ms\n"
+)
 WINDOWS = """\
 Pinging 1.1.1.1 with 32 bytes of data:
 Reply from 1.1.1.1: bytes=32 time=12ms TTL=57
@@ -45,13 +64,23 @@ Ping statistics for 1.1.1.1:
 OUTPUTS = {
     LINUX: [(0.0, 0.0123), (0.2, 1.003), (0.4, None), (0.6, 0.000045), (0.8, None), (1.0, None)],
     STAMPED: [(1_700_000_000.0, 0.5), (1_700_000_001.5, None), (1_700_000_003.0, 0.5)],
+    UNEVEN: [
+        *((100.0 - 5.0 / 3.0, None), (100.0, 0.5), (100.5, None), (101.0, 0.5), (105.0, 0.5)),
+        (105.0 + 5.0 / 3.0, None),
+    ],
     MACOS: [(0.0, None), (1.0, 0.012345), (2.0, None)],
     BUSYBOX: [(0.0, 0.003611)],
+    FIRST_LOST: [(0.0, None), (1.0, 0.003611), (2.0, None)],
+    WINDOWS_IPV6: [(0.0, 0.001), (1.0, None), (2.0, 0.003)],
     WINDOWS: [(0.0, 0.012), (1.0, None), (2.0, 0.001), (3.0, None)],
 }
 
 
-@pytest.mark.parametrize("text", OUTPUTS, ids=["Linux", "with times", "macOS", "BusyBox", "Windows"])
+@pytest.mark.parametrize(
+    "text",
+    OUTPUTS,
+    ids=["Linux", "with times", "uneven times", "macOS", "BusyBox", "first lost", "Windows, IPv6", "Windows"],
+)
 def test_each_probe_has_its_time_and_its_round_trip(text):
     """A lost one has a time between those of its neighbours."""
     probes = probes_of(text)

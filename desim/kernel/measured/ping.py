@@ -9,11 +9,14 @@ A probe is lost if no reply has its sequence number or, on Windows, where a line
 import re
 from typing import NamedTuple
 
+import numpy as np
+
 REPLY = re.compile(
-    r"(?:\[(\d+(?:\.\d+)?)\] )?(?:\d+ bytes from .*?\b(?:icmp_)?seq=(\d+)\b.*?|Reply from \S+: bytes=\d+ )"
+    r"(?:\[(\d+(?:\.\d+)?)\] )?(?:\d+ bytes from .*?\b(?:icmp_)?seq=(\d+)\b.*?|Reply from \S+: (?:bytes=\d+ )?)"
     r"time[=<](\d+(?:[.,]\d+)?) ?ms\b.*",
     re.ASCII,
 )
+"""Matches the line of a reply; Windows prints no bytes for IPv6."""
 FAILURE = re.compile(r"Request timed out\.|Reply from \S+: (?:Destination|TTL expired).*|General failure\.?")
 """Matches a line of Windows about a probe without a reply."""
 OTHER = re.compile(r".*\b(?:icmp_)?seq[= ](\d+)\b.*", re.ASCII)
@@ -25,6 +28,8 @@ RECEIVED = re.compile(
 )
 """Matches the line with the number of replies."""
 START = re.compile(r"(?:PING|Pinging) .*")
+FROM_0 = re.compile(r"PING .*: \d+ data bytes.*")
+"""Matches the first line of macOS, BSD and BusyBox, which number probes from 0; Linux numbers them from 1."""
 INTERVAL = 1.0
 """Time between probes, s, if the output has no times."""
 MAX_PROBES = 10**7
@@ -60,8 +65,8 @@ def ping_table(text: str) -> str | None:
 def probes_of(text: str) -> list[Probe]:
     """Return the probes in the output of ping, in order of their sequence numbers; none if the text is anything else.
 
-    The times are those of `ping -D`; without it, probes are sent in equal intervals, which follow from the last line of
-    the output on Linux, and are 1 s elsewhere.
+    The times are those of `ping -D`, and a lost probe has one between those of its neighbours. Without it, probes are
+    sent in equal intervals, which follow from the last line of the output on Linux, and are 1 s elsewhere.
 
     Raises:
         ValueError: if the text is the output of several pings, a summary only, or of more than `MAX_PROBES` probes.
@@ -95,17 +100,22 @@ def probes_of(text: str) -> list[Probe]:
             lost.add(last)
         elif total := TOTAL.fullmatch(line):
             count, duration = int(total[1]), float(total[2]) / 1e3 if total[2] else None
-    first = min({1, *replies, *lost} if starts else {*replies, *lost})  # a log may begin later
-    end = max([first + count - 1, *replies, *lost])
+    numbers = {*replies, *lost}
+    # A log without its first line may begin later.
+    first = min(numbers | {0 if any(map(FROM_0.fullmatch, lines)) else 1}) if starts else min(numbers)
+    end = max(numbers | {first + count - 1})
     if end - first >= MAX_PROBES:
         raise ValueError(f"has more than {MAX_PROBES:,} probes")
     stamps = {seq: stamp for seq, (stamp, _) in replies.items() if stamp is not None}
     interval = _interval(stamps, count, duration)
-    probes: list[Probe] = []
-    for seq in range(first, end + 1):
-        after = probes[-1].sent + interval if probes else min(stamps.values(), default=0.0)
-        probes.append(Probe(stamps.get(seq, after), replies[seq][1] if seq in replies else None))
-    return probes
+    earliest, latest = min(stamps, default=first), max(stamps, default=first)
+    stamps |= {
+        first: stamps.get(earliest, 0.0) - interval * (earliest - first),
+        end: stamps.get(latest, 0.0) + interval * (end - latest),
+    }
+    known = sorted(stamps)
+    sent = np.interp(range(first, end + 1), known, [stamps[seq] for seq in known]).tolist()
+    return [Probe(time, replies[seq][1] if seq in replies else None) for seq, time in enumerate(sent, first)]
 
 
 def _interval(stamps: dict[int, float], count: int, duration: float | None) -> float:
