@@ -94,9 +94,9 @@ def fates(
     losses: dict[tuple[int, Hashable], str] = {}
     with SteppedNetwork(nodes, links, **arguments) as network:
 
-        def step(until: float) -> None:
-            if nanoseconds(until - network.now):
-                for arrived in network.step(until - network.now):
+        def step(duration: float) -> None:
+            if nanoseconds(duration):
+                for arrived in network.step(duration):
                     arrivals.setdefault((arrived.body, arrived.dst), arrived.arrived)
                 losses.update(((lost.body, lost.dst), lost.cause) for lost in network.lost())
 
@@ -106,16 +106,17 @@ def fates(
                 time = real(message.t, "t")
                 if not (log[-1].t if log else 0.0) <= time <= MAX_TIME:
                     raise ValueError("t should be ascending, from 0 s on")
-                step(time)
+                step(time - network.now)
                 log.append(message)
                 network.send(message.src, message.dst, row, size=message.size)
             except (TypeError, ValueError) as error:
                 shown = tuple(values) if isinstance(values, tuple) else values
                 raise ValueError(f"message {row} {shown!r}: {error}") from error
-        end = network.now + duration
-        while network.now < end and (network.counts().in_flight or network.transport_counts() is not None):
-            step(min(network.now + STEP, end))
-        step(network.now + 1e-9)  # tells what was lost when it was sent last
+        left = min(duration, MAX_TIME - network.now)
+        while left > 0.0 and (network.counts().in_flight or network.transport_counts() is not None):
+            step(min(STEP, left))
+            left -= STEP
+        step(1e-9)  # tells what was lost when it was sent last
         number = {node: k for k, node in enumerate(network.nodes)}
     told = {*arrivals, *losses, *((row, message.dst) for row, message in enumerate(log) if message.dst is not None)}
     return [

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from desim import Crash, Links, Lognormal, Reliable, SteppedNetwork, fates
+from desim.config.model import MAX_TIME
 from tests.command import accepted, refused
 
 SCENARIO = (
@@ -99,6 +100,13 @@ def test_fates_say_what_is_lost_late_or_not_there_yet():
     assert [row.fate for row in fates(log, 3, {"loss": 1.0})] == ["loss"] * 3
     with pytest.raises(ValueError, match="wait should be"):
         fates(log, 3, wait=nan)
+
+
+def test_fates_do_not_depend_on_the_time_nor_on_parts_of_nanoseconds():
+    """After 1e8 s, 1 ns is less than the distance of two floats; the horizon ends the observation."""
+    for t in (0.0, 1e8, MAX_TIME - 0.5):
+        assert [row.fate for row in fates([(t, 0, 1, 10)], 2, {"loss": 1.0})] == ["loss"]
+        assert [row.fate for row in fates([(t, 0, 1, 10)], 2, {"latency": 2.0}, wait=1.0 + 1e-10)] == ["none"]
 
 
 def test_a_transport_repeats_a_logged_message_until_it_arrives():
