@@ -20,10 +20,11 @@ from desim.analysis.trace_index import ended, remembered, require_messages, star
 from desim.config.arrays import Integers
 from desim.kernel.core.events import LOST, Broadcast, ClockCorrected, Delivered, Lost, Sent
 from desim.kernel.core.records import Record
-from desim.kernel.core.units import SECOND
+from desim.kernel.core.units import SECOND, nanoseconds
 from desim.kernel.models.clock_skew import clock_errors
 from desim.kernel.models.faults import Crash
 from desim.kernel.models.traced_faults import FaultEnded
+from desim.kernel.wandering_clock import clock_walks
 from desim.pursuit.team.announcements import action_in_game, records_in, relayed_records
 from desim.simulation.run import Result
 
@@ -51,6 +52,8 @@ FIRST, LAST = -1, int(np.iinfo(np.int64).max)
 """Positions in the trace before and after all events."""
 DELIVERED = -1
 """In place of the number of a transmission: a message that a transport has delivered, and that is not lost."""
+ROUNDING = 100
+"""ns; a stamp is rounded to 1 ns, which the slowest clock (`MIN_DRIFT`) takes 100 ns for."""
 
 
 @remembered
@@ -211,7 +214,10 @@ class _Clocks:
     """
 
     def __init__(self, result: Result, size: int):
-        self._errors = clock_errors(result.scenario.network_faults, size, result.seed)
+        scenario = result.scenario
+        faults = scenario.network_faults if scenario.protocol_traits.embodied else ()  # as `TeamNetwork` has them
+        self._errors = clock_errors(faults, size, result.seed)
+        self._walks = clock_walks(faults, self._errors, result.seed, nanoseconds(scenario.horizon))
         self._corrections: dict[int, list[tuple[int, float]]] = {}
         """By node: the time, ns, and the value, s, of each correction, the newest first."""
         for correction in result.trace.of(ClockCorrected):
@@ -219,7 +225,7 @@ class _Clocks:
         self._lies = first_lies(result)
         self._published: dict[tuple[int, int], int] = {}
         """By source and sequence number, the time of publication, ns."""
-        self._right = not self._corrections and not any(offset or drift for offset, drift in self._errors)
+        self._right = not (self._corrections or any(map(any, self._errors)) or any(self._walks))
 
     def true_records(self, event: Broadcast | Sent | Delivered) -> Sequence[Record]:
         """Return the records in a transmission or delivery, forwarded or the sender's own, with true time stamps."""
@@ -261,11 +267,12 @@ class _Clocks:
 
         A clock that has stepped back showed some stamps twice, and one that has stepped forward did not show some.
         """
-        offset, drift = self._errors[node]
+        (offset, drift), walk = self._errors[node], self._walks[node]
         time = 0
         for begin, correction in self._corrections.get(node, [(0, 0.0)]):
-            time = round((stamp - (offset + correction) * SECOND) / (1.0 + drift))
-            if begin <= time <= latest:
+            shown = stamp - (offset + correction) * SECOND
+            time = round(shown / (1.0 + drift)) if walk is None else nanoseconds(walk.when(shown / SECOND))
+            if begin - ROUNDING <= time <= latest + ROUNDING:
                 break
         return time
 

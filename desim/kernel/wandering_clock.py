@@ -8,7 +8,7 @@ The states are drawn exactly at multiples of `TICK`; in between the error of the
 """
 
 from bisect import bisect_right
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from math import sqrt
 
 import numpy as np
@@ -137,18 +137,30 @@ def node_clocks(env: Clock, faults: Iterable[object], size: int, seed: int, unti
         seed: the seed of the run.
         until: the time, ns, up to which the clocks may be read.
     """
-    faults = list(faults)
     clocks: list[NodeClock] = []
-    for node, (offset, drift) in enumerate(clock_errors(faults, size, seed)):
-        skews = clock_skews(faults, node)
-        walks = [(skew.offset_walk, skew.drift_walk) for skew in skews if skew.offset_walk or skew.drift_walk]
-        if walks:
-            offset_walk, drift_walk = (
-                sqrt(portable_sum(part * part for part in parts)) for parts in zip(*walks, strict=True)
-            )
-            rng = stream(seed, "clock walk", node)
-            walk = ClockWalk(offset_walk, drift_walk, 1.0 + drift, until, rng)
-            clocks.append(WanderingClock(env, offset, 1.0 + drift, walk))
-        else:
-            clocks.append(NodeClock(env, offset, 1.0 + drift))
+    errors = clock_errors(faults := list(faults), size, seed)
+    for (offset, drift), walk in zip(errors, clock_walks(faults, errors, seed, until), strict=True):
+        clock = (env, offset, 1.0 + drift)
+        clocks.append(NodeClock(*clock) if walk is None else WanderingClock(*clock, walk))
     return clocks
+
+
+def clock_walks(
+    faults: Sequence[object], errors: Sequence[tuple[float, float]], seed: int, until: int
+) -> list[ClockWalk | None]:
+    """Return the random part of the error of each node's clock, None without one; see `node_clocks`.
+
+    `errors` holds the offset (s) and the drift of each clock, as `clock_errors` returns them.
+    """
+    walks: list[ClockWalk | None] = []
+    for node, (_, drift) in enumerate(errors):
+        skews = clock_skews(faults, node)
+        parts = [(skew.offset_walk, skew.drift_walk) for skew in skews if skew.offset_walk or skew.drift_walk]
+        if not parts:
+            walks.append(None)
+            continue
+        offset_walk, drift_walk = (
+            sqrt(portable_sum(part * part for part in of_kind)) for of_kind in zip(*parts, strict=True)
+        )
+        walks.append(ClockWalk(offset_walk, drift_walk, 1.0 + drift, until, stream(seed, "clock walk", node)))
+    return walks

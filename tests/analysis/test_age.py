@@ -40,6 +40,7 @@ from desim.kernel.models.loss import Bernoulli
 from desim.kernel.models.traced_faults import FaultEnded, FaultStarted, Misbehaviour
 from desim.kernel.network import Network
 from desim.kernel.transport.frames import CodedPiece
+from desim.kernel.wandering_clock import node_clocks
 from desim.pursuit.byzantine.lies import LIES, Slander
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Started
 from desim.pursuit.evaders.recorded import RecordedMotion
@@ -202,6 +203,32 @@ def test_the_time_of_a_forwarded_record_is_corrected_for_the_synchronisation_of_
     relay = forwarded(1, 2, 2.5, 3.0, Record(0, 1, ns(stamp), ACTIVE))
     synced = [ClockCorrected(ns(t), 0, value) for t, value in corrections]
     assert pair(by_hand((True,) * 3, 5.0, relay, *synced, fault=(skew,)), reader=2)[0] == pytest.approx(4.0 - created)
+
+
+def test_the_time_of_a_forwarded_record_is_corrected_for_the_random_walk_of_its_source():
+    """The record of 2 s is received at 3 s, until 5 s, and stamped by a clock with a random error of 0.7 s (s.d.)."""
+    skew = ClockSkew(node=0, offset_walk=0.5)
+    clock, *_ = node_clocks(Clock(), [skew], 3, 0, ns(Scenario().horizon))
+    assert abs(clock.at(ns(2.0)) - 2.0) > 0.01
+    relay = forwarded(1, 2, 2.5, 3.0, Record(0, 1, ns(clock.at(ns(2.0))), ACTIVE))
+    assert pair(by_hand((True,) * 3, 5.0, relay, fault=(skew,)), reader=2)[0] == pytest.approx(2.0, abs=1e-7)
+    assert pair(by_hand((True,) * 3, 5.0, relay), reader=2)[0] != pytest.approx(2.0, abs=1e-2)  # the control
+
+
+def test_a_stamp_that_is_rounded_up_is_not_taken_for_one_before_the_correction():
+    """2 s + 1 ns after a correction by -0.5 s, 0.5 t shows 0.5 s + 0.5 ns; without it, it showed 0.5 s at 1 s."""
+    skew, sent = ClockSkew(node=0, drift=-0.5), 2.000000001
+    relay = forwarded(0, 2, sent, 3.0, Record(0, 1, ns(0.5) + 1, ACTIVE))
+    result = by_hand((True,) * 3, 5.0, ClockCorrected(ns(1.0), 0, -0.5), relay, fault=(skew,))
+    assert pair(result, reader=2)[0] == pytest.approx(2.0, abs=1e-7)
+
+
+def test_a_planner_that_is_no_robot_has_no_clock_error():
+    """A record that it forwards has a true stamp, whatever clocks the robots have."""
+    relay = forwarded(1, 2, 2.5, 3.0, Record(0, 1, ns(2.0), ACTIVE))
+    result = by_hand((True,) * 3, 5.0, relay, fault=(ClockSkew(node=0, offset=5.0, drift=0.5),))
+    central = replace(result, scenario=result.scenario.with_({"protocol": "centralised"}))
+    assert pair(central, reader=2)[0] == 2.0
 
 
 @pytest.mark.parametrize("is_framed", [False, True], ids=["broadcast", "in a frame of a transport"])
