@@ -31,7 +31,7 @@ from desim.analysis.metrics import Summary
 from desim.analysis.statistics import paired
 from desim.scenario.checks import warnings
 from desim.scenario.overrides import Source
-from desim.scenario.toml import read_source
+from desim.scenario.toml import read_source, validate
 from desim.simulation.watchdog import TimedOut
 from desim.study.workers.batch import seeds_from
 from desim.study.workers.workers import InProcess, Processes
@@ -281,6 +281,25 @@ def test_a_scenario_made_in_python_can_be_played_with(tmp_path):
     (tmp_path / "copy.toml").write_text(found["texts"]["toml"])
     assert load(tmp_path / "copy.toml").team.count == 5
     assert tomllib.loads(found["texts"]["toml"])["team"] == {"count": 5, "speeds": 1.2}
+
+
+def _count(result):
+    return 1.0
+
+
+def _rule(me):
+    yield me.sleep(1.0)
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [{"properties": ["idle at most 2 in total"]}, {"record.metrics": [_count]}, {"protocol": _rule}],
+    ids=lambda keys: next(iter(keys)),
+)
+def test_any_scenario_made_in_python_has_its_texts(keys):
+    scenario = Scenario().with_(keys)
+    text = Playground(Source.of(scenario), None).texts([])["toml"]
+    assert validate(Source("", tomllib.loads(text), Scenario, allow_import=True)) == scenario
 
 
 @pytest.mark.whole

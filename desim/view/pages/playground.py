@@ -23,7 +23,7 @@ from desim.results import provenance, run_folder
 from desim.scenario.checks import warnings
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Scenario
-from desim.scenario.toml import validate
+from desim.scenario.toml import brief, validate
 from desim.simulation.run import Result, run
 from desim.simulation.watchdog import TimedOut, within
 from desim.view.pages.answers import Answer, Changes, json_answer
@@ -149,7 +149,7 @@ class Playground:
         options = [word for change in changes for word in ("--set", change)] if self.file is not None else []
         arguments = f", {list(changes)!r}" if options else ""
         return {
-            "toml": tomli_w.dumps(Source.of(validate(source)).tables if self.file is None else source.tables),
+            "toml": brief(validate(source)) if self.file is None else tomli_w.dumps(source.tables),
             "command": shlex.join(["desim", "run", file, *allow, *options]),
             "python": "from desim import load, run\n\n"
             f"result = run(load({file!r}{arguments}{', allow_import=True' if allow else ''}))\n",
