@@ -870,14 +870,18 @@ def test_cases_and_texts_are_golden(part):
     golden(f"breaking/{part.__name__}.txt", "\n\n".join(part()) + "\n")
 
 
+CALLED = 'Traceback (most recent call last):\n  File "theirs.py", line 1, in rule\n    raise error\n'
+
+
 @pytest.mark.parametrize(
     ("outcome", "timeout", "told"),
     [
         (Outcome("ok", value=1), None, ""),
         (Outcome("error", error=ValueError("no\nmore")), None, "ValueError: no"),
         (Outcome("error", error=TimedOut("took longer than 1 s")), 1.0, "TimedOut: took longer than 1 s"),
-        (Outcome("crashed", traceback="a\nended by signal 9\n"), None, "RuntimeError: ended by signal 9"),
-        (Outcome("error", traceback="a\ntheirs.OddError: boom: 1\n"), None, "OddError: boom: 1"),
+        (Outcome("crashed", traceback="ended by signal 9\n"), None, "RuntimeError: ended by signal 9"),
+        (Outcome("error", traceback=f"{CALLED}theirs.OddError: boom: 1\n"), None, "OddError: boom: 1"),
+        (Outcome("error", traceback=f"{CALLED}OddError: first: 1\nsecond\n"), None, "OddError: first: 1"),
     ],
 )
 def test_a_run_fails_by_its_exception_or_its_limit(outcome, timeout, told):

@@ -16,6 +16,7 @@ from desim.simulation.watchdog import TimedOut
 from desim.study.breaking.case_log import FAILED, CaseLog, CaseRun
 from desim.study.breaking.features import Case
 from desim.study.breaking.sightings import seen_in
+from desim.study.store.run_table import Row
 from desim.study.workers.dispatch import Measurement, Outcome, Task, drive
 from desim.study.workers.workers import Workers
 
@@ -95,11 +96,11 @@ def failure_of(outcome: Outcome, timeout: float | None) -> str:
     """
     if outcome.status == "ok":
         return ""
-    last = outcome.traceback.strip().splitlines()[-1:]
-    kind, colon, text = "".join(last).partition(": ")
+    line = Row(0, 0, outcome.status, traceback=outcome.traceback).error
+    kind, colon, text = line.partition(": ")
     if outcome.error is None and kind.replace(".", "").isidentifier():  # an exception that cannot be pickled
         return f"{kind.rpartition('.')[2]}{colon}{text}"
-    error = outcome.error or RuntimeError("".join(last))
+    error = outcome.error or RuntimeError(line)
     is_too_long = timeout is not None and isinstance(error, TimedOut)
     if isinstance(error, JudgementError) or not (isinstance(error, Exception) or is_too_long):
         raise error
