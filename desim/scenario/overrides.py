@@ -199,6 +199,8 @@ class Source:
                 return
             if holds(node, key) and isinstance(node[key], str | int | float):
                 node[key] = self._as_table((*place, key))
+            if isinstance(node, dict) and type(node.get(key)) is tuple:
+                node[key] = list(node[key])
             node = node[key] if holds(node, key) else None
             place += (key,)
         key = _key(last, node)
@@ -206,7 +208,7 @@ class Source:
             raise ScenarioError(f"{name} is not a key of a table")
         if key == "kind" and node.get("kind") != value:
             self._remove_misfits(place, value)
-        node[key] = value
+        node[key] = _copied(value)  # a later override may change what is in it
         self.origins.pop((*place, key), None)  # moves the key to the end: the last override counts
         self.origins[*place, key] = origin
 
@@ -313,11 +315,11 @@ def _replaced(model: Any, parts: list[str], value: Any) -> Any:
 
 def _copied(tables: Any) -> Any:
     """Return a copy of nested tables and lists; all other values, such as models, are shared with the original."""
-    if callable(tables):
+    if callable(tables):  # a model of a user may be a list, too
         return tables
     if isinstance(tables, dict):
         return {key: _copied(value) for key, value in tables.items()}
-    return [_copied(item) for item in tables] if isinstance(tables, list) else tables
+    return type(tables)(map(_copied, tables)) if type(tables) in {list, tuple} else tables
 
 
 def _defaults(model: type[Value], tables: dict[str, Any]) -> dict[str, Any]:

@@ -18,10 +18,11 @@ from desim.kernel.models.faults import Crash
 from desim.kernel.models.latency import Constant, Uniform
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli, GilbertElliott
-from desim.scenario.overrides import ScenarioError
+from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.players import Team
 from desim.scenario.scenario import Recording, Scenario
 from desim.scenario.toml import load
+from desim.study.plan.configurations import configurations
 from protocols.cbba import CBBA
 
 BASE = Scenario(team=Team(count=3), horizon=2.0, fault=(Crash(node=1, start=0.5),))
@@ -142,6 +143,22 @@ def test_a_table_and_what_is_changed_in_it_may_come_in_any_order():
     one, other = Scenario().with_(changes), Scenario().with_(dict(reversed(changes.items())))
     assert one == other
     assert one.network == Links(latency=0.1, loss=0.2)
+
+
+@pytest.mark.parametrize("kind", [list, tuple])
+def test_what_the_caller_gives_stays_as_it_is_when_a_part_of_it_is_changed(kind):
+    speeds, faults = [1.0, 2.0, 3.0], kind([{"kind": "crash", "node": 1, "start": 1.0}])
+    changed = BASE.with_({"team.speeds": speeds, "team.speeds.0": 9.0, "fault": faults, "fault.0.start": 1.5})
+    assert changed.team.speeds == (9.0, 2.0, 3.0)
+    assert changed.fault == (Crash(node=1, start=1.5),)
+    assert (speeds, faults) == ([1.0, 2.0, 3.0], kind([{"kind": "crash", "node": 1, "start": 1.0}]))
+
+
+def test_a_point_of_a_sweep_keeps_a_table_of_which_the_grid_changes_a_key_too():
+    grid = {"fault": [[{"kind": "crash", "node": 1, "start": 0.0}]], "fault.0.start": [0.5, 1.0]}
+    points = configurations(Source.of(BASE.with_({"sweep.grid": grid})))
+    assert [point.settings["fault"] for point in points] == [*grid["fault"], *grid["fault"]]
+    assert [point.scenario.fault[0].start for point in points] == grid["fault.0.start"]
 
 
 def test_the_method_copy_validates_as_model_copy_does():
