@@ -13,9 +13,12 @@ from types import MappingProxyType
 from typing import Any
 
 import tomli_w
+from pydantic import BaseModel
 
 from desim.config.arguments import Argument, naming_arguments
+from desim.config.choice import choices_of
 from desim.config.errors import Problem
+from desim.config.model import models_in
 from desim.config.own_modules import CodeName
 from desim.config.parameters import as_jsonable
 from desim.config.suggestion import close_to
@@ -146,8 +149,8 @@ def _relocate(source: Source) -> None:
     """Convert the paths of data files in bases: make each relative to the folder of the file that uses the bases.
 
     Such a path is the value of the key `file` in a table, or one of the values of such a key in the grid of a sweep.
-    Only tables whose kind is the name of an installed model are converted, because the key `file` may mean anything
-    else in a table of the kind "module:name". The kind and the path may be set in different files.
+    The kind of the table, if it has one, should be the name of an installed model, because the key `file` may mean
+    anything else in a table of the kind "module:name". The kind and the path may be set in different files.
     """
     for place, value in list(nested(source.tables)):
         *parts, last = ".".join(map(str, place)).split(".")  # a key of the grid is dotted
@@ -155,15 +158,24 @@ def _relocate(source: Source) -> None:
             continue
         node, key = value_at(source.tables, place[:-1]), place[-1]
         folder = os.path.relpath(Path(source.files[place]).parent, Path(source.name).parent)
-        if isinstance(value, str) and _has_installed_kind(node):
+        is_of_grid = parts[:2] == ["sweep", "grid"]
+        of_scenario = parts[2:] if is_of_grid else parts
+        if isinstance(value, str) and _has_data_file(node, of_scenario):
             node[key] = str(Path(folder, value))
-        elif isinstance(value, list) and parts[:2] == ["sweep", "grid"] and _has_installed_kind(source.at(parts[2:])):
+        elif isinstance(value, list) and is_of_grid and _has_data_file(source.at(of_scenario), of_scenario):
             node[key] = [str(Path(folder, path)) if isinstance(path, str) else path for path in value]
 
 
-def _has_installed_kind(table: Any) -> bool:
+def _has_data_file(table: Any, parts: Sequence[str]) -> bool:
+    """Return whether the key `file` of a table, at a dotted key given as its parts, is the path of a data file."""
     kind = table.get("kind") if isinstance(table, dict) else table  # a bare string stands for a kind
-    return isinstance(kind, str) and ":" not in kind
+    if kind is not None:
+        return isinstance(kind, str) and ":" not in kind
+    model: type[BaseModel] | None = Scenario
+    for part in (part for part in parts if not part.isdecimal()):
+        info = model.model_fields.get(part) if model is not None else None
+        model = None if info is None or choices_of(info) else next(models_in(info.annotation), None)
+    return model is not None and "file" in model.model_fields
 
 
 _PRINTED = "import sys, tomli_w, {0}; print(tomli_w.dumps({0}.{1}(open(sys.argv[1]))))"

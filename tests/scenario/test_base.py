@@ -5,6 +5,7 @@ from math import inf
 
 import pytest
 
+from desim.config.tables import nested
 from desim.kernel.models.latency import Gamma
 from desim.results import provenance
 from desim.scenario.overrides import ScenarioError
@@ -193,6 +194,23 @@ def test_data_files_in_the_grid_of_a_base_in_another_folder_lie_beside_it(table,
         each.settings["network.graph.file"]: each.scenario.network.graph for each in configurations(read_source(path))
     }
     assert [(name, len(graph.edges)) for name, graph in found.items()] == [("sub/a.json", 0), ("sub/deeper/b.json", 1)]
+
+
+@pytest.mark.parametrize(
+    "base",
+    [
+        "[[wall]]\nfile = 'corners.txt'",
+        "[[wall]]\nline = [[0, 0], [1, 1]]\n[sweep.grid]\n'wall.0.file' = ['corners.txt']",
+        "[sweep.grid]\nwall = [[{ file = 'corners.txt' }]]",
+        "[team.positions]\nfile = 'corners.txt'",
+        "[sweep.grid]\n'team.positions.file' = ['corners.txt']",
+    ],
+)
+def test_a_data_file_of_a_table_without_a_kind_lies_beside_the_base_too(base, files):
+    """Otherwise a file of the same name beside the other file would be read."""
+    tables = read_source(files(mine="base = 'sub/b.toml'\n", sub__b=base)).tables
+    (path,) = (value for (*_, key), value in nested(tables) if str(key).endswith("file"))
+    assert ([path] if isinstance(path, str) else path) == ["sub/corners.txt"]
 
 
 def test_a_key_file_of_a_users_own_table_stays_as_it_is(files):
