@@ -42,7 +42,7 @@ from desim.kernel.state.network_state import NetworkState
 from desim.live.frames import Mirror, WorldFrame, frame_of, hex_digits, segment_list
 from desim.live.link import SocketLinkLayer
 from desim.live.refusals import check_live
-from desim.live.sockets import Datagrams, Mailbox, checked_address, resolved, udp_socket
+from desim.live.sockets import Datagrams, Mailbox, checked_address, family_of, resolved, udp_socket
 from desim.live.start import Address
 from desim.live.wall_clock import Lateness, WallClock
 from desim.live.wire import Wire, is_record
@@ -121,6 +121,8 @@ class Node:
         The sender is None if its address is that of no pursuer, and the time is None before the start.
         """
         self._datagrams: Datagrams | None = None
+        self._family: int = socket.AF_UNSPEC
+        """The family of the address of its socket."""
         self._mailbox: Mailbox | None = None
         self._peers: list[Address] = []
         self._mailboxes: list[Address] = []
@@ -199,6 +201,7 @@ class Node:
             raise RuntimeError("a node runs once: create another one")
         with self._opened:
             _check_time(now)
+            self._family = family_of(checked_address(address))
             if peers:
                 self.connect(peers)
             self.bind(udp_socket(checked_address(address)))
@@ -211,7 +214,7 @@ class Node:
 
     def bind(self, bound: socket.socket) -> Address:
         """Listen on a socket; return its address."""
-        self._datagrams = Datagrams(bound, self.arrived)
+        self._datagrams, self._family = Datagrams(bound, self.arrived), bound.family
         return self._datagrams.address
 
     def bind_mailbox(self, bound: socket.socket) -> Address | None:
@@ -235,14 +238,19 @@ class Node:
             mailboxes: where they take records; None, or nothing: at the same sockets.
 
         Raises:
-            ValueError: if an address is not a host and a port, or there are more or fewer addresses than pursuers.
-            OSError: if a host is not known.
+            ValueError: if an address is not a host and a port, two are equal, or there are more or fewer addresses than
+                pursuers.
+            OSError: if a host is not known, or has no address of the family, IPv4 or IPv6, of its own socket.
         """
         addresses = [checked_address(peer) for peer in peers]
         if len(peers) != self._state.size:
             raise ValueError(f"peers should be the addresses of {self._state.size} pursuers (got {len(peers)})")
-        self._peers = [peer if number == self.pursuer else resolved(peer) for number, peer in enumerate(addresses)]
+        self._peers = [
+            peer if number == self.pursuer else resolved(peer, self._family) for number, peer in enumerate(addresses)
+        ]
         self._number_of = {peer: number for number, peer in enumerate(self._peers)}
+        if len(self._number_of) < len(self._peers):  # datagrams from there would be those of one of them
+            raise ValueError(f"peers should be different addresses (got {peers!r})")
         self._mailboxes = [box or peer for box, peer in zip_longest(mailboxes, self._peers)]
 
     async def run(self, now: Callable[[], int] | None = None) -> None:

@@ -57,15 +57,19 @@ def udp_socket(address: Address) -> socket.socket:
     return bound
 
 
-def resolved(address: Address) -> Address:
+def resolved(address: Address, family: int = socket.AF_UNSPEC) -> Address:
     """Return an address with the number of its host, from which datagrams come, in the place of its name.
 
+    Args:
+        address: the address.
+        family: the family of the number, that of the socket which sends to it: a name may have one of each.
+
     Raises:
-        OSError: if the host is not known, or is none of its own.
+        OSError: if the host is not known, has no number of the family, or stands for all addresses of a machine.
     """
     host, port = address
     try:
-        number, *_ = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0][4]
+        number, *_ = socket.getaddrinfo(host, port, family, socket.SOCK_DGRAM)[0][4]
     except (OSError, UnicodeError) as error:
         raise OSError(f"the host {host!r} is not known: {getattr(error, 'strerror', None) or error}") from None
     if ip_address(str(number).partition("%")[0]).is_unspecified:

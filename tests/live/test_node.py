@@ -676,6 +676,8 @@ def test_a_pursuer_that_does_not_exist_and_too_few_addresses_are_refused():
         udp_socket(taken.getsockname())
     with pytest.raises(ValueError, match=r"peers should be the addresses of 3 pursuers \(got 1\)"):
         Node(scenario(), 0).connect([(LOCAL, 1)])
+    with pytest.raises(ValueError, match=r"peers should be different addresses \(got \[\('127.0.0.1', 1\), "):
+        Node(scenario(), 0).connect([(LOCAL, 1), (LOCAL, 2), (LOCAL, 2)])
 
 
 WRONG_RUNS = {

@@ -1,12 +1,17 @@
 """Sockets of live nodes, where the system has not what they need, or a datagram cannot be read or sent."""
 
+import asyncio
+from socket import AF_INET, AF_INET6, AF_UNSPEC, SOCK_DGRAM
 from types import SimpleNamespace
 
 import pytest
 
 from desim.live import lobby, sockets
 from desim.live.lobby import LiveError
-from desim.live.sockets import Datagrams, Mailbox, resolved
+from desim.live.node import Node
+from desim.live.sockets import Datagrams, Mailbox, resolved, udp_socket
+from desim.scenario.players import Team
+from desim.scenario.scenario import Scenario
 
 
 class Socket:
@@ -95,6 +100,31 @@ def test_a_host_that_is_no_address_of_a_machine_is_refused(host, why):
 
 def test_an_address_is_that_of_its_number():
     assert resolved(("127.0.0.1", 5)) == ("127.0.0.1", 5)
+
+
+def test_a_name_with_addresses_of_both_families_has_that_of_the_socket(monkeypatch):
+    numbers = {AF_INET6: ("::1", 5, 0, 0), AF_INET: ("127.0.0.1", 5)}
+
+    def addresses(host, port, family, kind):
+        assert (host, port, kind) == ("both", 5, SOCK_DGRAM)
+        return [(kept, kind, 17, "", numbers[kept]) for kept in numbers if family in {AF_UNSPEC, kept}]
+
+    monkeypatch.setattr(sockets.socket, "getaddrinfo", addresses)
+    found = [resolved(("both", 5), family)[0] for family in (AF_UNSPEC, AF_INET, AF_INET6)]
+    assert found == ["::1", "127.0.0.1", "::1"]
+
+    async def play(opens):
+        node = Node(Scenario(team=Team(count=2)), 0)
+        peers = [("127.0.0.1", 4), ("both", 5)]
+        if opens:
+            async with node.open(("127.0.0.1", 0), peers):
+                return node._peers
+        node.bind(bound := udp_socket(("127.0.0.1", 0)))
+        node.connect(peers)
+        bound.close()
+        return node._peers
+
+    assert [asyncio.run(play(opens)) for opens in (True, False)] == [[("127.0.0.1", 4), ("127.0.0.1", 5)]] * 2
 
 
 @pytest.mark.parametrize("fails", [True, False])
