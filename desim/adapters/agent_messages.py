@@ -56,9 +56,9 @@ class AgentMessages(EnvNetwork):
     def spaces_of(self, agent: Hashable) -> tuple[ActionSpace, spaces.Dict]:
         """Return the spaces of the actions and of the observations of an agent, the same objects at each call."""
         if agent not in self._spaces:
-            action = with_entries(self._env.action_space(agent), "action", {"message": self._message})
+            action = ActionSpace(self._env.action_space(agent), self._message)
             observation = with_entries(self._env.observation_space(agent), "observation", self._heard)
-            self._spaces[agent] = ActionSpace(action), spaces.Dict(observation)
+            self._spaces[agent] = action, spaces.Dict(observation)
         return self._spaces[agent]
 
     def reset(self, seed: int | None) -> None:
@@ -73,16 +73,16 @@ class AgentMessages(EnvNetwork):
         Raises:
             ValueError: if the action has no message, or one that is not in its space.
         """
-        keys = self.spaces_of(agent)[0].keys()
-        if not isinstance(action, dict) or action.keys() != set(keys):
-            raise ValueError(f"the action of {agent!r} should be a dict with the keys {list(keys)} (got {action!r})")
+        space = self.spaces_of(agent)[0]
+        if not isinstance(action, dict) or action.keys() != set(space):
+            raise ValueError(f"the action of {agent!r} should be a dict with the keys {list(space)} (got {action!r})")
         rest = {key: value for key, value in action.items() if key != "message"}
         body = message = action["message"]
         if message is not None:
             body = _in_box(message, self._message.dtype) if isinstance(self._message, spaces.Box) else message
             if body is None or body not in self._message:
                 raise ValueError(f"the message of {agent!r} should be in {self._message} (got {message!r})")
-        return rest["action"] if rest.keys() == {"action"} else rest, body
+        return rest if space.keeps_keys else rest["action"], body
 
     def say(self, agent: Hashable, message: Any) -> None:
         """Broadcast the message of an agent; None: nothing."""

@@ -11,7 +11,19 @@ UNHEARD = -1.0
 
 
 class ActionSpace(spaces.Dict):
-    """The space of an action with a message. A mask of the environment masks the action."""
+    """The space of an action with a message. A mask of the environment masks the action.
+
+    Args:
+        of_env: the space of the action.
+        message: the space of the message.
+
+    Attributes:
+        keeps_keys: whether the action is a dict, which keeps its keys; else it has the key `action`.
+    """
+
+    def __init__(self, of_env: spaces.Space[Any], message: spaces.Space[Any]):
+        super().__init__(with_entries(of_env, "action", {"message": message}))
+        self.keeps_keys = isinstance(of_env, spaces.Dict)
 
     def sample(self, mask: Any = None, probability: Any = None) -> dict[str, Any]:
         """Draw an action and a message; a mask without a part for the message is that of the action."""
@@ -20,7 +32,7 @@ class ActionSpace(spaces.Dict):
     def _parts(self, mask: Any) -> Any:
         if mask is None or (isinstance(mask, dict) and "message" in mask):
             return mask
-        return {**({"action": mask} if self.keys() == {"action", "message"} else mask), "message": None}
+        return {**(mask if self.keeps_keys else {"action": mask}), "message": None}
 
 
 def with_entries(value: Any, name: str, more: dict[str, Any]) -> dict[str, Any]:

@@ -109,6 +109,21 @@ def test_each_agent_that_appears_has_a_row_up_to_the_capacity():
         played(1, positions=lambda env: np.zeros((5, 2)))
 
 
+def test_an_action_that_is_a_dict_with_the_key_action_stays_one():
+    class Keyed(Line):
+        def action_space(self, agent):
+            return spaces.Dict({"action": super().action_space(agent)})
+
+        def step(self, actions):
+            return super().step({agent: action["action"] for agent, action in actions.items()})
+
+    env = desim.wrap(Keyed())
+    env.reset(seed=3)
+    mask = {"action": np.array([0, 0, 1], np.int8)}
+    env.step({name: env.action_space(name).sample(mask) for name in env.agents})
+    assert [*env.unwrapped.x.values()] == [2.0, 6.0, 10.0]
+
+
 def talk(env, steps, seed=3):
     """Let each agent say 100 k + its number in step k, and return the observations of each step."""
     observed = [env.reset(seed=seed)[0]]
