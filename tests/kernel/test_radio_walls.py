@@ -149,6 +149,14 @@ def test_a_large_loss_is_a_large_distance_and_an_opaque_wall_an_infinite_one():
     ]
 
 
+@pytest.mark.parametrize("kind", [np.float32, int])
+def test_a_function_may_return_positions_of_any_type_of_numbers(kind):
+    places = np.array(line(0, 4, 6), dtype=kind)
+    topology = Topology(nx.complete_graph(3), 5.0, lambda: places, walls=[wall(at=5.0)])
+    assert [topology.hearers(node) for node in range(3)] == [[1], [0], []]
+    assert topology.reaches(1, [0, 2]) == [True, False]
+
+
 @pytest.mark.parametrize("graph", [nx.complete_graph(12), nx.gnp_random_graph(12, 0.5, seed=2, directed=True)])
 def test_losses_are_kept_until_an_end_moves(graph):
     rng = np.random.default_rng(4)

@@ -79,11 +79,12 @@ def test_arcs_of_a_directed_graph_carry_messages_one_way():
     assert set(topology.graph().edges) == {(0, 1), (1, 2), (2, 0)}
 
 
-@pytest.mark.parametrize("ask", [Topology.neighbours, Topology.hearers])
+@pytest.mark.parametrize("ask", [Topology.neighbours, Topology.hearers, Topology.audible, Topology.component])
 @pytest.mark.parametrize("node", [-1, 3])
 def test_a_query_about_a_node_that_does_not_exist_is_refused(ask, node):
-    with pytest.raises(IndexError):
-        ask(Topology(nx.complete_graph(3)), node)
+    for graph in (nx.complete_graph(3), nx.DiGraph([(0, 1), (1, 2), (2, 0)])):
+        with pytest.raises(IndexError):
+            ask(Topology(graph), node)
 
 
 def test_a_per_link_faded_link_exists_while_its_pair_is_near_enough():

@@ -63,7 +63,7 @@ class _FunctionSource(PositionSource):
         self._function = function
 
     def __call__(self) -> Floats:
-        return np.asarray(self._function())
+        return np.asarray(self._function(), dtype=float)
 
 
 def as_position_source(positions: PositionFunction) -> PositionSource:

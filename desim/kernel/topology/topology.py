@@ -248,8 +248,10 @@ class Topology:
         return self._near(node, self._candidates(node))
 
     def audible(self, node: int) -> list[int]:
-        """Return the nodes that `node` receives from now, ascending; see `neighbours`."""
+        """Return the nodes that `node` receives from now, ascending; see `neighbours`, also for errors."""
         senders: list[int]
+        if node < 0:
+            raise IndexError(f"there is no node {node}")
         if not self._directed:
             senders = self.neighbours(node).tolist() if self._kept is None else self.hearers(node)
         elif self._positions is None:
