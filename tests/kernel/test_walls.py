@@ -71,8 +71,9 @@ def test_a_text_may_have_several_lines_and_polygons_with_holes():
     assert [(len(shape.corners), shape.closed) for shape in shapes] == [(2, False), (3, False), (4, True), (3, True)]
     points = np.array([[1.0, 1.0], [5.0, 4.0], [3.1, 5.0], [10.0, 1.0]])
     assert are_inside(points, shapes).tolist() == [True, False, True, False]
-    lines = Wall(svg="M 1 -1 l 1 0 0 -1 m 5 0 h 2 M 0 0 h 1 v 1 z l 3 3").shapes
+    lines = Wall(svg="M 8 -9 z l 1 0 M 1 -1 l 1 0 0 -1 m 5 0 h 2 M 0 0 h 1 v 1 z l 3 3").shapes
     assert [shape.corners.tolist() for shape in lines] == [
+        [[8, 9], [9, 9]],
         [[1, 1], [2, 1], [2, 2]],
         [[7, 2], [9, 2]],
         [[0, 0], [1, 0], [1, -1]],
@@ -149,6 +150,7 @@ BAD = {
     "a letter": ({"svg": "M 0 0 L 1 x"}, "x is no command"),
     "no path": ({"svg": "M 0 0"}, "has no line"),
     "a sign": ({"svg": "M 0 0 L 1 %"}, "is neither a command nor a number"),
+    "nested too deeply": ({"wkt": "GEOMETRYCOLLECTION (" * 2000}, "nested too deeply"),
     "numbers first": ({"svg": "1 2 L 3 4"}, "should come before 1"),
     "a missing file": ({"file": "no.wkt"}, "no.wkt cannot be read"),
     "an unknown name": ({"line": SQUARE, "blocks": ["sound"]}, "'motion' or 'start'"),

@@ -45,8 +45,11 @@ def wkt_outlines(text: str) -> list[Outline]:
     """
     reader = _Wkt(text)
     outlines: list[Outline] = []
-    while reader.token is not None:
-        outlines += reader.geometry()
+    try:
+        while reader.token is not None:
+            outlines += reader.geometry()
+    except RecursionError as error:
+        raise ValueError("WKT: a geometry is nested too deeply in others") from error
     if not outlines:
         raise ValueError(f"WKT should have at least one of {', '.join(WKT_FORMS[:4])}")
     return outlines
@@ -151,6 +154,8 @@ def svg_outlines(text: str) -> list[Outline]:
         ValueError: if the text is not such data, or has a curve.
     """
     tokens = list(_svg_tokens(text))
+    if tokens and isinstance(tokens[0], str) and tokens[0] not in "Mm":
+        raise ValueError(f"SVG path: should begin with M, not {tokens[0]}")
     outlines: list[Outline] = []
     corners: list[complex] = []
     begin = place = 0j
@@ -165,8 +170,6 @@ def svg_outlines(text: str) -> list[Outline]:
             corners, place = [], begin
             continue
         if not corners and command not in "Mm":
-            if not outlines:
-                raise ValueError(f"SVG path: should begin with M, not {command}")
             corners = [place]
         numbers, at = _svg_numbers(tokens, at, command)
         place = _moved(place, command, numbers)
