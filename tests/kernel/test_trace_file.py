@@ -371,6 +371,11 @@ def test_a_part_that_is_a_symbolic_link_is_not_followed(tmp_path, monkeypatch):
     assert secret.read_text() == "kept"
 
 
+def test_a_folder_is_refused_before_the_run(tmp_path):
+    with pytest.raises(IsADirectoryError, match="is a folder, not a file"), TraceFile(tmp_path):
+        raise AssertionError("the run should not begin")
+
+
 def test_a_broadcast_to_many_is_not_kept_in_memory(tmp_path):
     with TraceFile(tmp_path / "trace.jsonl") as file:
         file(broadcast(LONG))

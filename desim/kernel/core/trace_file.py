@@ -10,7 +10,7 @@ import json
 import os
 from collections import namedtuple
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from errno import EAGAIN, ELOOP
+from errno import EAGAIN, EISDIR, ELOOP
 from functools import cache, lru_cache
 from keyword import iskeyword
 from math import isfinite
@@ -66,7 +66,8 @@ class TraceFile:
         ValueError: if the path is none; at the beginning of the block, if another `TraceFile` of this process writes
             the file.
         BlockingIOError: at the beginning of the block, if another process writes the file.
-        OSError: at the beginning of the block, if the .part file cannot be opened, or is a symbolic link.
+        OSError: at the beginning of the block, if the path is a folder, or the .part file cannot be opened or is a
+            symbolic link.
     """
 
     def __init__(self, path: str | Path):
@@ -83,6 +84,8 @@ class TraceFile:
 
     def __enter__(self) -> Self:
         place = self._part.resolve()
+        if self._path.is_dir():
+            raise IsADirectoryError(EISDIR, "is a folder, not a file", str(self._path))
         if place in _WRITTEN:
             raise ValueError(f"{self._path} is written already by a TraceFile: each run needs a file of its own")
         self._file, self._last = _open_alone(self._part, self._path), 0
