@@ -439,7 +439,8 @@ def test_numbers_with_units_and_masked_ones_are_no_positions_and_no_bodies(hide)
 
 def test_attributes_of_edges_that_are_not_read_are_warned_of():
     graph = nx.path_graph(3)
-    nx.set_node_attributes(graph, (0.0, 0.0), "pos")
+    for place in ("pos", "lat", "lon"):
+        nx.set_node_attributes(graph, 0.0, place)
     SteppedNetwork(graph)
     nx.set_edge_attributes(graph, 0.2, "delay")
     with pytest.warns(

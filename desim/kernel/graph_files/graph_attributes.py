@@ -72,7 +72,8 @@ def _node_names(names: Collection[Any]) -> Iterator[str]:
 def _link_names(attributes: Mapping[Any, Any]) -> Iterator[str]:
     """Yield the attributes of a graph, or of its nodes, that seem to be about links."""
     for name in map(str, attributes):
-        if _simple(name) in MEANT or name.lower() in READ:
+        is_about_links = _simple(name) in MEANT or name.lower() in READ
+        if is_about_links and name.lower() not in POSITIONS:  # lat is a latitude, and of an edge a latency
             yield f"{name}{_meant(name)}"
 
 
