@@ -46,9 +46,9 @@ UNREAD = {
     ".dl": "igraph.Graph.Read_DL(...).to_networkx",
     ".gdf": "a script of yours",
 }
+"""The functions that read graphs of formats that are not read here, by the ending of the file."""
 METIS = {".metis", ".chaco", ".graph"}
 """The endings of graphs in the format of METIS; an edge list may have the last one, too."""
-"""The functions that read graphs of formats that are not read here, by the ending of the file."""
 
 
 def read_graph(file: Path, directed: bool | None = None) -> "nx.Graph[Any]":
