@@ -178,6 +178,13 @@ def test_times_that_count_from_a_date_start_with_the_earliest_and_others_with_0(
     assert start_of([time_of("1970-01-01T00:00:05Z")], "") == 5
 
 
+def test_a_time_in_ns_may_look_like_a_date():
+    assert [time_of("201012152359", "ns"), time_of("20101215235900", "us")] == [
+        Decimal("201.012152359"),
+        Decimal("20101215.2359"),
+    ]
+
+
 TIMES_OF_NOTHING = {
     "one number for a date and a time": (
         ["20240517120000", "20240517120001"],

@@ -145,7 +145,7 @@ def time_of(text: str, unit: Unit = "s") -> Decimal:
         return _seconds_of_date(text.strip())
     if not is_plain(text):
         raise not_a_number(text)
-    if match := COMPACT_TIME.fullmatch(text):
+    if abs(seconds) >= LAST_TIME and (match := COMPACT_TIME.fullmatch(text)):  # 200 s are as many ns
         year, month, day, hour, minute, second = match.groups()
         date = f"{year}-{month}-{day}T{hour}:{minute}:{second or '00'}"
         raise ValueError(f"{text!r} is probably a date: write {date} instead")
