@@ -584,3 +584,13 @@ def test_a_power_that_no_radio_receives_gives_a_warning(column, value, is_told):
     assert [key for key, text in warnings(scenario) if "stands for no signal" in text] == [
         "network.loss.value"
     ] * is_told
+
+
+def test_a_link_that_never_received_has_no_power_of_0_dbm():
+    assert SignalTrace(table="t,src,dst,rssi\n0,0,1,-80\n0,1,0,\n1,1,0,nan\n", value="rssi").doubt is None
+    assert SignalTrace(table="t,rssi\n0,\n", value="rssi").doubt is None
+
+
+@pytest.mark.parametrize("table", ["t,value\n0,0.1\n1,0.2\n", "t,src,dst,value\n0,0,1,0.1\n1,0,1,0.2\n"])
+def test_a_table_is_shown_by_the_number_of_its_rows(table):
+    assert LatencyTrace(table=table, both_ways=True).given()["table"] == "2 rows"

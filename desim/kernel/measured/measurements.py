@@ -105,7 +105,8 @@ class Measurements:
     rank: Integers
     """(R,) the index in `times` of the time of each row."""
     values: Floats
-    """(R,) the values; if one is missing, that of the row before of its link, and before the first row, of the last."""
+    """(R,) the values; if one is missing, that of the row before of its link, and before the first row, of the last; 0
+    if a link has no value at all."""
     is_missing: Bools
     """(R,) whether the row has no value."""
     names: tuple[str, ...] | None = None

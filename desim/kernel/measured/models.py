@@ -4,6 +4,7 @@ A signal strength, such as RSSI, is a model of loss, and not of reception. A rec
 and range, which the network also uses to find neighbours; a measured signal depends on neither.
 """
 
+import math
 import re
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -169,7 +170,8 @@ class SignalTrace(_LossTrace):
     @property
     def doubt(self) -> tuple[str, str] | None:
         """Whether a value is no strength of a received signal; see `LinkTrace.doubt`."""
-        words, most = set(re.findall("[a-z]+", self.value.lower())), float(self.measurements.values.max())
+        words, measured = set(re.findall("[a-z]+", self.value.lower())), self.measurements
+        most = float(measured.values[~measured.is_missing].max(initial=-math.inf))
         if words & IN_DBM and most >= 0.0:
             return "value", f"no radio receives {most:g} dBm: if it stands for no signal, leave its cells empty"
         return None
