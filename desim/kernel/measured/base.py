@@ -127,7 +127,7 @@ class LinkTrace(Value):
 
     def given(self) -> dict[str, Any]:
         """Return the fields that differ from their defaults, see `Value.given`; only the length of the table."""
-        rows = len(self.measurements.values) // (2 if self.both_ways else 1)
+        rows = len(self.measurements.values) // (2 if self.both_ways and self.src is not None else 1)
         return super().given() | {"table": f"{rows} rows"}
 
     @property
