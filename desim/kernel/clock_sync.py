@@ -105,7 +105,8 @@ class Synchroniser:
         nodes: the nodes that send and answer here; None: all.
 
     Attributes:
-        answered: by number of a request: t3, ns, by the clock of the reference, as it travels with the answer.
+        answered: by answer: t3, ns, by the clock of the reference, as it travels with the answer. A request that is
+            transmitted twice has two answers.
     """
 
     def __init__(
@@ -126,7 +127,7 @@ class Synchroniser:
         self._numbers = count()
         self._asked: list[dict[int, int]] = [{} for _ in clocks]
         """By node: t1, ns, by its uncorrected clock, of each request that may still be answered, by number."""
-        self.answered: dict[int, int] = {}
+        self.answered: dict[TimeAnswer, int] = {}
         network.overhear(self._stamp)
         self._timers = [Timer(env, Phase.HEARTBEAT + node, partial(self._ask, node)) for node in range(len(clocks))]
         for node in range(len(clocks)) if nodes is None else nodes:
@@ -153,7 +154,7 @@ class Synchroniser:
             if len(asked) > REMEMBERED:
                 del asked[next(iter(asked))]
         elif isinstance(body, TimeAnswer):
-            self.answered[body.number] = self._clocks[content.src].stamp
+            self.answered[body] = self._clocks[content.src].stamp
             if len(self.answered) > REMEMBERED * len(self._clocks):
                 del self.answered[next(iter(self.answered))]
 
@@ -162,8 +163,8 @@ class Synchroniser:
         for src, _, body in messages:
             if isinstance(body, TimeRequest):
                 self._send(node, src, TimeAnswer(body.number, self._clocks[node].stamp))
-            elif body.number in self._asked[node] and body.number in self.answered:
-                self._use(node, self._asked[node].pop(body.number), body.received, self.answered.pop(body.number))
+            elif body.number in self._asked[node] and body in self.answered:
+                self._use(node, self._asked[node].pop(body.number), body.received, self.answered.pop(body))
 
     def _use(self, node: int, sent: int, received: int, answered: int) -> None:
         """Measure the offset of the reference from t1, t2 and t3; correct the clock by the mean of enough of them."""

@@ -145,8 +145,8 @@ class Wire:
         self._layouts = [Layout(body, lengths, limits) for body in BODIES]
         self._announced = {number: self._layouts[number] for number, body in enumerate(BODIES) if body in ANNOUNCED}
         self._sent = count(1)
-        self.answered: dict[int, int] = {}
-        """t3 of the answers of clock synchronisation, ns, by number; see `desim.kernel.clock_sync.Synchroniser`."""
+        self.answered: dict[TimeAnswer, int] = {}
+        """t3 of answers of clock synchronisation, ns; see `desim.kernel.clock_sync.Synchroniser`."""
 
     @classmethod
     def of(cls, scenario: Scenario) -> Self:
@@ -234,8 +234,10 @@ class Wire:
         if number is None:
             return None
         numbers, records = self._layouts[number].flat(body)
-        if isinstance(body, TimeRequest | TimeAnswer):
-            numbers += [0] * (2 - len(numbers)) + [self.answered.get(body.number, 0)]
+        if isinstance(body, TimeRequest):
+            numbers += [0, 0]
+        elif isinstance(body, TimeAnswer):
+            numbers.append(self.answered.get(body, 0))
         data = self._layouts[number].pack(numbers)
         for record in records:
             inner = self._body_of(record.body)
@@ -299,10 +301,11 @@ class Wire:
             first, second, third = Struct(">qqq").unpack(data[at:])
             if layout.body is TimeRequest:
                 return TimeRequest(first)
-            self.answered[first] = third
+            answer = TimeAnswer(first, second)
+            self.answered[answer] = third
             if len(self.answered) > MAX_ANSWERED:
                 del self.answered[next(iter(self.answered))]
-            return TimeAnswer(first, second)
+            return answer
         return layout.read(data, at, self._records)
 
     def _records(self, data: bytes) -> Iterator[Record]:

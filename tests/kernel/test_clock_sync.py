@@ -77,6 +77,13 @@ def test_lost_messages_delay_a_correction_and_do_not_spoil_it():
     assert 5 < len(trace.of(ClockCorrected)) < 40
 
 
+def test_a_request_that_arrives_twice_has_two_answers_with_their_own_times():
+    """The copy of a message follows it 10 ms later, so the second answer begins before the first has arrived."""
+    links = Links(duplicate=Bernoulli(p=1.0), medium=Bitrate(bitrate=32_000.0), latency=Constant(value=0.05))
+    found, _ = errors(links, TwoWay(interval=0.2, exchanges=2))
+    assert found[0] == pytest.approx(0.0, abs=1e-9)
+
+
 def test_waiting_for_the_channel_is_no_error_and_messages_are_counted():
     """Fifty nodes share a channel on which a message of 40 bytes takes 10 ms, so that requests and answers queue."""
     links = Links(medium=Bitrate(bitrate=32_000.0, shared=True), latency=Constant(value=0.05))

@@ -181,11 +181,11 @@ def test_a_frame_says_when_it_was_transmitted_and_not_only_when_its_message_was_
 
 def test_an_answer_about_the_time_carries_the_clock_at_its_transmission():
     asking, answering = (Wire(NODES, EVADERS, OwnBodies(None)) for _ in range(2))
-    answering.answered[6] = 1234
+    answering.answered[TimeAnswer(6, 99)] = 1234
     datagram = answering.encode(Message(0, 5, TimeAnswer(6, 99)), wire_module.CLOCKS, SIZE, to_one=True)
     assert len(datagram) == SIZE
     assert asking.decode(datagram).content.body == TimeAnswer(6, 99)
-    assert asking.answered == {6: 1234}
+    assert asking.answered == {TimeAnswer(6, 99): 1234}
     request = asking.encode(Message(1, 5, TimeRequest(7)), wire_module.CLOCKS, SIZE, to_one=True)
     assert len(request) == SIZE
     assert answering.decode(request).content.body == TimeRequest(7)
@@ -519,9 +519,9 @@ def test_the_oldest_answers_about_the_time_are_forgotten(monkeypatch):
     monkeypatch.setattr(wire_module, "MAX_ANSWERED", 2)
     asking, answering = (Wire(NODES, EVADERS, OwnBodies(None)) for _ in range(2))
     for number in (6, 7, 8):
-        answering.answered[number] = 100 + number
+        answering.answered[TimeAnswer(number, 9)] = 100 + number
         asking.decode(answering.encode(Message(0, 5, TimeAnswer(number, 9)), wire_module.CLOCKS, SIZE, to_one=True))
-    assert asking.answered == {7: 107, 8: 108}
+    assert asking.answered == {TimeAnswer(7, 9): 107, TimeAnswer(8, 9): 108}
 
 
 def test_without_msgspec_a_body_of_a_user_is_malformed_where_it_arrives(monkeypatch):
