@@ -1,4 +1,4 @@
-"""Texts that are meant as numbers, such as "50 ms": what to write instead."""
+"""Texts that are meant as numbers, such as "50 ms": which time they say, and what to write instead."""
 
 import re
 from collections.abc import Collection
@@ -41,3 +41,12 @@ def why_no_number(text: str, units: Collection[str] = ("s", "1")) -> str | None:
     right, count = UNITS[unit]
     what = "a number from 0 to 1" if right == "1" else f"a number, in {right}"
     return f"should be {what}: {float(number) / count:g} instead of the text {text!r}"
+
+
+def seconds_in(text: str) -> float | None:
+    """Return the time, s, in a text that names its unit, such as "50 ms"; None for any other text."""
+    match = NUMBER_AS_TEXT.fullmatch(text)
+    if match is None or "," in match[1]:
+        return None
+    unit, count = UNITS.get(match[2].lower(), ("", 1.0))
+    return float(match[1]) / count if unit == "s" else None

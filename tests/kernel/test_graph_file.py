@@ -267,12 +267,14 @@ def test_what_reads_another_format_is_told(tmp_path, ending):
 
 
 @pytest.mark.parametrize("kind", ATTRIBUTED)
-def test_milliseconds_are_noticed_and_texts_are_refused(tmp_path, kind):
-    """50 as a latency in s is longer than the horizon; 10 ms and 0.2 as texts are no numbers."""
+def test_milliseconds_are_noticed_and_other_texts_are_refused(tmp_path, kind):
+    """50 as a latency in s is longer than the horizon; 10 ms is 0.01 s, and 10 km and 0.2 as texts are no numbers."""
     (why,) = told(plain(tmp_path, kind, latency=50.0), horizon=3.0)
     assert why == "the mean latency of an edge of 50 s is not less than the horizon of 3 s: times are in s, not ms"
-    with pytest.raises(ValueError, match="10 ms"):
-        read(plain(tmp_path, kind, latency="10 ms"))
+    latencies = {edge.latency for edge in read(plain(tmp_path, kind, latency="10 ms")).edges}
+    assert latencies - {None} == {Constant(value=0.01)}
+    with pytest.raises(ValueError, match="10 km"):
+        read(plain(tmp_path, kind, latency="10 km"))
     if kind not in EDGES_ONLY - {"net.edgelist"}:  # tables declare no types
         with pytest.raises(ValueError, match=r"should be a number: 0\.2 instead of the text '0\.2'"):
             read(plain(tmp_path, kind, loss="0.2"))
@@ -327,7 +329,7 @@ NO_GRAPHS = {
     "ragged.csv": ("source,target,loss\n0,1\n", "line 2: should have 3 columns, has 2"),
     "commas.txt": ("source target loss\n0 1 0,5\n", "line 2: loss: '0,5' is not a number; the decimal sign is a point"),
     "signs.csv": ("source;target;loss\n0;1;0,5\n1;2;0.5\n", "either decimal points or decimal commas"),
-    "unit.csv": ("source,target,latency\n0,1,10 ms\n", "line 2: latency: '10 ms' is not a number"),
+    "unit.csv": ("source,target,latency\n0,1,10 km\n", "line 2: latency: '10 km' is not a number"),
     "mixed.csv": ("Source,Target,Type\n0,1,Directed\n1,2,Undirected\n", "has directed and undirected edges"),
     "parallel.csv": ("source,target,loss\n0,1,0\n0,1,1\n", "edges 0 and 1 are parallel: both join nodes 0 and 1"),
     "nodes.csv": ("Id,Label\na,a\nb,b\n", "line 1: Id, Label are the columns of a table of nodes"),
@@ -466,6 +468,11 @@ SAME = {
         "net.json",
         '{"elements": [{"data": {"source": 0, "target": 1, "latency": 0.5}}, {"data":{"id": 0}}, {"data": {"id": 1}}]}',
     ),
+    "a latency with its unit, as in Shadow": (
+        "net.gml",
+        'graph [ node [ id 0 ] node [ id 1 ] edge [ source 0 target 1 latency "500 ms" ] ]',
+    ),
+    "a latency with its unit in a list": ("net.csv", "source,target,latency\n0,1,500000us\n"),
     "GML without labels": ("net.gml", "graph [ node [ id 0 ] node [ id 1 ] edge [ source 0 target 1 latency 0.5 ] ]"),
 }
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from desim.config.column_names import COLUMNS, WORD
 from desim.config.number_files import is_number_text, number_of
+from desim.config.number_texts import seconds_in
 from desim.config.tables import check_once
 from desim.kernel.measured.csv_tables import separator_in, with_points
 
@@ -386,11 +387,14 @@ def _check_form(file: Path, rows: Sequence[EdgeRow]) -> None:
 
 
 def _attribute(name: str, cell: str, place: str) -> Any:
-    """Return an attribute: a number if it looks like one; latencies and losses should be numbers."""
+    """Return an attribute: a number if it looks like one.
+
+    A loss should be a number, and a latency a number or a time with its unit.
+    """
     try:
         return number_of(cell)
     except ValueError as error:
-        if name in {"latency", "loss"}:
+        if name == "loss" or (name == "latency" and seconds_in(cell) is None):
             raise ValueError(f"{place}: {name}: {error}") from error
         return cell
 

@@ -9,6 +9,7 @@ from pydantic import Field, ModelWrapValidatorHandler, ValidationError, Validati
 from desim.config.choice import OneOf
 from desim.config.errors import WORDINGS, KeyedError
 from desim.config.model import Flag, Value
+from desim.config.number_texts import seconds_in
 from desim.config.python_numbers import as_python
 from desim.config.trust import resolve_path
 from desim.kernel.graph_files.graph_attributes import unread_attributes
@@ -289,7 +290,7 @@ def links_with_attributes(graph: "nx.Graph[int]") -> Iterator[tuple[int, int, di
 def as_model(name: str, value: Any) -> Any:
     """Convert an edge attribute: a number becomes a constant latency (s) or a Bernoulli loss.
 
-    Any other value is returned unchanged.
+    So does a text with a latency and its unit, such as "5 ms". Any other value is returned unchanged.
 
     Raises:
         ValueError: if the attribute is an invalid order, or a number that is not a valid latency or probability.
@@ -297,6 +298,8 @@ def as_model(name: str, value: Any) -> Any:
     if name == "order" and value not in (None, *get_args(Order)):
         raise ValueError(f"the order of an edge should be {' or '.join(get_args(Order))} (got {value!r})")
     number = value if name == "order" or callable(value) else as_python(value)
+    if name == "latency" and isinstance(number, str):
+        number = seconds_in(number)
     if type(number) is not int and type(number) is not float:
         return value
     return Constant(value=number) if name == "latency" else Bernoulli(p=number)
