@@ -198,6 +198,16 @@ def test_the_path_of_a_teammate_is_retraced_round_corners():
 ROOM = {"line": [[3, 3], [7, 3], [7, 7], [3, 7], [3, 3]], "blocks": ["motion"]}
 
 
+def test_nobody_captures_through_a_wall_without_a_way_round():
+    """At distances of .04 m, through a wall of the room, and of .06 m in it, whose pursuer captures at once."""
+    near = {"team.positions": [[2.98, 5.0], [3.08, 5.0]], "evader.position": [3.02, 5.0], "wall": [ROOM]}
+    made = scenario(near, **{"team.count": 2, "evader.strategy": {"kind": "still"}, "horizon": 1.0})
+    assert [event.capturer for event in run(made, 0).trace.of(Captured)] == [1]
+    alone = made.with_({"team.count": 1, "team.positions": [[2.98, 5.0]]})
+    assert not run(alone, 0).trace.of(Captured)
+    assert run(alone.with_({"wall": []}), 0).trace.of(Captured)
+
+
 def test_an_evader_that_walls_enclose_is_told_and_not_chased():
     enclosed = {"evader.position": [5.0, 5.0], "team.positions": [[0.0, 0.0], [1.0, 9.0]], "wall": [ROOM]}
     made = scenario(enclosed, **{"team.count": 2, "horizon": 2.0})

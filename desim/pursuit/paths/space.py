@@ -261,6 +261,8 @@ class Walled(Plane):
         t = duration if first is None else first[0]
         for _ in range(MAX_STEPS if first is not None else 0):
             distance = self.paths.distance(place + velocity * t, target + flight * t)
+            if distance == inf:  # walls enclose one of them
+                return None
             gap = distance - radius
             if gap <= ROUNDING * (1.0 + distance):
                 return t
