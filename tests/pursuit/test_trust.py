@@ -2,6 +2,7 @@
 
 from functools import cache
 from itertools import combinations, product
+from math import inf
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,7 +20,7 @@ from desim.kernel.models.loss import Bernoulli
 from desim.pursuit.byzantine.evidence import Witness
 from desim.pursuit.byzantine.lies import Liar, Slander
 from desim.pursuit.core.events import Distrusted
-from desim.pursuit.team.announcements import Announcements, Assignment
+from desim.pursuit.team.announcements import Announcements, Assignment, TimedAssignment
 from desim.pursuit.team.judges import Accusation
 from desim.pursuit.team.trust import TRUSTS, Accusations, Credulous, Plausible, Reputation, Trimmed, tolerated_liars
 from desim.scenario.players import Evader, Team
@@ -75,6 +76,43 @@ def test_an_action_is_refuted_if_another_was_taken_for_a_motion_step(stamp, acti
     witness = Witness(0, SimpleNamespace(state=state), None, None, None, 10, None)
     body = None if action is None else Assignment(action)
     assert witness._refutes_action(Record(1, 1, stamp, body)) is refutes
+
+
+def witness(now, captured, top_speed=2.0):
+    """Return a witness at a time, ns, of evaders 1 and 9 m away that were captured at some times, ns, or not (None)."""
+    bodies = [SimpleNamespace(number=k, captured=t, speed=0.5) for k, t in enumerate(captured, start=1)]
+    state = SimpleNamespace(bodies=bodies, evader_count=2, radius=0.1, top_speed=top_speed, now=now)
+    state.acting_since, state.profile, state.position = [0, 20], [0, 0], lambda pursuer: 0j
+    state.body = lambda evader: bodies[evader - 1]
+    view = SimpleNamespace(state=state, unlimited=True, evader=lambda evader: (1 + 0j, 9 + 0j)[evader - 1])
+    return Witness(0, view, SimpleNamespace(stamp=now), None, None, 10, None)
+
+
+@pytest.mark.parametrize(("sent", "refutes"), [(0.9, False), (1.0, False), (1.01, True)])
+def test_a_time_may_be_that_for_an_evader_captured_since(sent, refutes):
+    """An inactive pursuer 1 m from an evader that is captured after a second announces 0.6 s; the other one is far."""
+    seen = witness(int(1.1 * SECOND), [SECOND, None])
+    assert seen._refutes_time(Record(1, 1, int(sent * SECOND), TimedAssignment(0, 0.6))) is refutes
+
+
+def test_the_chase_of_a_captured_evader_is_not_refuted():
+    """A heartbeat repeats it until the next decision; that of an evader at large is refuted."""
+    seen = witness(50, [20, None])
+    assert [seen._refutes_action(Record(1, 1, 40, Assignment(action))) for action in (1, 2, 3)] == [False, True, True]
+
+
+def test_no_time_is_refuted_if_nothing_bounds_the_speeds():
+    """As in a flow that expands everywhere, for a message without latency."""
+    times = Record(1, 1, 50, TimedAssignment(1, 0.0))
+    assert not witness(50, [None, None], top_speed=inf)._refutes_time(times)
+    assert witness(50, [None, None])._refutes_time(times)
+
+
+@pytest.mark.parametrize("action", [-1, 3])
+def test_a_time_for_no_evader_counts_as_that_for_any(action):
+    seen = witness(50, [None, None])
+    assert seen._refutes_time(Record(1, 1, 50, TimedAssignment(action, 0.0)))
+    assert not seen._refutes_time(Record(1, 1, 50, TimedAssignment(action, 0.6)))
 
 
 def record(src, seq):

@@ -14,7 +14,7 @@ from desim.pursuit.core.events import Distrusted
 from desim.pursuit.motion.capture import least_capture_time
 from desim.pursuit.sensing.views import View
 from desim.pursuit.team.agent import Voice
-from desim.pursuit.team.announcements import Located, TimedAssignment, announced_action
+from desim.pursuit.team.announcements import Located, TimedAssignment, action_in_game, announced_action
 
 MARGIN = 1e-6
 """Share by which a claim may go beyond a physical bound, for rounding."""
@@ -74,10 +74,15 @@ class Witness:
         return self._refutes_action(record) or self._refutes_time(record) or self._refutes_position(record)
 
     def _refutes_action(self, record: Record) -> bool:
-        """Return whether the sender had done otherwise for a motion step when it announced its action."""
+        """Return whether the sender had done otherwise for a motion step when it announced its action.
+
+        The chase of a captured evader is not refuted: heartbeats may repeat it until the next decision of the sender.
+        """
         state, action = self._view.state, announced_action(record.body)
         since = state.acting_since[record.src] + self._step
-        return action is not None and since <= record.stamp and state.profile[record.src] != action
+        if action is None or since > record.stamp or state.profile[record.src] == action:
+            return False
+        return not (0 < action <= state.evader_count and state.body(action).captured is not None)
 
     def _refutes_time(self, record: Record) -> bool:
         """Return whether the announced capture time is less than physics allows.
@@ -85,23 +90,27 @@ class Witness:
         Since the announcement the distance has grown by at most (v_max + v_e) times its age.
         """
         state, body = self._view.state, record.body
-        action = announced_action(body)
+        action = action_in_game(body, state.evader_count)
         if isinstance(body, TimedAssignment):
             phi = body.capture_time
         elif isinstance(body, Falsifiable) and action:
             phi = body.phi(record.src)
         else:
             return False
-        # The time of a pursuer that is inactive may be that for any evader, so it is too short only if it is so for
-        # all.
-        evaders = [action] if action else list(state.at_large)
+        passed = max(self._clock.stamp - record.stamp, 0)
+        # The time of a pursuer that is inactive may be that for any evader that was at large when it was announced, so
+        # it is too short only if it is so for all.
+        targets = [
+            target for target in state.bodies if target.captured is None or target.captured >= state.now - passed
+        ]
+        evaders = [action] if action else [target.number for target in targets]
         if not all(self._view.unlimited or self._view.sees(evader) for evader in evaders):
             return False
-        age = max(self._clock.stamp - record.stamp, 0) / SECOND
-        least = inf
+        age, least = passed / SECOND, inf
         for evader in evaders:
             speed = state.body(evader).speed
-            distance = abs(self._view.evader(evader) - state.position(record.src)) - (state.top_speed + speed) * age
+            grown = (state.top_speed + speed) * age if age else 0.0  # the speed may be inf
+            distance = abs(self._view.evader(evader) - state.position(record.src)) - grown
             least = min(least, least_capture_time(distance, state.radius, state.top_speed, speed))
         return phi < least * (1.0 - MARGIN) - MARGIN
 
