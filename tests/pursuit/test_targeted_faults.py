@@ -7,11 +7,13 @@ import pytest
 
 from desim import Announcements, Fault, Liar, Links, MessageFault, Scenario, Team, judge, load, run
 from desim.analysis.metrics import active_time
-from desim.kernel.core.events import LOST, Broadcast, Lost
+from desim.kernel.core.events import LOST, Broadcast, Lost, Sent
 from desim.kernel.models.faults import Crash, Partition
 from desim.kernel.models.traced_faults import CustomFault, FaultEnded, FaultStarted
+from desim.kernel.transport.frames import carried
 from desim.pursuit.byzantine.lies import ReplayAttack
 from desim.pursuit.core.events import Decided
+from desim.pursuit.team.announcements import relayed_records
 from desim.pursuit.team.targeted_faults import ChaserCrash, ChaserCut, NewsFault
 from desim.scenario.scenario import Recording
 from scenarios.studies.study import SCENARIOS
@@ -103,6 +105,23 @@ def test_the_first_message_after_each_change_of_action_is_lost_or_late(delay):
             assert {*arrival} == {late if is_news else created + 100_000_000}
             last[src], news = action, news + is_news
     assert news >= 5
+
+
+@pytest.mark.parametrize("network", [{}, {"transport": "reliable"}])
+@pytest.mark.parametrize("dissemination", ["flooding", "gossip"])
+def test_news_is_lost_in_messages_that_relay_records(dissemination, network):
+    """The first transmission of each record with another action is, to all; repetitions and other records are not."""
+    scenario = GAME.with_({"announce.dissemination": dissemination, "horizon": 0.7})
+    scenario = scenario.model_copy(update={"fault": (NewsFault(),), "network": Links(latency=0.1, **network)})
+    last, news = {}, 0
+    for sent in run(scenario, 3).trace.of(Sent):
+        own = [record for record in relayed_records(carried(sent.body)) or () if record.src == sent.src]
+        if own and getattr(sent.body, "attempt", 1) == 1:
+            link, action = (sent.src, sent.dst), own[0].body.active
+            is_news = last.get(link) != action
+            assert (sent.arrival == LOST) == is_news
+            last[link], news = action, news + is_news
+    assert news >= 20
 
 
 def test_the_number_of_changes_is_bounded():

@@ -6,13 +6,15 @@ tests of distributed systems do.
 
 from collections.abc import Mapping, Sequence
 from math import inf
+from operator import attrgetter
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
 from desim.config.model import Extent, Flag, Time
 from desim.kernel.models.faults import Crash, Fault, FaultSite, Partition, Undo
-from desim.pursuit.team.announcements import announced_action
+from desim.kernel.transport.frames import Segment, carried
+from desim.pursuit.team.announcements import Forwarded, announced_action
 
 
 class TargetedFault(Fault):
@@ -79,7 +81,10 @@ class ChaserCut(TargetedFault):
 
 
 class NewsFault(Fault):
-    """The first message after each change of its sender's action is lost, or arrives late; later ones are not."""
+    """The first message after each change of its sender's action is lost, or arrives late; later ones are not.
+
+    The first message of each pursuer after the start of the fault counts as news, too.
+    """
 
     kind: Literal["news_fault"] = "news_fault"
     start: Time = 0.0
@@ -99,7 +104,7 @@ class NewsFault(Fault):
 
         def delays(src: int, receivers: Sequence[int], body: Any) -> Mapping[int, float]:
             nonlocal left
-            action = announced_action(body)
+            action = _told_action(src, body)
             if action is None or announced.get(src) == action:
                 return {}
             announced[src], left = action, left - 1
@@ -111,6 +116,20 @@ class NewsFault(Fault):
     def label(self) -> str:
         """What becomes of the messages."""
         return f"news {'lost' if self.delay == inf else 'late'}"
+
+
+def _told_action(src: int, body: Any) -> int | None:
+    """Return the action of its sender that a message tells, also among the records that it relays; None: none.
+
+    A repetition by a transport tells none: it may be older than the last news.
+    """
+    if isinstance(body, Segment) and body.attempt > 1:
+        return None
+    message = carried(body)
+    if not isinstance(message, Forwarded):
+        return announced_action(message)
+    own = [record for record in message.records if record.src == src]
+    return announced_action(max(own, key=attrgetter("seq")).body) if own else None
 
 
 TARGETED: tuple[type[Fault], ...] = (ChaserCrash, ChaserCut, NewsFault)
