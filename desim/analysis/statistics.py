@@ -186,7 +186,7 @@ def mean_or_share(values: Sequence[float]) -> Estimate:
 
 
 def estimate(values: Sequence[float] | Floats) -> Estimate:
-    """Return the mean of independent values with its standard error.
+    """Return the mean of independent values with its standard error, which is nan if some of them are infinite.
 
     Raises:
         ValueError: if there are no values.
@@ -196,8 +196,9 @@ def estimate(values: Sequence[float] | Floats) -> Estimate:
         raise ValueError("an estimate needs at least one value")
     if count > 1 and np.min(values) == np.max(values):  # the rounded mean of equal values may differ from each of them
         return Estimate(float(values[0]), 0.0, count)
-    error = float(np.std(values, ddof=1) / np.sqrt(count)) if count > 1 else float("nan")
-    return Estimate(float(np.mean(values)), error, count)
+    with np.errstate(invalid="ignore", over="ignore"):  # a metric of a user may be infinite
+        error = float(np.std(values, ddof=1) / np.sqrt(count)) if count > 1 else nan
+        return Estimate(float(np.mean(values)), error, count)
 
 
 def mean(values: Sequence[float] | Floats) -> Estimate:
@@ -212,9 +213,10 @@ def paired(values: Sequence[float | None] | Floats, others: Sequence[float | Non
     values of a pair, and cov is their covariance. If cov > 0, the variance is less than for independent runs (Law &
     Kelton, "Simulation Modeling and Analysis", section 11.2).
 
-    A pair with a missing value (None or nan, such as the time of a capture that did not happen) is left out. The result
-    then holds only for the seeds with both values, so report with it how many runs of each side have a value. Without
-    any pair the count is 0 and the mean nan, because a study without a capture is a valid outcome, not an error.
+    A pair with a missing value (None or nan, such as the time of a capture that did not happen) is left out, and one
+    whose values are both the same infinity. The result then holds only for the other seeds, so report with it how many
+    runs of each side have a value. Without any pair the count is 0 and the mean nan, because a study without a capture
+    is a valid outcome, not an error.
 
     If few seeds make up most of the difference, its distribution is far from normal and the t interval of few pairs is
     too narrow. For example, for the active time of 8 pursuers with and without a latency of 0.2 s, the interval covers
@@ -227,7 +229,8 @@ def paired(values: Sequence[float | None] | Floats, others: Sequence[float | Non
     if len(values) != len(others):
         raise ValueError(f"values and others should have the same length, got {len(values)} and {len(others)}")
     first, second = np.asarray(values, dtype=float), np.asarray(others, dtype=float)  # nan for None
-    both = ~(np.isnan(first) | np.isnan(second))
+    with np.errstate(invalid="ignore"):  # inf - inf
+        both = ~np.isnan(first - second)
     return mean(differences(first[both], second[both]))
 
 
@@ -266,7 +269,7 @@ class IndependentDifference(Estimate):
 
     def _chance_of_equal(self) -> float:
         """Return the probability that chance separates two samples of n values as clearly: 2 in n of 2 n."""
-        return 2.0 / comb(2 * self.count, self.count)
+        return 2 / comb(2 * self.count, self.count)  # 0 where a float cannot hold the coefficient
 
 
 def independent(values: Sequence[float] | Floats, others: Sequence[float] | Floats) -> Estimate:

@@ -266,8 +266,8 @@ def test_a_pair_counts_if_both_are_there_and_for_just_as_much_with_the_sign_of_i
 
 @pytest.mark.parametrize(
     ("values", "others"),
-    [([], []), ([None, 1.0], [1.0, None]), ([nan], [1.0]), (np.array([1.0]), np.array([nan]))],
-    ids=["no pairs", "one of each missing", "nan", "arrays"],
+    [([], []), ([None, 1.0], [1.0, None]), ([nan], [1.0]), (np.array([1.0]), np.array([nan])), ([inf], [inf])],
+    ids=["no pairs", "one of each missing", "nan", "arrays", "inf - inf"],
 )
 def test_no_pair_left_is_a_count_of_0_and_no_number(values, others):
     found = paired(values, others)
@@ -314,6 +314,8 @@ def test_the_paired_interval_covers_the_difference_and_is_narrow():
 
 def test_an_infinite_value_is_not_equal_to_others():
     assert differences(np.array([inf, 1.0, 2.0]), np.ones(3)).tolist() == [inf, 0.0, 1.0]
+    found = estimate([inf, 1.0])
+    assert (found.mean, str(found)) == (inf, "inf +- nan (95 % interval, 2 runs)")
 
 
 def test_differences_that_differ_by_rounding_are_equal():
@@ -361,6 +363,7 @@ def test_two_samples_that_are_equal_each_are_told_apart_if_there_are_enough():
     assert [one.excludes_0() for one in found] == [False, False, True]
     assert [one.excludes_0(1.0 - 2.0 / 69) for one in found] == [False, False, True]
     assert not found[-1].excludes_0(1.0 - 2.0 / 71)
+    assert statistics.independent([1.0] * 600, [0.0] * 600).excludes_0()  # no float holds the coefficient
 
 
 @given(st.lists(st.integers(-9, 9), min_size=2, max_size=30).filter(lambda values: len({*values}) > 1))
