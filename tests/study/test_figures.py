@@ -317,6 +317,12 @@ def test_the_only_value_of_a_metric_is_drawn_with_0(value, limits):
     assert list(ticks(axes.yaxis).values()) == [value]
 
 
+def test_the_only_value_of_a_metric_may_be_infinite():
+    axes = Figure().subplots()
+    _mark_flat(axes, inf)
+    assert [text.get_text() for text in axes.texts] == ["inf in every run"]
+
+
 def test_a_waterfall_has_a_bar_and_a_name_for_each_step_between_both_ends():
     """The steps go from the ideal 2 to 3.5; the last bar stands beside the last step."""
     ideal, loss, near, both, whole = (estimate([v - 0.1, v, v + 0.1]) for v in (2.0, 1.0, 0.25, 0.25, 3.5))

@@ -308,8 +308,9 @@ def _flat(points: Sequence[Point]) -> float | None:
 def _mark_flat(axes: Axes, value: float) -> None:
     """Show the one value of a metric, in place of a scale that would show rounding errors around it."""
     low = min(value, 0.0)
-    axes.set_ylim(low - 0.05, low + 1.05 * (abs(value) or 1.0))
-    axes.set_yticks([value], [f"{value:.4g}"])
+    if isfinite(value):
+        axes.set_ylim(low - 0.05, low + 1.05 * (abs(value) or 1.0))
+        axes.set_yticks([value], [f"{value:.4g}"])
     place: dict[str, Any] = {"transform": axes.transAxes, "ha": "right", "va": "top"}
     axes.text(0.98, 0.85, f"{value:.4g} in every run", fontsize=7, **place)
 
