@@ -155,6 +155,23 @@ def test_configurations_are_matched_by_their_settings():
     )
 
 
+def test_values_are_matched_if_they_are_equal_but_for_rounding_and_not_by_their_first_six_digits():
+    def swept(*values):
+        made = sweep_of([[1.0, 2.0], [11.0, 12.0]])
+        groups = (replace(group, settings={"x": x}) for group, x in zip(made.groups, values, strict=True))
+        return replace(made, groups=tuple(groups))
+
+    near = swept(1000000.0, 1000001.0)
+    for other in (near, replace(near, groups=near.groups[::-1])):
+        differences = [
+            each.metrics["active_time"].difference.mean for each in compare(near, other, SHOWN[0]).configurations
+        ]
+        assert differences == [0.0, 0.0]
+    assert len(compare(swept(0.1 + 0.2, 1.0), swept(0.3, 1), SHOWN[0]).configurations) == 2
+    one, other = (replace(sweep, groups=sweep.groups[:1]) for sweep in (near, swept(1000000.5, 2.0)))
+    assert compare(one, other, SHOWN[0]).changes == {"x": ("1e+06", "1000000.5")}
+
+
 def test_a_key_with_one_value_in_each_is_what_differs():
     comparison = compare(
         sweep_of(BEFORE, settings={"protocol": "sap"}), sweep_of(AFTER, settings={"protocol": "cbba"}), ["active_time"]

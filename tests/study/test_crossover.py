@@ -54,6 +54,23 @@ def test_curves_without_scatter_cross_where_their_lines_do():
     assert "protocol = cbba beats protocol = sap from network.latency.value = 0.15 s on" in str(crossing)
 
 
+def test_curves_are_chosen_by_their_values_and_not_by_their_first_six_digits():
+    base = EIGHT
+    swept = sweep_of(base + 2.0 * (np.array(X) - 0.15), base)
+    rates = {"sap": 1000000.0, "cbba": 1000001.0}
+    groups = [
+        replace(one, settings={KEY: one.settings[KEY], "r": rates[one.settings["protocol"]]}) for one in swept.groups
+    ]
+    near = replace(swept, keys=(KEY, "r"), groups=tuple(groups))
+    assert near.crossover("active_time", KEY, {"r": 1e6}, {"r": 1000001}).at == pytest.approx(0.15)
+    with pytest.raises(ValueError, match=r"r takes 1000001, 1e\+06 on the curve of all"):
+        near.threshold("active_time", KEY, 0.1)
+    along = [
+        replace(one, settings={"r": rates[one.settings["protocol"]]}) for one in swept.groups if not one.settings[KEY]
+    ]
+    assert replace(swept, keys=("r",), groups=tuple(along)).threshold("active_time", "r", 0.1).baseline == 1e6
+
+
 def test_the_interval_of_two_points_is_fiellers_closed_form():
     """For d at 0 and e at 1, x = m / (m - n); the ends are the roots of (m + x s)^2 = q (v + 2 x c + x^2 w)."""
     rng = np.random.default_rng(2)

@@ -18,7 +18,7 @@ from desim.scenario.scenario import Scenario
 from desim.simulation.run import run
 from desim.study.plan.metric_code import units_and_codes
 from desim.study.results.result import SweepResult
-from desim.study.results.runs import SHOWN, Group, in_numeric_order
+from desim.study.results.runs import SHOWN, Group, in_numeric_order, text
 from desim.study.store.file import StoreError
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
@@ -196,6 +196,25 @@ def test_means_over_runs_with_a_value_are_not_those_of_all_runs():
     assert f"{note}: end time counts the horizon" in PLAIN.table(["capture_time"])
     assert "has a value" not in PLAIN.table(["active_time"])
     assert "has a value" not in replace(PLAIN, groups=PLAIN.groups[1:]).table(["capture_time"])
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        (1e6, "1e+06"),
+        (1000001.0, "1000001"),
+        (-1234567.0, "-1234567"),
+        (0.1 + 0.2, "0.3"),
+        (0.12345678, "0.123457"),
+        (1e300, "1e+300"),
+        (1.5e300 / 7.0, "2.14286e+299"),
+        (inf, "inf"),
+        (True, "true"),
+        (1000001, "1000001"),
+    ],
+)
+def test_a_setting_as_text_has_six_digits_or_all_those_of_a_whole_number(value, expected):
+    assert text(value) == expected
 
 
 def test_a_table_has_labels_and_leaves_out_columns():

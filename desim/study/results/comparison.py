@@ -12,7 +12,7 @@ from desim.analysis.statistics import Estimate, Share, independent, paired
 from desim.analysis.table_formats import Table, TabularResult
 from desim.analysis.tables import as_json, counted, digits_of, with_half_width
 from desim.config.json_numbers import json_number
-from desim.study.plan.configurations import in_words
+from desim.study.plan.configurations import in_words, label
 from desim.study.results.runs import SHOWN, Group, SweepRuns, names_of_metrics, text
 
 
@@ -244,7 +244,7 @@ def _common_keys(first: SweepRuns, second: SweepRuns) -> tuple[tuple[str, ...], 
     for key in first.keys:
         if key not in second.keys:
             continue
-        old, new = ([text(value) for value in sweep.values(key)] for sweep in (first, second))
+        old, new = ([label(value) for value in sweep.values(key)] for sweep in (first, second))
         if len(old) == len(new) == 1 and old != new:
             fixed[key] = old[0], new[0]
         else:
@@ -253,7 +253,8 @@ def _common_keys(first: SweepRuns, second: SweepRuns) -> tuple[tuple[str, ...], 
 
 
 def _place(group: Group, keys: Sequence[str]) -> tuple[str, ...]:
-    return tuple(text(group.settings[key]) for key in keys)
+    """Return the values of some keys as texts that differ unless values are equal but for rounding, as 0.1 + 0.2."""
+    return tuple(label(group.settings[key]) for key in keys)
 
 
 def _compared(first: Group, second: Group, keys: Sequence[str], metrics: Sequence[str]) -> Compared:

@@ -241,12 +241,13 @@ def curve(result: SweepRuns, key: str, chosen: Mapping[str, Any]) -> dict[float,
         raise ValueError(f"{key} is the key along which curves cross: a and b should not fix it")
     if not all(map(is_number, values)):
         raise ValueError(f"{key}: curves cross along numbers, and it takes {', '.join(map(text, values))}")
-    wanted = {name: text(result.setting(name, value)) for name, value in chosen.items()}
-    groups = [group for group in result.groups if all(text(group.settings[name]) == wanted[name] for name in wanted)]
+    groups = result.groups_with(chosen)
     for name in result.keys:
-        if name != key and len(open_values := {text(group.settings[name]) for group in groups}) > 1:
+        if name != key and len(open_values := {group.settings[name] for group in groups}) > 1:
+            several = ", ".join(sorted(map(text, open_values)))
+            wanted = in_words({other: result.setting(other, value) for other, value in chosen.items()})
             raise ValueError(
-                f"{name} takes {', '.join(sorted(open_values))} on the curve {in_words(wanted) or 'of all'}: choose one"
+                f"{name} takes {several} on the curve {wanted or 'of all'}: choose one"
                 f' with where={{"{name}": ...}}, or --where {name}=...'
             )
     return {float(value): group for group in groups if isfinite(value := group.settings[key])}

@@ -16,7 +16,7 @@ from desim.analysis.tables import counted
 from desim.config.arrays import Floats
 from desim.config.suggestion import close_to
 from desim.study.plan.configurations import in_words, label
-from desim.study.store.run_table import Row, RunTable
+from desim.study.store.run_table import EXACT, Row, RunTable
 
 SHOWN = ("active_time", "capture_time", "messages_sent")
 """The metrics that a table shows by default."""
@@ -188,6 +188,15 @@ class SweepRuns:
             raise ValueError(f"the grid has no key {key}{hint}")
         return list({repr(group.settings[key]): group.settings[key] for group in self.groups}.values())
 
+    def groups_with(self, settings: Mapping[str, Any]) -> list[Group]:
+        """Return the configurations with some settings, of which each is as `setting` takes it.
+
+        Raises:
+            ValueError: as `setting`.
+        """
+        wanted = {key: self.setting(key, value) for key, value in settings.items()}
+        return [group for group in self.groups if all(group.settings[key] == wanted[key] for key in wanted)]
+
     def setting(self, key: str, value: Any) -> Any:
         """Return the value of a key of the grid that a given value selects.
 
@@ -342,8 +351,11 @@ def names_of_metrics(metrics: Sequence[str]) -> Sequence[str]:
 
 
 def text(value: Any) -> str:
-    """Return a setting as text."""
-    return str(value).lower() if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else str(value)
+    """Return a setting as text: a number with six digits, or all those of a whole number that has more."""
+    if isinstance(value, float):
+        short = f"{value:g}"
+        return f"{value:.0f}" if value.is_integer() and float(short) != value and abs(value) < EXACT else short
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _says(value: Any, number: Any) -> bool:

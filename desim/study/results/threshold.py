@@ -178,9 +178,7 @@ def _beside_baseline(
     if len(x) < 2:
         raise ValueError(f"{key}: a threshold needs two or more finite numbers, got {len(x)}")
     reference = x[0] if baseline is None else result.setting(key, baseline)
-    others = {**where, key: reference}
-    chosen = {name: text(result.setting(name, value)) for name, value in others.items()}
-    (base,) = (group for group in result.groups if all(text(group.settings[name]) == chosen[name] for name in chosen))
+    (base,) = result.groups_with({**where, key: reference})
     table = paired_values([*(line[value] for value in x), base], metric)
     if len(table) < 2:
         raise ValueError(f"{metric}: a threshold needs two seeds with a value at all {len(x)} values of {key}")
