@@ -231,6 +231,18 @@ def test_two_folders_differ_by_what_all_their_runs_share(tmp_path):
     assert compare(tmp_path / "a", tmp_path / "a").changes == {}
 
 
+@pytest.mark.slow
+def test_a_value_in_one_grid_only_is_compared_with_that_of_the_other_scenario(tmp_path):
+    base = desim.Scenario(horizon=0.01, team={"count": 2})
+    grid = {"network.loss.p": [0.0, 0.5]}
+    desim.sweep(base, grid | {"network.latency": [0.1]}, 1, store=tmp_path / "a.sqlite")
+    for name, latency in (("b", 0.1), ("c", 0.2)):
+        desim.sweep(base.with_({"network.latency": latency}), grid, 1, store=tmp_path / f"{name}.sqlite")
+    assert compare(tmp_path / "a.sqlite", tmp_path / "b.sqlite").changes == {}
+    assert compare(tmp_path / "a.sqlite", tmp_path / "c.sqlite").changes == {"network.latency.value": ("0.1", "0.2")}
+    assert compare(tmp_path / "c.sqlite", tmp_path / "a.sqlite").changes == {"network.latency.value": ("0.2", "0.1")}
+
+
 @pytest.mark.whole
 def test_the_command_compares_two_folders_and_says_what_differs(tmp_path):
     file = tmp_path / "relay.toml"

@@ -593,8 +593,11 @@ def test_a_table_has_one_number_of_decimals_in_a_column_and_other_formats(tmp_pa
 
 
 def test_a_store_that_was_never_used_has_no_results():
-    with Store() as store, pytest.raises(StoreError, match="is empty"):
-        SweepResult.of(store)
+    with Store() as store:
+        for about in ({}, {"grid": '["x"]'}):  # as an interrupt before the first configuration leaves it
+            store.record_properties(about)
+            with pytest.raises(StoreError, match="is empty"):
+                SweepResult.of(store)
 
 
 def test_the_failed_are_in_order():

@@ -56,7 +56,7 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
         Raises:
             StoreError: if the store is empty or damaged.
         """
-        if "grid" not in store.about:
+        if "grid" not in store.about or not store.keys:
             raise StoreError(f"{store.path}: is empty")
         kinds = {"name": str, "grid": list[str], "seeds": str, "root seed": int}
         name, grid, seeds, root = (
@@ -68,7 +68,7 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
                 raise StoreError(f"{store.path}: configuration {key}: should have the settings {', '.join(grid)}")
         chosen = settings if configurations is None else configurations
         # The first configuration belongs to the grid that was registered last; its keys are in the order of that grid.
-        keys = tuple(next(iter(settings.values()), grid))
+        keys = tuple(next(iter(settings.values())))
         groups = tuple(
             Group(
                 {column: settings[key][column] for column in keys},

@@ -7,6 +7,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from pydantic import Json
+
 from desim.config.arguments import RESULTS, naming_arguments
 from desim.config.file_names import STORE, STORE_PARTS, TRACE
 from desim.results import provenance, run_folder
@@ -14,8 +16,12 @@ from desim.simulation.run import Result
 from desim.study.results.comparison import Comparison
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import SHOWN
+from desim.study.store.file import adapter_of
 from desim.study.store.properties import flat
 from desim.study.store.store import Store
+
+SCENARIO = 3
+"""The index of the column of `configurations` that holds the scenario."""
 
 
 @naming_arguments
@@ -83,7 +89,10 @@ def compare(
     names = [path or sweep.name for path, sweep in zip(paths, sweeps, strict=True)]
     if names[0] == names[1]:
         names = [f"{name} ({place})" for name, place in zip(names, ("first", "second"), strict=True)]
-    bases = [None if path is None else _base(Path(path), sweep) for path, sweep in zip(paths, sweeps, strict=True)]
+    bases = [
+        None if path is None else _base(Path(path), sweep, other)
+        for path, sweep, other in zip(paths, sweeps, reversed(sweeps), strict=True)
+    ]
     changes = {} if bases[0] is None or bases[1] is None else _changes(bases[0], bases[1])
     return Comparison.of(sweeps[0], sweeps[1], metrics, (names[0], names[1]), changes)
 
@@ -104,12 +113,20 @@ def _sweep_of(value: SweepResult | str | PathLike[str]) -> SweepResult:
     return result
 
 
-def _base(path: Path, sweep: SweepResult) -> dict[str, str]:
-    """Return the values, as JSON text by dotted key, that all configurations of a sweep share."""
+def _base(path: Path, sweep: SweepResult, other: SweepResult) -> dict[str, str]:
+    """Return the values, as JSON text by dotted key, that all configurations of a sweep share.
+
+    Keys in the grids of both sweeps are left out. A key with one value in this grid only has that of a configuration.
+    """
     with Store(_file_in(path) if path.is_dir() else path, read_only=True) as store:
         base = store.read_property("scenario", dict[str, Any]) if "scenario" in store.about else {}
+        (row,) = store.rows("configurations", "ORDER BY place LIMIT 1")
+        whole = flat(store.read(adapter_of(Json[dict[str, Any]]), "configurations", row, SCENARIO))
     left_out = tuple(f"{key}." for key in (*sweep.keys, "sweep", "seed"))
-    return {key: json.dumps(value) for key, value in flat(base).items() if not f"{key}.".startswith(left_out)}
+    shared = {key: value for key, value in flat(base).items() if not f"{key}.".startswith(left_out)}
+    only_here = tuple(f"{key}." for key in sweep.keys if key not in other.keys)
+    shared |= {key: value for key, value in whole.items() if f"{key}.".startswith(only_here)}
+    return {key: json.dumps(value) for key, value in shared.items()}
 
 
 def _changes(first: dict[str, str], second: dict[str, str]) -> dict[str, tuple[str, str]]:
