@@ -90,3 +90,9 @@ def test_submitit_performs_a_sweep(tmp_path, monkeypatch):
     executor.update_parameters(timeout_min=5)
     found = sweep(SMALL, GRID, 2, JobWorkers(executor, 2), store=tmp_path / "a.sqlite")
     assert texts(found) == texts(sweep(SMALL, GRID, 2))
+
+
+@pytest.mark.parametrize(("jobs", "why"), [(-1, "at least 0, got -1"), (1.5, "should be an integer"), ("2", "integer")])
+def test_a_number_of_jobs_that_cannot_be_is_refused(jobs, why):
+    with pytest.raises(ValueError, match=why):
+        JobWorkers(Jobs(), jobs)

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
+from desim.config.python_numbers import whole
 from desim.study.workers.workers import Workers
 
 if TYPE_CHECKING:
@@ -37,7 +38,10 @@ class JobWorkers(Workers):
 
     Args:
         executor: submits the jobs; an executor of submitit, for instance.
-        jobs: the number of jobs at a time; None = the number of cores of this machine.
+        jobs: the number of jobs at a time; None or 0 = the number of cores of this machine.
+
+    Raises:
+        ValueError: if the number of jobs is negative, or not an integer.
     """
 
     batch_time, batch_size, shares = JOB_TIME, JOB_SIZE, 1
@@ -45,7 +49,10 @@ class JobWorkers(Workers):
     def __init__(self, executor: JobExecutor, jobs: int | None = None):
         self.executor: Any = executor
         self._name = repr(executor)
-        self.count = self.max_pending = jobs or os.cpu_count() or 1
+        number = 0 if jobs is None else whole(jobs, "the number of jobs")
+        if number < 0:
+            raise ValueError(f"the number of jobs should be at least 0, got {number}")
+        self.count = self.max_pending = number or os.cpu_count() or 1
 
     def done(self, futures: Collection["Future[Any]"]) -> "set[Future[Any]]":
         """Wait until at least one of the jobs has ended, and return all that have."""
