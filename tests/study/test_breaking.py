@@ -289,10 +289,13 @@ def test_a_table_that_would_be_too_long_is_refused():
         ({"delay": nan}, "delay should be positive"),
         ({"fates": ["lots"]}, "fates should be lost, late, twice"),
         ({"fates": ["lost", "late"]}, "'late' needs a delay, in s"),
+        ({"seeds": 3}, "seeds should be a list of seeds"),
+        ({"seeds": [-3]}, "the seed should be at least 0, got -3"),
     ],
 )
 def test_bad_choices_are_told(choices, message):
     with pytest.raises(ValueError, match=message):
+        ({"fates": "lost"}, "fates should be a list of lost, late, twice"),
         fatal_losses(SMALL, "crowded at most 0.4 in total", **choices)
 
 

@@ -28,6 +28,7 @@ from desim.config.errors import ArgumentError
 from desim.config.python_numbers import real, whole
 from desim.config.traits import kind_of
 from desim.kernel.core.events import LOST
+from desim.kernel.core.seeds import seed_of
 from desim.kernel.core.units import nanoseconds
 from desim.pursuit.core.traits import StrategyTraits
 from desim.pursuit.team.announcements import Announcements
@@ -73,7 +74,8 @@ def fatal_losses(
         prop: the property, or its text.
         most: the greatest number of messages; if in doubt, 1, then 2.
         seeds: the seeds; None: that of the scenario.
-        fates: what may become of a message: "lost", "late" or "twice"; empty: late if there is a delay, else lost.
+        fates: what may become of a message, each of "lost", "late" and "twice"; empty: late if there is a delay, else
+            lost.
         delay: the time by which messages are late, and after which they arrive once more, s; if in doubt, some more
             than a time-out of the protocol.
         limit: the greatest number of runs of each seed.
@@ -86,7 +88,8 @@ def fatal_losses(
     Raises:
         TypeError: if it is not a scenario.
         ValueError: if the property does not fit the scenario or cannot fail, the protocol is its own reference, a fate
-            does not exist or lacks a delay, there are more choices than `limit`, or a run fails without any loss.
+            does not exist or lacks a delay, there are more choices than `limit`, a run fails without any loss, or
+            another argument is of a wrong type.
     """
     scenario_argument(Scenario).check(scenario, "fatal_losses")
     if (most := whole(most, "most")) < 1:
@@ -94,7 +97,7 @@ def fatal_losses(
     delay, limit = real(delay, "delay"), whole(limit, "limit")
     fates = _checked_fates(fates, delay)
     prop = checked_property(prop, scenario)
-    table = LossTable(most, (scenario.seed,) if seeds is None else tuple(seeds), fates, delay, prop.unit)
+    table = LossTable(most, _checked_seeds([scenario.seed] if seeds is None else seeds), fates, delay, prop.unit)
     if not table.seeds:
         raise ArgumentError("seeds", "should not be empty")
     skips = prune and hides_old_news(scenario, prop)
@@ -112,6 +115,17 @@ def fatal_losses(
     return table
 
 
+def _checked_seeds(seeds: Iterable[int]) -> tuple[int, ...]:
+    """Return the seeds.
+
+    Raises:
+        ValueError: if they are no list, or one is no integer of at least 0.
+    """
+    if isinstance(seeds, str) or not isinstance(seeds, Iterable):
+        raise ArgumentError("seeds", f"should be a list of seeds (got {seeds!r})")
+    return tuple(map(seed_of, seeds))
+
+
 def _checked_fates(fates: Sequence[MessageFate], delay: float) -> tuple[MessageFate, ...]:
     """Return the fates that are meant, each once.
 
@@ -120,7 +134,7 @@ def _checked_fates(fates: Sequence[MessageFate], delay: float) -> tuple[MessageF
     """
     if not delay > 0.0:
         raise ArgumentError("delay", f"should be positive, s (got {delay:g})")
-    if not isinstance(fates, Collection):
+    if isinstance(fates, str) or not isinstance(fates, Collection):
         raise ArgumentError("fates", f"should be a list of {', '.join(FATES)} (got {fates!r})")
     if unknown := [fate for fate in fates if fate not in FATES]:
         raise ArgumentError("fates", f"should be {', '.join(FATES)} (got {unknown[0]!r})")
