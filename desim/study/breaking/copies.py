@@ -86,7 +86,7 @@ class ReadingTime(NamedTuple):
         return at < len(self.looks) and self.looks[at] <= min(end, self.until)
 
     def last_look(self) -> float:
-        """Return when its receiver looked for the last time before `until`, ns; -inf: never."""
+        """Return when its receiver looked for the last time up to `until`, ns; -inf: never."""
         at = bisect_right(self.looks, self.until)
         return self.looks[at - 1] if at else -inf
 
