@@ -1,7 +1,9 @@
 """The search for what breaks a protocol."""
 
+import json
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 from itertools import count, islice
 from math import inf, nan
 from pathlib import Path
@@ -13,6 +15,7 @@ import pytest
 
 from desim import (
     Announcements,
+    Constant,
     Crash,
     Links,
     MessageFault,
@@ -39,17 +42,19 @@ from desim.kernel.state.fault_state import FaultState
 from desim.pursuit.core.events import Decided
 from desim.scenario.properties import Always, property_of
 from desim.simulation.watchdog import TimedOut, within
+from desim.study.breaking import judging, losses
 from desim.study.breaking.case_log import FAILED, CaseLog, CaseRun
 from desim.study.breaking.copies import ReadingTime, copies, looks, readings
 from desim.study.breaking.features import FEATURES, applied, drawn
 from desim.study.breaking.found import case_text, command_for, protocols_text, scenario_text, search_text
-from desim.study.breaking.judging import JudgementError, failure_of
+from desim.study.breaking.judging import CaseJudge, JudgementError, Planned, failure_of
 from desim.study.breaking.loss_table import FatalLosses, LossTable
 from desim.study.breaking.losses import hides_old_news
 from desim.study.breaking.search import Search, Violation, _Cases
 from desim.study.breaking.shrinking import Tried, _simplifications, shrunk
 from desim.study.breaking.sightings import SIGHTINGS, seen_in
 from desim.study.workers.dispatch import Outcome
+from desim.study.workers.workers import InProcess
 from scenarios.studies.study import SCENARIOS
 from tests.golden import golden
 from tests.view.by_hand import MS, history, pair
@@ -284,18 +289,18 @@ def test_a_table_that_would_be_too_long_is_refused():
     [
         ({"most": 0}, "most should be at least 1"),
         ({"seeds": []}, "seeds should not be empty"),
+        ({"seeds": 3}, "seeds should be a list of seeds"),
+        ({"seeds": [-3]}, "the seed should be at least 0, got -3"),
         ({"delay": 0.0}, "delay should be positive"),
         ({"delay": -1.0}, "delay should be positive"),
         ({"delay": nan}, "delay should be positive"),
         ({"fates": ["lots"]}, "fates should be lost, late, twice"),
+        ({"fates": "lost"}, "fates should be a list of lost, late, twice"),
         ({"fates": ["lost", "late"]}, "'late' needs a delay, in s"),
-        ({"seeds": 3}, "seeds should be a list of seeds"),
-        ({"seeds": [-3]}, "the seed should be at least 0, got -3"),
     ],
 )
 def test_bad_choices_are_told(choices, message):
     with pytest.raises(ValueError, match=message):
-        ({"fates": "lost"}, "fates should be a list of lost, late, twice"),
         fatal_losses(SMALL, "crowded at most 0.4 in total", **choices)
 
 
@@ -691,6 +696,36 @@ def test_a_log_knows_runs_by_scenario_seed_and_the_code_of_the_user(tmp_path):
 
 def first_pursuer(result):
     return [(0.0, 1.0)]
+
+
+def test_a_run_is_in_the_log_as_soon_as_it_has_ended(tmp_path, monkeypatch):
+    """Also if a later one of its batch is interrupted, or cannot be judged; models among the changes have a text."""
+
+    def interrupted(*_):
+        yield 1, Outcome("ok", CaseRun(Judgement(1.0, 0.9, 0.0), []))
+        yield 0, Outcome("error", error=JudgementError("property", "is unknown"))
+
+    monkeypatch.setattr(judging, "drive", interrupted)
+    case = {"vary": {"network.latency": Constant(value=0.2), "team.count": np.int64(3)}}
+    cases = [Planned(case, seed, SMALL) for seed in (1, 2)]
+    with pytest.raises(JudgementError):
+        CaseJudge(property_of(SHORT), InProcess(), log_of(tmp_path / "cases.jsonl")).judge_all(cases)
+    (line,) = (tmp_path / "cases.jsonl").read_text().splitlines()
+    told = json.loads(line)
+    assert told["seed"] == 2
+    assert told["case"] == {"vary": {"network.latency": {"kind": "constant", "value": 0.2}, "team.count": 3}}
+    assert case_text(case) == 'network.latency = { kind = "constant", value = 0.2 }, team.count = 3'
+
+
+@pytest.mark.parametrize(("module", "function"), [(judging, "seen_in"), (losses, "copies")])
+def test_an_exception_after_a_run_is_not_its_protocols(module, function, monkeypatch):
+    monkeypatch.setattr(module, function, lambda _: {}["missing"])
+    prop = property_of("crowded at most 1 in total")
+    judge_run = (
+        partial(losses._tell, prop, ("lost",), 0, True) if module is losses else partial(judging._case_run, prop)
+    )
+    with pytest.raises(JudgementError, match="cannot be judged: KeyError: 'missing'"):
+        judge_run(history())
 
 
 @pytest.mark.whole

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from desim.analysis.properties import Judgement
+from desim.config.parameters import as_jsonable
 from desim.config.whole_files import open_no_link
 from desim.results.environment import computing_versions
 from desim.scenario.properties import Property
@@ -31,7 +32,7 @@ class CaseRun(NamedTuple):
     seen: list[str]
     """What was seen in it; see `SIGHTINGS`."""
     seconds: float = 0.0
-    """Its share of the wall time of the runs that were made together with it, s."""
+    """The wall time, s, from the end of the run before: several workers share the time in which they run."""
     failure: str = ""
     """The exception that it raised, as text; the judgement is then `FAILED`."""
 
@@ -77,7 +78,8 @@ class CaseLog:
         """Append a run; its case, if given, tells a reader of the file what was changed."""
         key = identify(scenario).key
         self._runs[key, seed] = case_run
-        entry = {"search": self._search, "scenario": key, "seed": seed, **case_run._asdict(), "case": case}
+        told = {**case_run._asdict(), "case": as_jsonable(case)}  # its values may be models
+        entry = {"search": self._search, "scenario": key, "seed": seed, **told}
         with open(self._file, "a", encoding="utf-8", opener=open_no_link) as lines:
             lines.write(("\n" if self._is_cut_off else "") + json.dumps(entry) + "\n")
         self._is_cut_off = False

@@ -9,6 +9,7 @@ import tomli_w
 
 from desim.analysis.properties import Judgement
 from desim.analysis.tables import counted
+from desim.config.parameters import as_jsonable
 from desim.config.traits import kind_of
 from desim.scenario.properties import Property
 from desim.scenario.scenario import PROTOCOLS, Scenario
@@ -76,9 +77,9 @@ def _flat(changes: Mapping[str, Any]) -> str:
             return "{ " + ", ".join(f"{key} = {text(entry)}" for key, entry in value.items()) + " }"
         if isinstance(value, list):
             return "[" + ", ".join(map(text, value)) + "]"
-        return tomli_w.dumps({"x": value}).removeprefix("x = ").strip()
+        return "none" if value is None else tomli_w.dumps({"x": value}).removeprefix("x = ").strip()
 
-    return ", ".join(f"{key} = {text(value)}" for key, value in changes.items())
+    return ", ".join(f"{key} = {text(value)}" for key, value in as_jsonable(changes).items())
 
 
 def case_text(case: Case) -> str:

@@ -1,12 +1,12 @@
 """Judge the runs of cases by a property: workers make the runs, except those whose judgement is in a log."""
 
 import time
-from collections.abc import Sequence
-from contextlib import closing
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 from functools import partial
 from typing import NamedTuple
 
-from desim.analysis.properties import Judgement, judge
+from desim.analysis.properties import judge
 from desim.config.errors import ArgumentError
 from desim.kernel.core.portable_math import portable_sum
 from desim.scenario.properties import Property, recording
@@ -63,25 +63,24 @@ class CaseJudge:
         return [by_case[k] for k in range(len(cases))]
 
     def _run_all(self, cases: Sequence[Planned]) -> list[CaseRun]:
-        """Make the run of each case, and append it to the log."""
+        """Make the run of each case, and append it to the log as soon as it has ended."""
         tasks = [(with_messages(planned.scenario, self._prop), planned.seed) for planned in cases]
-        begin = time.perf_counter()
-        outcomes = outcomes_of(tasks, self._workers, partial(_case_run, self._prop))
-        seconds = round((time.perf_counter() - begin) / len(cases), 4)
-        runs = [
-            CaseRun(FAILED, [], seconds, failure)
-            if (failure := failure_of(outcome, self._workers.timeout))
-            else outcome.value._replace(seconds=seconds)
-            for outcome in outcomes
-        ]
-        for planned, case_run in zip(cases, runs, strict=True):
-            if self._log is not None:
-                self._log.add(planned.scenario, planned.seed, case_run, planned.case)
-        return runs
+        runs: dict[int, CaseRun] = {}
+        before = time.perf_counter()
+        with closing(drive(tasks, self._workers, partial(_case_run, self._prop))) as outcomes:
+            for place, outcome in outcomes:
+                failure = failure_of(outcome, self._workers.timeout)
+                now = time.perf_counter()
+                case_run = CaseRun(FAILED, [], failure=failure) if failure else outcome.value
+                runs[place] = case_run._replace(seconds=round(now - before, 4))
+                before = now
+                if self._log is not None:
+                    self._log.add(cases[place].scenario, cases[place].seed, runs[place], cases[place].case)
+        return [runs[place] for place in range(len(cases))]
 
 
 class JudgementError(ArgumentError):
-    """A run has ended, but its property cannot be judged."""
+    """A run has ended, but it cannot be judged by the property."""
 
 
 def failure_of(outcome: Outcome, timeout: float | None) -> str:
@@ -92,7 +91,7 @@ def failure_of(outcome: Outcome, timeout: float | None) -> str:
         timeout: the longest wall time of a run, s; None: no limit.
 
     Raises:
-        BaseException: if the run was ended from outside, or its property cannot be judged.
+        BaseException: if the run was ended from outside, or cannot be judged (JudgementError).
     """
     if outcome.status == "ok":
         return ""
@@ -108,19 +107,15 @@ def failure_of(outcome: Outcome, timeout: float | None) -> str:
 
 
 def _case_run(prop: Property, result: Result) -> CaseRun:
-    return CaseRun(judged(prop, result), seen_in(result))
+    with judging(prop):
+        return CaseRun(judge(prop, result), seen_in(result))
 
 
-def judged(prop: Property, result: Result) -> Judgement:
-    """Return the judgement of a run.
-
-    The run has ended, so an exception is not its protocol's: it is raised as a JudgementError.
-
-    Raises:
-        JudgementError: if a function of a user raises an exception, or the run of the reference does.
-    """
+@contextmanager
+def judging(prop: Property) -> Iterator[None]:
+    """Raise an exception as a JudgementError: the run has ended, so it is not the exception of its protocol."""
     try:
-        return judge(prop, result)
+        yield
     except Exception as error:
         kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
         raise JudgementError("property", f"{prop.text!r} cannot be judged: {kind}{error}") from error

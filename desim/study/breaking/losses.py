@@ -22,7 +22,7 @@ from functools import partial
 from math import inf
 from typing import NamedTuple
 
-from desim.analysis.properties import Judgement, Stated
+from desim.analysis.properties import Judgement, Stated, judge
 from desim.config.arguments import naming_arguments, scenario_argument
 from desim.config.errors import ArgumentError
 from desim.config.python_numbers import real, whole
@@ -37,7 +37,7 @@ from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.simulation.run import Result
 from desim.study.breaking.case_log import FAILED
 from desim.study.breaking.copies import MessageCopy, ReadingTime, copies, looks, readings
-from desim.study.breaking.judging import failure_of, judged, outcomes_of
+from desim.study.breaking.judging import failure_of, judging, outcomes_of
 from desim.study.breaking.loss_table import FATES, FatalLosses, LossTable, MessageFate, message_faults
 from desim.study.breaking.search import GENERATION, checked_property
 from desim.study.workers.dispatch import Outcome
@@ -329,19 +329,20 @@ class _Choices:
 
 
 def _tell(prop: Property, fates: Sequence[MessageFate], delay: int, prune: bool, result: Result) -> _Told:
-    sent = copies(result)
-    read = readings(sent, looks(result))
-    horizon = nanoseconds(result.scenario.horizon)
-    steps = [
-        _Step(reading.copy, fate)
-        for reading in read
-        if reading.copy.arrival != LOST
-        for fate in fates
-        if not prune or _matters(reading, fate, delay, horizon)
-    ]
-    lost = [reading for reading in read if reading.copy.arrival == LOST and reading.copy.seq is not None]
-    unread_since = {reading.copy.number: reading.last_look() for reading in lost}
-    return _Told(judged(prop, result), steps, len(sent), unread_since)
+    with judging(prop):
+        sent = copies(result)
+        read = readings(sent, looks(result))
+        horizon = nanoseconds(result.scenario.horizon)
+        steps = [
+            _Step(reading.copy, fate)
+            for reading in read
+            if reading.copy.arrival != LOST
+            for fate in fates
+            if not prune or _matters(reading, fate, delay, horizon)
+        ]
+        lost = [reading for reading in read if reading.copy.arrival == LOST and reading.copy.seq is not None]
+        unread_since = {reading.copy.number: reading.last_look() for reading in lost}
+        return _Told(judge(prop, result), steps, len(sent), unread_since)
 
 
 def _matters(reading: ReadingTime, fate: MessageFate, delay: int, horizon: int) -> bool:
