@@ -325,6 +325,7 @@ def test_a_benchmark_of_one_short_scenario_has_the_costs_of_its_runs(monkeypatch
         (3, "protocol: should be a table with a kind"),
         ({"kind": "sap", "tauu": 1}, "protocol.tauu: unknown key, did you mean 'tau'"),
     ],
+        ([{"knd": "sap"}], "protocol: should be a table with a kind"),
 )
 def test_what_is_no_protocol_is_told(protocols, why):
     with pytest.raises(ValueError, match=why):

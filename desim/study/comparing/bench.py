@@ -106,7 +106,7 @@ def _name(protocol: Any) -> str:
     if isinstance(protocol, str):
         return protocol
     if isinstance(protocol, Mapping):
-        return str(protocol["kind"])
+        return str(protocol.get("kind", "a table"))
     return protocol.__name__ if isinstance(protocol, type) else kind_of(protocol)
 
 
