@@ -139,6 +139,8 @@ def test_a_benchmark_has_the_scores_of_each_scenario_in_its_document():
         assert protocol["scenarios"].keys() == {"one"}
         assert protocol["scenarios"]["one"].keys() == protocol["total"].keys()
         assert protocol["behind"] == made.is_behind(name)
+    equal = benchmark_of(perfect=[10.0] * 3, silent=[50.0] * 3)
+    assert equal.document()["scenarios"] == {"one": {"distance": "Infinity", "kept": True}}
 
 
 @pytest.mark.slow
@@ -323,9 +325,9 @@ def test_a_benchmark_of_one_short_scenario_has_the_costs_of_its_runs(monkeypatch
         ({"mine": "sapp"}, "mine takes part in no scenario: protocol.kind: there is no"),
         (Own, r"Own takes part in no scenario: protocol: should be an instance: Own\(\) instead of Own"),
         (3, "protocol: should be a table with a kind"),
+        ([{"knd": "sap"}], "protocol: should be a table with a kind"),
         ({"kind": "sap", "tauu": 1}, "protocol.tauu: unknown key, did you mean 'tau'"),
     ],
-        ([{"knd": "sap"}], "protocol: should be a table with a kind"),
 )
 def test_what_is_no_protocol_is_told(protocols, why):
     with pytest.raises(ValueError, match=why):

@@ -29,6 +29,7 @@ from desim.analysis.table_formats import Table, TabularResult
 from desim.analysis.tables import as_json, counted, digits_in
 from desim.config.arrays import Floats
 from desim.config.extras import naming_extras
+from desim.config.json_numbers import json_number
 from desim.kernel.core.portable_math import portable_sum
 from desim.study.comparing.suite import AS_IT_IS, PERFECT, REFERENCE, SILENT, CostsByProtocol
 
@@ -287,7 +288,9 @@ class Benchmark(TabularResult):
             "version": self.version,
             "runs": self.runs,
             "reference": REFERENCE,
-            "scenarios": {name: {"distance": self.apart(name), "kept": name in self.kept} for name in self.costs},
+            "scenarios": {
+                name: {"distance": json_number(self.apart(name)), "kept": name in self.kept} for name in self.costs
+            },
             "best": self.best,
             "protocols": {
                 name: {
