@@ -139,6 +139,8 @@ def test_a_call_that_cannot_be_submitted_to_workers_that_live_is_an_error(small,
 
     monkeypatch.setattr(InProcess, "submit", submit)
     assert Session(small, InProcess()).save(SMALL) == {"error": "ValueError: no way"}
+    told = Session(small, InProcess()).run(SMALL, None)
+    assert (told["errors"], len(told["controls"]) > 9) == ({"": "ValueError: no way"}, True)
 
 
 def test_an_answer_has_all_parts_of_a_page(answer):

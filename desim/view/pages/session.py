@@ -45,14 +45,16 @@ class Session:
         """Let a worker compute `Playground.answer`; cancel the last request of the page if it has not begun."""
         if (last := self._last.get(page)) is not None:
             last.cancel()
-        future = self._last[page] = self._submit(partial(self.playground.answer, now, pinned))
+        future = None
         try:
+            future = self._last[page] = self._submit(partial(self.playground.answer, now, pinned))
             return dict(self._result(future))
-        except Exception as error:  # the worker died, or the request was cancelled
-            why = "a later change came first" if future.cancelled() else f"{type(error).__name__}: {error}"
+        except Exception as error:  # the worker died or could not start, or the request was cancelled
+            is_cancelled = future is not None and future.cancelled()
+            why = "a later change came first" if is_cancelled else f"{type(error).__name__}: {error}"
             return {"controls": self.playground.controls(now), "errors": {"": why}}
         finally:
-            if self._last.get(page) is future:
+            if future is not None and self._last.get(page) is future:
                 self._last.pop(page, None)
 
     def save(self, changes: Changes) -> Answer:
