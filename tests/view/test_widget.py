@@ -40,6 +40,7 @@ def test_a_scenario_makes_its_widget():
     made = desim.play(SMALL)
     assert isinstance(made, PlayWidget)
     assert made.name == "small"
+    assert desim.play(SMALL)._session.workers is made._session.workers, "one set of processes for all"
 
 
 @pytest.mark.slow

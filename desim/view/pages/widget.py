@@ -1,6 +1,7 @@
 """The widget of `desim.play` in a notebook: the page of `desim play`; needs anywidget (the extra `notebook`)."""
 
 import os
+from functools import cache
 from importlib.resources import files
 from threading import Thread
 from typing import Any
@@ -57,13 +58,19 @@ is escaped.
 """
 
 
+@cache
+def _processes() -> Processes:
+    """Return worker processes, the same at each call: a cell may be executed many times, and no widget is closed."""
+    return Processes(os.cpu_count() or 1, kept=True)
+
+
 class PlayWidget(anywidget.AnyWidget):
     """A widget in which the user changes keys of a scenario, and compares each run with a pinned run.
 
     Args:
         scenario: the scenario before any change.
         timeout: the wall time after which a run is ended, s.
-        workers: they perform the runs; None = one process per core.
+        workers: they perform the runs; None = one process per core, which all widgets share.
     """
 
     _esm = files("desim.view.pages").joinpath("play.js").read_text(encoding="utf-8") + GLUE
@@ -74,7 +81,7 @@ class PlayWidget(anywidget.AnyWidget):
     def __init__(self, scenario: Scenario, timeout: float = 30.0, workers: Workers | None = None):
         ground = Playground(Source.of(scenario), None, timeout=timeout)
         super().__init__(name=scenario.name, values=ground.values)
-        self._session = Session(ground, workers or Processes(os.cpu_count() or 1, kept=True))
+        self._session = Session(ground, workers or _processes())
         self.on_msg(self._hear)
 
     def _hear(self, _widget: Any, request: Any, _buffers: Any) -> None:
