@@ -13,7 +13,6 @@ from types import MappingProxyType
 from typing import Any
 
 import tomli_w
-from pydantic import BaseModel
 
 from desim.config.arguments import Argument, naming_arguments
 from desim.config.choice import choices_of
@@ -171,7 +170,7 @@ def _has_data_file(table: Any, parts: Sequence[str]) -> bool:
     kind = table.get("kind") if isinstance(table, dict) else table  # a bare string stands for a kind
     if kind is not None:
         return isinstance(kind, str) and ":" not in kind
-    model: type[BaseModel] | None = Scenario
+    model: Any = Scenario
     for part in (part for part in parts if not part.isdecimal()):
         info = model.model_fields.get(part) if model is not None else None
         model = None if info is None or choices_of(info) else next(models_in(info.annotation), None)
