@@ -42,7 +42,15 @@ def test_other_texts_are_no_ranges(text):
 
 @pytest.mark.parametrize(
     ("text", "why"),
-    [("0:1:0", "no end"), ("0:1:-1", "no end"), (f"0:{MAX_VALUES}:1", "has 100,001 values, above 100,000")],
+    [
+        ("0:1:0", "no end"),
+        ("0:1:-1", "no end"),
+        (f"0:{MAX_VALUES}:1", "more than 100,000 values"),
+        ("0:1e900000:1", "more than 100,000 values"),
+        ("0:1e9999999:1", "an exponent that is too large"),
+        ("0:1:1e-9999999", "an exponent that is too large"),
+        ("0:1e99999999999999999999:1", "an exponent that is too large"),
+    ],
 )
 def test_a_range_without_an_end_is_refused(text, why):
     with pytest.raises(ValueError, match=why):
@@ -76,7 +84,7 @@ def test_a_logarithmic_range_has_equal_ratios_and_exact_ends(text, numbers):
         ("log:0:1:5", "begin and end above 0"),
         ("log:1:2:1", "two different numbers"),
         ("log:1:1:3", "two different numbers"),
-        ("log:1:2:100001", "has 100,001 values"),
+        ("log:1:2:100001", "more than 100,000 values"),
     ],
 )
 def test_a_logarithmic_range_without_ratios_is_refused(text, why):
@@ -111,12 +119,20 @@ def test_a_number_of_a_range_lies_in_it_and_is_the_one_that_is_shown(low, ratio,
     assert interval.at(0.5) == pytest.approx(middle, rel=1e-5)
 
 
-def test_whole_numbers_of_a_range_are_equally_probable():
-    whole = KeyRange(2.0, 5.0, is_whole=True)
+@pytest.mark.parametrize("low", [2, -1, -6])
+def test_whole_numbers_of_a_range_are_equally_probable(low):
+    whole = KeyRange(low, low + 3.0, is_whole=True)
     numbers = [whole.at((k + 0.5) / 4000) for k in range(4000)]
-    assert {number: numbers.count(number) for number in (2, 3, 4, 5)} == dict.fromkeys((2, 3, 4, 5), 1000)
-    assert (whole.at(0.0), whole.at(1.0)) == (2, 5)
+    assert {number: numbers.count(number) for number in {*numbers}} == dict.fromkeys(range(low, low + 4), 1000)
+    assert (whole.at(0.0), whole.at(1.0)) == (low, low + 3)
     assert all(isinstance(number, int) for number in numbers)
+
+
+def test_a_logarithmic_range_of_whole_numbers_has_its_ends():
+    """The exponential of log(5) is less than 5."""
+    for low in range(1, 100):
+        whole = KeyRange(low, low + 1.0, is_log=True, is_whole=True)
+        assert (whole.at(0.0), whole.at(1.0)) == (low, low + 1)
 
 
 def test_a_range_without_steps_is_one_in_an_option_a_file_and_a_script():
