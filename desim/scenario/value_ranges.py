@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from math import exp, isfinite, log
+from math import exp, floor, isfinite, log
 from typing import Any
 
 _NUMBER = r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*"
@@ -48,7 +48,7 @@ class KeyRange:
         low, high = (self.low, self.high + 1.0) if self.is_whole else (self.low, self.high)
         number = exp(log(low) + share * (log(high) - log(low))) if self.is_log else low + share * (high - low)
         if self.is_whole:  # each number is as probable as another
-            return min(int(number), int(self.high))
+            return min(max(floor(number), int(self.low)), int(self.high))  # log(low) is rounded
         if share in (0.0, 1.0):
             return high if share else low
         return min(max(rounded(number), low), high)
@@ -104,20 +104,23 @@ def range_of(text: str) -> list[float] | list[int] | None:
     has COUNT numbers with equal ratios; those between its ends have `DIGITS` significant digits.
 
     Raises:
-        ValueError: if the step is 0 or leads away from the last number, there are too many numbers, or a logarithmic
-            range begins or ends at 0 or below, or has fewer than two numbers.
+        ValueError: if the step is 0 or leads away from the last number, there are more than `MAX_VALUES` numbers, an
+            exponent is too large, or a logarithmic range begins or ends at 0 or below, or has fewer than two numbers.
     """
     if logarithmic := _LOG.fullmatch(text):
         return _in_equal_ratios(text, float(logarithmic[1]), float(logarithmic[2]), int(logarithmic[3]))
     match = _RANGE.fullmatch(text)
     if match is None:
         return None
-    first, last, step = map(Decimal, match.groups())
-    if not step or (last - first) / step < 0:
+    try:
+        first, last, step = map(Decimal, match.groups())
+        steps = (last - first) / step if step else Decimal(-1)
+    except ArithmeticError:
+        raise ValueError(f"the range {text} has an exponent that is too large") from None
+    if steps < 0:
         raise ValueError(f"the range {text} has no end: its step should lead from {match[1]} to {match[2]}")
-    count = int((last - first) / step) + 1
-    _check_count(text, count)
-    numbers = [first + k * step for k in range(count)]
+    _check_count(text, steps + 1)
+    numbers = [first + k * step for k in range(int(steps) + 1)]
     is_whole = all(part.lstrip("+-").isdecimal() for part in match.groups())
     return [int(number) for number in numbers] if is_whole else [float(number) for number in numbers]
 
@@ -132,6 +135,6 @@ def _in_equal_ratios(text: str, first: float, last: float, count: int) -> list[f
     return [first, *inner, last]
 
 
-def _check_count(text: str, count: int) -> None:
-    if count > MAX_VALUES:
-        raise ValueError(f"the range {text} has {count:,} values, above {MAX_VALUES:,}")
+def _check_count(text: str, count: int | Decimal) -> None:
+    if count >= MAX_VALUES + 1:
+        raise ValueError(f"the range {text} has more than {MAX_VALUES:,} values")
