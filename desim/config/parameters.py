@@ -1,8 +1,11 @@
 """Parameters of users' models, which may be any objects: what stands for them in records, and when they are equal."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections import UserList, deque
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
+from datetime import datetime
+from enum import Enum
 from inspect import signature
 from operator import is_
 from pathlib import PurePath
@@ -76,6 +79,10 @@ def _content_in_json(value: Any) -> Any:
         return value.as_posix()
     if getattr(getattr(value, "dtype", None), "kind", "") in DATES and not getattr(value, "ndim", 0):
         return str(value)
+    if isinstance(value, Iterator):  # to read it would advance it
+        return None
+    if getattr(getattr(value, "dtype", None), "kind", "") == "O" and hasattr(value, "tolist"):  # perhaps of sets
+        return sorted_sets(value.tolist())
     plain = as_python(value)
     return plain if type(plain) in CONVERTED and plain is not value else None
 
@@ -116,6 +123,14 @@ def _sorted_sets(value: Any, fallback: Callable[[Any], Any]) -> Any:
         held = dumped(value)
     elif is_dataclass(value):
         held = {field.name: getattr(value, field.name) for field in fields(value) if hasattr(value, field.name)}
+    elif isinstance(value, Enum):
+        held = value.value
+    elif isinstance(value, Iterator):
+        return fallback(value)
+    elif isinstance(value, datetime) and value != value:  # of pandas; the serialiser of pydantic fails
+        return str(value)
+    elif isinstance(value, deque | UserList) and not callable(value):
+        return [*map(inner, value)]
     else:
         return value
     plain = inner(held)

@@ -114,6 +114,11 @@ class Table(BaseModel):
 LETTERS = "abcdefghij"
 
 
+class Group(Enum):
+    ALL = frozenset(LETTERS)
+    ONE = frozenset("a")
+
+
 PARAMETERS = {
     "int": (1, 2, 1, "1"),
     "np.float32": (np.float32(0.5), np.float32(0.25), 0.5, "0.5"),
@@ -179,11 +184,21 @@ PARAMETERS = {
         {json.dumps([0, [*LETTERS]]): 1},
         f"({json.dumps([0, [*LETTERS]])}=1)",
     ),
+    "set in a deque": (deque([{*LETTERS}]), deque([{"b"}]), [[*LETTERS]], f"[[{', '.join(LETTERS)}]]"),
+    "set in an array": (
+        np.array([{*LETTERS}, 1], object),
+        np.array([{"b"}, 1], object),
+        [[*LETTERS], 1],
+        f"[[{', '.join(LETTERS)}], 1]",
+    ),
+    "set in a series": (pd.Series([{*LETTERS}]), pd.Series([{"b"}]), [[*LETTERS]], f"[[{', '.join(LETTERS)}]]"),
+    "set in an enumeration": (Group.ALL, Group.ONE, [*LETTERS], f"[{', '.join(LETTERS)}]"),
     "mapping": (MappingProxyType({"a": 1}), MappingProxyType({"a": 2}), {"a": 1}, "(a=1)"),
     "keys that are no texts": ({(0, 1): 0.5}, {(0, 1): 1.5}, {"0,1": 0.5}, "((0, 1)=0.5)"),
     "path": (PurePosixPath("a"), PurePosixPath("b"), "a", "a"),
     "date": (datetime(2024, 5, 6), datetime(2025, 5, 6), "2024-05-06T00:00:00", "2024-05-06T00:00:00"),
     "np.datetime64": (np.datetime64("2024-05"), np.datetime64("2024-06"), "2024-05", "2024-05"),
+    "no date": (pd.NaT, pd.Timestamp(2024, 5, 6), "NaT", "NaT"),
     "duration": (timedelta(seconds=1), timedelta(seconds=2), "PT1S", "PT1S"),
     "decimal": (Decimal("0.5"), Decimal("1.5"), "0.5", "0.5"),
     "fraction": (Fraction(1, 3), Fraction(2, 3), "1/3", "1/3"),
@@ -266,3 +281,11 @@ def test_what_stands_for_an_object_has_no_address():
     assert is_named_only([1, {"a": Opaque(1)}])
     assert not is_named_only([1, {"a": np.arange(2)}])
     assert sorted_sets({"a": ({3, 1, 2},)}) == {"a": ([1, 2, 3],)}
+
+
+def test_an_iterator_is_not_read_to_record_it():
+    """A run would find it at its end."""
+    for iterator in (iter([1, 2]), (number for number in (1, 2))):
+        assert is_named_only(iterator)
+        assert sorted_sets({"w": iterator})["w"].keys() == {"kind"}
+        assert [*iterator] == [1, 2]
