@@ -198,7 +198,6 @@ PARAMETERS = {
     "path": (PurePosixPath("a"), PurePosixPath("b"), "a", "a"),
     "date": (datetime(2024, 5, 6), datetime(2025, 5, 6), "2024-05-06T00:00:00", "2024-05-06T00:00:00"),
     "np.datetime64": (np.datetime64("2024-05"), np.datetime64("2024-06"), "2024-05", "2024-05"),
-    "no date": (pd.NaT, pd.Timestamp(2024, 5, 6), "NaT", "NaT"),
     "duration": (timedelta(seconds=1), timedelta(seconds=2), "PT1S", "PT1S"),
     "decimal": (Decimal("0.5"), Decimal("1.5"), "0.5", "0.5"),
     "fraction": (Fraction(1, 3), Fraction(2, 3), "1/3", "1/3"),
@@ -289,3 +288,12 @@ def test_an_iterator_is_not_read_to_record_it():
         assert is_named_only(iterator)
         assert sorted_sets({"w": iterator})["w"].keys() == {"kind"}
         assert [*iterator] == [1, 2]
+
+
+def test_a_missing_date_of_pandas_is_recorded():
+    """It is equal to nothing, also not to itself."""
+    given, recorded = scenario(Of(pd.NaT)), {"kind": "tests.config.test_parameters:Of", "w": "NaT"}
+    assert json.loads(given.model_dump_json())["network"]["latency"] == recorded
+    assert tomllib.loads(dump(given))["network"]["latency"] == recorded
+    assert identify(given).key != identify(scenario(Of(pd.Timestamp(2024, 5, 6)))).key
+    assert label(Of(pd.NaT)) == "Of(w=NaT)"
