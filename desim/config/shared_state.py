@@ -85,15 +85,19 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
     caches = [item for item in objects if isinstance(item, CACHED)]
     cached = [_cached(item, snapshot) for item in caches]
     generators, imported = _global_generators(), set(sys.modules)
-    yield
+    try:
+        yield
+    finally:  # a run that raises leaves its state, too
+        for (owner, name, read), first in zip(reads, before, strict=True):
+            _runs.setdefault(owner, {})[name] = first, snapshot(read())
+        new_modules = {plain_name(module) for module in sys.modules.keys() - imported}
+        for owner, name, read in shared_variables(objects):
+            if name.rpartition(".")[0] not in new_modules and name not in _runs.get(
+                owner, {}
+            ):  # the run has created it
+                _runs.setdefault(owner, {})[name] = (), snapshot(read())
     for text in (*_cache_warnings(caches, cached, snapshot), *_generator_warnings(generators, outside)):
         _warn(text)
-    for (owner, name, read), first in zip(reads, before, strict=True):
-        _runs.setdefault(owner, {})[name] = first, snapshot(read())
-    new_modules = {plain_name(module) for module in sys.modules.keys() - imported}
-    for owner, name, read in shared_variables(objects):
-        if name.rpartition(".")[0] not in new_modules and name not in _runs.get(owner, {}):  # the run has created it
-            _runs.setdefault(owner, {})[name] = (), snapshot(read())
 
 
 def _carried(reads: Sequence[tuple[Any, str, Read]], before: Sequence[Any]) -> set[str]:
@@ -117,11 +121,13 @@ def followed_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> 
         return
     reads = [item for item in shared_variables(reached_code(objects)) if item[1] in _runs.get(item[0], {})]
     before = [snapshot(read()) for _, _, read in reads]
-    yield
-    for (owner, name, read), state in zip(reads, before, strict=True):
-        first, last = _runs[owner][name]
-        if last == state is not None:
-            _runs[owner][name] = first, snapshot(read())
+    try:
+        yield
+    finally:
+        for (owner, name, read), state in zip(reads, before, strict=True):
+            first, last = _runs[owner][name]
+            if last == state is not None:
+                _runs[owner][name] = first, snapshot(read())
 
 
 def _cache_warnings(

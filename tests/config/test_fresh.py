@@ -952,6 +952,21 @@ def test_state_that_metrics_change_between_runs_is_warned_of():
         run(scenario, 1)
 
 
+def test_state_that_a_run_leaves_when_it_raises_is_warned_of():
+    class Turns:
+        taken = 0
+
+        def __call__(self):
+            Turns.taken += 1
+
+    with pytest.raises(ZeroDivisionError), fresh_copy(Turns(), is_run=True) as turns:
+        turns()
+        turns.taken /= 0
+    warned = pytest.warns(StateWarning, match=r"Turns\.taken: an earlier run has changed it")
+    with warned, fresh_copy(Turns(), is_run=True):
+        pass
+
+
 @pytest.mark.slow
 def test_state_that_the_caller_changes_between_runs_is_not_warned_of():
     scenario = Scenario(team=Team(count=2), network=Links(latency=Counting()), horizon=0.3)
