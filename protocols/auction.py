@@ -14,13 +14,12 @@ bid that it knows of the other, and both stay active.
 
 from collections.abc import Callable, Iterator, Sequence
 from math import inf
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from desim.kernel.core.message_size import HEADER, NUMBER
 from desim.kernel.core.records import Record
-from desim.pursuit.team.agent import Agent, Process
+from desim.pursuit.team.agent import Agent
 from protocols.rule import Rule
-from protocols.schedules.periodic import turns
 
 NO_WINNER = -1
 """The winner of an evader without bids."""
@@ -48,14 +47,8 @@ NO_BID = Bid(NO_WINNER, -inf)
 class Auction(Rule):
     """A rule under which the winner of the auction for an evader chases it."""
 
-    def __call__(self, me: Agent) -> Process:
-        """Negotiate for one pursuer.
-
-        A pursuer that can only be inactive takes its turns, too, because its announcements forward the claims of
-        others.
-        """
-        actions = self.actions(me)
-        yield from turns(self.schedule, me, lambda: me.assign(next(actions)))
+    asks_without_choice: ClassVar[bool] = True
+    """The announcement of a pursuer that can only be inactive forwards the claims of others."""
 
     def claim_size(self, pursuers: int, evaders: int) -> int:
         """Return the size of an announcement, bytes: the action, and the winner and the bid of each evader."""

@@ -2,9 +2,9 @@
 
 A `Rule` is a protocol with a schedule. Its `actions(me)` is a generator that yields one action per turn (0: inactive,
 j: chase evader j) and keeps the pursuer's memory in its local variables. While the pursuer can only be inactive,
-`Rule.__call__` does not advance the generator. A `LearningRule` chooses by the utilities of the actions. Any rule runs
-under any schedule, network and dissemination. Derive a new protocol from `Rule` or `LearningRule` unless it needs
-messages of its own.
+`Rule.__call__` does not advance the generator, unless `asks_without_choice` says so. A `LearningRule` chooses by the
+utilities of the actions. Any rule runs under any schedule, network and dissemination. Derive a new protocol from `Rule`
+or `LearningRule` unless it needs messages of its own.
 """
 
 from collections.abc import Collection, Iterator
@@ -40,6 +40,8 @@ class Rule(Value):
 
     assumes: ClassVar[tuple[str, ...]] = ("messages_get_through",)
     """The assumptions of the rule about the scenario; see `desim.scenario.assumptions`."""
+    asks_without_choice: ClassVar[bool] = False
+    """Whether `actions` also chooses at the turns at which a pursuer can only be inactive."""
     schedule: Annotated[Schedule, SCHEDULES] = SharedSeed()
     """When each pursuer revises."""
 
@@ -48,7 +50,7 @@ class Rule(Value):
         raise NotImplementedError(f"{type(self).__name__} has no rule: write its actions(me)")
 
     def __call__(self, me: Agent) -> Process:
-        """Run the schedule of a pursuer; at each turn, assign the next of `actions`, or 0 if the pursuer has no choice.
+        """Run the schedule of a pursuer; at each turn, assign the next of `actions`, or 0 if it is not asked.
 
         Raises:
             TypeError: if `actions` is not a generator, or the schedule returns none.
@@ -57,9 +59,10 @@ class Rule(Value):
         actions = self.actions(me)
         if not isinstance(actions, Iterator):
             raise TypeError(f"actions(me) of {type(self).__name__} should yield actions, not return {actions!r}")
+        always = self.asks_without_choice
 
         def revise() -> None:
-            action = next(actions, None) if me.has_choice() else 0
+            action = next(actions, None) if always or me.has_choice() else 0
             if action is None:
                 raise ValueError(f"actions(me) of {type(self).__name__} should never end: `while True`")
             me.assign(action)

@@ -14,8 +14,9 @@ def play(env: AECPursuit | ParallelPursuit, rule: Rule, seed: int | None = None)
     """Let a rule decide for all pursuers of an environment, and return the run.
 
     The rule gets the agents themselves, so the run is that of a scenario with this rule. A pursuer that restarts
-    without memory restarts the rule. In a parallel environment the rule decides in each round for all, also for those
-    that a run would not ask.
+    without memory restarts the rule. In a parallel environment the rule decides in each step for all that are up, also
+    for those that a run would not ask then: a pursuer whose clock is wrong, or that recovers between two rounds,
+    decides in a step of its own.
 
     Args:
         env: the environment; it is reset.
@@ -26,6 +27,8 @@ def play(env: AECPursuit | ParallelPursuit, rule: Rule, seed: int | None = None)
 
     def decide(agent: str) -> int:
         me = env.pursuer(agent)
+        if me.global_state.broken()[me.id] or not (rule.asks_without_choice or me.has_choice()):
+            return 0  # a run does not ask the rule, either
         memory = memories.get((me.id, me.restarts))
         if memory is None:
             memory = memories[me.id, me.restarts] = iter(rule.actions(me))

@@ -27,7 +27,7 @@ from desim.kernel.core.trace_file import line_of
 from desim.learning.episode import Episode
 from desim.learning.playing import play
 from desim.learning.rewards import team as team_reward
-from desim.pursuit.core.events import Ended
+from desim.pursuit.core.events import Decided, Ended
 from desim.pursuit.game.game import welfare, wonderful_life_utility
 from protocols import CBAA, LocalMin, Rounds, Server
 from protocols.rule import SCHEDULES
@@ -85,6 +85,17 @@ def test_a_rule_played_in_parallel_leaves_the_native_trace(changes):
     assert lines(play(env, LocalMin())) == lines(run(scenario, 4))
     other = small(**{"protocol.kind": "sap", "protocol.schedule": Rounds(period=0.2), "record.messages": True})
     assert lines(env.result) != lines(run(other, 4))
+
+
+@pytest.mark.parametrize("kind", ["binary_log_linear", "sap"])
+def test_a_rule_is_not_asked_in_parallel_for_a_pursuer_that_is_down_or_has_no_choice(kind):
+    """The rule draws, so a choice that a run does not ask for would change all later ones."""
+    changes = {"fault": (Crash(node=1, start=0.5, end=0.9, memory=False),), "team.speeds": [2.0, 2.0, 0.5]}
+    rule = {"kind": kind, "schedule": Rounds(period=0.2), "tau": {"kind": "constant", "value": 100.0}}
+    scenario = small(**{"team.count": 3, "protocol": rule, **changes})
+    played = play(desim.parallel_env(scenario, 4), scenario.protocol)
+    assert lines(played) == lines(run(scenario, 4))
+    assert any(isinstance(event, Decided) and event.pursuer == 1 and event.t > 900_000_000 for event in played.trace)
 
 
 @pytest.mark.slow
