@@ -102,7 +102,7 @@ def content(value: Any) -> Any:
 
 
 def quantity_of(value: Any) -> Fields | None:
-    """Return the value and the unit of a quantity, as libraries of units have it; None if it is none."""
+    """Return the value and the unit of a quantity of a library of units; None for any other object."""
     kind: Any = type(value)
     if not hasattr(kind, "__float__"):
         return None
@@ -133,9 +133,9 @@ def is_missing(value: Any) -> bool:
 
 @functools.cache
 def is_opaque(kind: Any) -> bool:
-    """Return whether the objects of a type, as a rule of one that is written in C, have more in them than attributes.
+    """Return whether the objects of a type hold more than their attributes, as those of most types written in C do.
 
-    This is the rule by which Python decides whether their attributes suffice to copy them.
+    Python decides by the same rule whether their attributes suffice to copy them.
     """
     slots = copyreg._slotnames(kind)  # type: ignore[attr-defined]
     pointers = (kind.__dictoffset__ > 0) + (kind.__weakrefoffset__ > 0) + len(slots)
@@ -143,7 +143,7 @@ def is_opaque(kind: Any) -> bool:
 
 
 def _pickled(value: Any) -> Any:
-    """Return the content of an object that has no other: that from which pickle would make it again."""
+    """Return the arguments and the state from which pickle would make an object again, as its content."""
     kind: type = type(value)
     if isinstance(value, Iterator):
         raise ValueError(f"an object of type {kind.__name__} can be read only once: send a list of its items")
@@ -161,7 +161,7 @@ def _pickled(value: Any) -> Any:
 
 
 def content_fields(value: Any) -> Fields | None:
-    """Return the fields of a dataclass, a named tuple, or a pydantic, attrs or msgspec model; None: it is neither."""
+    """Return the fields of a dataclass, a named tuple, or a pydantic, attrs or msgspec model; None for others."""
     kind: Any = type(value)
     names = _field_names(kind)
     if names is None:
@@ -172,7 +172,7 @@ def content_fields(value: Any) -> Fields | None:
 
 @functools.cache
 def converts_itself(kind: Any) -> bool:
-    """Return whether the objects of a type have a method `plain` that returns their content; a field is no method."""
+    """Return whether the objects of a type have a method (not a field) `plain` that returns their content."""
     return has_plain(kind) and callable(kind.plain) and not issubclass(kind, BaseModel)
 
 
@@ -190,8 +190,8 @@ def _field_names(kind: Any) -> tuple[str, ...] | None:
 def attributes_of(value: Any) -> Fields:
     """Return the attributes of which the content of an object consists, by name; those in slots are last, sorted.
 
-    An attribute that its class leaves out of its pickles, such as a lock, is none, nor is a `cached_property`: it
-    follows from others, and whether it is stored depends on who has read it.
+    Attributes that the class does not pickle, such as a lock, are left out. So is a `cached_property`: it follows from
+    others, and is stored only if somebody has read it.
     """
     kind: Any = type(value)
     stored, slots = _stored(value)

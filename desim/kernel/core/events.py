@@ -348,7 +348,7 @@ class Trace:
         """Return the events of one type, in order.
 
         Raises:
-            TypeError: if it is not the class of events.
+            TypeError: if it is not a class of events, or a tuple of such classes.
         """
         if not isinstance(kind, type | tuple):
             raise TypeError(f"`of` takes a class of events, such as desim.pursuit.core.events.Decided (got {kind!r})")

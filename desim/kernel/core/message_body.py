@@ -78,14 +78,14 @@ def own_copy(body: Any) -> Any:
 
 
 def _check_copy(value: Any, copied: Any, depth: int = 0) -> None:
-    """Check that a deep copy of an object has its class and its content, and shares no collection with the object.
+    """Check that a deep copy of an object has its class and its content, and shares no collection with it.
 
     A class can define how it is copied. pandas, for instance, does not copy the lists in a series. An object that is
     its own copy, such as a symbol of an algebra system, counts as immutable, unless its class says so by
     `__deepcopy__` and it holds a collection.
 
     Raises:
-        ValueError: if it has not, or it is nested more than `MAX_DEPTH` levels deep.
+        ValueError: if the copy is no such copy, or is nested more than `MAX_DEPTH` levels deep.
     """
     check_depth(depth)
     if type(copied) is not type(value):
@@ -125,7 +125,7 @@ def _check_copy(value: Any, copied: Any, depth: int = 0) -> None:
 
 
 def _passed_on(value: Any) -> str:
-    """Return the probable reason why an object is not copied, after a colon; "" if it is not known."""
+    """Return the probable reason why an object cannot be copied, after a colon; "" if it is not known."""
     passes_on = hasattr(type(value), "__getattr__") and not hasattr(type(value), "__deepcopy__")
     return ": its __getattr__ should pass on no names that begin with __" if passes_on else ""
 
@@ -196,12 +196,13 @@ def _variables(function: types.FunctionType) -> list[Any]:
 
 
 def differs(value: Any, other: Any) -> bool:
-    """Return whether two objects are unequal; those that cannot tell, such as arrays, if their contents are.
+    """Return whether two objects are unequal.
 
-    Numbers and tuples can be equal although their types differ, and other objects cannot.
+    Objects of different types are, unless they are numbers or tuples. Objects whose comparison gives no boolean, such
+    as arrays, are unequal if their contents are.
 
     Raises:
-        ValueError: if a content is needed and there is none.
+        ValueError: if the content is needed and not known.
     """
     if type(value) is not type(other) and not (isinstance(value, COMPARED) and isinstance(other, COMPARED)):
         return True

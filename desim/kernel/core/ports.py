@@ -4,11 +4,11 @@ from typing import Any
 
 
 def check_port(port: Any, name: str) -> None:
-    """Raise ValueError if a port is no text: for example the size of a message, or a time, in the place of a port.
+    """Raise ValueError if a port is no text, as if the size of a message or a time was given in its place.
 
     Args:
-        port: what was given as a port.
-        name: what it was given to, for the message.
+        port: the port.
+        name: the function that it was given to, for the error message.
     """
     if not isinstance(port, str):
         raise ValueError(f"{name}: a port should be a text, the name of an inbox (got {port!r})")

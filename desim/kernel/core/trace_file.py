@@ -63,8 +63,8 @@ class TraceFile:
         path: the path of the file.
 
     Raises:
-        ValueError: if the path is none; at the beginning of the block, if another `TraceFile` of this process writes
-            the file.
+        ValueError: if it is no path of a file; at the beginning of the block, if another `TraceFile` of this process
+            writes the file.
         BlockingIOError: at the beginning of the block, if another process writes the file.
         OSError: at the beginning of the block, if the path is a folder, or the .part file cannot be opened or is a
             symbolic link.
@@ -140,10 +140,10 @@ class TraceFile:
 
 
 def _open_alone(part: Path, path: Path) -> IO[str]:
-    """Open a file to write it anew, which no other process writes; only systems with `fcntl` know.
+    """Open a file to write it anew, and lock it against other processes if the system has `fcntl`.
 
     Raises:
-        BlockingIOError: if another process writes it; the message names the path.
+        BlockingIOError: if another process has locked it; the message names the path.
         OSError: if it cannot be opened, or is a symbolic link.
     """
     while True:

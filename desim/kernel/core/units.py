@@ -19,8 +19,8 @@ def seconds(nanoseconds: int) -> float:
 def time_text(nanoseconds: int, span: int | None = None) -> str:
     """Return a time in s as text: with two decimals, and below 0.1 s with more, so that it has two significant digits.
 
-    For example 2.05, 0.05 as 0.050 and 200 us as 0.00020. Given a span (ns), it has the decimals of the span, such as
-    all times of one run those of its end.
+    For example 2.05, 0.05 as 0.050 and 200 us as 0.00020. With a span (ns), it has the decimals of the span instead:
+    give the end of a run for all times of the run.
     """
     size = seconds(nanoseconds if span is None else span)
     return f"{seconds(nanoseconds):.{max(2, 1 - floor(log10(size))) if size > 0.0 else 2}f}"
