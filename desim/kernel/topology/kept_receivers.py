@@ -20,9 +20,9 @@ MAX_PAUSE = 63
 class KeptReceivers:
     """The receivers of the last search for each node.
 
-    Where nodes are many or fast, what is kept is seldom used again, and keeping costs a tenth of a search. So after
-    each search of which something is kept the pause until the next one grows, until something is used, as by the second
-    query of a broadcast whose range is checked at both ends.
+    Where nodes are many or fast, kept receivers are seldom used, and keeping them costs a tenth of a search. So each
+    time that receivers are kept, the next pause without keeping is longer; once kept receivers are used, as by the
+    second query of a broadcast whose range is checked at both ends, there is no pause.
 
     Args:
         size: number of nodes.

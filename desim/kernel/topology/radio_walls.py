@@ -20,7 +20,7 @@ from desim.kernel.walls.crossings import crossed_by
 from desim.kernel.walls.wall import Wall, blocking
 
 NOWHERE = complex(nan, nan)
-"""Stands for the position of a node to which no loss has been computed; it equals none."""
+"""Stands for the position of a node to which no loss has been computed; it equals no position."""
 LARGEST = 600.0
 """Largest natural logarithm of a factor: a distance that is e^600 times as long is out of every range."""
 
@@ -48,7 +48,7 @@ class RadioWalls:
         self._per_decibel = log(10.0) / (10.0 * exponent)
         self._keeps = size * size <= ROOM
         self._kept: dict[int, _Row] = {}
-        """By sender, the factors that were computed since it is where it is."""
+        """By sender, the factors that were computed since it last moved."""
 
     def with_exponent(self, exponent: float) -> "RadioWalls":
         """Return the walls for another path loss exponent."""
@@ -71,7 +71,7 @@ class RadioWalls:
             starts: (1, 2) or (k, 2) positions of the senders, m.
             ends: (k, 2) positions of the receivers, m.
             apart: (k,) their distances, m.
-            farthest: a distance, m; greater ones may be returned as any that are greater.
+            farthest: a distance, m; of a node beyond it, the result is only known to be greater.
         """
         if not self._keeps or not isinstance(src, int):
             return apart * self._factors(starts, ends)

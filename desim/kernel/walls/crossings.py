@@ -170,11 +170,11 @@ class Contact(NamedTuple):
     """Two edges of polygons that touch."""
 
     first: int
-    """The index of the polygon of the one."""
+    """The index of the polygon of one edge."""
     second: int
-    """The index of the polygon of the other."""
+    """The index of the polygon of the other edge."""
     ends: list[list[float]]
-    """The start and the end of the one, and those of the other, [x, y] m."""
+    """The start and the end of one edge, and those of the other, [x, y] m."""
 
 
 ROWS = 256

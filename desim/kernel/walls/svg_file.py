@@ -2,8 +2,8 @@
 
 Paths, lines, polylines, polygons and rectangles are read, with transformations and inherited styles. A closed shape
 that has a fill is a ring. One without a fill is a line, and its inside is free, as that of a room in a floor plan. A
-line needs no stroke. What else would look otherwise than it is read is refused: hidden parts, curves, open shapes with
-a fill, solid shapes in others, and objects that are drawn by others.
+line needs no stroke. Anything else that would be read otherwise than it looks is refused: hidden parts, curves, open
+shapes with a fill, solid shapes in others, and objects that others repeat.
 """
 
 import re
@@ -23,11 +23,12 @@ from desim.kernel.walls.outlines import SVG_NUMBER, Outline, svg_outlines
 NAMESPACES = frozenset({"", "http://www.w3.org/2000/svg"})
 GROUPS = frozenset({"svg", "g", "a"})
 REFUSED = frozenset({"circle", "ellipse", "use", "image", "text", "foreignObject"})
-"""Elements that are drawn, and not read. All others that are not named here are not drawn where they stand."""
+"""Elements that are drawn and not read, and so refused. All that are neither these nor groups nor shapes draw nothing
+where they stand."""
 INHERITED = frozenset({"fill", "fill-opacity", "fill-rule", "stroke", "stroke-opacity", "stroke-width", "visibility"})
 """The properties that elements inherit."""
 PLACES = frozenset({"transform", "transform-origin", "d", "x", "y", "width", "height", "rx", "ry"})
-"""The properties that say where an element is drawn: as attributes they are read, but for the second."""
+"""The properties that say where an element is drawn; as attributes they are read, except transform-origin."""
 PROPERTIES = INHERITED | PLACES | {"display", "opacity", "clip-path", "mask"}
 """The properties that say what is drawn."""
 COMMENT = re.compile(r"/\*.*?(?:\*/|\Z)", re.DOTALL)
@@ -70,7 +71,7 @@ def svg_file_outlines(text: str) -> list[Outline]:
     """Return the outlines in a drawing, in the order in which they are drawn; y points up.
 
     Raises:
-        ValueError: if the text is no drawing, or has something that would be read otherwise than it looks.
+        ValueError: if the text is no drawing, or a part of it would be read otherwise than it looks.
     """
     try:
         root = ElementTree.fromstring(text)
@@ -148,14 +149,14 @@ class _Rule(NamedTuple):
     """A rule of a style sheet for one selector."""
 
     weight: tuple[int, int]
-    """The greater one counts: 4 for an id, 2 for a class, 1 for an element, in sum; then the later one."""
+    """The greatest counts: the sum of 4 for an id, 2 for a class and 1 for an element, then the place of the rule."""
     element: str
     """"": all."""
     style: Mapping[str, str]
 
 
 _Rules = dict[str, list[_Rule]]
-"""By what a rule is for: `.class`, `#id`, or "", which is for all."""
+"""By selector without its element: `.class`, `#id`, or "" for all."""
 
 
 def _style_rules(root: ElementTree.Element) -> _Rules:
