@@ -116,10 +116,10 @@ class MessageDelivery:
     def _in_range(
         self, transmission: Transmission, reached: list[int], arrival: Arrival, airtime: int
     ) -> tuple[list[int], Arrival]:
-        """Return the receivers that will certainly be within range at their arrival times (ns), and these.
+        """Return the receivers that will certainly be within range at their arrival times (ns), and these times.
 
-        Other arrivals are scheduled, and decided when they are due. Arrivals at one instant have one event in any case,
-        so they are decided together.
+        Other arrivals are scheduled, and decided when they are due. If all arrive at one instant, they share one event,
+        so that all are decided then unless all are certain now.
 
         Kept equal to arrivals that are all decided when they are due by
         `tests/kernel/test_contract.py::test_arrivals_certain_to_be_in_range_are_observationally_equal_to_decisions`.

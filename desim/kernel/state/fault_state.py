@@ -168,11 +168,11 @@ class FaultState:
         """
         if not self._cuts:
             return None
-        here = np.asarray(nodes).tolist()
-        senders = [src] * len(here) if isinstance(src, int) else src.tolist()
-        causes: list[Cause | None] = [None] * len(here)
+        receivers = np.asarray(nodes).tolist()
+        senders = [src] * len(receivers) if isinstance(src, int) else src.tolist()
+        causes: list[Cause | None] = [None] * len(receivers)
         for cut in reversed(self._cuts):
-            for k in compress(range(len(here)), cut.blocked(senders, here)):
+            for k in compress(range(len(receivers)), cut.blocked(senders, receivers)):
                 causes[k] = cut.cause
         return causes
 
@@ -332,7 +332,7 @@ class FaultState:
 
 
 def _checked_delays(answer: Any, receivers: list[int], delays: Delays) -> dict[int, list[float]]:
-    """Return what a function of an interception has answered, all as lists; see `FaultState.intercept`."""
+    """Return the delays that a function of an interception returned, each as a list; see `FaultState.intercept`."""
     try:
         checked = {
             index(node): [

@@ -33,7 +33,7 @@ Letter = tuple[int, int, Message]
 MANY_IGNORED = 1000
 """Number of ignored messages from which on those that have arrived are forgotten."""
 FEW = 16
-"""The ratio of all messages to new ones from which on the new ones are inserted rather than all sorted."""
+"""The ratio of all messages to new ones above which the new ones are inserted instead of sorting all."""
 
 
 class Inbox:
@@ -80,8 +80,8 @@ class Inbox:
             priority: the SimPy priority of the calls.
             act: the function.
             ignores: returns whether `act` would do nothing with a message, now or at any later time, such as with a
-                copy: what is ignored once must stay so, until `stop`. The message is dropped when it is sent, and takes
-                no event. None: no message is dropped.
+                copy of one that it has: a message that is ignored once must be ignored until `stop`. It is dropped when
+                it is sent, and takes no event. None: no message is dropped.
         """
 
         def take() -> None:

@@ -23,7 +23,7 @@ class OwnTables:
     Args:
         size: number of nodes.
         predicate: selects, by their bodies, the records of `matching`; None: none.
-        shared: returns the record that a node has of a source in the table that all nodes share; None: none.
+        shared: returns the record of a source that a node has in the table that all nodes share; None if it has none.
 
     Attributes:
         unread: by node, the records since the last merge, in the order of transmission.
@@ -31,7 +31,8 @@ class OwnTables:
         tables: by node, the newest record of each source.
         matching: by node, the records of its table whose body satisfies the predicate.
         out_of_order: the nodes with unread records that are not in the order of transmission.
-        relayed: the nodes that get records maybe twice, or after newer ones, as by other means than a transmission.
+        relayed: the nodes that may get a record twice, or after a newer one, for example by other means than a
+            transmission (`Records.relay`).
         relayed_up_to: by node and source, the greatest sequence number of a record got by such means.
     """
 

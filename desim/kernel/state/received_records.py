@@ -93,14 +93,11 @@ class Records:
         return True
 
     def is_news(self, node: int, record: Record) -> bool:
-        """Return whether a node has got neither a record nor a newer one of its source by `relay`."""
+        """Return whether a node has got neither this record nor a newer one of its source by `relay`."""
         return self._own.relayed_up_to[node].get(record.src, -1) < record.seq
 
     def relay(self, node: int, record: Record) -> None:
-        """Store a record that a node has received by other means than a scheduled arrival; see `insert`.
-
-        One that is no news (`is_news`) has no effect.
-        """
+        """Store a record that is news (`is_news`) and that a node receives now by other means than a transmission."""
         self._own.relayed.add(node)
         self._own.relayed_up_to[node][record.src] = record.seq
         self._own.unread[node] += self._env.now, record

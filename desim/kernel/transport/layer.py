@@ -182,7 +182,7 @@ class TransportLayer:
                 sender = self._nodes[node].senders.get(flow)
                 if isinstance(sender, ReliableSender):
                     sender.acknowledge(src, stamp, frame)
-            elif isinstance(frame, CodedPiece) != isinstance(transport, Reliable):  # else it is of a stranger
+            elif isinstance(frame, CodedPiece) != isinstance(transport, Reliable):  # else it does not fit the port
                 self._take(node, src, stamp, frame, transport)
 
     def _take(self, node: int, src: int, stamp: int, frame: Segment | Skip | CodedPiece, transport: Transport) -> None:

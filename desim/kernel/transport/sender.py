@@ -148,7 +148,7 @@ class ReliableSender:
             self.advance()
 
     def advance(self) -> None:
-        """Perform all actions that are due, transmit what the window allows, and set the timer."""
+        """Perform all actions that are due, transmit the messages that the window allows, and set the timer."""
         if not self._endpoint.is_up():
             return
         now = self._endpoint.env.now
