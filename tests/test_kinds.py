@@ -49,7 +49,7 @@ ALLOWED = {
         "desim.kernel.transport.sender": "Coded",
     },
     "parameters of one built-in kind, which other tables name": {
-        "desim.kernel.models.links": "Edges LatencyMatrix LinkTrace",
+        "desim.kernel.models.links": "Edges NamedTable",
         "desim.pursuit.sensing.noisy_sensing": "Noiseless",
         "desim.pursuit.sensing.sensing": "Noiseless",
         "desim.scenario.players": "RecordedMotion",

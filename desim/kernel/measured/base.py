@@ -35,7 +35,29 @@ def unit_of_column(column: str) -> str:
     return {"sec": "s", "pct": "%", "percent": "%"}.get(match[1].lower(), match[1].lower()) if match else ""
 
 
-class LinkTrace(Value):
+class NamedTable(Value):
+    """Base of the models with a table of measurements, in which nodes may have names."""
+
+    @property
+    def name(self) -> str:
+        """What the table is called in error messages."""
+        raise NotImplementedError
+
+    @property
+    def node_order(self) -> tuple[str, ...] | None:
+        """The names of the nodes in the order of their numbers; None if they have no names."""
+        raise NotImplementedError
+
+    def numbered(self, names: tuple[str, ...]) -> Self:
+        """Return the table with the numbers that a network gives to the names of its nodes; itself if it has them.
+
+        Raises:
+            ValueError: if it has a name that the network does not have.
+        """
+        raise NotImplementedError
+
+
+class LinkTrace(NamedTable):
     """Base of the models that follow measurements: the table, its columns, and how it is replayed."""
 
     NOUN: ClassVar[str] = "a value"

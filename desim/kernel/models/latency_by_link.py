@@ -18,7 +18,7 @@ from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
 from desim.config.trust import resolve_path
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.core.seeds import ROOM
-from desim.kernel.measured.base import Name
+from desim.kernel.measured.base import Name, NamedTable
 from desim.kernel.measured.latency_file import matrix_of
 from desim.kernel.measured.measurements import PER_SECOND, Unit
 from desim.kernel.measured.models import LatencyTrace
@@ -109,7 +109,7 @@ MATRIX = "the matrix of latencies"
 """What a matrix is called in error messages."""
 
 
-class LatencyMatrix(Value):
+class LatencyMatrix(NamedTable):
     """Each link has a base latency from a matrix, for instance of measurements; each message adds a jitter."""
 
     kind: Literal["matrix"] = "matrix"

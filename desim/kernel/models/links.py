@@ -12,7 +12,7 @@ from desim.config.fresh import fresh_copy
 from desim.config.model import Extent, Time, Value
 from desim.config.traits import name_of
 from desim.kernel.core.units import nanoseconds
-from desim.kernel.measured.base import LinkTrace
+from desim.kernel.measured.base import NamedTable
 from desim.kernel.models.coherence import Coherence
 from desim.kernel.models.graphs import (
     GRAPHS,
@@ -27,7 +27,7 @@ from desim.kernel.models.graphs import (
     names_of,
 )
 from desim.kernel.models.latency import JITTERS, Constant, Latency
-from desim.kernel.models.latency_by_link import LATENCIES, LatencyMatrix
+from desim.kernel.models.latency_by_link import LATENCIES
 from desim.kernel.models.loss import LOSSES, Bernoulli, Loss
 from desim.kernel.models.medium import MEDIA, Medium, Unlimited, contends
 from desim.kernel.models.presets import PRESETS
@@ -155,7 +155,7 @@ class Links(Value):
         orders = (table.node_order for _, table in self.measured_tables())
         return next((order for order in orders if order), ())
 
-    def measured_tables(self) -> Iterator[tuple[tuple[str | int, ...], LinkTrace | LatencyMatrix]]:
+    def measured_tables(self) -> Iterator[tuple[tuple[str | int, ...], NamedTable]]:
         """Yield the key and the model of each table of measurements, over time or between all nodes."""
         edges = self.graph.edges if isinstance(self.graph, Edges) else ()
         owners: list[tuple[tuple[str | int, ...], Any]] = [((), self)]
@@ -163,7 +163,7 @@ class Links(Value):
         owners += ((("graph", "edges", k), edge) for k, edge in enumerate(edges))
         for place, owner in owners:
             for name in ("latency", "loss"):
-                if isinstance(model := getattr(owner, name), LinkTrace | LatencyMatrix):
+                if isinstance(model := getattr(owner, name), NamedTable):
                     yield (*place, name), model
 
     def numbered(self, names: tuple[str, ...]) -> "Links":
@@ -171,7 +171,7 @@ class Links(Value):
 
         A table that has other names is unchanged; see `desim.kernel.models.own_links`.
         """
-        changed: dict[tuple[str | int, ...], LinkTrace | LatencyMatrix] = {}
+        changed: dict[tuple[str | int, ...], NamedTable] = {}
         for place, table in self.measured_tables():
             with suppress(ValueError):
                 if (numbered := table.numbered(names)) is not table:
