@@ -926,6 +926,9 @@ def test_pairs_with_names_of_several_words_need_quotes_or_a_header(tmp_path, sig
     file.write_text(quoted.replace('"', ""))
     with pytest.raises(ValueError, match=r"put names in quotes, or name the columns|should have two nodes"):
         read(file)
+    file.write_text("".join(f'It says "{src}{sign}{dst}" here\n' for src, dst in CITIES))
+    with pytest.raises(ValueError, match=r"put names in quotes, or name the columns|should have two nodes"):
+        read(file)
 
 
 @pytest.mark.parametrize(

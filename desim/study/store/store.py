@@ -192,13 +192,13 @@ class Store(SweepProperties, RunRows):
             return  # with a rollback journal, reading would prevent writing
         self.check_same(other.about)
         self.check_versions(other.versions, f"{other.path} has those of", mix=mix_versions)
-        self.record_properties(other.about)
-        self.record_versions(other.versions, f"{other.path} has those of", mix=mix_versions)
         codes = {name: code for name, _, code in self.rows("metrics")}
         metrics = {name: (unit, code) for name, unit, code in other.rows("metrics", ROWID)}
         for name, (_, code) in metrics.items():
             if codes.get(name, code) != code:
                 raise StoreError(f"{self.path}: the metric {name} was computed by other code in {other.path}; {HINT}")
+        self.record_properties(other.about)
+        self.record_versions(other.versions, f"{other.path} has those of", mix=mix_versions)
         self.register_metrics(metrics)
         for folder, argv in other.commands:
             self.note_command(folder, argv)
