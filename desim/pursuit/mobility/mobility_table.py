@@ -147,8 +147,10 @@ class MobilityTable(MobilityFile):
             raise ValueError(f"{self._header_line}: columns {both} have the time together: give it in one, in s")
 
     def _check_names(self, rows: Sequence[tuple[int, list[str]]]) -> None:
-        """Raise ValueError if it is not clear which column names the nodes."""
+        """Raise ValueError if it is not clear which column names the nodes; one that is called node does."""
         names = self._header.names
+        if "node" in names:
+            return
         named = [k for k, name in enumerate(names) if joined(name) in COLUMNS["node"]]
         node_columns = [k for k in named if len({cells[k] for _, cells in rows}) > 1]  # equal cells name none
         groups = {tuple(cells[k] for k in node_columns) for _, cells in rows}
