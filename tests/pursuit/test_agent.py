@@ -354,6 +354,21 @@ def test_dissemination_and_protocol_share_one_generator():
     assert drawn == {pursuer: stream(0, "decisions", pursuer).random(20).tolist() for pursuer in range(3)}
 
 
+def test_the_belief_timeout_is_measured_by_a_clock_as_it_is_then():
+    """A second takes a true second of a clock that then goes at half its rate; the announcement is 1.5 s old."""
+    seen, spans = [], [SECOND, 2 * SECOND]
+
+    def protocol(me):
+        me.broadcast()
+        yield me.at(1.5)
+        if me.id == 1:
+            me._clock.span = lambda duration: spans.pop(0)
+            seen.extend([me.trusted().keys(), me.trusted().keys()])
+
+    play(protocol, announce=Announcements(trigger="never", belief_timeout=1.0, start="silent"))
+    assert seen == [set(), {0, 2}]
+
+
 @pytest.mark.parametrize(("payload", "known"), [("action", [0, 1, 2]), ("time", [1, 2]), ("state", [1, 2])])
 def test_the_team_estimate_is_sensed_or_from_records_within_the_belief_timeout(payload, known):
     """Pursuer 0 announces at 0 s only, pursuer 2 at 0 s and 1 s; at 1.5 s records older than 1 s are forgotten."""
