@@ -26,7 +26,7 @@ from desim.pursuit.core.geometry import SMALLEST
 from desim.pursuit.core.state import complex_points, lengths
 from desim.pursuit.motion.capture import RadialTime
 from desim.pursuit.motion.dynamics import Courses
-from desim.pursuit.motion.flow import NoFlow, displacement, is_uniform
+from desim.pursuit.motion.flow import displacement, is_uniform
 from desim.pursuit.motion.flow_capture import capture_times_in_flow
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
@@ -46,7 +46,7 @@ class RelativePlaces:
 
     def __init__(self, scenario: Scenario):
         on_all = scenario.environment.on == "all"
-        self._flow = NoFlow() if scenario.motion.static else scenario.environment.flow
+        self._flow = scenario.players_environment.flow
         carried = [pursuer not in scenario.team.relays for pursuer in range(scenario.team.count)]
         self._carried = np.array([*carried, *(on_all and evader.record is None for evader in scenario.evaders)])
         self.are_known = ~self._carried if not is_uniform(self._flow) else np.ones_like(self._carried)
@@ -123,7 +123,7 @@ def timeline(result: Result, evader: int = 1) -> Iterator[Timeline]:
 def _capture_times(result: Result, evader: int, path: "_Path") -> Callable[[Floats], Floats]:
     """Return a function from (k,) times, ns, to the (k, N) capture times, s, of an evader."""
     scenario, speeds = result.scenario, np.array(started(result).speeds)
-    dynamics, environment = scenario.pursuer_dynamics, scenario.environment
+    dynamics, environment = scenario.pursuer_dynamics, scenario.players_environment
     evader_speed, radius = scenario.evaders[evader - 1].speed, scenario.capture.radius
 
     radial_time = RadialTime(speeds, evader_speed, radius)

@@ -256,6 +256,11 @@ class Scenario(Value):
         return Simple() if self.motion.static else self.team.dynamics
 
     @property
+    def players_environment(self) -> Environment:
+        """The medium of the players: `environment`, or one at rest in a static game."""
+        return Environment() if self.motion.static else self.environment
+
+    @property
     def network_faults(self) -> tuple[Any, ...]:
         """The faults that are not Byzantine: those of robots, radios, clocks and the network."""
         return tuple(fault for fault in self.fault if not is_lie(fault))

@@ -294,6 +294,16 @@ def test_wind_on_the_pursuers_does_change_decisions():
     assert without_flow(wind) == scenario
 
 
+@pytest.mark.parametrize("on", ["all", "pursuers"])
+@pytest.mark.parametrize("flow", [TIDE, AffineFlow(expansion=0.05)], ids=name)
+def test_a_flow_changes_nothing_where_nothing_moves(flow, on):
+    scenario = Scenario(team=Team(count=4), motion=Motion(static=True), horizon=2.0)
+    still = run(scenario, 3)
+    flowing = run(scenario.model_copy(update={"environment": Environment(flow=flow, on=on)}), 3)
+    assert [*flowing.trace] == [*still.trace]
+    assert summary(flowing).potential_gap == summary(still).potential_gap > 0.0
+
+
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize(("wind", "capturer", "time"), [(-0.5, 1, 1.45), (0.5, 0, 2.45), (0.0, 1, 2.9 / 1.5)])
 def test_an_omniscient_assignment_in_wind_is_right_in_hindsight(wind, capturer, time):
