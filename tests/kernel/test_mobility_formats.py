@@ -276,6 +276,15 @@ def test_a_record_that_may_mean_something_else_is_refused(tmp_path, name):
         read(tmp_path, text.encode())
 
 
+@pytest.mark.parametrize("encoding", ["UTF-16", "ISO-8859-1", "UTF-8"])
+def test_the_encoding_of_a_file_counts_and_not_the_one_it_declares(tmp_path, encoding):
+    """A file that is saved anew in UTF-8 may still declare another one."""
+    text = f'<?xml version="1.0" encoding="{encoding}"?>\n{fcd([[Waypoint(0.0, 1.0, 2.0, 0)]])}'
+    text = text.replace("<?xml version='1.0'?>", "").replace(NAMES[0], "grün")
+    content = text.encode("utf-16" if encoding == "UTF-16" else "utf-8")
+    assert read(tmp_path, content, "grün").waypoints[0][:3] == (0.0, 1.0, 2.0)
+
+
 def test_nodes_that_are_seen_once_may_stand_beside_nodes_that_move(tmp_path):
     text = "0 0 0 9 5 5\n0 1 1 9 6 6\n3 7 7\n5 8 8\n7 9 9\n"
     assert [len(read(tmp_path, text.encode(), node).waypoints) for node in range(5)] == [2, 2, 1, 1, 1]
