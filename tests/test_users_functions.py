@@ -59,8 +59,7 @@ from desim.pursuit.motion.dynamics import (
 from desim.pursuit.motion.environment import Environment
 from desim.pursuit.motion.flow import SteadyFlow, displacement
 from desim.pursuit.motion.guidance import guided_velocities
-from desim.pursuit.sensing.noise import PositionNoise
-from desim.pursuit.sensing.noisy_sensing import NoisySensor
+from desim.pursuit.sensing.noise import PositionNoise, covariance_of
 from desim.pursuit.team.judges import Judge, ignored_by
 from desim.pursuit.team.targeted_faults import ChaserCut
 from desim.pursuit.team.trust import Credulous
@@ -402,7 +401,7 @@ CHECKS = {
         with_answer(phi=answer), SimpleNamespace(least_phi=print, rng=None), 1, 2.0
     ),
     "false position": lambda answer: Liar._place(with_answer(position=answer), 1j, SimpleNamespace(rng=None)),
-    "covariance": lambda answer: NoisySensor.covariance_at(SimpleNamespace(_noise=with_answer(covariance=answer)), 1j),
+    "covariance": lambda answer: covariance_of(with_answer(covariance=answer), 1j),
 }
 """Functions that take the answer of a user's function, and check it."""
 UNUSED = {"curved": 0.0, "turn_rate": 0.0, "acceleration": 0j, "drift": 0j, "position": 1j, "course": STILL}

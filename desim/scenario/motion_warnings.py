@@ -12,7 +12,7 @@ from desim.kernel.models.clock_skew import ClockSkew
 from desim.pursuit.core.state import complex_points
 from desim.pursuit.motion.flow import RecordedFlow
 from desim.pursuit.motion.guidance import PurePursuit
-from desim.pursuit.sensing.noise import PositionNoise, RangeBearingNoise
+from desim.pursuit.sensing.noise import covariance_of
 from desim.pursuit.sensing.sensing import Sensing
 from desim.pursuit.sensing.tracking import Estimator
 from desim.scenario.link_warnings import late_rows
@@ -211,18 +211,17 @@ def _sensing_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 def _stamp_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield a warning if sightings are processed by time stamps that are wrong."""
-    noise, t = scenario.sensing.noise, scenario.horizon
+    t = scenario.horizon
     skews = [fault for fault in scenario.fault if isinstance(fault, ClockSkew)]
     if not skews or scenario.team.count == 1 or scenario.clocks.sync != Unsynchronised():
-        return
-    if not isinstance(noise, PositionNoise | RangeBearingNoise):
         return
     error = max(
         hypot(skew.offset, skew.drift * t, skew.offset_walk * sqrt(t), skew.drift_walk * sqrt(t**3 / 3.0))
         for skew in skews
     )
     way = error * max(evader.speed for evader in scenario.evaders)
-    deviation = noise.deviation if isinstance(noise, PositionNoise) else noise.range
+    # Along the line of sight of an evader that is close to its capture.
+    deviation = sqrt(covariance_of(scenario.sensing.noise, complex(scenario.capture.radius)).xx)
     if way > DISPLACED * deviation:
         yield (
             "sensing.estimator",

@@ -16,7 +16,7 @@ from desim.kernel.models.links import Links
 from desim.pursuit.core.events import Estimated, Sampled
 from desim.pursuit.motion.environment import Environment
 from desim.pursuit.motion.flow import SteadyFlow
-from desim.pursuit.sensing.noise import PositionNoise, RangeBearingNoise
+from desim.pursuit.sensing.noise import PositionNoise, RangeBearingNoise, covariance_of
 from desim.pursuit.sensing.noisy_sensing import NoisySensor, Sighted, Tracked
 from desim.pursuit.sensing.sensing import Sensing, spiral
 from desim.pursuit.sensing.tracking import AlphaBeta, Kalman
@@ -59,7 +59,7 @@ def looked(sensing, at, look, seed=1, **changes):
 def sensed_covariance(entries):
     """Return the covariance that a sensor takes from the noise of a user."""
     noise = SimpleNamespace(covariance=lambda offset: entries)
-    return NoisySensor.covariance_at(SimpleNamespace(_noise=noise), 1j)
+    return covariance_of(noise, 1j)
 
 
 @pytest.mark.parametrize(

@@ -164,6 +164,25 @@ def test_a_filter_that_takes_wrong_time_stamps_for_exact_is_warned_of(parts, is_
     assert ("a filter takes time stamps for exact" in found.get("sensing.estimator", "")) == is_warned_of
 
 
+class Sonar:
+    def __init__(self, variance):
+        self.variance = variance
+
+    def __call__(self, offset, first, second):
+        return offset + complex(first, second)
+
+    def covariance(self, offset):
+        return self.variance, 0.0, 9.0
+
+
+@pytest.mark.parametrize(("variance", "is_warned_of"), [(0.25, True), (0.36, False)])
+def test_wrong_time_stamps_are_compared_with_the_noise_of_a_user(variance, is_warned_of):
+    """In 0.3 s an evader of 0.9 m/s moves 0.27 m: half of a deviation of 0.54 m along the line of sight."""
+    sensing = {"noise": Sonar(variance), "estimator": "kalman"}
+    found = dict(warned(fault=[{"kind": "clock_skew", "offset": 0.3}], sensing=sensing))
+    assert ("a sighting has an error of 0.5 m" in found.get("sensing.estimator", "")) == is_warned_of
+
+
 @pytest.mark.parametrize("speeds", [(1.0, 3.0), (3.0, 1.0)])
 def test_of_several_players_the_fastest_counts(speeds):
     """An evader at 3 m/s beside one at 1 m/s, and such pursuers; steps of 1 s are more than a disc of 0.2 m."""

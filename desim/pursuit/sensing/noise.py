@@ -1,13 +1,16 @@
 """Noise of the sight of pursuers: the measured position of an evader, and the covariance of its error."""
 
 from cmath import rect
-from math import cosh, exp, pi, sinh, sqrt
-from typing import Annotated, Literal, NamedTuple
+from math import cosh, exp, inf, nan, pi, sinh, sqrt
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
+from desim.config.answers import wrong_answer
 from desim.config.choice import OneOf
 from desim.config.model import MAX_COORDINATE, Value
+from desim.config.python_numbers import as_real
+from desim.config.traits import is_ours
 
 Deviation = Annotated[float, Field(ge=0, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)]
 
@@ -89,6 +92,28 @@ class RangeBearingNoise(Value):
 
 
 Noise = Noiseless | PositionNoise | RangeBearingNoise
+
+
+def covariance_of(noise: Any, offset: complex) -> Covariance:
+    """Return the covariance of the error of a measurement, given the true vector to the evader, m.
+
+    Raises:
+        ValueError: if that of a user's noise is not positive definite.
+    """
+    entries: Any = noise.covariance(offset)
+    if type(entries) is Covariance and is_ours(type(noise)):
+        return entries
+    try:
+        covariance = Covariance(*map(as_real, entries))
+    except TypeError:
+        covariance = Covariance(nan, nan, nan)
+    xx, xy, yy = covariance
+    if not (0.0 < xx < inf and xy * xy < xx * yy < inf):
+        expected = "the entries xx, xy and yy of a positive definite matrix, in m^2"
+        raise wrong_answer(f"covariance(offset) of a noise should return {expected}", entries, noise)
+    return covariance
+
+
 NOISES = OneOf(
     *(Noiseless, PositionNoise, RangeBearingNoise),
     needs=("covariance(offset)",),

@@ -7,12 +7,12 @@ track of each evader. Captures follow the true positions.
 
 from collections import defaultdict
 from collections.abc import Generator, Iterable, Iterator
-from math import inf, nan
+from functools import partial
+from math import inf
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from desim.config.answers import wrong_answer
-from desim.config.python_numbers import as_complex, as_real
-from desim.config.traits import is_ours
+from desim.config.python_numbers import as_complex
 from desim.kernel.core.clock import Clock, Instant, NodeClock, Phase
 from desim.kernel.core.seeds import stream
 from desim.kernel.core.units import SECOND, nanoseconds, seconds
@@ -20,7 +20,7 @@ from desim.kernel.network import Network
 from desim.pursuit.core.events import Estimated
 from desim.pursuit.sensing.correction import StateVector, Upper
 from desim.pursuit.sensing.fusion import InformedTrack, fused, informed
-from desim.pursuit.sensing.noise import Covariance, Noiseless
+from desim.pursuit.sensing.noise import Covariance, Noiseless, covariance_of
 from desim.pursuit.sensing.sensing import PORT, LimitedView, Sensing, Sighting, TeamSensor
 from desim.pursuit.sensing.tracking import Filter, Measurement, Track, Unfiltered
 from desim.pursuit.sensing.views import EvaderEstimate, Prune
@@ -78,6 +78,7 @@ class NoisySensor:
     ):
         assert not isinstance(sensing.noise, Noiseless)
         self.sensing, self._state, self._env, self._noise = sensing, state, env, sensing.noise
+        self._covariance_at = partial(covariance_of, sensing.noise)
         self._streams = [stream(seed, "sight", j) for j in range(state.evader_count)]
         self._predicted: dict[int, tuple[Tracked, InformedTrack]] = {}
         """By `id` of a report, the report and its track at `_predicted_at`, ns."""
@@ -148,26 +149,7 @@ class NoisySensor:
                     if measured != measured:
                         expected = "a noise should return the measured vector, a complex number in m"
                         raise wrong_answer(expected, answer, self._noise)
-                    view.measure(evader, measured, self.covariance_at(measured))
-
-    def covariance_at(self, offset: complex) -> Covariance:
-        """Return the covariance of the error of a measurement, given the true vector to the evader, m.
-
-        Raises:
-            ValueError: if that of a user's noise is not positive definite.
-        """
-        entries: Any = self._noise.covariance(offset)
-        if type(entries) is Covariance and is_ours(type(self._noise)):
-            return entries
-        try:
-            covariance = Covariance(*map(as_real, entries))
-        except TypeError:
-            covariance = Covariance(nan, nan, nan)
-        xx, xy, yy = covariance
-        if not (0.0 < xx < inf and xy * xy < xx * yy < inf):
-            expected = "the entries xx, xy and yy of a positive definite matrix, in m^2"
-            raise wrong_answer(f"covariance(offset) of a noise should return {expected}", entries, self._noise)
-        return covariance
+                    view.measure(evader, measured, self._covariance_at(measured))
 
 
 Sensor = TeamSensor | NoisySensor
@@ -196,7 +178,7 @@ class TrackingView(LimitedView):
         clock: NodeClock,
     ):
         super().__init__(state, prune, pursuer, sensor.sensing, network, clock)
-        self._sensor, self._covariance_at = sensor, sensor.covariance_at
+        self._sensor = sensor
         self._last: dict[int, Measurement] = {}
         """By evader, the newest sighting of its own."""
         self._newest: dict[int, Measurement] = {}
@@ -316,7 +298,7 @@ class TrackingView(LimitedView):
                 environment = self.state.environment
                 wind = environment.top_speed if environment.on == "all" and environment.top_speed < inf else 0.0
                 speed = self.state.body(evader).speed + wind  # sightings are over ground
-                self._filters[evader] = Filter(model, window, self._covariance_at, speed=speed)
+                self._filters[evader] = Filter(model, window, partial(covariance_of, self._sensing.noise), speed=speed)
             self._filters[evader].add(seen)
 
     def _newest_stamp(self, evader: int) -> int:
