@@ -46,6 +46,12 @@ def test_a_node_of_ns2_stands_until_it_moves_and_after_it_has_arrived(tmp_path):
     ]
 
 
+@pytest.mark.parametrize(("speed", "x"), [("4e-9", 5.0), ("1e-320", 1.0)])
+def test_a_move_of_ns2_that_outlasts_all_runs_ends_on_the_way(tmp_path, speed, x):
+    """From (1, 2) towards (9, 2), 4 m in 1e9 s; the slower one would take longer than a number can say."""
+    assert moved(tmp_path, (0.0, f"9 2 {speed}")) == [(0.0, 1.0, 2.0), (1e9, pytest.approx(x), 2.0)]
+
+
 def test_a_new_target_of_ns2_replaces_the_one_that_has_not_been_reached(tmp_path):
     """After 1 s at 1 m/s it is at (2, 2), and goes up from there; speed 0 stops it there."""
     assert moved(tmp_path, (0.0, "9 2 1"), (1.0, "2 9 1"), (3.0, "0 0 0")) == [

@@ -14,6 +14,7 @@ from math import hypot
 from pathlib import Path
 from typing import NamedTuple
 
+from desim.config.model import MAX_TIME
 from desim.config.number_files import converted
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.measured.measurements import start_of, time_of
@@ -155,9 +156,16 @@ def _position(last: Waypoint, target: Waypoint | None, t: float) -> tuple[float,
 
 
 def _target(here: Waypoint, move: Move) -> Waypoint | None:
-    """Return the waypoint at which a move ends; None if the move takes less than a nanosecond, or has no speed."""
+    """Return the waypoint at which a move ends; None if the move takes less than a nanosecond, or has no speed.
+
+    Of a move that takes longer than any run lasts, it is where the node is then.
+    """
     if move.speed == 0.0:
         return None
     arrival = move.t + hypot(move.x - here.x, move.y - here.y) / move.speed
+    if arrival > MAX_TIME:
+        share = (MAX_TIME - move.t) / (arrival - move.t)
+        x, y = here.x + share * (move.x - here.x), here.y + share * (move.y - here.y)
+        arrival, move = MAX_TIME, move._replace(x=x, y=y)
     is_there = nanoseconds(arrival) == nanoseconds(move.t)
     return None if is_there else Waypoint(arrival, move.x, move.y, move.line)
