@@ -275,6 +275,31 @@ def test_a_lock_that_is_never_released_does_not_keep_its_process(tmp_path):
     assert [thread.daemon for thread in started] == [True]
 
 
+def test_a_sign_of_life_during_the_release_is_not_written_into_another_file(tmp_path, monkeypatch):
+    """One of two other files has the number of the lock file, if this is closed before the sign of life is written."""
+    rewrite, entered, go_on = lock_file._rewrite, threading.Event(), threading.Event()
+
+    def late(file, content):
+        entered.set()
+        assert go_on.wait(5.0)
+        rewrite(file, content)
+
+    monkeypatch.setattr(lock_file, "HEARTBEAT", 1e-3)
+    lock = LockFile(tmp_path / "lock")
+    assert lock.try_acquire() is None
+    monkeypatch.setattr(lock_file, "_rewrite", late)
+    assert entered.wait(5.0)
+    releasing = threading.Thread(target=lock.release)
+    releasing.start()
+    releasing.join(0.02)
+    others = [tmp_path / "a", tmp_path / "b"]
+    with others[0].open("wb"), others[1].open("wb"):
+        go_on.set()
+        releasing.join(5.0)
+        time.sleep(0.01)
+    assert [other.read_bytes() for other in others] == [b"", b""]
+
+
 @pytest.mark.parametrize(("pid", "is_free"), [((1 << 22) + 1, True), (os.getppid(), False)])
 def test_a_lock_of_this_host_is_stale_as_soon_as_its_process_is_gone(tmp_path, pid, is_free):
     lock = LockFile(held(tmp_path / "lock", place=lock_file.place(), pid=pid))

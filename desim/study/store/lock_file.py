@@ -74,6 +74,7 @@ class LockFile:
         self._token = uuid.uuid4().hex
         self._beats, self._file = 0, -1
         self._ended = threading.Event()
+        self._rewriting = threading.Lock()
 
     def acquire(self, patience: float, on_wait: Callable[[Holder], None] = lambda _: None) -> Self:
         """Get the lock, for which this process waits; `on_wait` is called once, if it must.
@@ -140,8 +141,9 @@ class LockFile:
     def _beat(self) -> None:
         while not self._ended.wait(HEARTBEAT):
             self._beats += 1
-            with suppress(OSError):  # if the lock is lost, `is_held` says so
-                _rewrite(self._file, self._content())
+            with suppress(OSError), self._rewriting:  # if the lock is lost, `is_held` says so
+                if not self._ended.is_set():
+                    _rewrite(self._file, self._content())
 
     def _sign_of_life(self, holder: Holder) -> Holder | None:
         """Return the holder of a stale lock if it rewrites its file while it is watched; otherwise None."""
@@ -174,10 +176,11 @@ class LockFile:
         if self._file < 0:
             return
         self._ended.set()
-        if self.is_held():
-            self.path.unlink(missing_ok=True)
-        os.close(self._file)
-        self._file = -1
+        with self._rewriting:  # the number of a closed file soon belongs to another one
+            if self.is_held():
+                self.path.unlink(missing_ok=True)
+            os.close(self._file)
+            self._file = -1
 
 
 def _rewrite(file: int, content: bytes) -> None:
