@@ -29,6 +29,8 @@ INFINITE = {"inf": r"$\infty$", "-inf": r"$-\infty$"}
 NUMBER = r"[+-]?\d[\d,]*(?:\.\d+)?(?:e[+-]\d+)?"
 MEASURED = re.compile(rf"(?P<mean>{NUMBER})(?: \+- (?P<width>{NUMBER}|-))?(?P<rest>| .*)")
 """Matches a number, perhaps with a half width and a remark."""
+NEGATIVE = re.compile(r"(?<=[( ])-(?=\d)")
+"""Matches the sign of a number within a text."""
 
 
 class TabularResult:
@@ -129,11 +131,13 @@ def _latex_cell(cell: str) -> str:
     match = MEASURED.fullmatch(cell)
     if cell in INFINITE:
         return INFINITE[cell]
+    rest = latex_text(cell if match is None else match["rest"])
+    rest = NEGATIVE.sub("$-$", rest).replace(" .. ", "--")  # in text, three hyphens are a dash
     if match is None:
-        return latex_text(cell).replace(" .. ", "--")
+        return rest
     mean, width = (_latex_number(match[name] or "") for name in ("mean", "width"))
     middle = rf" \pm {width}" if width not in {"", "-"} else ""
-    return f"${mean}{middle}${latex_text(match['rest'])}"
+    return f"${mean}{middle}${rest}"
 
 
 def _latex_number(number: str) -> str:

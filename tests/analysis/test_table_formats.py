@@ -13,6 +13,7 @@ ROWS = [
     ("a|b", "1", "-", "-0.250 +- -"),
     ("inf", "2", "$5", "+1.50e-04"),
     ("", "100", "x", "0.000 in all, others < 3.7%"),
+    ("b", "3", "0.667 (0.208 .. 0.939)", "-0.2 (-0.3 .. -0.1)"),
 ]
 
 
@@ -30,6 +31,7 @@ def test_a_latex_table_has_the_rules_of_booktabs_and_numbers_as_mathematics():
         r"a\textbar{}b & $1$ & - & $-0.250$ \\",
         r"$\infty$ & $2$ & \$5 & $+1.50 \times 10^{-4}$ \\",
         r" & $100$ & x & $0.000$ in all, others \textless{} 3.7\% \\",
+        r"b & $3$ & $0.667$ (0.208--0.939) & $-0.2$ ($-$0.3--$-$0.1) \\",
         r"\bottomrule",
         r"\end{tabular}",
         "",
