@@ -110,8 +110,8 @@ class Explanation(TabularResult):
     def _head(self) -> str:
         shares = ", in brackets a Wilson interval" * any(isinstance(one.as_it_is, Share) for one in self.costs.values())
         return (
-            f"{self.name}: the cost of each imperfection, {self.runs} runs of equal seeds; +- is half a 95 % t"
-            f" interval{shares}"
+            f"{self.name}: the cost of each imperfection, {counted(self.runs, 'run')} of equal seeds; +- is half a"
+            f" 95 % t interval{shares}"
         )
 
     def rows(self) -> list[tuple[str, ...]]:

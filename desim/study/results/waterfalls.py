@@ -5,7 +5,7 @@ from math import isnan
 from desim.analysis.drawing.palette import BLUE, GREEN, GREY, ORANGE, SKY, VERMILION
 from desim.analysis.drawing.plots import Axes, Figure, Style, figure_of, in_style, size_of, styled
 from desim.analysis.statistics import Estimate
-from desim.analysis.tables import decimals_of
+from desim.analysis.tables import counted, decimals_of
 from desim.config.escaping import escaped
 from desim.kernel.core.portable_math import portable_sum
 from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT, Cost, CostByMetric
@@ -39,7 +39,8 @@ def waterfall(
             figure.subplots(1, len(explanation.costs), squeeze=False)[0], explanation.costs.values(), strict=True
         ):
             draw_waterfall(axes, cost)
-        title = f"{escaped(explanation.name)}: what imperfections cost, {explanation.runs} runs of equal seeds"
+        runs = counted(explanation.runs, "run")
+        title = f"{escaped(explanation.name)}: what imperfections cost, {runs} of equal seeds"
         if size is None:
             figure.suptitle(title, fontsize=9, parse_math=False)
     return figure

@@ -134,7 +134,7 @@ again() {{
     kill -TERM "$sweep"
     wait "$sweep"
     if [ "${{SLURM_RESTART_COUNT:-0}}" -ge {RESTARTS} ]; then
-        echo "the time is up for the {RESTARTS}th time: give each part more of it (--time)" >&2
+        echo "the time was up {RESTARTS + 1} times: give each part more of it (--time)" >&2
         exit 1
     fi
     exec scontrol requeue "${{SLURM_ARRAY_JOB_ID}}_$part"
