@@ -309,6 +309,16 @@ def test_of_two_commands_with_different_code_of_a_metric_only_the_later_adds_run
         second.add(plans[1].configurations[0].key, 0, row)
 
 
+def test_a_merge_that_is_refused_leaves_the_versions_of_the_store_as_they_are():
+    with Store() as store, Store() as other:
+        for each, version, code in ((store, "3.12", "a"), (other, "3.13", "b")):
+            each.record_versions([{"python": version}], "this is", mix=False)
+            each.register_metrics({"half": ("s", code)})
+        with pytest.raises(StoreError, match="the metric half was computed by other code"):
+            store.merge(other, mix_versions=True)
+        assert store.versions == [{"python": "3.12"}]
+
+
 @pytest.mark.slow
 def test_stores_are_merged_with_the_metrics_of_both_unless_their_code_differs(tmp_path):
     one, other, third = (tmp_path / f"{name}.sqlite" for name in ("one", "other", "third"))

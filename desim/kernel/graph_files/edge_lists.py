@@ -78,7 +78,8 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
         rows = [row._replace(cells=cells) for row, (_, cells) in zip(rows, points, strict=True)]
     if not (header and _names_ends(header)):
         _check_names(file, rows)
-        if '"' not in text:  # a name in quotes is meant as one
+        long = {name.replace('"', '""') for row in rows for name in row.cells[:2] if len(name.split()) > 1}
+        if not all(f'"{name}"' in text for name in long):  # a name in quotes is meant as one
             _check_form(file, rows)
     if not header:
         is_weighted = all(len(row.cells) == 3 and is_number_text(row.cells[2]) for row in rows)
