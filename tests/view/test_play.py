@@ -180,7 +180,7 @@ NUMBERS = ("network.latency.value", "network.loss.p", "network.range", "team.cou
 @pytest.mark.parametrize(
     ("typed", "why"),
     [
-        ("0,5", "should be a number with a decimal point: 0.5 (got 0,5)"),
+        ("0,5", "(got 0,5)"),
         ("", "is empty: type a value, or undo the change"),
         ("abc", "(got 'abc')"),
         ("[1, 2]", "(got [1, 2])"),
@@ -192,6 +192,18 @@ def test_what_is_typed_instead_of_a_number_is_told_without_the_help_of_the_key(s
     (control,) = (each for each in found["controls"] if each["key"] == key)
     assert why in found["errors"][key]
     assert control["help"].rstrip(".") not in found["errors"][key]
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ("network.range=0,5", "should be a number with a decimal point: 0.5 (got 0,5)"),
+        ("team.count=1,000", "should be an integer without a comma (got 1,000)"),
+        ("evader.position=1,5", "should be a list (got '1,5')"),
+    ],
+)
+def test_a_comma_is_a_mistake_of_its_own_for_each_form(small, change, why):
+    assert small.answer([*SMALL, change], None)["errors"] == {change.partition("=")[0]: why}
 
 
 @pytest.mark.slow

@@ -98,8 +98,8 @@ class Playground:
             scenario = self.scenario(now)
         except ScenarioError as error:
             controls_shown = self.controls(now)
-            help_of = {control["key"]: control["help"] for control in controls_shown}
-            return json_answer({"errors": _by_key(error, now, help_of), "controls": controls_shown})
+            by_key = {control["key"]: control for control in controls_shown}
+            return json_answer({"errors": _by_key(error, now, by_key), "controls": controls_shown})
         shown = {"controls": [asdict(control) for control in controls(scenario)], "texts": self.texts(now)}
         try:
             result, other = self.result(now), None if pinned is None else self.result(pinned)
@@ -209,21 +209,24 @@ def _result(request: _Request) -> Result:
         return run(request.playground.scenario(request.changes))
 
 
-def _by_key(error: ScenarioError, changes: Changes, help_of: Mapping[str, str]) -> dict[str, str]:
+def _by_key(error: ScenarioError, changes: Changes, controls_by_key: Mapping[str, Answer]) -> dict[str, str]:
     """Return the reasons of each key in the problems of an error; under "" those that belong to no key.
 
-    A reason does not repeat the help of its key, `help_of`, which a page shows beneath the control. A decimal comma is
-    not read as a point, as 1,000 may be a thousand.
+    A reason does not repeat the help of its key, which a page shows beneath the control. A decimal comma is not read as
+    a point, as 1,000 may be a thousand.
     """
     values = {key: value for key, sign, value in (change.partition("=") for change in changes) if sign}
     keys = {f"--set {change}": change.partition("=")[0] for change in changes}
     reasons: dict[str, list[str]] = {}
     for problem in error.problems:
         key = problem.key or keys.get(problem.where, "")
-        about = help_of.get(key, "").rstrip(".")
+        control = controls_by_key.get(key, {})
+        about = control.get("help", "").rstrip(".")
         reason = problem.reason.replace(f"; {about}", "", 1) if about else problem.reason
         value = values.get(key, "").strip()
-        if WITH_COMMA.fullmatch(value):
+        if WITH_COMMA.fullmatch(value) and control.get("form") == "integer":
+            reason = f"should be an integer without a comma (got {value})"
+        elif WITH_COMMA.fullmatch(value) and not reason.startswith("should be a list"):
             reason = f"should be a number with a decimal point: {value.replace(',', '.')} (got {value})"
         elif key in values and not value:
             reason = "is empty: type a value, or undo the change"
