@@ -11,6 +11,7 @@ from dataclasses import replace
 from itertools import product
 from math import inf
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -140,6 +141,15 @@ def test_the_page_of_an_explanation_alone_is_of_the_scenario_as_it_is(explained)
     assert elements.tags.count("svg") == 7, "two costs, five metrics"
     assert {"waterfall-title", "multiples-title"} <= set(elements.ids)
     assert "All parameters of the scenario" in elements.texts
+    assert any(text.startswith("Variants of the scenario: as it is, without ") for text in elements.texts)
+
+
+def test_the_variants_of_an_explanation_are_named_as_in_its_table():
+    names = ("as it is", "latency", "ideal", "perfect network", "no messages at all")
+    groups = [SimpleNamespace(settings={"without": name}) for name in names]
+    study = Study(SimpleNamespace(keys=["without"], groups=groups), {}, None)
+    words = "as it is, without latency, ideal (without all of these), perfect network, no messages at all"
+    assert study.variants == words.split(", ")
 
 
 # What was found.

@@ -22,6 +22,7 @@ from desim.config.key_index import unit_of_key
 from desim.config.trust import regular_or_missing
 from desim.results import provenance
 from desim.scenario.scenario import Scenario
+from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT
 from desim.study.results.explanation import Explanation
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import SHOWN, text
@@ -99,6 +100,12 @@ class Study:
             key: list(dict.fromkeys(text(group.settings[key]) for group in self.result.groups))
             for key in self.result.keys
         }
+
+    @property
+    def variants(self) -> list[str]:
+        """The variants of the scenario in a folder of `desim explain`, in words: what is removed, and the bounds."""
+        whole = {IDEAL: f"{IDEAL} (without all of these)", AS_IT_IS: AS_IT_IS, PERFECT: PERFECT, SILENT: SILENT}
+        return [whole.get(name, f"without {name}") for name in self.parameters["without"]]
 
     @property
     def measured(self) -> list[str]:
