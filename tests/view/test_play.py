@@ -1145,13 +1145,19 @@ def test_a_kind_without_defaults_asks_for_what_it_needs(played):
 
 @in_chromium
 @pytest.mark.whole
-def test_thirty_seeds_are_compared_run_by_run_and_can_be_cancelled(played):
+def test_thirty_seeds_are_compared_run_by_run_and_can_be_cancelled(played, small):
     played.value("play.change('network.latency.value', '0.7')")
     played.until("play.runs === 2")
     played.value(CLICK.format("30 seeds"))
     played.until("document.querySelector('.seeds progress').value === 30")
     rows = played.value("[...document.querySelectorAll('.seeds tbody tr')].map(each => each.textContent)")
-    assert any(each.startswith("active time, s") and " +- " in each for each in rows)
+    assert any(each.startswith("active time, s") and " ± " in each for each in rows)
+    *_, last = Session(small, InProcess()).compare(played.value("play.changes"), played.value("play.pinned"), 30)
+    apart = [row["name"] for row in last["metrics"] if row["first"] and row["differs"]]
+    named = "each.firstChild.textContent.split(',')[0]"
+    cells = f"[...document.querySelectorAll('.seeds tr:has(.apart)')].map(each => {named})"
+    assert played.value(cells) == apart
+    assert apart
     played.value(CLICK.format("30 seeds"))
     played.until("document.querySelector('.seeds progress').value > 0")
     played.value(CLICK.format("Cancel"))

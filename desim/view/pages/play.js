@@ -406,7 +406,7 @@ export function start(root, transport, options) {
     cancel.className = "cancel";
     begunAt = performance.now();
     title.textContent = lastTime === null ? "30 seeds" : `30 seeds: less than ${duration(60 * lastTime)}`;  // with one worker
-    seeds.replaceChildren(make("div", {}, title, cancel, button("Close", "Close the comparison", () => { stopComparing(); seeds.hidden = true; })), bar, make("p", {}, "Differences from the pinned run in pairs of equal seeds, with 95 % intervals. At the end those in colour are told apart from 0 at a level of 5 % for all together."), make("div", { className: "scroll" }, table));
+    seeds.replaceChildren(make("div", {}, title, cancel, button("Close", "Close the comparison", () => { stopComparing(); seeds.hidden = true; })), bar, make("p", {}, "Differences from the pinned run in pairs of equal seeds, with 95 % intervals. At the end those in bold are told apart from 0 at a level of 5 % for all together; a colour says whether they are better or worse."), make("div", { className: "scroll" }, table));
     seeds.hidden = false;
     try {
       await transport.seeds(body, found => { if (own === comparing) showPairs(found, title, bar, table); }, own.signal);
@@ -426,7 +426,7 @@ export function start(root, transport, options) {
     const row = (each, cell = "td") => make("tr", {}, ...each.map(one => one instanceof Node ? one : make(cell, {}, one)));
     const rows = found.metrics.filter(each => each.first).map(each => row([
       `${each.name}${each.unit ? `, ${each.unit}` : ""}`, each.now, each.pinned,
-      make("td", { className: each.differs ? judged(each) : "", title: `${each.count} pairs` }, each.difference)]));
+      make("td", { className: each.differs ? `apart ${judged(each)}` : "", title: `${each.count} pairs` }, each.difference.replace("+-", "±"))]));
     table.replaceChildren(make("thead", {}, row(["metric", "mean", "pinned", "difference"], "th")), make("tbody", {}, ...rows));
   }
 
