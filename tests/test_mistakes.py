@@ -168,6 +168,7 @@ CALLS: dict[str, tuple[Any, ...]] = {
     "exec('from protocols import Sap')": ("from protocols import SpatialAdaptivePlay",),
     "exec('from protocols import Lognormal')": ("from desim import Lognormal",),
     "Scenario(fault=[dict(kind='crash', pursuer=1, start=1.0)])": ("pursuer: unknown key, did you mean 'node'?",),
+    "Scenario(fault=(dict(kind='crash', pursuer=1, start=1.0),))": ("pursuer: unknown key, did you mean 'node'?",),
     "sweep(SHORT, {'loss': [0.1]})": ("unknown key, did you mean network.loss?",),
     "sweep(SHORT, {'network.latency': Constant()})": ("network.latency: should be a list: [Constant()]",),
     "sweep(SHORT, GRID, store=3)": ("store should be the path of a file", "got 3"),

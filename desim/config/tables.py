@@ -10,7 +10,7 @@ from desim.config.errors import KeyPath
 
 def holds(node: Any, key: Any) -> bool:
     """Return whether a table contains a key, or a list has an index."""
-    return key in node if isinstance(node, dict) else isinstance(node, list) and key in range(len(node))
+    return key in node if isinstance(node, dict) else isinstance(node, list | tuple) and key in range(len(node))
 
 
 def value_at(tables: Any, place: KeyPath) -> Any:

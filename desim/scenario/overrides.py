@@ -199,7 +199,7 @@ class Source:
                 return
             if holds(node, key) and isinstance(node[key], str | int | float):
                 node[key] = self._as_table((*place, key))
-            if isinstance(node, dict) and type(node.get(key)) is tuple:
+            if holds(node, key) and type(node[key]) is tuple:
                 node[key] = list(node[key])
             node = node[key] if holds(node, key) else None
             place += (key,)
