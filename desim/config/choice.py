@@ -39,8 +39,8 @@ from desim.config.python_numbers import as_python
 from desim.config.traits import Traits, attributes, is_ours, name_of, positions
 from desim.config.trust import is_trusted
 
-FILE_NAME = re.compile(r"[^:]\.(?!py$)\w{2,8}(\.gz)?$")
-"""Matches the name of a file with an ending, but not that of a module."""
+FILE_NAME = re.compile(r"^(?![\w.]+:[\w.]+$).*[^:]\.(?!py$)\w{2,8}(\.gz)?$")
+"""Matches the name of a file with an ending, but not that of a module, nor "module:Outer.Inner"."""
 
 
 def kind_of(model: type[BaseModel]) -> str:

@@ -704,6 +704,8 @@ def test_a_class_inside_another_survives_dumping_and_loading(own_models, shelf):
         shelf.write_text(dump(scenario), encoding="utf-8")
         assert 'kind = "own_models:Outer.' in shelf.read_text(encoding="utf-8")
         assert load(shelf, allow_import=True) == scenario
+    shelf.write_text('network.latency = "own_models:Outer.constant"\n')
+    assert load(shelf, allow_import=True) == scenario
 
 
 BAD_MODELS = {
