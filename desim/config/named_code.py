@@ -90,7 +90,7 @@ def load_named(kind: str, folder: Path | None) -> Any:
     except AttributeError as error:
         hint = did_you_mean(error.name, dir(error.obj)) if error.name else ""
         raise ValueError(f"{kind!r} cannot be imported: {_without(place, error)}{hint}{where}") from error
-    except (ImportError, ValueError) as error:
+    except (ImportError, SyntaxError, ValueError) as error:
         raise ValueError(f"{kind!r} cannot be imported: {_without(place, error)}{where}") from error
     except PydanticUserError as error:  # an invalid definition of a model, such as a field without a type
         raise ValueError(f"{kind!r} cannot be imported: {error.message}") from error

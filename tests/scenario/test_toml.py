@@ -661,6 +661,7 @@ def own_models(tmp_path, monkeypatch):
     """Return a module that only this test can import."""
     (tmp_path / "own_models.py").write_text(OWN)
     (tmp_path / "untyped.py").write_text("from protocols.rule import Rule\nclass Bold(Rule):\n    omniscient = True\n")
+    (tmp_path / "unwritten.py").write_text("def slow(\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "own_models", raising=False)
     yield importlib.import_module("own_models")
@@ -724,6 +725,7 @@ BAD_MODELS = {
         '{ kind = "untyped:Bold" }',
         ["'untyped:Bold' cannot be imported", "`omniscient = True`", "`ClassVar`"],
     ),
+    "no Python": ('{ kind = "unwritten:slow" }', ["'unwritten:slow' cannot be imported", "(unwritten.py, line 1)"]),
     "no callable": ('{ kind = "own_models:number" }', []),
 }
 
