@@ -17,11 +17,13 @@ PICTURE_SUFFIXES = (".svg", ".png", ".pdf")
 LIVE = "live.json"
 """How a live run went; only the folder of a live run has it."""
 RUN_FILES = (
-    *(TRACE, "summary.json", "scenario.toml", "run.json", LIVE),
+    *("run.json", TRACE, "summary.json", "scenario.toml", LIVE),
     *("trajectory.svg", "trajectory.png", "replay.html"),
     *("spacetime.svg", "spacetime.png", "trace.perfetto.json", "film.gif"),
 )
-"""All files that `desim run`, `live`, `replay` and `plot` write into a run folder by default."""
+"""All files that `desim run`, `live`, `replay` and `plot` write into a run folder by default.
+
+They are removed in this order: a folder that has a run.json is complete."""
 SUFFIX = re.compile(r"\.[A-Za-z]\w*")
 """A suffix that can denote a file type; the ".2" of "v1.2" does not match."""
 

@@ -21,7 +21,17 @@ from desim.kernel.core.trace_file import line_of
 from desim.pursuit.core.events import Captured
 from desim.pursuit.team.announcements import Announcements
 from desim.results import provenance
-from desim.results.run_folder import can_plot, events, read, simulate, simulate_below, write, write_below
+from desim.results.run_folder import (
+    WriteError,
+    can_plot,
+    clear,
+    events,
+    read,
+    simulate,
+    simulate_below,
+    write,
+    write_below,
+)
 from desim.results.trace_checks import inconsistencies
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Recording, Scenario
@@ -118,6 +128,15 @@ def test_nothing_that_shows_an_earlier_run_stays_but_the_runs_below(seen, tmp_pa
 
 
 @pytest.mark.slow
+def test_a_folder_of_which_some_files_are_removed_has_no_run_json(tmp_path):
+    """It would say that the folder is complete, and is removed first."""
+    (tmp_path / "run.json").touch()
+    (tmp_path / "trace.jsonl").mkdir()  # which cannot be removed as a file
+    with pytest.raises(WriteError, match=r"trace\.jsonl"):
+        clear(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["trace.jsonl"]
+
+
 def test_files_of_others_in_the_folder_stay(seen, tmp_path):
     (tmp_path / "trajectory.csv").write_text("precious")
     (tmp_path / "notes.txt").write_text("precious")
