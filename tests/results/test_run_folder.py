@@ -127,7 +127,6 @@ def test_nothing_that_shows_an_earlier_run_stays_but_the_runs_below(seen, tmp_pa
     assert names(tmp_path / "seed-4") == DATA | PICTURES
 
 
-@pytest.mark.slow
 def test_a_folder_of_which_some_files_are_removed_has_no_run_json(tmp_path):
     """It would say that the folder is complete, and is removed first."""
     (tmp_path / "run.json").touch()
@@ -137,6 +136,7 @@ def test_a_folder_of_which_some_files_are_removed_has_no_run_json(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["trace.jsonl"]
 
 
+@pytest.mark.slow
 def test_files_of_others_in_the_folder_stay(seen, tmp_path):
     (tmp_path / "trajectory.csv").write_text("precious")
     (tmp_path / "notes.txt").write_text("precious")
