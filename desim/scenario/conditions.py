@@ -6,7 +6,7 @@ Nothing here knows a trace: `desim.analysis.quantities` computes the quantities 
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import inf, nextafter
+from math import inf, isnan, nextafter
 from operator import eq, ge, gt, le, lt, ne
 from types import FunctionType, MappingProxyType
 from typing import Annotated, Any, NamedTuple
@@ -107,7 +107,10 @@ class QuantityComparison:
             "=": -abs(value - self.number),
             "!": abs(value - self.number),
         }[self.sign[0]]
-        return signed if (signed >= 0.0) == self.holds(value) else JUST_BELOW_0
+        holds = self.holds(value)
+        if isnan(signed):  # a function of a user returned nan, or both numbers are infinite
+            return 0.0 if holds else -inf
+        return signed if (signed >= 0.0) == holds else JUST_BELOW_0
 
     def can(self, scenario: AnyScenario, *, hold: bool) -> bool:
         """Return whether some value of the quantity in a scenario satisfies it or, with `hold` = False, does not."""

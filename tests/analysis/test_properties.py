@@ -1,9 +1,10 @@
 """Properties of runs: margins equal to a plain monitor's, quantities equal to metrics, wrong texts refused."""
 
 import random
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
-from math import inf
+from math import inf, nan
 from operator import eq, ge, gt, le, lt, ne
 
 import pytest
@@ -95,8 +96,11 @@ def test_a_margin_is_that_of_a_monitor_that_looks_at_every_instant(text):
 @pytest.mark.parametrize("sign", ["<=", ">=", "==", "!=", "<", ">"])
 def test_a_comparison_holds_if_its_margin_is_at_least_0(sign):
     (comparison,) = property_of(f"always active {sign} 2").conditions[0].comparisons
-    for value in (0.0, 1.0, 2.0, 3.0):
+    for value in (0.0, 1.0, 2.0, 3.0, inf, -inf, nan):
         assert (comparison.margin(value) >= 0.0) == comparison.holds(value)
+        infinite = replace(comparison, number=inf)
+        assert (infinite.margin(value) >= 0.0) == infinite.holds(value)
+    assert comparison.margin(nan) == (0.0 if sign == "!=" else -inf)
     assert comparison.margin(4.0) == {"<=": -2, ">=": 2, "==": -2, "!=": 2, "<": -2, ">": 2}[sign]
 
 
