@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError, create_model
 
+from desim.analysis.statistics import t_quantile
 from desim.config.arguments import with_article
 from desim.config.choice import OneOf
 from desim.config.errors import WORDINGS, Problem
@@ -27,8 +28,8 @@ from desim.simulation.run import Result
 from desim.simulation.watchdog import TimedOut, checked_limit, within
 from desim.testing.pursuits import watched
 
-ERRORS = 5.0
-"""Standard errors by which a mean or a share may be off: 1 in 2 million by chance."""
+CHANCE = 5.7e-7
+"""The probability that a mean or a share is said to be off by chance: that of 5 standard errors of many draws."""
 DISTANCE = 2.7
 """Scaled Kolmogorov-Smirnov distance of two samples of one distribution: exceeded 1 time in a million by chance."""
 SEED = 7
@@ -201,6 +202,22 @@ def are_apart(first: NDArray[Any], second: NDArray[Any]) -> bool:
 
 
 def is_off(sample: NDArray[Any], mean: float, tolerance: float) -> bool:
-    """Return whether the mean of a sample is more than 5 standard errors, and a tolerance, from a value."""
+    """Return whether the mean of a sample is off a value by more than 5 standard errors and a tolerance.
+
+    Few draws have as many standard errors more as Student's distribution asks for.
+    """
     error = float(sample.std(ddof=1)) / sqrt(len(sample))
-    return not abs(float(sample.mean()) - mean) <= ERRORS * error + tolerance
+    errors = t_quantile(len(sample) - 1, 1.0 - CHANCE)
+    return not abs(float(sample.mean()) - mean) <= errors * error + tolerance
+
+
+def are_more(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> bool:
+    """Return whether one of two samples, (n,) pairs of independent truth values, is true more often than the other.
+
+    It is the exact test of McNemar 1947: of the pairs that differ, about half are true in the first sample.
+    """
+    from scipy.special import bdtr
+
+    differing = int((first != second).sum())
+    fewer = min(int((first & ~second).sum()), int((second & ~first).sum()))
+    return differing > 0 and 2.0 * float(bdtr(fewer, differing, 0.5)) < CHANCE

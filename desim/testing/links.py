@@ -21,7 +21,7 @@ from desim.kernel.models.traits import LinkTraits, link_trait, model_of_run
 from desim.pursuit.team.announcements import Announcements
 from desim.scenario.players import Team
 from desim.scenario.scenario import Recording, Scenario
-from desim.testing.judging import Subject, are_apart, is_off, subject, twice
+from desim.testing.judging import Subject, are_apart, are_more, is_off, subject, twice
 
 IMPLAUSIBLE = 10.0
 """A mean latency, s, from which on a warning asks whether it is in milliseconds."""
@@ -29,6 +29,8 @@ RADIUS = 5.0
 """Radius of the circle on which the nodes are, m."""
 LIMIT = 60.0
 """Limit of the wall time of the draws, s."""
+FEWEST = 20
+"""Least number of runs from which a share is estimated: those of few may all be equal by chance."""
 TOLERANCE = 1e-6
 """Tolerance of mean latencies: relative and, because nodes cannot be in one place, absolute in s."""
 
@@ -219,14 +221,14 @@ class _Losses(_Links):
             self.tested.fail(f"{call} returns {_form(reply)}, {text}")
         return array
 
-    def check_batches(self, draws: int) -> NDArray[np.float64]:
+    def check_batches(self, draws: int) -> NDArray[np.bool_]:
         """Require that a link loses the same, at once and one after the other, whether others are asked with it.
 
         Returns:
             (draws, 3) the losses of the first message on three links.
         """
         dst = self.targets(0)[:3]
-        together, alone = np.empty((2, draws, 2, len(dst)))
+        together, alone = np.empty((2, draws, 2, len(dst)), bool)
         for run in range(draws):
             # In another order the second time, so that a state that belongs to a position is found.
             first, second = self.replies([(0, dst), (0, dst[::-1])], run)
@@ -236,22 +238,22 @@ class _Losses(_Links):
             alone[run] = replies.reshape(2, len(dst))
         for k, node in enumerate(dst):
             for messages, of in (("a first message", (0,)), ("a second message", (1,)), ("both of two", (0, 1))):
-                first, second = (sample[:, of, k].all(axis=1).astype(float) for sample in (together, alone))
+                first, second = (sample[:, of, k].all(axis=1) for sample in (together, alone))
                 self.tested.require(
-                    not is_off(first - second, 0.0, 0.0),
+                    not are_more(first, second),
                     f"loss(context, rng) from 0 to {node} loses {messages} in {first.mean():.3f} of the runs with"
                     f" context.dst = {dst}, and in {second.mean():.3f} with context.dst = [{node}]: the state and the"
                     " probability of a link should belong to (context.src, context.dst[k]), and not to k",
                 )
         return together[:, 0]
 
-    def check_draw(self, sample: NDArray[np.float64]) -> None:
+    def check_draw(self, sample: NDArray[np.bool_]) -> None:
         """Require that `draw` loses the same share as the calls."""
         draw = LinkTraits.of(self.tested.model).draw
         if draw is not None:
             drawn = _drawn(self, draw, len(sample), "b", "booleans")
             self.tested.require(
-                not is_off(sample[:, 0] - drawn, 0.0, 0.0),
+                not are_more(sample[:, 0], drawn),
                 f"draw({len(sample)}, rng) loses a share of {drawn.mean():.3f}, and loss(context, rng) one of"
                 f" {sample[:, 0].mean():.3f}; the network uses draw if a model has it",
             )
@@ -312,7 +314,7 @@ def check_loss(loss: Any, *, nodes: int = 6, draws: int = 1_000, share: float | 
     Args:
         loss: an object, a class that needs no parameters, a kind, or "module:name".
         nodes: the number of nodes.
-        draws: the number of runs whose losses are compared, at least 2.
+        draws: the number of runs whose losses are compared, at least 2; of fewer than 22, no difference is improbable.
         share: the expected share of lost messages from node 0 to the others, in [0, 1]; the nodes are on a circle of
             radius 5 m. None: any share.
 
@@ -329,7 +331,7 @@ def check_loss(loss: Any, *, nodes: int = 6, draws: int = 1_000, share: float | 
         links.check_repeats(_calls(links))
         links.check_draw(links.check_batches(draws))
         if share is not None:
-            links.check_share(share, max(draws // 10, 2))
+            links.check_share(share, max(draws // 10, FEWEST))
     _run(tested, nodes, loss=tested.model)
 
 
