@@ -117,7 +117,9 @@ def break_(
 
     for option in options_given(OF_LOSSES if losses is None else OF_CASES).values():
         raise click.UsageError(f"{option} is only used {'with' if losses is None else 'without'} --losses")
-    _, scenario = source_of(file, overrides, grid=grid)
+    source, scenario = source_of(file, overrides, grid=grid)
+    added = [f"--grid {setting}" for setting in grid]
+    vary = {key: values for key, values in scenario.sweep.grid.items() if source.where(("sweep", "grid", key)) in added}
     folder = folder_for(scenario, None) / "break" if out is None else out
     make_folder(folder)
     root = scenario.seed if seed is None else seed
@@ -145,7 +147,7 @@ def break_(
                 prop,
                 runs=runs,
                 seed=root,
-                vary={key: scenario.sweep.grid[key] for key, _, _ in (setting.partition("=") for setting in grid)},
+                vary=vary,
                 features=list(features) or None,
                 guided=guided,
                 jobs=jobs,

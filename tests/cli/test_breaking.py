@@ -112,6 +112,19 @@ def test_the_same_command_goes_on_where_it_stopped(folder):
     assert json.loads(first.stdout)["runs"] == 6
 
 
+def test_keys_of_the_grid_are_varied_however_they_are_spelled(folder, monkeypatch):
+    varied = []
+
+    def search(*_, vary, **__):
+        varied.append(vary)
+        raise ValueError("enough")
+
+    monkeypatch.setattr("desim.study.breaking.search.find_violation", search)
+    for words in (["-g", " horizon=4,5", "-g", "team.count =2,3"], ["-g", '"horizon"=4,5'], []):
+        desim("break", "game.toml", *words, "--set", "sweep.grid.seed=[1,2]")
+    assert varied == [{"horizon": (4, 5), "team.count": (2, 3)}, {"horizon": (4, 5)}, {}]
+
+
 @pytest.mark.whole
 def test_losses_are_tried_one_by_one(folder):
     result = desim("break", "short.toml", "--property", CROWDED, "--losses", 1, "--set", "seed=1", "-o", "found")
