@@ -42,6 +42,8 @@ class PursuerStart(NamedTuple):
         try:
             referee, pursuer, seed, host, token = invitation.split("/")
             referee_host, _, port = referee.rpartition(":")
+            if not 0 < int(port) < 1 << 16:
+                raise ValueError
             return cls((referee_host, int(port)), token, int(pursuer), int(seed), host, scenario=digest(scenario))
         except ValueError:
             raise ValueError(f"should be the word that `desim live --hosts` prints (got {invitation!r})") from None

@@ -42,7 +42,9 @@ def refused(*words):
 def test_wrong_input_is_refused_with_a_sentence(tmp_path):
     assert "protocol.kind cannot run live: an omniscient protocol" in refused(RELAY, "--set", "protocol=centralised")
     assert "--compare needs several runs, such as -n 20" in refused(RELAY, "--compare")
-    assert "--join: should be the word that `desim live --hosts` prints (got 'x')" in refused(RELAY, "--join", "x")
+    for word in ("x", "127.0.0.1:99999/1/3/127.0.0.1/ab", "127.0.0.1:0/1/3/127.0.0.1/ab"):
+        why = f"--join: should be the word that `desim live --hosts` prints (got {word!r})"
+        assert why in refused(RELAY, "--join", word)
     hosts = tmp_path / "hosts.txt"
     hosts.write_text("127.0.0.1\n# another\n127.0.0.2  # mine\n")
     count = "hosts.txt: should have a host for each of the 20 pursuers, one a line (got 2)"
