@@ -92,7 +92,8 @@ class Mirror:
         state.broken[:] = False
         state.broken[frame.broken] = True
         for body, segment in zip(state.bodies, frame.segments, strict=True):
-            if segment and segment[0] > getattr(getattr(body.path, "last", None), "begun", -1):
+            last = segment_list(getattr(body.path, "last", None))
+            if segment and segment != last and segment[:1] >= last[:1]:
                 body.path.see(*_segment_of(segment))
         self._act(frame)
 

@@ -410,6 +410,15 @@ def test_positions_that_are_told_may_jump_and_lie_in_memory_as_they_like(static)
         assert [list(node._network.topology.hearers(0)) for _ in range(2)] == [heard] * 2
 
 
+def test_an_evader_that_is_sensed_twice_at_one_instant_is_where_it_was_last():
+    node = Node(scenario().with_({"announce.payload": "state"}), 1, 5)
+    for place in (3.0, 4.0, 4.0):
+        node.sense([0.0, 0.0], [[place, 1.0]])
+        (body,) = node._state.bodies
+        assert body.path.last.evader == node._agent.evader(1) == place + 1.0j
+    assert len(body.path._segments) == 2  # a frame that has the same step again adds none
+
+
 def test_a_robot_that_should_sense_its_teammates_is_asked_for_them():
     node = Node(scenario(), 1, 5)
     with pytest.raises(ValueError, match=r"^teammates should be the positions of all pursuers: with announce.payload"):
