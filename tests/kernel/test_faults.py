@@ -16,6 +16,7 @@ from desim.kernel.core.events import Trace
 from desim.kernel.core.seeds import stream
 from desim.kernel.core.units import SECOND
 from desim.kernel.fault_injection import inject
+from desim.kernel.models.access import Aloha
 from desim.kernel.models.clock_skew import MIN_DRIFT, ClockSkew, clock_errors
 from desim.kernel.models.fault_plans import RandomCrashes, RandomFaults, draw_faults
 from desim.kernel.models.faults import Crash, Jamming, MessageFault, Partition
@@ -500,3 +501,19 @@ def test_a_crash_on_the_air_is_the_same_with_a_trace_and_if_another_node_is_down
     assert network.latest_records(1) == network.latest_records(2) == {}
     counts = network.message_counts()
     assert counts.lost_by == {"crash": counts.sent}
+
+
+@pytest.mark.parametrize("access", [None, Aloha()])
+def test_what_a_fault_does_to_a_message_is_forgotten_when_its_arrival_is_known(access):
+    clock = Clock()
+    medium = Bitrate(bitrate=1e6) if access is None else Bitrate(bitrate=1e6, access=access)
+    network = Network(clock, nx.complete_graph(3), Links(medium=medium, latency=1.0), fault_state=FaultState())
+    faults = [MessageFault(messages=(1, 2, 6), delay=delay, duplicate=delay < inf) for delay in (0.5, inf)]
+    inject(faults, clock, network)
+    clock.run(until=Instant(clock, 0, Phase.DECISION))
+    for node in range(3):
+        network.publish(node, "x", size=1)
+        network.send(node, (node + 1) % 3, "x", size=1)
+    clock.run(until=SECOND // 2)
+    assert network.message_counts().lost_by["message_fault"] > 0
+    assert network.fault_state._intercepted == network.fault_state._copies == {}

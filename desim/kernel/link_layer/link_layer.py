@@ -289,7 +289,7 @@ class LinkLayer:
         self.delivery.schedule(transmission, reached, arrival, causes, airtime)
         if self._fault_state is None:
             return
-        for node, when in self._fault_state.copies(transmission.number, reached, arrival):
+        for node, when in self._fault_state.take_copies(transmission.number, reached, arrival):
             self._records.expect_any_order()
             copied = transmission._replace(number=next(self._copy_numbers), receivers=[node])
             self._log.sent += 1

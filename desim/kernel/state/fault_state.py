@@ -79,9 +79,10 @@ class FaultState:
         self._jams: list[Jam] = []
         self._interceptions: list[Interception] = []
         self._intercepted: dict[int, dict[int, tuple[float, Cause]]] = {}
-        """By number of a transmission: the extra delay, s, and the cause at each receiver that is concerned."""
+        """By number of a transmission whose arrivals are not scheduled yet: the extra delay, s, and the cause at each
+        receiver that is concerned."""
         self._copies: dict[int, list[tuple[int, float]]] = {}
-        """By number of a transmission: the receiver and the extra delay, s, of each of its copies."""
+        """By number of such a transmission: the receiver and the extra delay, s, of each copy."""
         self._before_change: list[Callable[[], object]] = []
 
     def plan(self, time: int) -> None:
@@ -314,16 +315,22 @@ class FaultState:
             for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True)
         ]
 
-    def copies(self, number: int, reached: list[int], arrival: Arrival) -> Iterator[tuple[int, int]]:
-        """Yield the receiver and the arrival time, ns, of each copy of a transmission, given where and when it arrives.
+    def take_copies(self, number: int, reached: list[int], arrival: Arrival) -> list[tuple[int, int]]:
+        """Return the receiver and the arrival time, ns, of each copy of a transmission; forget its interceptions.
 
         Messages that are lost have no copies.
+
+        Args:
+            number: the number of the transmission.
+            reached: the nodes that it reaches.
+            arrival: its arrival times there, ns.
         """
-        if number in self._copies:
-            arrivals = dict(zip(reached, per_receiver(arrival, len(reached)), strict=True))
-            for node, late in self._copies[number]:
-                if node in arrivals:
-                    yield node, arrivals[node] + nanoseconds(late)
+        self._intercepted.pop(number, None)
+        copies = self._copies.pop(number, None)
+        if copies is None:
+            return []
+        arrivals = dict(zip(reached, per_receiver(arrival, len(reached)), strict=True))
+        return [(node, arrivals[node] + nanoseconds(late)) for node, late in copies if node in arrivals]
 
     def _require_change(self) -> None:
         """Raise ValueError if the state may not be changed now."""
