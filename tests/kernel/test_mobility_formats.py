@@ -362,8 +362,8 @@ def test_a_column_called_node_names_the_nodes_whatever_others_there_are(tmp_path
     """A pursuer with two devices, each of which reports where it is."""
     file = tmp_path / "walk.csv"
     file.write_text("t,node,x,y,device\n0,a,1,2,gps\n1,a,2,3,uwb\n0,b,5,5,gps\n1,b,6,6,gps\n")
-    recorded = RecordedMotion(file=str(file)).waypoints
-    assert [waypoints[1][:3] for waypoints in recorded] == [(1.0, 2.0, 3.0), (1.0, 6.0, 6.0)]
+    mobility = read_mobility(file)
+    assert [mobility.track(node).waypoints[-1][:3] for node in range(2)] == [(1.0, 2.0, 3.0), (1.0, 6.0, 6.0)]
 
 
 @pytest.mark.parametrize("names", ["id,vehicle", "vehicle,agent", "uav,name"])
