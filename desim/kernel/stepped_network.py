@@ -28,7 +28,7 @@ from desim.config.arrays import Floats
 from desim.config.fresh import fresh_copy
 from desim.config.model import MAX_TIME
 from desim.config.python_numbers import real, whole
-from desim.kernel.core.clock import RARE_COLLECTION, Clock, Instant, Phase
+from desim.kernel.core.clock import NEVER, RARE_COLLECTION, Clock, Instant, Phase
 from desim.kernel.core.events import Cause, MessageCounts, Trace, TransportCounts
 from desim.kernel.core.message_body import own_copy
 from desim.kernel.core.message_size import HEADER, size_of
@@ -180,7 +180,7 @@ class SteppedNetwork:
                 positions=places,
                 trace=trace,
                 fault_state=FaultState(places, surprises=self._can_leave) if has_faults else None,
-                clocks=node_clocks(clock, entries, size, seed, self._horizon) if is_skewed(entries) else (),
+                clocks=node_clocks(clock, entries, size, seed, NEVER) if is_skewed(entries) else (),
                 inboxes=create_queue,
                 walls=self._walls,
             )
