@@ -44,7 +44,7 @@ from desim.kernel.models.medium import Unlimited
 from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.kernel.models.transport import Transport
 from desim.kernel.network import Network
-from desim.kernel.state.fault_state import FaultState
+from desim.kernel.state.fault_state import FaultState, Outage
 from desim.kernel.state.message_queue import MessageQueue
 from desim.kernel.state.transmission import Transmission
 from desim.kernel.stepped_arguments import (
@@ -191,7 +191,7 @@ class SteppedNetwork:
         self._network, (self._queue,) = network, queues
         self._losses: list[tuple[int, int, int, LostMessage]] = []
         self._lost: list[LostMessage] = []
-        self._away: dict[int, Crash] = {}
+        self._away: dict[int, tuple[Crash, Outage]] = {}
         self._is_unused, self._problem = True, ""
         self._is_unlimited = self._links.medium == Unlimited()
         self._lacks_positions = positions is None and not network.topology.is_static
@@ -395,11 +395,11 @@ class SteppedNetwork:
         number = self._member(node)
         if number in self._away:
             raise ValueError(f"node {node!r} is away already")
-        crash = self._away[number] = Crash(start=self.now, node=number, scope="radio", memory=False)
+        crash = Crash(start=self.now, node=number, scope="radio", memory=False)
         self._is_unused = False
         if self._trace is not None:
             self._run(self._trace.append, FaultStarted(self._clock.now, crash))
-        self._run(self._network.crash, number)
+        self._away[number] = crash, self._run(self._network.crash, number)
 
     def join(self, node: Hashable) -> None:
         """Let a node that has left join again now; it has received nothing yet.
@@ -410,10 +410,10 @@ class SteppedNetwork:
         number = self._member(node)
         if number not in self._away:
             raise ValueError(f"node {node!r} is not away")
-        crash = self._away.pop(number)
+        crash, outage = self._away.pop(number)
         if self._trace is not None:
             self._run(self._trace.append, FaultEnded(self._clock.now, crash))
-        self._run(partial(self._network.recover, number, memory=False))
+        self._run(partial(self._network.recover, number, outage, memory=False))
 
     def _member(self, node: Hashable) -> int:
         """Return the number of a node that may leave."""

@@ -18,7 +18,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from desim import (
+    BestEffort,
     Bitrate,
+    ClockSkew,
     Crash,
     CsmaCa,
     Edges,
@@ -581,6 +583,35 @@ def test_nodes_leave_and_join():
     network.close()
     with pytest.raises(ValueError, match="can_leave=True"):
         SteppedNetwork(3).leave(0)
+
+
+def test_a_node_that_joins_while_a_fault_has_it_down_is_up_after_the_fault():
+    crash = Crash(start=0.5, end=1.0, node=1)
+    network = SteppedNetwork(2, can_leave=True, faults=[crash])
+    network.leave(1)
+    network.step(0.7)
+    network.join(1)
+    heard = []
+    for _ in range(2):
+        network.send(0, 1, "hi")
+        heard.append(len(network.step(0.4)))
+    assert heard == [0, 1]
+
+
+def test_clocks_wander_on_after_the_horizon_of_plans():
+    """Messages that are older than their lifespan by the clock of the receiver do not arrive."""
+
+    def arrived(horizon):
+        skew, links = ClockSkew(offset_walk=1.0), Links(transport=BestEffort(lifespan=1.0))
+        network = SteppedNetwork(2, links, faults=[skew], horizon=horizon)
+        messages = []
+        for k in range(40):
+            network.send(0, 1, k)
+            messages += network.step(0.1)
+        return messages
+
+    assert arrived(0.1) == arrived(None)
+    assert 0 < len(arrived(None)) < 40
 
 
 # Seeds and copies.
