@@ -6,10 +6,12 @@ beliefs and motion are not changed, except that with `acts = "stay"` it does not
 applies these models in a run.
 """
 
+from bisect import bisect_right
 from cmath import isfinite
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from math import inf, isnan
+from operator import itemgetter
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, TypeGuard
 
 import numpy as np
@@ -212,11 +214,8 @@ class ReplayAttack(ByzantineFault):
 
     def says(self, me: Speaker, body: Any) -> tuple[int, Any]:
         """Return the old announcement."""
-        latest = me.now - nanoseconds(self.delay)
-        old = [announced for t, announced in me.history if t <= latest] or [
-            announced for _, announced in me.history[:1]
-        ]
-        return me.id, old[-1] if old else body
+        latest = bisect_right(me.history, me.now - nanoseconds(self.delay), key=itemgetter(0)) - 1
+        return me.id, me.history[max(latest, 0)][1] if me.history else body
 
 
 class Selective(ByzantineFault):

@@ -111,7 +111,8 @@ class EvaderTrack:
         first = bisect_right(self._starts, t) - 1
         last = bisect_left(self._starts, now)  # `now` is in the past if the chase has ended
         ends = [*self._starts[first + 1 : last], now]
-        for segment, end in zip(self._segments[first:], ends, strict=False):  # at time 0 there may be no segment yet
+        segments = self._segments[first : first + len(ends)]
+        for segment, end in zip(segments, ends, strict=False):  # at time 0 there may be no segment yet
             began, origin = t, motion
             motion = self._chase(motion, segment, speed, t, end)
             t = end
