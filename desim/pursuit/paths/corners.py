@@ -64,6 +64,7 @@ class WallCorner:
         if wide:  # there is at most one sector of more than half a turn
             self.bend = self.rays[(wide[0] + 1) % count], self.rays[wide[0]]
         self._stands_in = wide or [k for k in range(count) if self._is_free[k]]
+        """The free sectors in which a player that stands here may be: only the wide one, if there is one."""
 
     def sides_along(self, direction: float) -> frozenset[Side]:
         """Return the sides on which a player that stands here can leave in a direction (rad); none if it cannot."""
@@ -75,7 +76,7 @@ class WallCorner:
                 sides |= BOTH if ALIGNED < turn < self._width(k) - ALIGNED else set()
                 sides |= {"left"} if turn <= ALIGNED else set()
                 sides |= {"right"} if turn >= self._width(k) - ALIGNED else set()
-            if count == 1 and turn <= ALIGNED:
+            if count == 1 and turn <= ALIGNED:  # from the end of a single wall along it
                 return BOTH
         return frozenset(sides)
 

@@ -28,7 +28,7 @@ class Sight(NamedTuple):
     distances: Floats
     """(c,) their distances, m."""
     beyond: Floats
-    """(C,) the distance of each corner along the shortest path through one of them, m."""
+    """(C,) the length of the shortest path from the place to each corner, m."""
 
 
 class Route(NamedTuple):

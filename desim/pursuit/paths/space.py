@@ -35,7 +35,7 @@ class Plane:
 
     Args:
         sight: walls that block sight.
-        starts: walls on which no random start is, if others than those that block motion are among them.
+        starts: the walls on and inside which no player starts at random; none if they are just those that block motion.
 
     Attributes:
         blocks_sight: whether some walls block sight.
@@ -245,8 +245,9 @@ class Walled(Plane):
     ) -> float | None:
         """Return the time, s, at which the shortest path between two players has fallen to a radius, or None.
 
-        The straight distance is never longer than the path. From the time on at which it has fallen to the radius, the
-        path shortens at most at the sum of both speeds, so steps at this rate come close to the contact from before.
+        There is no contact before the straight distance has fallen to the radius, because it is never longer than the
+        path. From then on, the path shortens at most at the sum of both speeds: steps of the time that the rest of the
+        path needs at this rate approach the contact from before.
 
         Args:
             target: the position of the one, m.
