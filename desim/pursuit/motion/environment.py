@@ -103,8 +103,9 @@ class Environment(Value):
     def drift_within(self, place: complex, command: complex, begun: int, now: int, until: int) -> complex:
         """Return the mean velocity of the flow, m/s, along the path of one player in the rest of a motion step.
 
-        In a flow that is the same everywhere it is the mean of the whole step, with which the player has drifted until
-        now: so the end of the step is exact, and a flow on all changes no distance, whenever a player turns.
+        If the flow is the same everywhere and varies in time, this is the mean of the whole step, at which the player
+        has drifted until now. So its position at the end of the step is exact, and a flow that carries all players
+        changes no distance, whenever a player turns.
 
         Args:
             place: its position now, m.

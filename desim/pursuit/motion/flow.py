@@ -67,7 +67,7 @@ class UniformFlow(Value):
         raise NotImplementedError
 
     def trend(self, begin: float) -> tuple[complex, float]:
-        """Return a mean velocity, m/s, and an upper bound of the displacement from it after `begin` (s), m."""
+        """Return a mean velocity, m/s, and how far a player drifts at most from it after `begin` (s), m."""
         raise NotImplementedError
 
     @property

@@ -90,10 +90,10 @@ def _drifting_capture_times(
 ) -> Floats:
     """Return the (k,) least times t, s, with |offset + flight t - D(t)| <= v t + eps in a flow on the pursuers alone.
 
-    D(t) is the displacement by the flow from `begin` (s) on. It remains within a distance B of that of a mean velocity,
-    so no root is before that for a radius of eps + B and the mean velocity. With f the difference of both sides and A
-    the greatest acceleration of the flow, f is at least f + f' t - A t^2 / 2 after a time t. Steps from root to root of
-    this bound approach the least root from before.
+    D(t) is the displacement by the flow from `begin` (s) on. It stays within a distance B of the displacement at a mean
+    velocity, so no root is earlier than that for this velocity and the radius eps + B. With f the difference of both
+    sides and A the greatest acceleration of the flow, f is at least f + f' t - A t^2 / 2 after a time t. Steps from
+    root to root of this bound approach the least root from before.
     """
     mean, distance = flow.trend(begin)
     times = intercept_times(offsets, flight - as_complex(mean), speeds, radius + distance)
