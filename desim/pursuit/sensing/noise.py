@@ -16,7 +16,7 @@ Deviation = Annotated[float, Field(ge=0, le=MAX_COORDINATE, allow_inf_nan=False,
 
 
 LEAST = 1e-6
-"""Least standard deviation that the covariance of a sighting assumes, m, or as a share of the largest.
+"""Least standard deviation in the covariance of a sighting, m, or as a share of the greatest if this is above 1 m.
 
 With it, every covariance has an inverse.
 """

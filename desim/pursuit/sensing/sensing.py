@@ -1,10 +1,9 @@
 """Sensing of evaders by pursuers with a limited range or behind walls, and estimation from past sightings.
 
 Within the sensing radius a pursuer sees the true position of an evader, unless a wall that blocks sight is between
-them. Otherwise, the pursuer estimates the
-position from the newest sighting that it knows, its own or a reported one (`Sensing.estimate`). Its decisions and its
-guidance use this estimate. The sensing radius applies to evaders only: teammates are sensed at any distance or announce
-their positions, and all pursuers know which evaders are captured.
+them. Otherwise, the pursuer estimates the position from the newest sighting that it knows, its own or a reported one
+(`Sensing.estimate`). Its decisions and its guidance use this estimate. The sensing radius applies to evaders only:
+teammates are sensed at any distance or announce their positions, and all pursuers know which evaders are captured.
 """
 
 from cmath import rect

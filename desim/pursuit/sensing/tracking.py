@@ -49,8 +49,8 @@ class Measurement(NamedTuple):
 
 
 WIDE = 4.0
-"""Variance of a predicted position, as a multiple of that of the sighting, beyond which the sighting tells better how
-large its own error may be: with the average over so wide a prediction, a correction wastes what a near observer sees.
+"""Variance of a predicted position, as a multiple of that of the sighting, from which on the covariance of the sighting
+is averaged around the measured position: over so wide a prediction, the error of a near observer would count as large.
 """
 CovarianceAt = Callable[[complex], Covariance]
 """Maps the true vector from an observer to an evader, m, to the covariance of the error of a sighting."""
@@ -306,7 +306,7 @@ class Filter:
         self._tracks.append(self._model.update(last, seen) if last else self._model.start(seen, self._speed))
 
     def _is_too_old(self, seen: Measurement) -> bool:
-        """Return whether a sighting is older than all that are kept, and these are not all there were."""
+        """Return whether a sighting is older than the newest one by more than the window."""
         return bool(self._seen) and seen.stamp < self._seen[-1].stamp - self._window
 
     def _forget_old(self) -> None:

@@ -80,9 +80,9 @@ class View:
     Attributes:
         reckoned_teams: by evader, what was last extrapolated from records of the whole team; used by
             `desim.pursuit.team.beliefs`.
-        reckonings: by pursuer, the last of its records from which somebody extrapolated, at which instant (ns, of true
-            time and by the clock of that pursuer; None: any, because the pursuer stands still), and its motion then;
-            used by `desim.pursuit.team.beliefs`.
+        reckonings: by pursuer, what was last extrapolated from a record of it: the record, the instant (ns, of true
+            time and by the clock of the pursuer that extrapolated; None: any, because the motion is that of a pursuer
+            that stands still), and the motion; used by `desim.pursuit.team.beliefs`.
     """
 
     unlimited: ClassVar[bool] = True
