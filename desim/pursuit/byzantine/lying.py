@@ -62,7 +62,7 @@ class LyingTeam:
         seed: the seed of the run.
         set_action: sets the action of a pursuer in the world.
         lies: the Byzantine faults; see `desim.pursuit.byzantine.lies.draw_lies`.
-        targets: returns the pursuers that chase, those that would capture first first.
+        targets: returns the pursuers that chase, in the order in which they would capture.
         trace: receives the events `FaultStarted` and `FaultEnded`.
     """
 

@@ -154,8 +154,8 @@ class MaxGeodesic(Fleeing):
 class Hide(Fleeing):
     """Go by the shortest path to the nearest place that no pursuer sees, behind a wall that blocks sight.
 
-    Only places count to which no pursuer could come first. A hidden evader stands still; one without such a place flees
-    straight from the nearest pursuer.
+    Only places count to which no pursuer could come first, even straight through walls. A hidden evader stands still;
+    one without such a place flees straight from the nearest pursuer.
     """
 
     kind: Literal["hide"] = "hide"

@@ -121,7 +121,9 @@ class Plausible(_Observing):
     - The position is farther away than the sender can have moved since.
 
     A true announcement is never rejected, however late, if clocks are equal: only what the sender can have done since
-    then is held against it. A rejected teammate counts as silent until its next announcement that is not refuted.
+    then is held against it. The capture time of a sender that does not see the evader follows from its estimate, and
+    may be refuted by those that see it. A rejected teammate counts as silent until its next announcement that is not
+    refuted.
     """
 
     kind: Literal["plausible"] = "plausible"
