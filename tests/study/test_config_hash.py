@@ -25,6 +25,7 @@ from pydantic import BaseModel, PrivateAttr
 
 from desim.config.data_files import content_hash
 from desim.config.model import Value
+from desim.config.own_modules import find_own_modules, module_beside
 from desim.study.plan import user_code
 from desim.study.plan.config_hash import StablePickler
 from desim.study.plan.user_code import UserCode
@@ -376,6 +377,20 @@ def test_the_text_of_a_module_beside_the_file_counts(tmp_path, monkeypatch, made
         found.append(stable_hash([eval(made, vars(import_module("beside")))]))
     sys.modules.pop("beside")
     assert found[0] == found[1] != found[2]
+
+
+def test_modules_of_one_name_in_two_folders_count_both_whichever_comes_first(tmp_path, monkeypatch):
+    """One is imported by its plain name, the other as the module beside a file."""
+    for folder, text in (("plain", "A = 1"), ("beside", "A = 2")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "twice.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path / "plain")
+    plain, beside = "twice", module_beside("twice", tmp_path / "beside")
+    find_own_modules()
+    for names in ((plain, beside), (beside, plain)):
+        code = UserCode()
+        assert all(map(code.add, names))
+        assert len({*code.code.values()}) == 2
 
 
 GROUP = {

@@ -46,7 +46,7 @@ class UserCode:
 
     def add(self, name: str) -> bool:
         """Add a module; return whether it has a source, or belongs to a package in `HASHED_BY_NAME`."""
-        if name in self._modules or name in self.code or package_of(name) in HASHED_BY_NAME:
+        if name in self._modules or package_of(name) in HASHED_BY_NAME:
             return True
         file = None if name == "__main__" else _file(name)
         if file is None:
