@@ -155,7 +155,7 @@ def break_(
                 budget=inf if budget is None else budget,
                 log=CaseLog(folder / CASES, prop),
             )
-            _end_with_search(search, prop, file, folder, keep, jobs, as_json=as_json)
+            _end_with_search(search, prop, file, folder, keep, jobs, timeout, as_json=as_json)
     except ValueError as error:
         fail(problem(error, vary="grid", **({} if text is None else {"property": "text"})))
 
@@ -201,7 +201,15 @@ def _run_kept(keep: Path, folder: Path, scenario: "Scenario", prop: "Property", 
 
 
 def _end_with_search(
-    search: "Search", prop: "Property", file: Path, folder: Path, keep: Path | None, jobs: int, *, as_json: bool
+    search: "Search",
+    prop: "Property",
+    file: Path,
+    folder: Path,
+    keep: Path | None,
+    jobs: int,
+    timeout: float | None,
+    *,
+    as_json: bool,
 ) -> NoReturn:
     """Print and write what a search has found, and end the program."""
     from desim.study.breaking.found import command_for, protocols_text, scenario_text, search_text
@@ -218,7 +226,7 @@ def _end_with_search(
         if keep is not None:
             name = f"{violation.scenario.protocol_name}-{prop.label[:40]}-{violation.seed}.toml".replace(":", "-")
             write(text.encode(), keep / name)
-        verdicts = violation.protocols(jobs)
+        verdicts = violation.protocols(jobs, timeout=timeout)
         at = None if violation.failure else violation.verdict.at
         again = command_for("run", str(smallest), violation.scenario, file.parent.absolute())
         texts += ["", protocols_text(verdicts, prop), ""]

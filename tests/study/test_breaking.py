@@ -800,10 +800,12 @@ def test_a_protocol_of_a_user_is_the_first_of_those_that_are_compared(monkeypatc
     def rule(me):
         yield me.sleep(1.0)
 
-    scenario, verdict = Scenario(protocol=rule), Judgement(-1.0, 2.0, 0.5, None)
+    scenario, verdict, limits = Scenario(protocol=rule), Judgement(-1.0, 2.0, 0.5, None), []
     monkeypatch.setattr("desim.study.breaking.search.PROTOCOLS", SimpleNamespace(choices=dict))
+    monkeypatch.setattr("desim.study.breaking.search.workers_for", lambda *given: limits.append(given) or InProcess())
     violation = Violation(scenario, 1, property_of(SHORT), verdict, case={}, first={}, searched=1, shrunk=0)
-    assert violation.protocols(1) == {scenario.protocol_name: verdict}
+    assert violation.protocols(1, timeout=2.5) == {scenario.protocol_name: verdict}
+    assert limits == [(1, 0, 2.5)], "the others have the time that the search gave them"
 
 
 def test_a_search_is_about_a_scenario():

@@ -55,7 +55,9 @@ class Violation:
         """The number of faults that were added."""
         return sum("fault" in changes for changes in self.case.values())
 
-    def protocols(self, jobs: int = 0, log: CaseLog | None = None) -> dict[str, Judgement | str]:
+    def protocols(
+        self, jobs: int = 0, log: CaseLog | None = None, timeout: float | None = None
+    ) -> dict[str, Judgement | str]:
         """Return what each installed protocol does in this scenario with this seed; a text: why it cannot be run.
 
         A protocol of the user's that violates the property is the first one.
@@ -63,6 +65,7 @@ class Violation:
         Args:
             jobs: the number of worker processes; 0 = the number of cores.
             log: what was run before, which is not run again; it receives what is run.
+            timeout: the longest wall time of a run, s; None: no limit. If in doubt, that of the search.
         """
         name = self.scenario.protocol_name
         verdicts: dict[str, Judgement | str] = (
@@ -76,7 +79,7 @@ class Violation:
                 planned[kind] = Planned({}, self.seed, under_protocol(self.scenario, kind))
             except ValueError as error:
                 verdicts[kind] = str(error).splitlines()[0]
-        with workers_for(jobs, len(planned)) as workers:
+        with workers_for(jobs, len(planned), timeout) as workers:
             runs = CaseJudge(self.prop, workers, log).judge_all([*planned.values()])
         return verdicts | {
             kind: case_run.failure or case_run.verdict for kind, case_run in zip(planned, runs, strict=True)
@@ -183,8 +186,9 @@ def find_violation(
             margin that hardly varies misleads.
         jobs: the number of worker processes; 0 = the number of cores. The result does not depend on it.
         timeout: the longest wall time of a run, s; None: no limit. A longer run has failed.
-        budget: the time, s of wall time, after which no further cases begin; that of the runs in `log` counts, so that
-            a greater one goes on where a smaller one ended. With it, the result depends on the speed of the machine.
+        budget: the time, s of wall time, after which the search ends; that of the runs in `log` counts, so that a
+            greater one goes on where a smaller one ended. With it, the result depends on the speed of the machine. A
+            violation is made smaller whatever the budget.
         shrinking: the greatest number of cases to make a found one smaller.
         log: what was run before, which is not run again; it receives what is run.
         on_case: called with each case, in order.
