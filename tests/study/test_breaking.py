@@ -717,6 +717,16 @@ def test_a_run_is_in_the_log_as_soon_as_it_has_ended(tmp_path, monkeypatch):
     assert case_text(case) == 'network.latency = { kind = "constant", value = 0.2 }, team.count = 3'
 
 
+def test_a_run_that_took_too_long_is_made_again(tmp_path, monkeypatch):
+    """The limit may be another one now; another failure is that of the run."""
+    log, kept = log_of(tmp_path / "cases.jsonl"), CaseRun(Judgement(1.0, 0.9, 0.0), [])
+    for seed, failure in ((1, "TimedOut: took longer than 1 s"), (2, "ValueError: no")):
+        log.add(SMALL, seed, CaseRun(FAILED, [], 1.0, failure))
+    monkeypatch.setattr(judging, "drive", lambda tasks, *_: ((k, Outcome("ok", kept)) for k in range(len(tasks))))
+    judge_run = CaseJudge(property_of(SHORT), InProcess(), log)
+    assert [judge_run(SMALL, seed).failure for seed in (1, 2)] == ["", "ValueError: no"]
+
+
 @pytest.mark.parametrize(("module", "function"), [(judging, "seen_in"), (losses, "copies")])
 def test_an_exception_after_a_run_is_not_its_protocols(module, function, monkeypatch):
     monkeypatch.setattr(module, function, lambda _: {}["missing"])

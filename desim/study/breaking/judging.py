@@ -21,6 +21,10 @@ from desim.study.workers.dispatch import Measurement, Outcome, Task, drive
 from desim.study.workers.workers import Workers
 
 
+TOO_LONG = "TimedOut"
+"""How the failure of a run begins that takes longer than the limit."""
+
+
 class Planned(NamedTuple):
     """A case that is to be run."""
 
@@ -31,6 +35,8 @@ class Planned(NamedTuple):
 
 class CaseJudge:
     """Judges runs by a property. Runs that a log has are not made again; the log receives the others.
+
+    A run that took too long is made again, as the limit may be another one now.
 
     Args:
         prop: the property.
@@ -55,7 +61,7 @@ class CaseJudge:
         by_case: dict[int, CaseRun] = {}
         if self._log is not None:
             logged = ((k, self._log.find(planned.scenario, planned.seed)) for k, planned in enumerate(cases))
-            by_case = {k: case_run for k, case_run in logged if case_run is not None}
+            by_case = {k: known for k, known in logged if known and not known.failure.startswith(TOO_LONG)}
         missing = [k for k in range(len(cases)) if k not in by_case]
         if missing:
             by_case |= dict(zip(missing, self._run_all([cases[k] for k in missing]), strict=True))
@@ -103,7 +109,7 @@ def failure_of(outcome: Outcome, timeout: float | None) -> str:
     is_too_long = timeout is not None and isinstance(error, TimedOut)
     if isinstance(error, JudgementError) or not (isinstance(error, Exception) or is_too_long):
         raise error
-    return ": ".join(["TimedOut" if is_too_long else type(error).__name__, *str(error).strip().splitlines()[:1]])
+    return ": ".join([TOO_LONG if is_too_long else type(error).__name__, *str(error).strip().splitlines()[:1]])
 
 
 def _case_run(prop: Property, result: Result) -> CaseRun:
