@@ -20,7 +20,6 @@ from desim.study.store.run_table import Row
 from desim.study.workers.dispatch import Measurement, Outcome, Task, drive
 from desim.study.workers.workers import Workers
 
-
 TOO_LONG = "TimedOut"
 """How the failure of a run begins that takes longer than the limit."""
 
