@@ -57,9 +57,9 @@ def test_the_indices_of_a_known_function():
     assert indices.variance == pytest.approx(VARIANCE, rel=0.01)
     assert all(index.low <= value <= index.high for index, value in zip(indices.first, (*FIRST, 0.0), strict=True))
     dummy = indices.total[3]
-    assert dummy.has_0
+    assert dummy.low <= 0.0 <= dummy.high
     assert (dummy.low, dummy.high) == (0.0, 0.0)
-    assert not any(index.has_0 for index in indices.total[:3])
+    assert all(index.low > 0.0 for index in indices.total[:3])
 
 
 @pytest.mark.slow
@@ -110,9 +110,9 @@ def test_an_input_that_only_changes_the_luck_has_no_index_and_without_seeds_it_h
     error = np.std([one.total[1].value for one in of_luck[8]], ddof=1) / sqrt(12)
     assert abs(means[8]) <= 3.0 * error < 0.1
     assert np.mean([one.first[0].value for one in of_luck[8]]) == pytest.approx(1.0, abs=0.1)
-    assert sum(one.total[1].has_0 for one in of_luck[8]) >= 9
+    assert sum(one.total[1].low <= 0.0 <= one.total[1].high for one in of_luck[8]) >= 9
     assert means[1] == pytest.approx(0.5, abs=0.1)
-    assert not any(one.total[1].has_0 for one in of_luck[1])
+    assert all(one.total[1].low > 0.0 for one in of_luck[1])
     chance = np.mean([one.variance_of_chance for one in of_luck[8]])
     assert chance == pytest.approx(1.0, abs=0.1)
 
@@ -404,11 +404,21 @@ def test_what_is_no_analysis_is_refused(options, why):
         analysed(**({"points": 8, "trajectories": 2} | options))
 
 
-@pytest.mark.parametrize(("total", "decides"), [((0.06, 0.01, 0.1), True), ((0.04, 0.01, 0.1), False)])
-def test_a_key_decides_from_a_twentieth_of_the_variance_on(total, decides):
+@pytest.mark.parametrize(
+    ("total", "decides", "is_idle"),
+    [
+        ((0.06, 0.01, 0.1), True, False),
+        ((0.04, 0.01, 0.1), False, False),
+        ((0.06, -0.01, 0.1), False, True),
+        ((-0.2, -0.3, -0.1), False, True),
+    ],
+)
+def test_a_key_decides_from_a_twentieth_of_the_variance_on(total, decides, is_idle):
     made = by_hand.sensitivity()
     indices = replace(made.indices, total=(made.indices.total[0], IndexEstimate(*total)))
-    assert ("network.loss.p (" in replace(made, indices=indices).sentences()[0]) == decides
+    sentence = replace(made, indices=indices).sentences()[0]
+    assert ("network.loss.p (" in sentence) == decides
+    assert sentence.endswith("; not told apart from 0: network.loss.p") == is_idle
 
 
 def test_an_effect_of_chance_is_named_unless_an_index_tells_it_apart():

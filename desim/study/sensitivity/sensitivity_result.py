@@ -105,7 +105,7 @@ class SensitivityResult(TabularResult):
             )
         order = sorted(self.total, key=lambda key: -self.total[key].value)
         deciding = [key for key in order if self.total[key].value >= DECIDES and self.total[key].low > 0.0]
-        idle = [key for key in order if self.total[key].has_0]
+        idle = [key for key in order if self.total[key].low <= 0.0]  # by chance, all of an interval may be below 0
         listed = [f"{key} ({_in_percent(self.total[key])})" for key in deciding]
         text = f"{metric} is decided by {_listed(listed)}" if listed else f"{metric}: no key is told apart from chance"
         return f"{text}; not told apart from 0: {', '.join(idle)}" if idle else text

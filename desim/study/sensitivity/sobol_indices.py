@@ -34,11 +34,6 @@ class IndexEstimate:
     low: float
     high: float
 
-    @property
-    def has_0(self) -> bool:
-        """Whether the interval contains 0."""
-        return self.low <= 0.0 <= self.high
-
 
 @dataclass(frozen=True)
 class SobolIndices:
