@@ -180,6 +180,8 @@ def test_six_seconds_of_twenty_pursuers_and_their_messages_are_less_than_a_megab
         ({"begin": 0.5, "end": 0.2}, "window from 0.5 s to 0.2 s is empty"),
         ({"speed": 0.0}, "greater than 0"),
         ({"fps": 51}, "from 1 to 50"),
+        ({"fps": 12.5}, "fps should be an integer"),
+        ({"begin": "1"}, "begin should be a number"),
         ({"speed": 1e-4}, f"more than {MAX_FRAMES} frames: choose a higher speed"),
         ({"speed": 1e-12}, "more than"),
     ],

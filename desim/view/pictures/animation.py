@@ -39,6 +39,7 @@ from desim.analysis.drawing.walls import draw_walls
 from desim.analysis.trace_index import captures, ended, messages_recorded, started
 from desim.config.arrays import Bools, Floats, Integers
 from desim.config.errors import ArgumentError
+from desim.config.python_numbers import real, whole
 from desim.config.whole_files import replacing
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import nanoseconds, seconds, time_text
@@ -102,27 +103,28 @@ def animate(
 
     Raises:
         ModuleNotFoundError: if imageio-ffmpeg is missing for an MP4.
-        ValueError: if no positions were recorded, `speed`, `fps` or `size` is out of bounds, the window is empty or has
-            too many frames, or the file is neither a GIF nor an MP4.
+        ValueError: if no positions were recorded, `speed`, `fps` or `size` is out of bounds, an argument is no number,
+            the window is empty or has too many frames, or the file is neither a GIF nor an MP4.
         OSError: if the file cannot be written.
     """
     path = Path(path)
+    begin, speed, fps = real(begin, "begin"), real(speed, "speed"), whole(fps, "fps")
     is_video = path.suffix.lower() == ".mp4"
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"{path}: a film should end in {' or '.join(SUFFIXES)}")
     pixels = _pixels(size)
     if is_video:
         import imageio_ffmpeg  # noqa: F401 - missing packages are reported before anything is drawn
-    last = seconds(ended(result).t) if end is None else min(end, seconds(ended(result).t))
+    over = seconds(ended(result).t)
+    last = over if end is None else min(real(end, "end"), over)
     if not 0.0 <= begin < last:
         raise ValueError(
-            f"`begin`, `end`: the window from {begin:g} s to {last:g} s is empty: the run lasted"
-            f" {seconds(ended(result).t):g} s"
+            f"`begin`, `end`: the window from {begin:g} s to {last:g} s is empty: the run lasted {over:g} s"
         )
     if not (0.0 < speed < inf and 1 <= fps <= 50):
         raise ValueError(f"the speed should be greater than 0 and fps from 1 to 50, got {speed:g} and {fps}")
     pause = 100 // fps * 10  # ms
-    step = nanoseconds(speed * pause / 1000.0)
+    step = nanoseconds(min(speed * pause / 1000.0, over))
     times = [*range(nanoseconds(begin), nanoseconds(last), max(step, 1))[: MAX_FRAMES + 1], nanoseconds(last)]
     if len(times) > MAX_FRAMES:
         raise ValueError(
