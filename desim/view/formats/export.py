@@ -77,7 +77,6 @@ def exporter_for(file: Path, exporter: Any = None, *, allow_import: bool = False
         **parameters: the parameters of an exporter that is given by its kind or by the suffix.
 
     Raises:
-        TypeError: if it is not the result of a run; the message says what to write instead.
         ValueError: if the file has the wrong suffix, there is no such exporter, or it has no such parameters.
     """
     if exporter is None:
@@ -126,6 +125,7 @@ def export(result: Result | StreamedResult, file: str | PathLike[str], exporter:
         exporter: an exporter, its kind or "module:Name", for instance `Csv(events=("Decided",))`.
 
     Raises:
+        TypeError: if it is not the result of a run; the message says what to write instead.
         ValueError: if the file has another suffix, or the messages that a .pcapng needs were not recorded.
         ImportError: if a package that the format needs is not installed.
         OSError: if the file cannot be written.

@@ -8,7 +8,7 @@ function bytes(text) {
   for (let k = 0; k < found.length; k++) found[k] = binary.charCodeAt(k);
   return found;
 }
-/** The integers of a column, as `unpacked` of replay_columns.py describes it, in a typed array. */
+/** The integers of a column, as `packed_column` of replay_columns.py describes it, in a typed array. */
 function unpacked(text, Numbers) {
   const content = bytes(text), isDifference = content[0] & 1, hasRuns = content[0] & 2;
   let at = 1;
