@@ -136,7 +136,8 @@ class Wording:
         if error_type in {"too_long", "too_short"}:
             most = error_type == "too_long"
             limit = context["max_length" if most else "min_length"]
-            return f"should have at {'most' if most else 'least'} {limit} items, has {context['actual_length']}"
+            number = f"{limit} {'item' if limit == 1 else 'items'}, has {context['actual_length'] or 'none'}"
+            return f"should have at {'most' if most else 'least'} {number}"
         return (_no_number(error["input"], info) if error_type in NUMBERS else None) or text_of(error)
 
     def _unknown_key(self, place: KeyPath, owner: type[BaseModel] | None, allowed: Sequence[str] | None) -> str:
