@@ -72,6 +72,10 @@ def test_what_is_no_metric_is_told_with_file_line_and_key(file, given, said):
         load(path, allow_import=True)
 
 
+def test_a_function_in_c_without_a_signature_may_be_a_metric(file):
+    assert load(file("builtins:max"), allow_import=True).record.metrics[0].of is max
+
+
 def test_an_installed_metric_needs_no_trust_and_one_that_is_not_there_suggests_it(file, monkeypatch):
     point = SimpleNamespace(name="gap", module="tests.analysis.of_users", attr="half")
     monkeypatch.setattr(module, "entry_points", lambda group: [point] if group == "desim.metrics" else [])
