@@ -31,7 +31,7 @@ from desim import (
     summary,
     sweep,
 )
-from desim.config.answers import value_text
+from desim.config.arguments import value_text
 from desim.config.errors import AnswerError
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import Lost, MessageCounts

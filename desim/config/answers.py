@@ -1,7 +1,6 @@
 """The error about what a model of a user returned: it names the model, and where it is defined."""
 
 import os
-import re
 from functools import partial
 from pathlib import Path
 from types import FunctionType, MethodType
@@ -9,14 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from desim.config.arguments import value_text
 from desim.config.errors import AnswerError
 from desim.config.traits import OURS, is_ours
 
-_ADDRESS = re.compile(
-    r"<(?:(?:function|generator|coroutine|async_generator) )?(?:object )?(?:(?:[^<>]|<\w+>)*\.)?(\w+|<\w+>)"
-    r"(?: object)? at 0x[0-9a-fA-F]+>"
-)
-"""Matches the default representation of an object, a function or a generator; its name is the group."""
 MAX_ITEMS = 8
 """Maximum number of items of an array whose shape is not named."""
 LONGEST = 300
@@ -36,11 +31,6 @@ def wrong_answer(expected: str, answer: object, model: object) -> AnswerError:
         text = f"an array of shape {answer.shape}, {text}"
     text = text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
     return AnswerError(f"{expected}, got {text} from {name_and_place(model)}")
-
-
-def value_text(value: object) -> str:
-    """Return the representation of a value as one line, in which objects and functions have no addresses."""
-    return _ADDRESS.sub(r"\1", " ".join(repr(value).split()))
 
 
 def name_and_place(model: object) -> str:

@@ -1,5 +1,6 @@
 """Arguments of functions, and attributes of objects: what does not exist is refused with what to write instead."""
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import wraps
 from inspect import Parameter, signature
@@ -38,18 +39,34 @@ class Argument(NamedTuple):
         name, shown = type(value).__name__, repr(str(value) if is_path else value)
         code = self.instead.get("path" if is_path else name)
         if code is None:
-            return f"not a {name} (got {abridged(shown)})"
+            return f"not {with_article(name)} (got {abridged(shown)})"
         what = "a path" if is_path else with_article(name)
         return f"not {what}: {code.format(function=function, value=shown)}"
 
 
 RESULTS = Argument("the path of a folder with results", (str, PathLike), MappingProxyType({}))
+_ADDRESS = re.compile(
+    r"<(?:(?:function|generator|coroutine|async_generator) )?(?:object )?(?:(?:[^<>]|<\w+>)*\.)?(\w+|<\w+>)"
+    r"(?: object)? at 0x[0-9a-fA-F]+>"
+)
+"""Matches the default representation of an object, a function or a generator; its name is the group."""
 MAX_SHOWN = 60
 """The largest number of characters of a value that a message shows."""
 
 
+def value_text(value: object) -> str:
+    """Return the representation of a value as one line, in which objects and functions have no addresses."""
+    return without_addresses(" ".join(repr(value).split()))
+
+
+def without_addresses(text: str) -> str:
+    """Return a text in which objects and functions have no addresses, which differ from process to process."""
+    return _ADDRESS.sub(r"\1", text)
+
+
 def abridged(text: str) -> str:
-    """Return a value as text, cut to what a message shows."""
+    """Return a value as text, cut to what a message shows, and without addresses."""
+    text = without_addresses(text)
     return text if len(text) < MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."
 
 

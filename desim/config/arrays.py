@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.config.answers import LONGEST, value_text
+from desim.config.answers import LONGEST
+from desim.config.arguments import value_text
 from desim.config.python_numbers import as_python
 
 Floats = NDArray[np.float64]

@@ -6,6 +6,7 @@ from inspect import Signature, getattr_static, isasyncgenfunction, iscoroutinefu
 from typing import Any
 
 from desim.config.answers import name_and_place
+from desim.config.arguments import value_text
 from desim.config.errors import AnswerError
 
 
@@ -13,9 +14,8 @@ def check_method(value: Any, name: str, takes: Sequence[str]) -> None:
     """Raise ValueError if a model has no method with a name and these arguments."""
     method: Any = getattr(value, name, None)
     if not callable(method):
-        raise ValueError(
-            f"{name} should be a method {name}({', '.join(takes)}) (got {method!r} of {name_and_place(value)})"
-        )
+        what = f"{value_text(method)} of {name_and_place(value)}"
+        raise ValueError(f"{name} should be a method {name}({', '.join(takes)}) (got {what})")
     try:
         check_call(method, takes, value)
     except AnswerError as error:
@@ -60,7 +60,7 @@ def own_signature(function: Callable[..., Any]) -> Signature:
 def check_argument(function: Any, takes: Sequence[str], name: str) -> None:
     """Raise ValueError if an argument is no function that can be called with the arguments named in `takes`."""
     if not callable(function):
-        raise ValueError(f"{name} should be a function (got {function!r})")
+        raise ValueError(f"{name} should be a function (got {value_text(function)})")
     try:
         check_call(function, takes, function)
     except AnswerError as error:

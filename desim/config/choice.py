@@ -21,6 +21,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, SchemaValidator, core_schema
 
 from desim.config.answers import name_and_place
+from desim.config.arguments import value_text
 from desim.config.calls import check_at_once, check_call, check_method
 from desim.config.error_texts import text_of
 from desim.config.model import markers_of
@@ -271,7 +272,7 @@ class OneOf:
         parameters = {key: value for key, value in table.items() if key != "kind"}
         if not isinstance(model, type):
             if not callable(model):
-                raise ValueError(f"{kind!r} should be callable (got {model!r})")
+                raise ValueError(f"{kind!r} should be callable (got {value_text(model)})")
             if parameters:
                 raise ValueError(f"{kind!r} is not a class and takes no parameters, got {', '.join(parameters)}")
             return model

@@ -14,6 +14,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from desim.config.arguments import value_text
 from desim.config.traits import attributes
 from desim.config.trust import regular_or_missing
 
@@ -50,7 +51,7 @@ def open_data(path: str | Path) -> BytesIO:
             " level of the model's module, or list it in `depends_on` of the model and use open()"
         )
     if not isinstance(path, str | PathLike):
-        raise TypeError(f"open_data takes the path of a file (got {path!r})")
+        raise TypeError(f"open_data takes the path of a file (got {value_text(path)})")
     content = regular_or_missing(Path(path)).read_bytes()
     sys._getframe(1).f_globals.setdefault(OPENED, {})[str(path)] = content_hash(content)
     return BytesIO(content)
@@ -72,7 +73,7 @@ def declared(model: Any) -> dict[str, str]:
     if callable(paths):
         paths = paths()
     if not (isinstance(paths, tuple | list) and all(isinstance(path, str | PathLike) for path in paths)):
-        raise DataFileError(f"depends_on: should be a tuple of paths (got {paths!r})")
+        raise DataFileError(f"depends_on: should be a tuple of paths (got {value_text(paths)})")
     try:
         return {str(path): content_hash(regular_or_missing(Path(path)).read_bytes()) for path in paths}
     except OSError as error:

@@ -18,6 +18,7 @@ from numbers import Complex, Integral, Real
 from operator import index, length_hint
 from typing import Any
 
+from desim.config.arguments import value_text
 from desim.config.column_names import COLUMNS, coordinate_columns
 
 ATOMS = frozenset({int, float, bool, str, type(None)})
@@ -91,7 +92,7 @@ def whole(value: Any, name: str) -> int:
     """
     number = as_python(value)
     if type(number) is not int:
-        raise ValueError(f"{name} should be an integer (got {value!r})")
+        raise ValueError(f"{name} should be an integer (got {value_text(value)})")
     return number
 
 
@@ -103,7 +104,7 @@ def real(value: Any, name: str) -> float:
     """
     number = as_python(value)
     if type(number) is not float and type(number) is not int:
-        raise ValueError(f"{name} should be a number (got {value!r})")
+        raise ValueError(f"{name} should be a number (got {value_text(value)})")
     try:
         return float(number)
     except OverflowError as error:

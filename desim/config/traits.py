@@ -26,6 +26,7 @@ from typing import Annotated, Any, ClassVar, Self, TypeGuard, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ValidationError
 
+from desim.config.arguments import value_text
 from desim.config.error_texts import text_of
 from desim.config.field_docs import annotated, fields_of
 from desim.config.model import Value
@@ -105,7 +106,7 @@ class Traits(Value):
         except ValidationError as error:
             first = error.errors()[0]
             raise ValueError(
-                f"{first['loc'][0]} of {name_of(value)}: {text_of(first)} (got {first['input']!r})"
+                f"{first['loc'][0]} of {name_of(value)}: {text_of(first)} (got {value_text(first['input'])})"
             ) from error
 
     @classmethod

@@ -8,6 +8,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from desim.config.arguments import value_text
 from desim.config.python_numbers import why_no_text
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ def path_in(folder: Path, path: Any, *, is_trusted: bool) -> Path:
             leads out of the folder and the file that names it is not trusted.
     """
     if not isinstance(path, str | PathLike):
-        raise ValueError(f"file should be a path (got {path!r})")
+        raise ValueError(f"file should be a path (got {value_text(path)})")
     path = Path(path)
     try:
         str(path).encode()

@@ -13,6 +13,7 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import PlainSerializer, PlainValidator, ValidationInfo, WithJsonSchema
 
+from desim.config.arguments import value_text
 from desim.config.named_code import import_name, named_in_file
 from desim.config.suggestion import did_you_mean
 
@@ -149,7 +150,7 @@ def _condition(value: Any, info: ValidationInfo) -> Condition:
         name = import_name(value)
         return Condition(name, (QuantityComparison(name, None, ">", 0.0, value),))
     if not isinstance(value, str):
-        raise ValueError(f"should be {CONDITION_FORM} (got {value!r})")
+        raise ValueError(f"should be {CONDITION_FORM} (got {value_text(value)})")
     text = " ".join(value.split())
     return Condition(text, tuple(_comparison(part, info) for part in re.split(r"\s+and\s+", text)))
 
@@ -166,7 +167,7 @@ def _comparison(text: str, info: ValidationInfo) -> QuantityComparison:
     if ":" in name:
         of = named_in_file(name, info)
         if not callable(of):
-            raise ValueError(f"{name!r} should be a function of a result (got {of!r})")
+            raise ValueError(f"{name!r} should be a function of a result (got {value_text(of)})")
     elif name not in QUANTITIES:
         raise ValueError(
             f"there is no quantity {name!r}{did_you_mean(name, QUANTITIES)}; there are {', '.join(QUANTITIES)},"

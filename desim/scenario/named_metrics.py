@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, PlainSerializer, PlainValidator, ValidationInfo, WithJsonSchema
 
+from desim.config.arguments import value_text
 from desim.config.calls import own_signature
 from desim.config.named_code import import_name, load_named, named_in_file
 from desim.config.packages import MARGINS
@@ -66,7 +67,7 @@ def _named(value: Any, info: ValidationInfo) -> NamedMetric:
     if not isinstance(value, str):
         also = "; `sweep` and `summary` take any callable as metrics={NAME: callable}" if callable(value) else ""
         raise ValueError(
-            f'should be a function, "module:name" or the name of an installed metric{also} (got {value!r})'
+            f'should be a function, "module:name" or the name of an installed metric{also} (got {value_text(value)})'
         )
     if value.startswith(MARGIN):
         name = value.removeprefix(MARGIN)
@@ -90,7 +91,7 @@ def _named(value: Any, info: ValidationInfo) -> NamedMetric:
 def _check_called(name: str, of: Any) -> None:
     """Raise ValueError if an object cannot be called with one argument, or is a class."""
     if not callable(of) or isinstance(of, type):
-        raise ValueError(f"{name!r} should be a function of a result (got {of!r})")
+        raise ValueError(f"{name!r} should be a function of a result (got {value_text(of)})")
     try:
         own_signature(of).bind("result")
     except TypeError as error:

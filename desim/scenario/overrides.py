@@ -9,6 +9,7 @@ from typing import Any, Self
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from desim.config.arguments import value_text
 from desim.config.choice import choices_of
 from desim.config.errors import KeyedError, KeyPath, Problem, problems_of
 from desim.config.field_docs import fields_of
@@ -153,7 +154,7 @@ class Source:
         origin = "with_"
         try:
             if not isinstance(name, str) or not all(name.split(".")):
-                raise ValueError(f"a dotted key is for instance network.latency.value (got {name!r})")
+                raise ValueError(f"a dotted key is for instance network.latency.value (got {value_text(name)})")
             self.set(name, as_python(value), origin)
         except ValueError as error:
             raise ScenarioError(*(problem._replace(where=origin) for problem in problems_of(error))) from None

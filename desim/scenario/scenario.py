@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
-from desim.config.arguments import naming_arguments
+from desim.config.arguments import naming_arguments, value_text
 from desim.config.choice import OneOf
 from desim.config.html import html_properties
 from desim.config.key_index import outermost
@@ -193,7 +193,7 @@ class Scenario(Value):
         keys: Any = changes
         if not isinstance(keys, Mapping):
             form = "{'network.latency.value': 0.5}"
-            raise TypeError(f"with_ takes values by key, {form} for instance (got {changes!r})")
+            raise TypeError(f"with_ takes values by key, {form} for instance (got {value_text(changes)})")
         source = Source.of(self)
         for name, value in sorted(changes.items(), key=lambda change: str(change[0]).count(".")):
             source.replace(name, value)  # a table before what is changed in it

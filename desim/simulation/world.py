@@ -6,6 +6,7 @@ from itertools import count
 import numpy as np
 import simpy
 
+from desim.config.arguments import value_text
 from desim.config.python_numbers import as_python, whole
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.events import Trace
@@ -223,7 +224,7 @@ def possible_action(view: View, pursuer: int, action: int) -> int:
     state = view.state
     number = action if type(action) is int or type(action) is bool else as_python(action)
     if type(number) not in {int, bool, float} or number not in range(state.evader_count + 1):
-        raise ValueError(f"an action should be 0 or an evader, 1 .. {state.evader_count}, got {action}")
+        raise ValueError(f"an action should be 0 or an evader, 1 .. {state.evader_count}, got {value_text(action)}")
     action = int(number)
     return action if action and not state.broken[pursuer] and view.may_chase(pursuer, action) else 0
 
