@@ -6,6 +6,8 @@ from types import MappingProxyType
 
 NUMBER_AS_TEXT = re.compile(r"\s*([+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:e[+-]?\d+)?)\s*([^\W\d_]*|%)\s*", re.IGNORECASE)
 """Matches a text that is meant as a number, and its unit."""
+AMBIGUOUS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
+"""Matches a number whose comma may be a decimal sign, or separate thousands."""
 UNITS = MappingProxyType(
     {
         "s": ("s", 1.0),
@@ -33,6 +35,8 @@ def why_no_number(text: str, units: Collection[str] = ("s", "1")) -> str | None:
     match = NUMBER_AS_TEXT.fullmatch(text)
     if match is None:
         return None
+    if AMBIGUOUS.fullmatch(match[1]):
+        return f"should be a number: its decimal sign is a point, and thousands have no separator (got {text!r})"
     number, unit = match[1].replace(",", "."), match[2].lower()
     if not unit:
         return f"should be a number: {number} instead of the text {text!r}"
@@ -40,7 +44,7 @@ def why_no_number(text: str, units: Collection[str] = ("s", "1")) -> str | None:
         return f"should be a number without a unit (got {text!r})"
     right, count = UNITS[unit]
     what = "a number from 0 to 1" if right == "1" else f"a number, in {right}"
-    return f"should be {what}: {float(number) / count:g} instead of the text {text!r}"
+    return f"should be {what}: {float(number) / count:.15g} instead of the text {text!r}"
 
 
 def seconds_in(text: str) -> float | None:
