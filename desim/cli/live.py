@@ -163,7 +163,7 @@ def overload(results: "Sequence[LiveResult]") -> str:
     from desim.live.result import lateness_of
 
     p99 = {name: lateness_of(results, name).p99 for name in ("timers", "deliveries")}
-    late = [f"{name} by more than {1e3 * time:.0f} ms" for name, time in p99.items() if time > GATE]
+    late = [f"{name} by {1e3 * time:.0f} ms or more" for name, time in p99.items() if time > GATE]
     if not late:
         return ""
     return f"late: 1 % of the {' and of the '.join(late)}: results depend on this machine; try again while it is idle"

@@ -20,7 +20,9 @@ class Lateness(NamedTuple):
 
     number: int
     median: float
+    """What half of them were late at most."""
     p99: float
+    """What 99 % of them were late at most: of fewer than 100, the worst."""
     worst: float
 
     def __str__(self) -> str:
@@ -30,8 +32,8 @@ class Lateness(NamedTuple):
     def of(cls, nanoseconds: Sequence[int]) -> "Lateness":
         """Return the lateness of timers, given that of each one, ns."""
         late = [time / SECOND for time in sorted(nanoseconds)] or [0.0]
-        last = len(late) - 1
-        return cls(len(nanoseconds), late[last // 2], late[round(0.99 * last)], late[last])
+        count = len(late)
+        return cls(len(nanoseconds), late[(count - 1) // 2], late[(99 * count - 1) // 100], late[-1])
 
 
 class WallClock:

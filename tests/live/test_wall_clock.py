@@ -133,4 +133,8 @@ def test_the_quantiles_of_latenesses_are_those_of_their_order():
     assert Lateness.of([]) == Lateness(0, 0.0, 0.0, 0.0)
     assert Lateness.of([3 * MS, MS, 2 * MS]) == Lateness(3, 0.002, 0.003, 0.003)
     assert Lateness.of(range(201 * MS, 0, -MS)) == Lateness(201, 0.101, 0.199, 0.201)
+    for count, p99 in ((60, 0.06), (99, 0.099), (100, 0.099), (101, 0.1), (200, 0.198)):
+        times = range(count * MS, 0, -MS)
+        assert Lateness.of(times).p99 == p99  # the least of them that 99 % do not exceed
+        assert 0.99 * count <= sum(time <= p99 * 1e9 for time in times) < 0.99 * count + 1
     assert str(Lateness(3, 0.00123, 0.0456, 0.1)) == "1.23, 45.6 and 100.0 ms"
