@@ -108,7 +108,7 @@ class Referee:
         self._state = state = initial_state(env, scenario, self._seed)
         self._world = world = World(env, scenario, state, [View(state, scenario.prune)] * state.size, trace, end)
         network, _, faults = make_network(env, scenario, state, self._seed, None)
-        team = TeamProcesses(env, scenario, world, {}, [], None, None)
+        self._team = team = TeamProcesses(env, scenario, world, {}, [], None, None)
         inject(faults, env, network, trace, crashed=team.crashed, recovered=team.recovered)
         world.begin()
         env.process(self._frames(max(FRAME, nanoseconds(scenario.motion.step))))
@@ -147,9 +147,10 @@ class Referee:
             self._end.finish("stopped")
             return
         now = self._env.now
+        crash = Crash(start=seconds(now), node=pursuer)
         self._logs.crashed[pursuer] = now
-        self._trace.append(FaultStarted(now, Crash(start=seconds(now), node=pursuer)))
-        self._world.crash(pursuer)
+        self._trace.append(FaultStarted(now, crash))
+        self._team.crashed(crash)  # a scheduled crash that ends later does not bring it up again
         self._conduct.ends[pursuer] = how
         self._tell(f"pursuer {pursuer} {how} at {seconds(now):.2f} s")
 

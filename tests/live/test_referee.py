@@ -141,6 +141,17 @@ def test_a_lost_process_crashes_its_pursuer():
     assert referee._end.outcome is None
 
 
+@pytest.mark.parametrize("lost", [20 * MS, 200 * MS])
+def test_a_lost_process_stays_down_when_a_scheduled_crash_ends(lost):
+    fault = {"kind": "crash", "start": 0.1, "end": 0.3, "node": 1}
+    referee, _ = judge(fault=[fault, fault | {"node": 0}])
+    pass_time(referee, lost)
+    referee._lose(1, "was lost")
+    assert referee._state.broken.tolist() == [lost > 100 * MS, True]
+    pass_time(referee, 400 * MS)
+    assert referee._state.broken.tolist() == [False, True]
+
+
 def test_an_exception_of_a_protocol_stops_the_run_without_a_crash():
     referee, room = judge(Room(errors=["pursuer 1: ValueError: no way"]))
     pass_time(referee, 20 * MS)
