@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from desim.analysis.trace_index import captures, ended, remembered, started
+from desim.analysis.trace_index import captures, ended, events_of, places_of, remembered, started
 from desim.config.arrays import Bools, Floats, Integers
 from desim.kernel.core.portable_math import inner_product, portable_sum
 from desim.kernel.core.units import SECOND, nanoseconds
@@ -54,7 +54,7 @@ class EvaderPursuit:
 @remembered
 def decisions(result: Result) -> list[Decided]:
     """Return the decisions, in order, whether or not they changed an action."""
-    return result.trace.of(Decided)
+    return events_of(result, Decided)
 
 
 @remembered
@@ -65,7 +65,9 @@ def changes(result: Result) -> list[Change]:
     """
     actions, end = list(started(result).active), ended(result).t
     changed: list[Change] = []
-    for event in result.trace:
+    events = result.trace.events
+    for place in places_of(result, Decided, BrokeDown, Captured):
+        event = events[place]
         if isinstance(event, Decided | BrokeDown):
             if action(event) != actions[event.pursuer]:
                 actions[event.pursuer] = action(event)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import wraps
+from itertools import chain
 from typing import Any, TypeVar
 
 from desim.kernel.core.events import MESSAGES, MessageCounts, TransportCounts
@@ -10,6 +11,7 @@ from desim.pursuit.core.events import Captured, Ended, Sampled, Started
 from desim.simulation.run import Result
 
 Derived = TypeVar("Derived")
+Kind = TypeVar("Kind")
 NO_POSITIONS = "positions were not recorded: set record.trajectory to a time greater than 0 s"
 """The error message for a run without recorded positions."""
 NO_MESSAGES = "the trace lacks the messages that were sent: set record.messages = true"
@@ -44,33 +46,56 @@ def remembered(derive: Callable[[Result], Derived]) -> Callable[[Result], Derive
 
 
 @remembered
+def _places(result: Result) -> dict[type, list[int]]:
+    """Return the positions in the trace of the events of each type; one pass serves all metrics of a run."""
+    places: dict[type, list[int]] = {}
+    for place, kind in enumerate(map(type, result.trace)):
+        if kind in places:
+            places[kind].append(place)
+        else:
+            places[kind] = [place]
+    return places
+
+
+def places_of(result: Result, *kinds: type) -> list[int]:
+    """Return the positions in the trace of the events of some types, in order."""
+    return sorted(chain.from_iterable(at for kind, at in _places(result).items() if issubclass(kind, kinds)))
+
+
+def events_of(result: Result, kind: type[Kind]) -> list[Kind]:
+    """Return the events of one type, in order, as `Trace.of` does."""
+    events: list[Any] = result.trace.events
+    return [events[place] for place in places_of(result, kind)]
+
+
+@remembered
 def started(result: Result) -> Started:
     """Return the `Started` event, the first of the run."""
-    return result.trace.of(Started)[0]
+    return events_of(result, Started)[0]
 
 
 @remembered
 def ended(result: Result) -> Ended:
     """Return the `Ended` event, which gives the time and the reason of the end of the run."""
-    return result.trace.of(Ended)[0]
+    return events_of(result, Ended)[0]
 
 
 @remembered
 def captures(result: Result) -> list[Captured]:
     """Return the captures in order."""
-    return result.trace.of(Captured)
+    return events_of(result, Captured)
 
 
 @remembered
 def positions_known(result: Result) -> bool:
     """Return whether positions are known: they were sampled, or the game is static."""
-    return result.scenario.motion.static or any(isinstance(event, Sampled) for event in result.trace)
+    return result.scenario.motion.static or bool(places_of(result, Sampled))
 
 
 @remembered
 def samples(result: Result) -> list[Started | Sampled]:
     """Return the events with positions: the start and, unless the game is static, the samples."""
-    return [started(result), *(() if result.scenario.motion.static else result.trace.of(Sampled))]
+    return [started(result), *(() if result.scenario.motion.static else events_of(result, Sampled))]
 
 
 def sampled(result: Result) -> list[Sampled]:
@@ -79,7 +104,7 @@ def sampled(result: Result) -> list[Sampled]:
     Raises:
         ValueError: if there are none.
     """
-    states = result.trace.of(Sampled)
+    states = events_of(result, Sampled)
     if not states:
         raise ValueError(NO_POSITIONS)
     return states
@@ -88,7 +113,7 @@ def sampled(result: Result) -> list[Sampled]:
 @remembered
 def messages_recorded(result: Result) -> bool:
     """Return whether the trace of a run has its messages."""
-    return result.scenario.record.messages is True or any(isinstance(event, MESSAGES) for event in result.trace)
+    return result.scenario.record.messages is True or bool(places_of(result, *MESSAGES))
 
 
 def lacks_messages(result: Result) -> bool:
@@ -109,11 +134,11 @@ def require_messages(result: Result) -> None:
 @remembered
 def messages(result: Result) -> MessageCounts:
     """Return the numbers of messages; a broadcast counts as one message per receiver."""
-    return result.trace.of(MessageCounts)[0]
+    return events_of(result, MessageCounts)[0]
 
 
 @remembered
 def transport(result: Result) -> TransportCounts | None:
     """Return what transports did; None if no message needed a transport."""
-    counts = result.trace.of(TransportCounts)
+    counts = events_of(result, TransportCounts)
     return counts[0] if counts else None

@@ -5,7 +5,7 @@ import pytest
 from desim import Scenario, run, summary
 from desim.analysis.deception import captures_lost, damage_per_liar, false_accusations, first_lies, time_to_detect
 from desim.analysis.metrics import active_time, capture_time
-from desim.kernel.core.events import MessageCounts
+from desim.kernel.core.events import MessageCounts, Trace
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.faults import Crash
 from desim.kernel.models.traced_faults import FaultEnded, FaultStarted, Misbehaviour
@@ -19,11 +19,11 @@ from protocols.local_min import LocalMin
 from protocols.schedules.periodic import Poisson
 
 
-class Made(list):
-    """A trace of given events."""
-
-    def of(self, *kinds):
-        return [event for event in self if isinstance(event, kinds)]
+def made(events):
+    """Return a trace of given events."""
+    trace = Trace()
+    trace.events += events
+    return trace
 
 
 def lie(node, number=0):
@@ -33,7 +33,7 @@ def lie(node, number=0):
 def test_only_what_honest_pursuers_believe_counts():
     """2 lies from 1 s on, 3 from 2 s on; 0 suspects 2 at 1.5 s, and 1 falsely; 2 suspects 0; 1 suspects 3 too early."""
     s = SECOND
-    trace = Made(
+    trace = made(
         [
             FaultStarted(0, Crash(node=5, start=0.0)),
             FaultStarted(s, lie(2)),

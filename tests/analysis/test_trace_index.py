@@ -3,15 +3,18 @@
 import pytest
 
 from desim.analysis.trace_index import (
+    events_of,
     lacks_messages,
     messages_recorded,
+    places_of,
     positions_known,
     require_messages,
     sampled,
     samples,
+    trace_index,
 )
 from desim.kernel.core.events import MessageCounts, Trace
-from desim.pursuit.core.events import Sampled, Started
+from desim.pursuit.core.events import Decided, Ended, Sampled, Started
 from desim.scenario.players import Team
 from desim.scenario.scenario import Motion, Recording, Scenario
 from desim.simulation.run import Result, run
@@ -68,3 +71,18 @@ def test_missing_messages_are_an_error_that_explains_how_to_record_them():
     require_messages(ran(messages=True))
     with pytest.raises(ValueError, match=r"^the trace lacks the messages that were sent: set record\.messages = true"):
         require_messages(ran())
+
+
+class SpecialSample(Sampled):
+    """A type of events that a user derives."""
+
+
+def test_events_are_those_of_the_trace_in_order_also_of_a_derived_type():
+    result = ran(0.1)
+    result.trace.events.insert(2, SpecialSample(*result.trace.of(Sampled)[0]))
+    index, events = trace_index(result), result.trace.events
+    assert events_of(index, Sampled) == result.trace.of(Sampled) != []
+    assert events_of(index, Ended) == result.trace.of(Ended) != []
+    places = places_of(index, Sampled, Decided)
+    assert places == [k for k, event in enumerate(events) if isinstance(event, Sampled | Decided)]
+    assert 2 in places
