@@ -8,15 +8,16 @@ Kept equal to a loop over the trace by
 `tests/analysis/test_age.py::test_ages_and_beliefs_equal_those_of_a_plain_loop_over_the_trace`.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, pairwise, repeat
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from desim.analysis.deception import first_lies
-from desim.analysis.trace_index import ended, remembered, require_messages, started
+from desim.analysis.trace_index import ended, events_of, places_of, remembered, require_messages, started
 from desim.config.arrays import Integers
 from desim.kernel.core.events import LOST, Broadcast, ClockCorrected, Delivered, Lost, Sent
 from desim.kernel.core.records import Record
@@ -25,7 +26,7 @@ from desim.kernel.models.clock_skew import clock_errors
 from desim.kernel.models.faults import Crash
 from desim.kernel.models.traced_faults import FaultEnded
 from desim.kernel.wandering_clock import clock_walks
-from desim.pursuit.team.announcements import action_in_game, records_in, relayed_records
+from desim.pursuit.team.announcements import action_in_game, own_records, relayed_records
 from desim.simulation.run import Result
 
 Pieces = NDArray[np.void]
@@ -54,6 +55,8 @@ DELIVERED = -1
 """In place of the number of a transmission: a message that a transport has delivered, and that is not lost."""
 ROUNDING = 100
 """ns; a stamp is rounded to 1 ns, which the slowest clock (`MIN_DRIFT`) takes 100 ns for."""
+ROWS = 1 << 12
+"""Number of rows of a batch: temporary arrays are then small, so that their memory is used again."""
 
 
 @remembered
@@ -69,23 +72,12 @@ def knowledge(result: Result) -> Pieces:
     """
     require_messages(result)
     profile, end = np.array(started(result).active, np.int64), ended(result).t
-    announced, receptions = _messages(result, len(profile), end)
-    edges = np.searchsorted(receptions.dst, np.arange(len(profile) + 1))
-    memory_losses = _memory_losses(result)
-    lives = []
-    for reader in range(len(profile)):
-        mine = receptions.between(edges[reader], edges[reader + 1])
-        bounds = [0, *memory_losses.get(reader, []), end]
-        # At an instant faults come first, so a record that arrives as the memory is lost belongs to the next period.
-        arrived = [0, *np.searchsorted(mine.arrival, bounds[1:-1]), len(mine.arrival)]
-        for k, ((begin, until), span) in enumerate(zip(pairwise(bounds), pairwise(arrived), strict=True)):
-            is_known = k == 0 and result.scenario.announce.start == "known"
-            before = LAST if k == len(bounds) - 2 else FIRST
-            life = _Life(
-                reader, begin, until, before, profile if is_known else np.zeros_like(profile), 0 if is_known else -1
-            )
-            lives.append(life.pieces(announced, mine.between(*span)))
-    return np.concatenate(lives)
+    announced, sent, receptions = _messages(result, len(profile), end)
+    lives, records, size = _lives(result, receptions, end), sent.count[receptions.sent], len(profile)
+    pieces, number = np.empty(len(lives.reader) * (size - 1) + records.sum(), PIECE), 0
+    for batch in lives.batches(size, records):
+        number += batch.fill(pieces[number:], announced, sent, receptions, profile)
+    return pieces[:number]
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,118 +85,190 @@ class _Announcements:
     """The columns of a table of all records sent; one row per record and transmission."""
 
     source: Integers
-    seq: Integers
+    rank: Integers
+    """The rank of the sequence number among those of the table: 1 for the number 0, and never 0."""
     created: Integers
     active: Integers
     """The evader that the source chases, or 0; -1 if the record has no action."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Receptions:
-    """The columns of a table of receptions, one row each, in order of receiver, arrival and `place`."""
+class _Transmissions:
+    """The columns of a table of transmissions and deliveries with records, one row each, in order of the trace."""
 
-    dst: Integers
-    arrival: Integers
     place: Integers
-    """The position of the transmission in the trace."""
+    """The position in the trace."""
     first: Integers
     """The row in `_Announcements` of the first record carried."""
     count: Integers
     """Number of records carried."""
 
+
+@dataclass(frozen=True, slots=True)
+class _Receptions:
+    """The columns of a table of receptions, one row each, in order of receiver, arrival and `sent`."""
+
+    dst: Integers
+    arrival: Integers
+    sent: Integers
+    """The row in `_Transmissions`."""
+
     def between(self, first: int, last: int) -> "_Receptions":
         """Return the rows from `first` to before `last`."""
-        columns = (self.dst, self.arrival, self.place, self.first, self.count)
-        return _Receptions(*(column[first:last] for column in columns))
+        return _Receptions(self.dst[first:last], self.arrival[first:last], self.sent[first:last])
 
-    def unpacked(self) -> tuple[Integers, Integers]:
+    def unpacked(self, sent: _Transmissions) -> tuple[Integers, Integers]:
         """Return, for each record received, the row of its reception in this table and its row in `_Announcements`."""
-        reception = np.repeat(np.arange(len(self.dst)), self.count)
-        start = np.cumsum(self.count) - self.count
-        return reception, self.first[reception] + np.arange(len(reception)) - start[reception]
+        count, first = sent.count[self.sent], sent.first[self.sent]
+        if (count == 1).all():  # as a rule, without relays
+            return np.arange(len(count)), first
+        reception = np.repeat(np.arange(len(count)), count)
+        return reception, np.arange(len(reception)) + (first - np.cumsum(count) + count)[reception]
 
 
 @dataclass(frozen=True, slots=True)
-class _Life:
-    """A period in which a reader keeps its memory; `profile` holds its initial beliefs, the action of each pursuer."""
+class _Lives:
+    """The columns of a table of lives, periods in which a reader keeps its memory, in order of reader and time."""
 
-    reader: int
-    begin: int
-    until: int
-    before: int
-    profile: Integers
-    seq: int
-    """Sequence number of the initial beliefs; records with this or a lower number are ignored."""
+    reader: Integers
+    begin: Integers
+    """Start of the run, or time of a loss of memory, ns."""
+    until: Integers
+    """Time of the next loss of memory, or end of the run, ns."""
+    before: Integers
+    """`LAST` if the life ends with the run, else `FIRST`."""
+    knows: Integers
+    """1 if the reader knows the initial actions of all, else 0: the rank of the sequence number of its beliefs."""
+    edges: Integers
+    """(lives + 1,) the row in `_Receptions` of the first reception of each life, and the number of receptions."""
 
-    def pieces(self, announced: _Announcements, receptions: _Receptions) -> Pieces:
-        """Return the newest records of the reader over time, given its receptions in this period."""
-        reception, record = receptions.unpacked()
-        foreign = announced.source[record] != self.reader
-        reception, record = reception[foreign], record[foreign]
-        sources = np.delete(np.arange(len(self.profile)), self.reader)
+    def batches(self, size: int, records: Integers) -> "Iterator[_Lives]":
+        """Yield the lives in batches of about `ROWS` rows at most; one life may have more.
 
-        def column(presumed: int | NDArray[np.generic], heard: Integers) -> Integers:
-            return np.concatenate([np.broadcast_to(presumed, len(sources)), heard])
+        A batch has at most 2^16 pairs of a life and a source, unless one life has more, because numpy sorts small
+        integers in linear time.
 
-        source, seq = column(sources, announced.source[record]), column(self.seq, announced.seq[record]) + 1
-        # In order of source, then arrival, the running maximum of this key belongs to the newest record so far.
-        order = np.argsort(source.astype(np.min_scalar_type(len(self.profile))), kind="stable")
-        key = (source * (seq.max(initial=0) + 1) + seq)[order]
-        newer = np.append(True, key[1:] > np.maximum.accumulate(key)[:-1])[: len(key)]
-        order = order[newer]
-        active = column(self.profile[sources], announced.active[record])[order]
+        Args:
+            size: number of pursuers.
+            records: number of records in each reception.
+        """
+        number = np.arange(len(self.reader))
+        rows = np.append(0, np.cumsum(records))[self.edges[:-1]] + number * size
+        part, block = rows // ROWS, number // max((1 << 16) // size, 1)
+        bounds = np.flatnonzero((np.diff(part) > 0) | (np.diff(block) > 0)) + 1
+        for first, last in pairwise([0, *bounds.tolist(), len(number)]):
+            columns = (self.reader, self.begin, self.until, self.before, self.knows)
+            yield _Lives(*(column[first:last] for column in columns), self.edges[first : last + 1])
+
+    def fill(
+        self,
+        rows: Pieces,
+        announced: _Announcements,
+        sent: _Transmissions,
+        receptions: _Receptions,
+        profile: Integers,
+    ) -> int:
+        """Write the newest records of the readers in these lives over time, and return their number.
+
+        Args:
+            rows: where to write them, with as many rows as there are initial beliefs and records received, or more.
+            announced: all records sent.
+            sent: all transmissions.
+            receptions: all receptions.
+            profile: (N,) the initial action of each pursuer.
+        """
+        size, count, mine = len(profile), len(self.reader), receptions.between(self.edges[0], self.edges[-1])
+        reception, record = mine.unpacked(sent)
+        life_of = np.repeat(np.arange(count), np.diff(self.edges))[reception]
+        foreign = announced.source[record] != self.reader[life_of]
+        if not foreign.all():  # a relay may carry a record back to its source
+            reception, record, life_of = reception[foreign], record[foreign], life_of[foreign]
+        # The rows: the initial belief of each life in each source, then all records received, in order of arrival.
+        initial = np.delete(np.arange(count * size), np.arange(count) * size + self.reader)
+        lives, sources = np.divmod(initial, size)
+
+        def column(presumed: int | Integers, heard: Integers) -> Integers:
+            return np.concatenate([np.broadcast_to(presumed, len(initial)), heard])
+
+        pair = column(initial, life_of * size + announced.source[record])
+        rank = column(self.knows[lives], announced.rank[record])
+        order = np.argsort(pair.astype(np.min_scalar_type(count * size)), kind="stable")
+        # In order of pair, then arrival, the running maximum of this key belongs to the newest record so far.
+        key = (pair * (rank.max(initial=0) + 1) + rank)[order]
+        order = order[np.append(True, key[1:] > np.maximum.accumulate(key)[:-1])[: len(key)]]
+        active = column(self.knows[lives] * profile[sources], announced.active[record])[order]
         last_with_action = np.maximum.accumulate(np.where(active >= 0, np.arange(len(order)), 0))
+        life = column(lives, life_of)[order]
 
-        pieces = np.empty(len(order), PIECE)
-        pieces["reader"], pieces["source"] = self.reader, source[order]
-        pieces["created"] = column(self.begin, announced.created[record])[order]
-        pieces["active"], pieces["presumed"] = active[last_with_action], order < len(sources)
-        pieces["begin"] = column(self.begin, receptions.arrival[reception])[order]
-        pieces["after"] = column(FIRST, receptions.place[reception])[order]
-        pieces["until"], pieces["before"], pieces["superseded"] = self.until, self.before, False
-        earlier = np.flatnonzero(pieces["source"][1:] == pieces["source"][:-1])
-        pieces["until"][earlier] = pieces["begin"][earlier + 1]
-        pieces["before"][earlier] = pieces["after"][earlier + 1]
-        pieces["superseded"][earlier] = True
-        return pieces
+        pieces = rows[: len(order)]
+        pieces["reader"], pieces["source"] = self.reader[life], pair[order] - life * size
+        pieces["created"] = column(self.begin[lives], announced.created[record])[order]
+        pieces["active"], pieces["presumed"] = active[last_with_action], order < len(initial)
+        begin = pieces["begin"] = column(self.begin[lives], mine.arrival[reception])[order]
+        after = pieces["after"] = column(FIRST, sent.place[mine.sent][reception])[order]
+        superseded = np.append(np.diff(pair[order]) == 0, False)[: len(order)]
+        pieces["until"] = np.where(superseded, np.roll(begin, -1), self.until[life])
+        pieces["before"] = np.where(superseded, np.roll(after, -1), self.before[life])
+        pieces["superseded"] = superseded
+        return len(pieces)
 
 
-def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Receptions]:
-    """Return the records sent, and their receptions up to `end` (ns)."""
+def _lives(result: Result, receptions: _Receptions, end: int) -> _Lives:
+    """Return the lives of all readers up to the end of the run, ns."""
+    memory_losses, size = _memory_losses(result), len(started(result).active)
+    knows = int(result.scenario.announce.start == "known")
+    lives, edges = list[tuple[int, int, int, int, int]](), list[int]()
+    for reader, (first, last) in enumerate(pairwise(np.searchsorted(receptions.dst, np.arange(size + 1)).tolist())):
+        losses = memory_losses.get(reader, [])
+        # At an instant faults come first, so a record that arrives as the memory is lost belongs to the next life.
+        edges += [first, *(first + np.searchsorted(receptions.arrival[first:last], losses)).tolist()]
+        for k, (begin, until) in enumerate(pairwise([0, *losses, end])):
+            lives.append((reader, begin, until, LAST if k == len(losses) else FIRST, knows if k == 0 else 0))
+    return _Lives(*np.array(lives, np.int64).T, np.array([*edges, len(receptions.dst)]))
+
+
+def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Transmissions, _Receptions]:
+    """Return the records sent, their transmissions, and the receptions up to `end` (ns)."""
     records: list[Record] = []
+    # (place in the trace, first record, number of records, number, number of receivers) of each transmission
+    transmissions: list[int] = []
     nodes: list[tuple[int, ...]] = []
     arrivals: list[Iterable[int]] = []
-    # (number of receivers, transmission, place in the trace, first record, number of records) of each transmission
-    carried: list[tuple[int, int, int, int, int]] = []
-    lost: list[int] = []
-    clocks = _Clocks(result, size)
-    for place, event in enumerate(result.trace):
-        if isinstance(event, Broadcast | Sent | Delivered):
+    # The first record of a message to one node, and their number, by the identity of its body: copies of it share both.
+    carried: dict[int, tuple[int, int]] = {}
+    clocks, events = _Clocks(result, size), result.trace.events
+    for place in places_of(result, Broadcast, Sent, Delivered):
+        event: Any = events[place]
+        if isinstance(event, Broadcast):
             announced = clocks.true_records(event)
+            transmissions += (place, len(records), len(announced), event.transmission, len(event.dst))
+            records += announced
             # The receivers of a broadcast are taken as a whole: pairs of receiver and arrival take ten times as long.
-            reached = event.dst if isinstance(event, Broadcast) else tuple(node for node, _ in event.fates())
-            if announced and reached:
-                number = DELIVERED if isinstance(event, Delivered) else event.transmission
-                carried.append((len(reached), number, place, len(records), len(announced)))
-                records += announced
-                nodes.append(reached)
-                if isinstance(event, Broadcast):
-                    alike = len(event.arrival) == 1
-                    arrivals.append(repeat(event.arrival[0], len(reached)) if alike else event.arrival)
-                else:
-                    arrivals.append(tuple(arrival for _, arrival in event.fates()))
-        elif isinstance(event, Lost):
-            lost.append(event.transmission * size + event.dst)
-    receivers, *columns = np.array(carried, np.int64).reshape(-1, 5).T
-    transmission, place_of, first, count = (np.repeat(column, receivers) for column in columns)
-    node, at = (np.fromiter(chain.from_iterable(column), np.int64, len(place_of)) for column in (nodes, arrivals))
-    arrived = np.flatnonzero((at != LOST) & (at <= end) & ~np.isin(transmission * size + node, lost))
-    # In order of (node, at, place): the rows are in order of place, and nearly in order of `at`, which is then fast.
+            nodes.append(event.dst)
+            alike = len(event.arrival) == 1
+            arrivals.append(repeat(event.arrival[0], len(event.dst)) if alike else event.arrival)
+            continue
+        if id(event.body) not in carried:
+            announced = clocks.true_records(event)
+            carried[id(event.body)] = len(records), len(announced)
+            records += announced
+        first, count = carried[id(event.body)]
+        if count:
+            number, arrival = (event.transmission, event.arrival) if isinstance(event, Sent) else (DELIVERED, event.t)
+            transmissions += (place, first, count, number, 1)
+            nodes.append((event.dst,))
+            arrivals.append((arrival,))
+    *columns, numbers, receivers = np.array(transmissions, np.int64).reshape(-1, 5).T
+    sent = np.repeat(np.arange(len(receivers)), receivers)
+    node, at = (np.fromiter(chain.from_iterable(column), np.int64, len(sent)) for column in (nodes, arrivals))
+    lost = [event.transmission * size + event.dst for event in events_of(result, Lost)]
+    arrived = np.flatnonzero((at != LOST) & (at <= end))
+    arrived = arrived[~np.isin(numbers[sent[arrived]] * size + node[arrived], lost)]
+    # In order of (node, at, sent): the rows are in order of `sent`, and nearly in order of `at`, which is then fast.
     arrived = arrived[np.argsort(at[arrived], kind="stable")]
     arrived = arrived[np.argsort(node[arrived].astype(np.min_scalar_type(size)), kind="stable")]
-    return _columns(records, len(started(result).evaders)), _Receptions(
-        *(column[arrived] for column in (node, at, place_of, first, count))
-    )
+    table = _columns(records, len(started(result).evaders))
+    return table, _Transmissions(*columns), _Receptions(node[arrived], at[arrived], sent[arrived])
 
 
 class _Clocks:
@@ -220,7 +284,7 @@ class _Clocks:
         self._walks = clock_walks(faults, self._errors, result.seed, nanoseconds(scenario.horizon))
         self._corrections: dict[int, list[tuple[int, float]]] = {}
         """By node: the time, ns, and the value, s, of each correction, the newest first."""
-        for correction in result.trace.of(ClockCorrected):
+        for correction in events_of(result, ClockCorrected):
             self._corrections.setdefault(correction.node, [(0, 0.0)]).insert(0, (correction.t, correction.correction))
         self._lies = first_lies(result)
         self._published: dict[tuple[int, int], int] = {}
@@ -233,11 +297,9 @@ class _Clocks:
         if relayed is None:
             if not self._right:
                 self._note(event)
-            return records_in(event)
-        records = tuple(record for record in relayed if record.src < len(self._errors))
-        if self._right:
-            return records
-        return tuple(record._replace(stamp=self._time(record, event)) for record in records)
+            return own_records(event)
+        records = [record for record in relayed if record.src < len(self._errors)]
+        return records if self._right else [record._replace(stamp=self._time(record, event)) for record in records]
 
     def _note(self, event: Broadcast | Sent | Delivered) -> None:
         """Note when a record is published: as its source broadcasts it, or in the first frame of a transport with it.
@@ -278,15 +340,16 @@ class _Clocks:
 
 
 def _columns(records: list[Record], evaders: int) -> _Announcements:
-    active = [-1 if (action := action_in_game(record.body, evaders)) is None else action for record in records]
-    source, seq, created = ([record[k] for record in records] for k in range(3))
-    return _Announcements(*(np.array(column, np.int64) for column in (source, seq, created, active)))
+    source, seq, created, bodies = zip(*records, strict=True) if records else ((),) * len(Record._fields)
+    active = [-1 if (action := action_in_game(body, evaders)) is None else action for body in bodies]
+    _, rank = np.unique([0, *seq], return_inverse=True)
+    return _Announcements(*(np.array(column, np.int64) for column in (source, rank[1:] + 1, created, active)))
 
 
 def _memory_losses(result: Result) -> dict[int, list[int]]:
     """Return the times, ns, at which each pursuer lost its memory: at the end of each crash with `memory` = false."""
     memory_losses: dict[int, list[int]] = {}
-    for over in result.trace.of(FaultEnded):
+    for over in events_of(result, FaultEnded):
         if isinstance(over.fault, Crash) and not over.fault.memory:
             memory_losses.setdefault(over.fault.node, []).append(over.t)
     return memory_losses

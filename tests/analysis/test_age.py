@@ -430,7 +430,8 @@ def histories(draw):
             created[node, seqs[node]] = (t, body)
             events.append(Broadcast(t, transmission, node, seqs[node], others, arrival, t, 24, body))
         elif kind == "relay" and others:
-            events.append(Sent(t, transmission, node, others[0], arrival[0], t, 24, passed_on))
+            fates = zip(others, arrival, strict=True)
+            events += [Sent(t, transmission, node, dst, when, t, 24, passed_on) for dst, when in fates]
         elif kind == "gossip":
             events.append(Broadcast(t, transmission, node, 1, others, arrival, t, 24, passed_on))
         elif kind == "decided":
@@ -522,6 +523,16 @@ def test_ages_and_beliefs_equal_those_of_a_plain_loop_over_the_trace(result):
     np.testing.assert_allclose(age.at_decision, at_decision, rtol=0, atol=1e-12)
     assert belief_error(result) == pytest.approx(wrong, abs=1e-12, nan_ok=True)
     assert believed_leaders(result) == pytest.approx(leaders, abs=1e-12)
+
+
+@pytest.mark.slow
+@settings(deadline=None, max_examples=25)
+@given(histories())
+def test_pieces_do_not_depend_on_the_batches_in_which_they_are_found(result):
+    whole = knowledge(result).tolist()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("desim.analysis.knowledge.ROWS", 1)
+        assert knowledge(result).tolist() == whole
 
 
 # By theory.

@@ -30,7 +30,7 @@ from desim.pursuit.core.events import Captured, Decided
 from desim.pursuit.game.utility import EdgePenalty, LocalMean, Mean
 from desim.pursuit.sensing.views import View
 from desim.pursuit.team.agent import Agent, Voice, repeat
-from desim.pursuit.team.announcements import STARTS, Announcements, Assignment, records_in
+from desim.pursuit.team.announcements import STARTS, Announcements, Assignment, own_records, relayed_records
 from desim.pursuit.team.timing import StandstillError
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
@@ -900,7 +900,8 @@ def test_an_announcement_is_what_it_was_when_it_was_sent(dissemination):
     assert seen[1]
     assert all(stops == [1] for stops in seen[1] + seen[2])
     assert bool(seen[2]) == (not isinstance(dissemination, OneHop))
-    records = [record for event in result.trace if isinstance(event, Broadcast | Sent) for record in records_in(event)]
+    sent = [event for event in result.trace if isinstance(event, Broadcast | Sent)]
+    records = [record for event in sent for record in relayed_records(event.body) or own_records(event)]
     stops = [record.body.stops for record in records if isinstance(record.body, Path)]
     assert stops == [[1]] * len(stops)
     assert len(stops) >= 1 + len(seen[2][:1])

@@ -47,7 +47,7 @@ from desim.pursuit.team.announcements import (
     DISSEMINATIONS,
     Announcements,
     LocatedAssignment,
-    records_in,
+    own_records,
     relayed_records,
 )
 from desim.pursuit.team.judges import Accusation
@@ -83,6 +83,12 @@ def team(*faults, payload="time", protocol=None, **changes):
 def go(scenario, seed, until=1.0):
     """Return the result of a run up to a time, s."""
     return run(scenario, seed, lambda event: event.t > until * SECOND)
+
+
+def records_in(event):
+    """Return the records that a message relays, or its own."""
+    relayed = relayed_records(event.body)
+    return own_records(event) if relayed is None else relayed
 
 
 def said(result, src, begin=0, end=inf):
