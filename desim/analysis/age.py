@@ -8,18 +8,19 @@ sources and readers. A piece is a period in which a reader has the same newest r
 These metrics need the messages of a run: `record.messages = true`.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from math import nan
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.analysis.activity import action, changes
+from desim.analysis.activity import action, changes, decisions
 from desim.analysis.knowledge import Pieces, knowledge
-from desim.analysis.trace_index import ended, remembered, started
+from desim.analysis.trace_index import ended, places_of, remembered, started
 from desim.config.arrays import Floats, Integers
+from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import SECOND
 from desim.pursuit.core.events import Decided
 from desim.simulation.run import Result
@@ -47,9 +48,9 @@ def ages(result: Result) -> Ages:
     Raises:
         ValueError: if the trace lacks messages that were sent.
     """
-    all_pieces = knowledge(result)
-    pieces, size = all_pieces[~all_pieces["presumed"]], len(started(result).active)
-    pair, created = pieces["reader"] * size + pieces["source"], pieces["created"]
+    pieces, size = knowledge(result), len(started(result).active)
+    pair, heard = pieces["reader"] * size + pieces["source"], ~pieces["presumed"]
+    begin, until, created = pieces["begin"], pieces["until"], pieces["created"]
 
     def averaged(total: Floats, weight: NDArray[np.generic]) -> Floats:
         """Return the sum of `total` over the sum of `weight` for each pair, (N, N); nan if the weights sum to 0."""
@@ -57,11 +58,13 @@ def ages(result: Result) -> Ages:
         averages: Floats = np.divide(totals, weights, out=np.full(size * size, nan), where=weights > 0)
         return averages.reshape(size, size)
 
-    duration = (pieces["until"] - pieces["begin"]) / SECOND
-    middle = (pieces["begin"] + pieces["until"] - 2 * created) / (2 * SECOND)
-    last = (pieces["until"] - created) / SECOND * pieces["superseded"]
+    # Initial beliefs weigh nothing: to leave out their rows would copy all others.
+    duration = (until - begin) / SECOND * heard
+    middle = (begin + until - 2 * created) / (2 * SECOND)
+    replaced = pieces["superseded"] & heard
+    last = (until - created) / SECOND * replaced
     total, count = _at_decisions(result, pieces)
-    return Ages(averaged(duration * middle, duration), averaged(last, pieces["superseded"]), averaged(total, count))
+    return Ages(averaged(duration * middle, duration), averaged(last, replaced), averaged(total * heard, count * heard))
 
 
 def over_pairs(age: Floats) -> float:
@@ -117,13 +120,13 @@ def belief_error(result: Result) -> float:
     Raises:
         ValueError: if the trace lacks messages that were sent.
     """
-    wrong, size, end = 0, len(started(result).active), ended(result).t
-    relays = list(result.scenario.team.relays)
-    acting, pieces = size - len(relays), knowledge(result)
-    pieces = pieces[~np.isin(pieces["reader"], relays) & ~np.isin(pieces["source"], relays)]
-    for actual, about in zip(_true_actions(result), _split(pieces, "source", size), strict=True):
-        right = actual.time(about["active"], about["until"]) - actual.time(about["active"], about["begin"])
-        wrong += int((about["until"] - about["begin"] - right).sum())
+    size, end, relays = len(started(result).active), ended(result).t, list(result.scenario.team.relays)
+    acting, beliefs, actions = size - len(relays), _beliefs(result), _true_actions(result)
+    about = beliefs.of(~np.isin(beliefs.reader, relays) & ~np.isin(beliefs.source, relays))
+    right = actions.time(about.source, about.active, about.until) - actions.time(
+        about.source, about.active, about.begin
+    )
+    wrong = portable_sum((about.until - about.begin - right).tolist())
     return wrong / (acting * (acting - 1) * end) if acting > 1 and end else nan
 
 
@@ -136,75 +139,114 @@ def believed_leaders(result: Result) -> float:
     Raises:
         ValueError: if the trace lacks messages that were sent.
     """
-    alone, size, end = 0, len(started(result).active), ended(result).t
-    for actual, pieces in zip(_true_actions(result), _split(knowledge(result), "reader", size), strict=True):
-        for evader in set(actual.did.tolist()) - {0}:
-            on_target = pieces[pieces["active"] == evader]
-            times = np.concatenate([[0], on_target["begin"], on_target["until"], [end]])
-            steps = np.repeat([0, 1, -1, 0], [1, len(on_target), len(on_target), 1])
-            order = np.argsort(times, kind="stable")
-            no_other = np.cumsum(steps[order])[:-1] == 0
-            alone += int(np.diff(actual.time(evader, times[order]))[no_other].sum())
+    end, beliefs, actions = ended(result).t, _beliefs(result), _true_actions(result)
+    others = beliefs.of(beliefs.active > 0)
+    reader, evader = np.tile(others.reader, 2), np.tile(others.active, 2)
+    times, steps = np.append(others.begin, others.until), np.repeat([1, -1], len(others.begin))
+    order = np.lexsort((times, evader, reader))
+    # After an event at which the count is not 0, and up to the next, the reader knows of others on the evader.
+    known = np.flatnonzero(np.cumsum(steps[order]))
+    chasing = actions.time(reader, evader, times)[order]
+    alone = int(actions.lasted[actions.did > 0].sum()) - portable_sum((chasing[known + 1] - chasing[known]).tolist())
     return alone / end if end else nan
 
 
-def _split(pieces: Pieces, role: str, size: int) -> Iterator[Pieces]:
-    """Yield the pieces of each reader, or of each source, in order of id."""
-    ordered = pieces[np.argsort(pieces[role], kind="stable")]
-    edges = np.searchsorted(ordered[role], np.arange(size + 1))
-    yield from (ordered[first:last] for first, last in pairwise(edges))
+@dataclass(frozen=True, slots=True)
+class _Beliefs:
+    """The columns of a table of beliefs: periods in which the newest records of a source show a reader one action."""
+
+    reader: Integers
+    source: Integers
+    active: Integers
+    """The action of the source as the reader knows it: the evader that it chases, or 0."""
+    begin: Integers
+    """ns"""
+    until: Integers
+    """ns"""
+
+    def of(self, rows: NDArray[np.generic]) -> "_Beliefs":
+        """Return some rows, given their indices or a mask."""
+        return _Beliefs(*(column[rows] for column in (self.reader, self.source, self.active, self.begin, self.until)))
+
+
+@remembered
+def _beliefs(result: Result) -> _Beliefs:
+    """Return the beliefs of all readers: successive pieces with one action are one belief; most pieces are such."""
+    pieces = knowledge(result)
+    active, superseded = pieces["active"], pieces["superseded"]
+    first = np.flatnonzero(np.append(True, ~superseded[:-1] | (active[1:] != active[:-1]))[: len(pieces)])
+    last = np.append(first[1:], len(pieces))[: len(first)] - 1
+    begin, until = pieces["begin"][first], pieces["until"][last]
+    return _Beliefs(pieces["reader"][first], pieces["source"][first], active[first], begin, until)
 
 
 @dataclass(frozen=True, slots=True)
 class _TrueActions:
-    """The successive actions of one pursuer, and the cumulative time of each action."""
+    """The columns of a table of the successive actions of all pursuers, in order of pursuer and time."""
 
+    pursuer: Integers
     began: Integers
-    """(k,) start times of the actions, ns; the first is 0."""
+    """Start time, ns; 0 for the first action of a pursuer."""
     did: Integers
-    """(k,) the actions: the number of an evader, or 0."""
+    """The number of an evader, or 0."""
+    lasted: Integers
+    """ns"""
     total: Integers
-    """(M + 1, k) cumulative time of each action at the start times, ns, for M evaders."""
+    """(M + 1, k) time of each action in all earlier rows, ns, for M evaders and k rows."""
 
-    def time(self, action: int | Integers, t: Integers) -> Integers:
-        """Return the cumulative time, ns, of one action, or of each of (n,) actions, at each of (n,) times, ns."""
-        k = np.searchsorted(self.began, t, side="right") - 1
+    def time(self, pursuer: Integers, action: Integers, t: Integers) -> Integers:
+        """Return the cumulative time, ns, of (n,) actions of (n,) pursuers at (n,) times, ns, up to a constant each."""
+        # A row is found by its pursuer and the rank of its start: a key of the time itself might exceed 64 bits.
+        instants = np.unique(self.began)
+
+        def keys(of: Integers, at: Integers) -> Integers:
+            return of * (len(instants) + 1) + np.searchsorted(instants, at, side="right")
+
+        k = np.searchsorted(keys(self.pursuer, self.began), keys(pursuer, t), side="right") - 1
         total: Integers = self.total[action, k] + (self.did[k] == action) * (t - self.began[k])
         return total
 
 
-def _true_actions(result: Result) -> Iterator[_TrueActions]:
-    """Yield the true actions of each pursuer, in order of id."""
-    actions = [[(0, active)] for active in started(result).active]
-    for change in changes(result):
-        actions[change.pursuer].append((change.t, action(change)))
-    options = np.arange(len(started(result).evaders) + 1)[:, None]
-    for timed in actions:
-        began, did = np.array(timed, np.int64).T
-        spent = np.cumsum(np.diff(began) * (did[:-1] == options), axis=1)
-        yield _TrueActions(began, did, np.pad(spent, ((0, 0), (1, 0))))
+@remembered
+def _true_actions(result: Result) -> _TrueActions:
+    """Return the true actions of all pursuers."""
+    actions = [(pursuer, 0, active) for pursuer, active in enumerate(started(result).active)]
+    actions += [(change.pursuer, change.t, action(change)) for change in changes(result)]
+    pursuer, began, did = np.array(sorted(actions, key=itemgetter(0)), np.int64).T
+    is_last = np.append(np.diff(pursuer) > 0, True)
+    lasted = np.where(is_last, ended(result).t, np.append(began[1:], 0)) - began
+    spent = lasted * (did == np.arange(len(started(result).evaders) + 1)[:, None])
+    return _TrueActions(pursuer, began, did, lasted, np.cumsum(spent, axis=1) - spent)
 
 
 def _at_decisions(result: Result, pieces: Pieces) -> tuple[Floats, Integers]:
     """Return the sum of the ages, s, at the reader's decisions during each piece, and the number of these decisions."""
-    decisions: list[list[tuple[int, int]]] = [[] for _ in started(result).active]
-    for place, event in enumerate(result.trace):
-        if isinstance(event, Decided):
-            decisions[event.pursuer].append((event.t, place))
+    size = len(started(result).active)
+    decided: list[list[tuple[int, int]]] = [[] for _ in range(size)]
+    for decision, place in zip(decisions(result), places_of(result, Decided), strict=True):
+        decided[decision.pursuer].append((decision.t, place))
+    edges = np.searchsorted(pieces["reader"], np.arange(size + 1)).tolist()
     total, count = np.zeros(len(pieces)), np.zeros(len(pieces), np.int64)
-    edges = np.searchsorted(pieces["reader"], np.arange(len(decisions) + 1))
-    for timed, first, last in zip(decisions, edges[:-1], edges[1:], strict=True):
-        times, places = np.array(timed, np.int64).reshape(-1, 2).T
-        mine = pieces[first:last]
-        since = _earlier(times, places, mine["begin"], mine["after"])
-        until = _earlier(times, places, mine["until"], mine["before"])
-        sums = np.append(0, np.cumsum(times))
-        count[first:last] = until - since
-        total[first:last] = (sums[until] - sums[since] - (until - since) * mine["created"]) / SECOND
+    names = ("begin", "after", "until", "before", "superseded", "created")
+    for timed, (first, last) in zip(decided, pairwise(edges), strict=True):
+        times, places = np.array(timed, np.int64).reshape(-1, 2).T.copy()
+        begin, after, until, before, superseded, created = (pieces[name][first:last] for name in names)
+        since = _earlier(times, places, begin, after)
+        # A piece lasts until the next one of its source, which is the next row, if there is one.
+        ends = np.flatnonzero(~superseded)
+        still = np.append(since[1:], 0)[: len(since)]
+        still[ends] = _earlier(times, places, until[ends], before[ends])
+        sums, number = np.append(0, np.cumsum(times)), still - since
+        count[first:last] = number
+        total[first:last] = (sums[still] - sums[since] - number * created) / SECOND
     return total, count
 
 
 def _earlier(times: Integers, places: Integers, t: Integers, place: Integers) -> Integers:
     """Return the number of events before time t, plus those at t that precede a position in the trace."""
-    low, high = (np.searchsorted(times, t, side=side) for side in ("left", "right"))
-    return np.clip(np.searchsorted(places, place), low, high)
+    earlier = np.searchsorted(times, t)
+    at_once = np.flatnonzero(np.append(times, -1)[earlier] == t)  # few: only for these the position matters
+    if len(at_once):
+        last = np.searchsorted(times, t[at_once], side="right")
+        earlier[at_once] = np.clip(np.searchsorted(places, place[at_once]), earlier[at_once], last)
+    return earlier
