@@ -14,11 +14,11 @@ import numpy as np
 from desim.config.arrays import Floats
 from desim.config.traits import inherits
 from desim.kernel.clock_sync import Unsynchronised
-from desim.kernel.models.access import CarrierSensing
+from desim.kernel.models.access import CarrierSensing, Channel
 from desim.kernel.models.clock_skew import drawn_skews
 from desim.kernel.models.faults import Crash
 from desim.kernel.models.graphs import Complete
-from desim.kernel.models.medium import MANY, Channel, channel_of
+from desim.kernel.models.medium import MANY, channel_of
 from desim.kernel.models.traits import LinkTraits
 from desim.kernel.models.transport import Reliable
 from desim.pursuit.core.traits import DisseminationTraits

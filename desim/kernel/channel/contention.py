@@ -98,16 +98,19 @@ class Contention(Generic[Item]):
         self._carrier = CarrierSense(
             env, access, self._access, self._nodes, topology, positions, self._air.hears, self._plan
         )
-        self._acknowledges = isinstance(access, CsmaCa)
+        csma_ca = access if isinstance(access, CsmaCa) else None
+        self._acknowledges = csma_ca is not None
         self._draws = count(FIRST_DRAW)
         self._queues: list[deque[Item]] = [deque() for _ in range(topology.size)]
         self._sending: dict[int, Item | None] = {}
         """The transmission that each node has on the air; None: its sender has crashed, so it has no outcome."""
         self._repeated: set[int] = set()
         """The numbers of the transmissions of which an attempt has failed."""
-        timeout, eifs = (access.ack_timeout, access.eifs) if isinstance(access, CsmaCa) else (None, None)
+        timeout, eifs = (None, None) if csma_ca is None else (csma_ca.ack_timeout, csma_ca.eifs)
         self._timeout = None if timeout is None else nanoseconds(timeout)
         """Time for which a sender waits for an acknowledgement, ns; None: none is lost."""
+        self._sifs, self._ack = (0, 0) if csma_ca is None else (nanoseconds(csma_ca.sifs), nanoseconds(csma_ca.ack))
+        """The space before an acknowledgement and its airtime, ns."""
         self._notes = timeout is not None or eifs is not None
         """Whether it matters which nodes that sense a frame receive it."""
         self._awaiting: dict[int, _Awaited[Item]] = {}
@@ -271,10 +274,7 @@ class Contention(Generic[Item]):
 
     def _acknowledge(self, node: int) -> Frame:
         """Let a node transmit an acknowledgement after SIFS; in that time, too, the channel is sensed as busy."""
-        assert isinstance(self._medium.access, CsmaCa)
-        begin = self._env.now + nanoseconds(self._medium.access.sifs)
-        airtime = nanoseconds(self._medium.access.ack)
-        frame = self._transmit(ACKNOWLEDGEMENT, node, begin, airtime, next(self._draws))
+        frame = self._transmit(ACKNOWLEDGEMENT, node, self._env.now + self._sifs, self._ack, next(self._draws))
         self._carrier.sense(frame, 1)
         self._nodes.due[node] = NEVER
         if self._medium.duty_cycle is not None:
@@ -295,9 +295,8 @@ class Contention(Generic[Item]):
         item = self._sending.get(frame.src) if frame.number != ACKNOWLEDGEMENT else None
         if self._timeout is None or item is None or not self._needs_ack(item):
             return
-        assert isinstance(self._medium.access, CsmaCa)
         silent = nodes[received & (nodes != item.receivers[0])]
-        end = self._env.now + nanoseconds(self._medium.access.sifs) + nanoseconds(self._medium.access.ack)
+        end = self._env.now + self._sifs + self._ack
         self._carrier.hold(silent)
         Instant(self._env, end, Phase.DELIVERY).callbacks.append(lambda _: self._carrier.release(silent))
 

@@ -9,7 +9,7 @@ linked to it and within range, or within the carrier-sense range of the model, i
 
 from collections.abc import Sequence
 from math import inf
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
@@ -22,19 +22,55 @@ ContentionWindow = Annotated[int, Field(ge=1, le=1_000_000, strict=True)]
 Owner = Annotated[int, Field(ge=0, strict=True)]
 
 
-class Ideal(Value):
+class Channel(NamedTuple):
+    """How frames that are created at one instant overlap on a channel."""
+
+    vulnerable: float
+    """Time between the starts of two frames, s, up to which they overlap, whoever hears whom."""
+    hidden: float
+    """The same for two senders that do not hear each other, s."""
+    chance: float = 1.0
+    """Probability that two frames that could overlap do."""
+
+
+def _whole(time: float, slot: float) -> int:
+    """Return the number of whole slots (s) that a time (s) takes, in nanoseconds, as the channel counts."""
+    return -(-nanoseconds(time) // nanoseconds(slot))
+
+
+class _Access(Value):
+    """Base of all models of channel access."""
+
+    def interval(self, time: float, nodes: int) -> float:
+        """Return the time, s, from a frame of one of `nodes` nodes to its next one, if its radio takes `time`, s."""
+        return time
+
+    def occupancy(self, airtime: float, *, to_one: bool) -> float:
+        """Return the airtime, s, of a frame with what the access adds to it; see `Radio.occupancy`."""
+        return airtime
+
+    def channel(self, airtime: float) -> Channel | None:
+        """Return how frames of an airtime (s) overlap; None if they do not."""
+        return None
+
+
+class Ideal(_Access):
     """An ideal queue: a message waits until its transmitter, or the shared channel, is free; nothing collides."""
 
     kind: Literal["ideal"] = "ideal"
 
 
-class Aloha(Value):
+class Aloha(_Access):
     """Pure ALOHA (Abramson 1970, "The ALOHA System"): a node transmits a frame as soon as its radio is free."""
 
     kind: Literal["aloha"] = "aloha"
 
+    def channel(self, airtime: float) -> Channel:
+        """Return how frames of an airtime (s) overlap."""
+        return Channel(airtime, airtime)
 
-class SlottedAloha(Value):
+
+class SlottedAloha(_Access):
     """Slotted ALOHA (Roberts 1975, "ALOHA Packet System with and without Slots and Capture").
 
     A node starts to transmit at the beginning of a slot only. In each slot it transmits a waiting frame with
@@ -57,8 +93,17 @@ class SlottedAloha(Value):
     leave slots empty.
     """
 
+    def occupancy(self, airtime: float, *, to_one: bool) -> float:
+        """Return the time of the whole slots that a frame takes, s."""
+        return _whole(airtime, self.slot) * self.slot
 
-class CarrierSensing(Value):
+    def channel(self, airtime: float) -> Channel:
+        """Return how frames of an airtime (s) overlap."""
+        longest = max(self.slot, airtime)
+        return Channel(longest, longest, self.p / (2.0 - self.p))
+
+
+class CarrierSensing(_Access):
     """The fields of all access models that sense the channel."""
 
     sensing_delay: Time = 0.0
@@ -69,6 +114,10 @@ class CarrierSensing(Value):
     If in doubt, leave it out. Twice the communication range silences most hidden nodes, and also nodes that would
     disturb nobody.
     """
+
+    def channel(self, airtime: float) -> Channel:
+        """Return how frames of an airtime (s) overlap."""
+        return Channel(self.sensing_delay, airtime)
 
 
 class Csma(CarrierSensing):
@@ -105,6 +154,11 @@ class Csma(CarrierSensing):
     If in doubt, a little more than `sensing_delay`: in a shorter slot a node cannot hear who has begun, and a longer
     one is wasted.
     """
+
+    def channel(self, airtime: float) -> Channel:
+        """Return how frames of an airtime (s) overlap."""
+        chance = self.p / (2.0 - self.p) if self.persistence == "p_persistent" else 1.0
+        return super().channel(airtime)._replace(chance=chance)
 
     @property
     def unused_fields(self) -> dict[str, str]:
@@ -160,6 +214,10 @@ class CsmaCa(CarrierSensing):
     node senses, and does not receive; usually `sifs` + `ack` + `difs`. If None, it is `difs`. Losses by `network.loss`
     do not count."""
 
+    def occupancy(self, airtime: float, *, to_one: bool) -> float:
+        """Return the airtime, s, of a frame with the space before it and, to one node, its acknowledgement."""
+        return self.difs + airtime + (self.sifs + self.ack if to_one else 0.0)
+
     @model_validator(mode="after")
     def _has_order(self) -> Self:
         if not self.sifs < self.difs:
@@ -184,7 +242,7 @@ class CsmaCa(CarrierSensing):
         return self
 
 
-class Tdma(Value):
+class Tdma(_Access):
     """Time division multiple access: each slot belongs to one node, which may transmit one frame at its beginning.
 
     Nodes read the slots from their own clocks. If the clocks of two nodes differ by more than the guard time, frames in
@@ -213,6 +271,11 @@ class Tdma(Value):
         if not nanoseconds(self.guard) < nanoseconds(self.slot):
             raise ValueError(f"guard should be less than slot, {self.slot:g} s (got {self.guard:g})")
         return self
+
+    def interval(self, time: float, nodes: int) -> float:
+        """Return the time, s, of the whole rounds of slots, at least one, that a time, s, takes."""
+        period = len(self.owners(nodes)) * self.slot
+        return max(_whole(time, period), 1) * period
 
     def owners(self, size: int) -> Sequence[int]:
         """Return the owners of the slots of a round for `size` nodes.

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from math import ceil, inf
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeGuard
+from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeGuard
 
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
@@ -14,19 +14,7 @@ from desim.config.errors import KeyedError, Problem
 from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
 from desim.config.python_numbers import as_real
 from desim.config.traits import inherits, is_ours
-from desim.kernel.core.units import nanoseconds
-from desim.kernel.models.access import (
-    ACCESSES,
-    Access,
-    Aloha,
-    CarrierSensing,
-    Csma,
-    CsmaCa,
-    Ideal,
-    Owner,
-    SlottedAloha,
-    Tdma,
-)
+from desim.kernel.models.access import ACCESSES, Access, Channel, Ideal, Owner
 from desim.kernel.models.interference import INTERFERENCES, Collision, Interference, LoRaInterference, LoRaSignal
 from desim.kernel.models.traits import MediumTraits
 
@@ -132,11 +120,7 @@ class Radio(Value):
 
         It is the airtime, with the silence after it if there is a duty cycle, and with TDMA at least a round of slots.
         """
-        least = airtime_of(self, size, nodes) / (self.duty_cycle or 1.0)
-        if not isinstance(self.access, Tdma):
-            return least
-        period = len(self.access.owners(nodes)) * self.access.slot
-        return max(_whole(least, period), 1) * period
+        return self.access.interval(airtime_of(self, size, nodes) / (self.duty_cycle or 1.0), nodes)
 
     def occupancy(self, size: int, nodes: int, *, to_one: bool = False) -> float:
         """Return the least time, s, for which a message of `size` bytes of one of `nodes` nodes occupies the channel.
@@ -144,12 +128,7 @@ class Radio(Value):
         It is the airtime with what the access adds to each frame: whole slots of slotted ALOHA, and with CSMA/CA the
         interframe space before it and, for a message to one node (`to_one`), its acknowledgement.
         """
-        airtime, access = airtime_of(self, size, nodes), self.access
-        if isinstance(access, SlottedAloha):
-            return _whole(airtime, access.slot) * access.slot
-        if isinstance(access, CsmaCa):
-            return access.difs + airtime + (access.sifs + access.ack if to_one else 0.0)
-        return airtime
+        return self.access.occupancy(airtime_of(self, size, nodes), to_one=to_one)
 
     def __call__(self, size: int) -> float:
         """Return the airtime, s."""
@@ -161,43 +140,18 @@ class Radio(Value):
         return not isinstance(self.access, Ideal)
 
 
-def _whole(time: float, slot: float) -> int:
-    """Return the number of whole slots (s) that a time (s) takes, in nanoseconds, as the channel counts."""
-    return -(-nanoseconds(time) // nanoseconds(slot))
-
-
 def contends(medium: Medium) -> TypeGuard[Radio]:
     """Return whether nodes contend for the channel of a medium; in that of a user they do not, unless it is a Radio."""
     return isinstance(medium, Radio) and medium.contends
-
-
-class Channel(NamedTuple):
-    """How frames that are created at one instant overlap on a channel."""
-
-    vulnerable: float
-    """Time between the starts of two frames, s, up to which they overlap, whoever hears whom."""
-    hidden: float
-    """The same for two senders that do not hear each other, s."""
-    chance: float = 1.0
-    """Probability that two frames that could overlap do."""
 
 
 def channel_of(medium: Medium, airtime: float) -> Channel | None:
     """Return how frames of an airtime (s) overlap on a medium; None if they do not."""
     if not isinstance(medium, Radio):
         return None
-    access = medium.access
-    if isinstance(access, Ideal):
-        return Channel(airtime, airtime) if medium.half_duplex and not medium.shared else None
-    if isinstance(access, Aloha):
-        return Channel(airtime, airtime)
-    if isinstance(access, SlottedAloha):
-        longest = max(access.slot, airtime)
-        return Channel(longest, longest, access.p / (2.0 - access.p))
-    if isinstance(access, CarrierSensing):
-        p = access.p if isinstance(access, Csma) and access.persistence == "p_persistent" else 1.0
-        return Channel(access.sensing_delay, airtime, p / (2.0 - p))
-    return None
+    if medium.contends:
+        return medium.access.channel(airtime)
+    return Channel(airtime, airtime) if medium.half_duplex and not medium.shared else None
 
 
 class Unlimited(Value):
