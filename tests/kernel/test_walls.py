@@ -84,7 +84,11 @@ def test_a_text_may_have_several_lines_and_polygons_with_holes():
 @pytest.mark.parametrize(
     ("content", "name", "shapes"),
     [
-        ("LINESTRING (0 0, 1 1)\n# a comment\nPOLYGON ((0 0, 1 0, 1 1, 0 0))\n", "a.wkt", [(2, False), (3, True)]),
+        (
+            "# height < 3\nLINESTRING (0 0, 1 1)\n# a comment\nPOLYGON ((0 0, 1 0, 1 1, 0 0))\n",
+            "a.wkt",
+            [(2, False), (3, True)],
+        ),
         ("# corners\n0 0\n1,0\n1 1\n0 0\n\n\n2 2\n3 3\n", "a.txt", [(3, True), (2, False)]),
         ('"X","Y"\n0,0\n1,0\n', "a.csv", [(2, False)]),
         ('<svg><path id="a" d="M0 0H1"/><path d=\'M0 0H1V1z\' style="x"/></svg>', "a.svg", [(2, False), (3, True)]),
@@ -180,6 +184,7 @@ def test_a_wall_that_is_none_is_refused_with_what_is_allowed(case):
     ("content", "name", "why"),
     [
         ("0 0\n1\n", "a.txt", "line 2: a corner should have two numbers, x y .has 1"),
+        ("# walls\n\nLINESTRING (0 0, 1 1)\nPOINT (1 1)\n", "a.wkt", "WKT, line 4: POINT is no line"),
         ("0 0\n1 1,5x\n", "a.txt", "line 2"),
         ("\n", "a.txt", "has no shape"),
         ('<svg><circle r="4"/></svg>', "a.svg", "<circle> is not read: convert objects to paths"),

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 from desim.config.number_files import check_comments, number_of, text_of_file, words_of
-from desim.kernel.walls.outlines import Outline
+from desim.kernel.walls.outlines import Outline, wkt_outlines
 from desim.kernel.walls.svg_file import svg_file_outlines
 
 WKT_BEGIN = re.compile(r"[A-Za-z]\w*\s*(Z|M|ZM|EMPTY)?\s*(\(|;|=|$)", re.IGNORECASE)
@@ -23,7 +23,7 @@ def wkt_in(file: Path, *, is_scaled: bool = False) -> str:
         ValueError: if the file cannot be read; the message names the file.
     """
     text = text_of_file(file)
-    if "<" in text:
+    if text.lstrip().startswith("<"):
         return _wkt_of_drawing(text, file)
     if not is_scaled:
         check_comments(text, file, "m")
@@ -39,7 +39,12 @@ def wkt_in(file: Path, *, is_scaled: bool = False) -> str:
     if COLUMNS.fullmatch(first):
         lines[next(k for k, line in enumerate(lines) if line.strip())] = ""
     elif WKT_BEGIN.match(first):
-        return "\n".join(lines).strip()
+        wkt = "\n".join(lines)
+        try:
+            wkt_outlines(wkt)
+        except ValueError as error:
+            raise ValueError(f"{file}: {error}") from error
+        return wkt.strip()
     return _wkt_of_numbers(lines, file)
 
 
