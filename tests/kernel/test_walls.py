@@ -302,6 +302,7 @@ UNFILLED = {
     '<path fill="none" stroke="red" DATA/>': False,
     "<path style='fill:none;stroke:red' DATA/>": False,
     "<path style='stroke:red;fill-opacity:0' DATA></path>": False,
+    "<path style='stroke:red; /* the hall: free */ fill:none' DATA/>": False,
     '<path stroke="red" DATA/>': True,
     '<g fill="none" stroke="red"><path DATA/></g>': False,
     '<g fill="none" stroke="red"><g id="x"></g><g><path fill="grey" DATA/></g></g>': True,

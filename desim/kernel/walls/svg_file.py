@@ -187,7 +187,7 @@ def _style_rules(root: ElementTree.Element) -> _Rules:
 
 def _declarations(text: str) -> dict[str, str]:
     """Return the properties in a list `name: value; ...` that say what is drawn."""
-    pairs = (part.partition(":") for part in text.split(";"))
+    pairs = (part.partition(":") for part in COMMENT.sub("", text).split(";"))
     named = ((name.strip().lower(), value.strip()) for name, sign, value in pairs if sign)
     style = {name: value for name, value in named if name in PROPERTIES}
     for name, value in style.items():
