@@ -45,7 +45,7 @@ class ArrivalLosses:
         """Note that a transmission with an airtime starts now, or a copy of one that has just started."""
         transmission, airtime = flight
         numbers, end = self._on_air.get(transmission.src, ([], 0))
-        if airtime or end <= self._env.now:
+        if end <= self._env.now:  # a node transmits one at a time, so else it is a copy
             numbers, end = [], self._env.now + airtime
         numbers.append(transmission.number)
         self._on_air[transmission.src] = numbers, end
