@@ -184,6 +184,7 @@ def test_a_wall_that_is_none_is_refused_with_what_is_allowed(case):
     ("content", "name", "why"),
     [
         ("0 0\n1\n", "a.txt", "line 2: a corner should have two numbers, x y .has 1"),
+        ("0 0\n1 1\n\n2 2\n", "a.txt", "shape 1: a line should have at least 2 corners .has 1"),
         ("# walls\n\nLINESTRING (0 0, 1 1)\nPOINT (1 1)\n", "a.wkt", "WKT, line 4: POINT is no line"),
         ("0 0\n1 1,5x\n", "a.txt", "line 2"),
         ("\n", "a.txt", "has no shape"),

@@ -6,11 +6,13 @@ Its y axis points down, and that of desim up, so that y changes its sign.
 """
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
+from desim.config.model import MAX_COORDINATE
 from desim.config.number_files import number_of
 from desim.config.suggestion import did_you_mean
+from desim.kernel.walls.crossings import repeated_corner
 
 Corners = tuple[tuple[float, float], ...]
 
@@ -27,6 +29,21 @@ class Outline(NamedTuple):
 def without_repeat(corners: Corners) -> Corners:
     """Return the corners of a ring without a last one that is the first again."""
     return corners[:-1] if len(corners) > 1 and corners[0] == corners[-1] else corners
+
+
+def check_outlines(outlines: Sequence[Outline], where: str = "") -> None:
+    """Raise ValueError, beginning with `where`, if an outline has too few corners, equal ones, or one too far away."""
+    for number, (corners, closed) in enumerate(outlines):
+        which = where + (f"shape {number}: " if len(outlines) > 1 else "")
+        form, least = ("polygon", 3) if closed else ("line", 2)
+        if len(corners) < least:
+            raise ValueError(f"{which}a {form} should have at least {least} corners (has {len(corners)})")
+        for x, y in corners:
+            if not (abs(x) <= MAX_COORDINATE and abs(y) <= MAX_COORDINATE):  # neither if it is nan
+                raise ValueError(f"{which}a coordinate should be from {-MAX_COORDINATE:g} to {MAX_COORDINATE:g} m")
+        if (k := repeated_corner(corners, closed=closed)) is not None:
+            x, y = corners[k % len(corners)]
+            raise ValueError(f"{which}an edge should have a length: the corner [{x:g}, {y:g}] comes twice")
 
 
 WKT_FORMS = ("LINESTRING", "POLYGON", "MULTILINESTRING", "MULTIPOLYGON", "GEOMETRYCOLLECTION")

@@ -8,11 +8,11 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
-from desim.config.model import MAX_COORDINATE, Coordinate, FirstError, Length, Limit, NotEmpty, Positive, Value
+from desim.config.model import Coordinate, FirstError, Length, Limit, NotEmpty, Positive, Value
 from desim.config.trust import resolve_path
-from desim.kernel.walls.crossings import Segments, WallShape, first_contact, repeated_corner, segments_of
+from desim.kernel.walls.crossings import Segments, WallShape, first_contact, segments_of
 from desim.kernel.walls.materials import Material, slab_loss
-from desim.kernel.walls.outlines import Outline, svg_outlines, without_repeat, wkt_outlines
+from desim.kernel.walls.outlines import Outline, check_outlines, svg_outlines, without_repeat, wkt_outlines
 from desim.kernel.walls.wall_file import wkt_in
 
 Corner = tuple[Coordinate, Coordinate]
@@ -91,12 +91,11 @@ class Wall(Value):
             raise ValueError(f"should have exactly one of {', '.join(SHAPE_KEYS)}{has}")
         if self.material is not None and self.loss != inf:
             raise ValueError("should have a loss or a material, not both")
-        for k, outline in enumerate(self._outlines):
-            _check(outline, f"shape {k}: " if len(self._outlines) > 1 else "")
+        check_outlines(self._outlines)
         if self.scale != 1.0 or self.offset != (0.0, 0.0):
             for k, shape in enumerate(self.shapes):
                 placed = Outline(tuple(map(tuple, shape.corners.tolist())), shape.closed)
-                _check(placed, f"shape {k}, scaled and displaced: ")
+                check_outlines([placed], f"shape {k}, scaled and displaced: ")
         self._check_rings()
         if self.material is not None:
             slab_loss(self.material, self.thickness, self.frequency)
@@ -150,20 +149,6 @@ def _shapes_of(wall: Wall) -> tuple[WallShape, ...]:
     for shape in shapes:
         shape.corners.setflags(write=False)
     return shapes
-
-
-def _check(outline: Outline, which: str) -> None:
-    """Raise ValueError if an outline has too few corners, or equal ones."""
-    corners, closed = outline
-    form, least = ("polygon", 3) if closed else ("line", 2)
-    if len(corners) < least:
-        raise ValueError(f"{which}a {form} should have at least {least} corners (has {len(corners)})")
-    for x, y in corners:
-        if not (abs(x) <= MAX_COORDINATE and abs(y) <= MAX_COORDINATE):  # neither if it is nan
-            raise ValueError(f"{which}a coordinate should be from {-MAX_COORDINATE:g} to {MAX_COORDINATE:g} m")
-    if (k := repeated_corner(corners, closed=closed)) is not None:
-        x, y = corners[k % len(corners)]
-        raise ValueError(f"{which}an edge should have a length: the corner [{x:g}, {y:g}] comes twice")
 
 
 def blocking(walls: Sequence[Wall], use: What) -> Segments:

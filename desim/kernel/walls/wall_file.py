@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 from desim.config.number_files import check_comments, number_of, text_of_file, words_of
-from desim.kernel.walls.outlines import Outline, wkt_outlines
+from desim.kernel.walls.outlines import Outline, check_outlines, wkt_outlines
 from desim.kernel.walls.svg_file import svg_file_outlines
 
 WKT_BEGIN = re.compile(r"[A-Za-z]\w*\s*(Z|M|ZM|EMPTY)?\s*(\(|;|=|$)", re.IGNORECASE)
@@ -41,7 +41,7 @@ def wkt_in(file: Path, *, is_scaled: bool = False) -> str:
     elif WKT_BEGIN.match(first):
         wkt = "\n".join(lines)
         try:
-            wkt_outlines(wkt)
+            check_outlines(wkt_outlines(wkt))
         except ValueError as error:
             raise ValueError(f"{file}: {error}") from error
         return wkt.strip()
@@ -55,7 +55,7 @@ def _wkt_of_drawing(text: str, file: Path) -> str:
         raise ValueError(f"{file}: {error}") from error
     if not outlines:
         raise ValueError(f"{file} has no shape: paths, lines, polylines, polygons and rectangles are read")
-    return "\n".join(map(_wkt_of, outlines))
+    return _wkt_of(outlines, file)
 
 
 def _wkt_of_numbers(lines: list[str], file: Path) -> str:
@@ -73,7 +73,7 @@ def _wkt_of_numbers(lines: list[str], file: Path) -> str:
             why = str(error) if len(words) == 2 else f"a corner should have two numbers, x y (has {len(words)})"
             raise ValueError(f"{file}, line {number}: {why}") from error
         shapes[-1].append((x, y))
-    return "\n".join(_wkt_of(_outline_of(corners)) for corners in shapes if corners)
+    return _wkt_of([_outline_of(corners) for corners in shapes if corners], file)
 
 
 def _outline_of(corners: list[tuple[float, float]]) -> Outline:
@@ -82,7 +82,11 @@ def _outline_of(corners: list[tuple[float, float]]) -> Outline:
     return Outline(tuple(corners[:-1] if is_ring else corners), is_ring)
 
 
-def _wkt_of(outline: Outline) -> str:
-    corners, is_ring = outline
-    inner = ", ".join(f"{x!r} {y!r}" for x, y in ((*corners, corners[0]) if is_ring else corners))
-    return f"POLYGON (({inner}))" if is_ring else f"LINESTRING ({inner})"
+def _wkt_of(outlines: list[Outline], file: Path) -> str:
+    """Return the outlines in a file as WKT."""
+    check_outlines(outlines, f"{file}: ")
+    texts: list[str] = []
+    for corners, is_ring in outlines:
+        inner = ", ".join(f"{x!r} {y!r}" for x, y in ((*corners, corners[0]) if is_ring else corners))
+        texts.append(f"POLYGON (({inner}))" if is_ring else f"LINESTRING ({inner})")
+    return "\n".join(texts)
