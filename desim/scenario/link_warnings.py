@@ -196,7 +196,7 @@ def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     numbers: dict[tuple[str, str], None] = {}  # once for both ways of an edge
     spans: dict[str, float] = {}
     for key, owner in owners:
-        for name in ("latency", "loss"):
+        for name in ("latency", "loss", "duplicate"):
             model = owner.get(name)
             if not isinstance(model, LinkTrace):
                 continue

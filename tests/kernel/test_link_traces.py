@@ -288,3 +288,12 @@ def test_a_table_names_the_nodes_in_its_order_or_in_that_of_nodes():
     for nodes, names in ((None, ("b", "a")), (("a", "b"), ("a", "b"))):
         assert Links(latency=LatencyTrace(table=table, nodes=nodes)).node_names == names
     assert Links(latency=LatencyTrace(table="t,value\n0,0.1\n")).node_names == ()
+
+
+@pytest.mark.parametrize(("key", "counts"), [("loss", (1, 1)), ("duplicate", (3, 0))])
+def test_the_graph_numbers_the_nodes_of_a_table(key, counts):
+    """In the order of the table, a would be 0; every message from a to b is lost, or has a copy."""
+    links = Links(graph=nx.complete_graph(["b", "a"]), **{key: LossTrace(table="t,src,dst,value\n0,a,b,1\n0,b,a,0\n")})
+    assert dict(links)[key].nodes == ("b", "a")
+    _, total = sent(links, [(0, 1, 0), (0, 0, 1)], graph=links.make_graph(2))
+    assert (total.delivered, total.lost) == counts

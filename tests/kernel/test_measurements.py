@@ -488,6 +488,7 @@ OWN = {"src": 1, "dst": 2, "both_ways": True}
     [
         ({"latency": TRACE}, "network.latency: the table has no row for the link from 0 to 2"),
         ({"loss": TRACE}, "network.loss: the table has no row for the link from 0 to 2"),
+        ({"duplicate": TRACE}, "network.duplicate: the table has no row for the link from 0 to 2"),
         ({"latency": FAR}, r"network.latency: the table, line 5: there is no node 5: the nodes are 0 \.\. 2"),
         (
             {"link": [OWN | {"order": "fifo"}, {"src": 0, "dst": 2, "loss": TRACE}]},

@@ -162,7 +162,7 @@ class Links(Value):
         owners += ((("link", k), link) for k, link in enumerate(self.link))
         owners += ((("graph", "edges", k), edge) for k, edge in enumerate(edges))
         for place, owner in owners:
-            for name in ("latency", "loss"):
+            for name in ("latency", "loss", *(() if place else ("duplicate",))):
                 if isinstance(model := getattr(owner, name), NamedTable):
                     yield (*place, name), model
 

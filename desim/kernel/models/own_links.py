@@ -52,8 +52,8 @@ def link_misfits(links: Links, graph: "nx.Graph[int]") -> Iterator[tuple[Place, 
         graph: the communication graph.
     """
     yield from _name_misfits(links)
-    for name in ("latency", "loss"):
-        link_models = dict(_own_models(links, graph, name))
+    for name in ("latency", "loss", "duplicate"):
+        link_models = {} if name == "duplicate" else dict(_own_models(links, graph, name))
         uses: list[tuple[Place, Any, Iterator[Way]]] = [
             (place, model, iter([way])) for way, (place, model) in link_models.items()
         ]
