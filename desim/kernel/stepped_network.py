@@ -347,7 +347,7 @@ class SteppedNetwork:
         return ages
 
     def lost(self) -> list[LostMessage]:
-        """Return the messages and states that were lost since the end of the step before the last.
+        """Return the messages and states that were lost in the last step, or between it and the step before.
 
         They are in the order in which they were sent. The frames of a transport are not listed, since it repeats them.
         """

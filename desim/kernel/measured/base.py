@@ -144,7 +144,7 @@ class LinkTrace(NamedTable):
 
     @property
     def doubt(self) -> tuple[str, str] | None:
-        """The key that the name of the column of values contradicts, and why; None if it contradicts none."""
+        """The key that is probably wrong, given the name of the column of values or its values, and why; None: none is."""
         return None
 
     def given(self) -> dict[str, Any]:
@@ -159,7 +159,7 @@ class LinkTrace(NamedTable):
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The smallest and the largest value in the table."""
+        """The smallest and the largest value that the table may have."""
         raise NotImplementedError
 
     @property
@@ -181,7 +181,7 @@ class LinkTrace(NamedTable):
 
     @property
     def named_nodes(self) -> str | None:
-        """The number of each named node, if their order was not given; None if they have numbers."""
+        """A text with the number and the name of each node; None if the columns have numbers, or `nodes` was given."""
         names = self.measurements.names
         if names is None:
             return None

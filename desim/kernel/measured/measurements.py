@@ -78,9 +78,9 @@ class Meaning(NamedTuple):
     noun: str
     """A value, with its article, for error messages."""
     low: float
-    """Smallest value."""
+    """Smallest value that is allowed."""
     high: float
-    """Largest value."""
+    """Largest value that is allowed."""
     time_unit: Unit
     both_ways: bool
     """Whether a row also holds for the link from its receiver to its sender."""
@@ -105,8 +105,8 @@ class Measurements:
     rank: Integers
     """(R,) the index in `times` of the time of each row."""
     values: Floats
-    """(R,) the values; if one is missing, that of the row before of its link, and before the first row, of the last; 0
-    if a link has no value at all."""
+    """(R,) the values. A missing one is filled in with the last value before of its link; before the first value, with
+    the last of all; if the link has none, with 0."""
     is_missing: Bools
     """(R,) whether the row has no value."""
     names: tuple[str, ...] | None = None

@@ -48,7 +48,7 @@ class LatencyTrace(LinkTrace):
 
     @property
     def doubt(self) -> tuple[str, str] | None:
-        """Whether round-trip times are taken for one-way latencies, or a missing value for one; `LinkTrace.doubt`."""
+        """Round-trip times that are read as one-way latencies, or a number that may stand for no answer."""
         if "rtt" in self.value.lower() and not self.rtt:
             return "rtt", f"column {self.value!r} seems to have round-trip times: rtt = true halves them"
         if is_fill(most := float(self.measurements.values.max())):
@@ -57,7 +57,7 @@ class LatencyTrace(LinkTrace):
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The smallest and the largest value in the table."""
+        """The smallest and the largest value that the table may have."""
         return 0.0, MAX_TIME * self._per_second
 
     @property
@@ -131,7 +131,7 @@ class LossTrace(_LossTrace):
 
     @property
     def doubt(self) -> tuple[str, str] | None:
-        """Whether probabilities of reception and of loss are confused; see `LinkTrace.doubt`."""
+        """Probabilities of reception that are read as those of loss, or the reverse; see `LinkTrace.doubt`."""
         words = set(re.findall("[a-z]+", self.value.lower()))
         if not self.received and words & RECEIVED:
             return "received", f"column {self.value!r} seems to have probabilities of reception: set received = true"
@@ -141,7 +141,7 @@ class LossTrace(_LossTrace):
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The smallest and the largest value in the table."""
+        """The smallest and the largest value that the table may have."""
         return 0.0, 1.0
 
     def scaled(self, values: Floats) -> Floats:
@@ -169,7 +169,7 @@ class SignalTrace(_LossTrace):
 
     @property
     def doubt(self) -> tuple[str, str] | None:
-        """Whether a value is no strength of a received signal; see `LinkTrace.doubt`."""
+        """A power that is too large for a received signal; see `LinkTrace.doubt`."""
         words, measured = set(re.findall("[a-z]+", self.value.lower())), self.measurements
         most = float(measured.values[~measured.is_missing].max(initial=-math.inf))
         if words & IN_DBM and most >= 0.0:
@@ -178,7 +178,7 @@ class SignalTrace(_LossTrace):
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The smallest and the largest value in the table."""
+        """The smallest and the largest value that the table may have."""
         return -MAX_SIGNAL, MAX_SIGNAL
 
     def loss(self, values: Any) -> Any:

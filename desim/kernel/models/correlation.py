@@ -28,7 +28,7 @@ class LinkMemory:
         initial: the number of a link that has not been used.
 
     Attributes:
-        dst: the (k,) receivers of the last message; None: an array that may be changed.
+        dst: the (k,) receivers of the last message; None if their array may be changed.
         value: the (k,) numbers of these links.
         since: the times (s) of the last messages of these links, if the model sets them, (k,) or one for all; -inf:
             none.

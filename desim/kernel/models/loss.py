@@ -23,7 +23,7 @@ from desim.kernel.models.correlation import RANGE, CorrelatedNumbers, LinkMemory
 from desim.kernel.models.traits import LinkTraits
 
 FEW = 16
-"""Number of receivers up to which the links of a broadcast are drawn one by one after messages to one node."""
+"""After messages to single nodes, a broadcast to at most this many receivers is drawn link by link."""
 PositiveProbability = Annotated[float, Field(gt=0, le=1, strict=True)]
 
 
