@@ -144,7 +144,7 @@ class LinkTrace(NamedTable):
 
     @property
     def doubt(self) -> tuple[str, str] | None:
-        """The key that is probably wrong, given the name of the column of values or its values, and why; None: none is."""
+        """The key that is probably wrong, by the name of the column or its values, and why; None if none is."""
         return None
 
     def given(self) -> dict[str, Any]:
