@@ -117,13 +117,9 @@ def _graph_misfits(scenario: AnyScenario, no_pursuer: str) -> Iterator[Misfit]:
         graph = made
     except (ValueError, TypeError, AttributeError) as error:
         yield ("network", "graph"), str(error)
-    seen: dict[tuple[int, int], int] = {}
     for k, link in enumerate(scenario.network.link):
         unknown = {end: node for end, node in (("src", link.src), ("dst", link.dst)) if node >= count}
         yield from ((("network", "link", k, end), no_pursuer.format(node)) for end, node in unknown.items())
-        twice = [way for way in link.ways() if seen.setdefault(way, k) != k]
-        for src, dst in twice[:1]:
-            yield ("network", "link", k), f"the link from {src} to {dst} is also in network.link.{seen[src, dst]}"
         for src, dst in link.ways() if not unknown else ():
             if graph is not None and not graph.has_edge(src, dst):
                 yield ("network", "link", k), f"there is no link from {src} to {dst} in the graph"

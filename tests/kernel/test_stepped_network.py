@@ -839,6 +839,10 @@ def test_what_a_network_cannot_do_is_said():
         SteppedNetwork(3, trace=True)
     with pytest.raises(ValueError, match="there is no node 7"):
         SteppedNetwork(3, faults=[Crash(start=0.0, node=7)])
+    with pytest.raises(ValueError, match=r"link\.1: the link from 1 to 0 is also in link\.0"):
+        SteppedNetwork(
+            2, {"link": [{"src": 1, "dst": 0, "loss": 1.0}, {"src": 0, "dst": 1, "both_ways": True, "loss": 0.0}]}
+        )
     with pytest.raises(ValueError, match="latencyy"):
         SteppedNetwork(3, {"latencyy": 0.1})
     with pytest.raises(ValueError, match="seed"):

@@ -47,10 +47,16 @@ Place = tuple[str | int, ...]
 def link_misfits(links: Links, graph: "nx.Graph[int]") -> Iterator[tuple[Place, str]]:
     """Yield the key, below `network`, and the text of each model that does not apply to a link that would use it.
 
+    A link that is listed twice is one, too: its models would depend on the order.
+
     Args:
         links: the link models; their links are in the graph.
         graph: the communication graph.
     """
+    seen: dict[Way, int] = {}
+    for k, link in enumerate(links.link):
+        for src, dst in [way for way in link.ways() if seen.setdefault(way, k) != k][:1]:
+            yield ("link", k), f"the link from {src} to {dst} is also in link.{seen[src, dst]}"
     yield from _name_misfits(links)
     for name in ("latency", "loss", "duplicate"):
         link_models = {} if name == "duplicate" else dict(_own_models(links, graph, name))
