@@ -235,6 +235,21 @@ def test_walls_that_do_not_block_motion_leave_the_plane():
     assert walled is not space_among((Wall(line=line, blocks=("motion",)),))
 
 
+def test_walls_that_block_starts_alone_let_players_through():
+    box = Wall(polygon=((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)), blocks=("start",))
+    line = Wall(line=((5.0, -5.0), (5.0, 5.0)), blocks=("motion",))
+    places = np.array([0.5 + 0.5j, 3 + 3j, 5 + 0j])
+    for walls, free, start in [
+        ((box,), [True, True, True], [False, True, True]),
+        ((box, line), [True, True, False], [False, True, False]),
+        ((line,), [True, True, False], [True, True, False]),
+    ]:
+        space = space_among(walls)
+        assert space.are_free(places).tolist() == free
+        assert space.may_start(places).tolist() == start
+        assert space.distance(-1 + 0.5j, 2 + 0.5j) == 3.0
+
+
 def test_the_vector_of_an_arrival_is_as_long_as_the_path():
     space = Walled([Wall(line=((0, -5), (0, 50))), Wall(line=((9, 9), (9, 7), (7, 7), (7, 9), (9, 9)))])
     offsets = space.arrivals(0.5 + 0j, np.array([-0.5 + 0j, 3 + 4j, 8 + 8j]))
