@@ -95,7 +95,8 @@ def test_a_pursuer_that_cannot_capture_stays_and_actions_of_unknown_pursuers_are
     ("call", "time", "allowed"),
     [("sleep", inf, "duration should be finite and at least 0 s"), ("sleep", -1.0, "duration"), ("at", nan, "time")],
 )
-def test_waiting_for_a_time_that_never_comes_is_an_error(call, time, allowed):
+@pytest.mark.parametrize("fault", [(), (ClockSkew(offset_walk=1e-9),)], ids=["true", "wandering"])
+def test_waiting_for_a_time_that_never_comes_is_an_error(call, time, allowed, fault):
     def protocol(me):
         yield me.at(me.id * 0.25)
         if me.id == 1:
@@ -104,7 +105,7 @@ def test_waiting_for_a_time_that_never_comes_is_an_error(call, time, allowed):
     with pytest.raises(
         ValueError, match=rf"^pursuer 1: {call}\({time}\): the {allowed}.*return\)\n\(pursuer 1, at 0.25 s "
     ):
-        play(protocol)
+        play(protocol, fault=fault)
 
 
 @pytest.mark.parametrize("wait", [lambda me: me.sleep(0), lambda me: me.at(-1.0), lambda me: me.sleep(1e-12)])

@@ -80,6 +80,8 @@ class Timing:
         if type(duration) is not float:
             duration = real(duration, f"pursuer {self.id}: sleep: the duration")
         try:
+            if duration < 0.0:  # of which a clock that wanders makes 0
+                raise ValueError(duration)
             return self._event(self._env.now + self._clock.span(duration), phase)
         except (OverflowError, ValueError) as error:
             text = f"pursuer {self.id}: sleep({duration}): the duration should be finite and at least 0 s{RETURN_HINT}"
