@@ -390,6 +390,13 @@ def test_a_phase_diagram_has_a_panel_per_combination_of_the_other_keys_in_equal_
 
 
 @pytest.mark.slow
+def test_contours_leave_out_points_at_infinity():
+    axes = result({"x": [0.0, 1.0, inf], "y": [0.0, 2.0]}).plot(kind="contour").axes[0]
+    (points,) = axes.lines
+    assert sorted(map(tuple, points.get_xydata().tolist())) == [(0.0, 0.0), (0.0, 2.0), (1.0, 0.0), (1.0, 2.0)]
+
+
+@pytest.mark.slow
 def test_text_on_a_dark_cell_is_light():
     axes = phase(result({"x": [1.0, 2.0], "y": [1.0, 2.0]}), "active_time").axes[0]
     for patch, each in zip(axes.patches, axes.texts, strict=True):

@@ -98,8 +98,8 @@ def contour(
 ) -> Figure:
     """Draw the mean of a metric over two keys as coloured bands, between points that are joined to triangles.
 
-    Dots are the points. Each combination of values of the other keys has a panel; all share one colour scale. For the
-    arguments see `SweepResult.plot`.
+    Dots are the points; those at infinity are left out. Each combination of values of the other keys has a panel; all
+    share one colour scale. For the arguments see `SweepResult.plot`.
 
     Raises:
         ValueError: if not just two keys take the numbers of a design, or a grid has fewer than two keys that take
@@ -115,11 +115,11 @@ def contour(
     panels: dict[str, list[Point]] = {}
     points = list(zip(result.groups, result.estimates(metric), strict=True))
     for group, estimate in points:
-        if isfinite(estimate.mean):
+        if isfinite(estimate.mean) and all(isfinite(group.settings[key]) for key in keys):
             others = {k: v for k, v in group.settings.items() if k not in keys and len(result.values(k)) > 1}
             panels.setdefault(in_words(others), []).append((group, estimate))
     if not panels:
-        raise ValueError(f"{metric}: no configuration has a value")
+        raise ValueError(f"{metric}: no configuration has a finite value")
     means = [estimate.mean for panel in panels.values() for _, estimate in panel]
     colours = ScalarMappable(Normalize(min(means), max(means)), "cividis")
 
