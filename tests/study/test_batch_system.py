@@ -3,6 +3,7 @@
 import pytest
 
 from desim import Scenario, Team, sweep
+from desim.study.sweeps.sweep import RunError
 from desim.study.workers.batch_system import JobWorkers
 from desim.study.workers.executors import workers_for
 
@@ -90,6 +91,16 @@ def test_submitit_performs_a_sweep(tmp_path, monkeypatch):
     executor.update_parameters(timeout_min=5)
     found = sweep(SMALL, GRID, 2, JobWorkers(executor, 2), store=tmp_path / "a.sqlite")
     assert texts(found) == texts(sweep(SMALL, GRID, 2))
+
+
+def test_a_sweep_that_ends_early_says_why_also_if_its_jobs_cannot_be_cancelled(monkeypatch):
+    monkeypatch.delattr(Job, "cancel")
+
+    def fails(result):
+        raise ValueError("no")
+
+    with pytest.raises(RunError, match="ValueError: no"):
+        sweep(SMALL, GRID, 4, JobWorkers(Jobs(), 2), metrics={"fails": fails}, fail_fast=True)
 
 
 @pytest.mark.parametrize(("jobs", "why"), [(-1, "at least 0, got -1"), (1.5, "should be an integer"), ("2", "integer")])

@@ -143,7 +143,8 @@ def _in_batches(waiting: deque[int], submit: Submit, workers: Workers) -> Genera
                     yield list(zip(batch, outcomes, strict=True))
     finally:
         for future in out:
-            future.cancel()
+            if hasattr(future, "cancel"):  # a job of a batch system may have none
+                future.cancel()
     if broken:
         workers.renew()
     return unaccounted
