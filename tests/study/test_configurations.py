@@ -235,6 +235,15 @@ def test_a_grid_entry_that_is_not_a_list_is_refused_in_a_script(grid):
         of(grid)
 
 
+def test_a_table_that_would_replace_a_key_before_it_is_refused_and_the_other_order_is_not():
+    grid = {"network.latency": [0.2, 0.3], "network.latency.value": [0.1]}
+    with pytest.raises(ScenarioError, match="same configuration"):
+        of(grid)  # the key replaces what the table has
+    assert len(of({"protocol": ["sap", "local_min"], "protocol.schedule": ["poisson", "rounds"]})) == 4
+    with pytest.raises(ScenarioError, match=r"network.latency: would replace network.latency.value: give network.lat"):
+        of(dict(reversed(grid.items())))
+
+
 def test_a_set_is_refused_for_it_has_no_order():
     with pytest.raises(ScenarioError, match=r"got the set .*, which has no order: give a list"):
         of({"prune": {"inf", "none"}})

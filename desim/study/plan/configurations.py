@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import product
+from itertools import combinations, product
 from math import isfinite, prod, ulp
 from typing import Any
 
@@ -87,8 +87,8 @@ def configurations(
         raise ScenarioError(_about_grid(source, f"should have at most {most}, has {size:,}"))
     if sweep.design is not None:
         return valid_configurations(source, grid, design_settings(grid, sweep.design))
-    combinations = (dict(zip(grid, values, strict=True)) for values in product(*grid.values()))
-    return valid_configurations(source, grid, combinations)
+    chosen = (dict(zip(grid, values, strict=True)) for values in product(*grid.values()))
+    return valid_configurations(source, grid, chosen)
 
 
 def sweep_of(source: Source, grid: SweepGrid | None, design: Design | str | None = None) -> tuple[Source, Sweep]:
@@ -139,8 +139,11 @@ def checked_ranges(source: Source, grid: SweepGrid) -> SweepGrid:
     """Return a grid whose ranges know whether they are of whole numbers.
 
     Raises:
-        ScenarioError: if a key does not take an end of its range.
+        ScenarioError: if a key does not take an end of its range, or a table comes after a key in it.
     """
+    for inner, table in combinations(grid, 2):
+        if inner.startswith(f"{table}."):
+            raise ScenarioError(_about_grid(source, f"would replace {inner}: give {table} first", table))
     first = {key: values_to_try(values)[0] for key, values in grid.items()}
     checked, problems = dict(grid), list[Problem]()
     for key, (interval, *_) in ((key, values) for key, values in grid.items() if is_range(values)):
