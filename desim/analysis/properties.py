@@ -1,6 +1,7 @@
 """Properties of a run, judged: the margin of a property, and the watcher that ends a run that violates it."""
 
 from collections import deque
+from math import nan
 from typing import NamedTuple
 
 from desim.analysis.quantities import RISING, WATCHED, Level, Tally, cut, key_of, pieces_of
@@ -163,10 +164,13 @@ class PropertyWatcher:
 def margin(result: Result, name: str) -> float:
     """Return the margin of a property that the scenario of a run has, by its name: the metric `margin:NAME`.
 
+    It is nan if the protocol of the run is the reference of the property: a run never differs from itself.
+
     Raises:
         ValueError: if the scenario has no property of this name; see also `judge`.
     """
     named = {prop.label: prop for prop in result.scenario.properties}
     if name not in named:
         raise ValueError(f"the scenario has no property {name!r}; it has {', '.join(named) or 'none'}")
-    return judge(named[name], result).margin
+    prop = named[name]
+    return nan if prop.against == result.scenario.protocol_name else judge(prop, result).margin

@@ -234,6 +234,13 @@ def test_a_margin_is_a_metric_of_the_scenario():
     assert summary(result)["few"] == judge("always active <= 2", result).margin
 
 
+def test_a_run_has_no_margin_against_its_own_protocol_and_is_measured_all_the_same():
+    against = {"properties": ["a: idle never longer than 1 against sap"], "record.metrics": ["margin:a"]}
+    scenario = SMALL.with_(against)
+    assert summary(run(scenario, 0))["a"] is None
+    assert summary(run(scenario.with_({"protocol": "local_min"}), 0))["a"] is not None
+
+
 def test_assert_holds_names_the_seed_and_the_margin():
     assert_holds(SMALL, "active never longer than 5.9", seeds=range(3))
     with pytest.raises(AssertionError, match=r"sap in unnamed with seed 0 violates 'always active <= 1' by"):
