@@ -277,7 +277,7 @@ def _table(value: Any, info: FieldInfo) -> Any:
         return [_table(item, info) for item in value]
     choices = choices_of(info)
     known = not choices or any(choice.holds(value) for choice in choices)
-    return _tables(value) if isinstance(value, Value) and known else value
+    return _tables(value) if isinstance(value, Value) and known else _copied(value)
 
 
 def _replaced(model: Any, parts: list[str], value: Any) -> Any:

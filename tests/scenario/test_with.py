@@ -154,6 +154,13 @@ def test_what_the_caller_gives_stays_as_it_is_when_a_part_of_it_is_changed(kind)
     assert (speeds, faults) == ([1.0, 2.0, 3.0], kind([{"kind": "crash", "node": 1, "start": 1.0}]))
 
 
+def test_the_scenario_itself_stays_as_it_is_when_a_key_of_its_grid_is_added():
+    scenario = BASE.with_({"sweep.grid": {"team.count": [3, 4]}})
+    changed = scenario.with_({"sweep.grid.horizon": [1.0]})
+    assert scenario.sweep.grid == {"team.count": (3, 4)}
+    assert changed.sweep.grid == {"team.count": (3, 4), "horizon": (1.0,)}
+
+
 def test_a_point_of_a_sweep_keeps_a_table_of_which_the_grid_changes_a_key_too():
     grid = {"fault": [[{"kind": "crash", "node": 1, "start": 0.0}]], "fault.0.start": [0.5, 1.0]}
     points = configurations(Source.of(BASE.with_({"sweep.grid": grid})))
