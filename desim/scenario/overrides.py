@@ -168,7 +168,7 @@ class Source:
             raise ScenarioError(*(problem._replace(where=origin) for problem in problems_of(error))) from None
 
     def set(self, name: str, value: Any, origin: str) -> None:
-        """Set a dotted key to a value; missing tables are created with their default kind.
+        """Set a dotted key to a value; missing tables are created with their default kind, missing lists as by default.
 
         A bare string or number in place of a table becomes the table that it stands for: "cbba", for instance, stands
         for { kind = "cbba" }.
@@ -187,7 +187,9 @@ class Source:
             key = _key(part, node)
             default = default.get(key) if isinstance(default, dict) else None
             if isinstance(default, tuple) and not holds(node, key):
-                raise ScenarioError(Problem(_empty_list(".".join(map(str, (*place, key)))), name))
+                if not default or not isinstance(node, dict):
+                    raise ScenarioError(Problem(_empty_list(".".join(map(str, (*place, key)))), name))
+                node[key] = [*default]
             if isinstance(node, dict) and key not in node:
                 node[key] = {"kind": default["kind"]} if isinstance(default, dict) and "kind" in default else {}
             if holds(node, key) and (isinstance(node[key], Value) or callable(node[key])):

@@ -50,6 +50,7 @@ CHANGES = {
         {"network.loss": Bernoulli(p=0.1), "network.loss.p": 0.2},
         {"network": Links(loss=Bernoulli(p=0.2))},
     ),
+    "an item of a default": ({"team.box.1": 50.0}, {"team": Team(count=3, box=(0.0, 50.0))}),
     "an item": ({"fault.0.start": 1.0}, {"fault": (Crash(node=1, start=1.0),)}),
     "a protocol": ({"protocol": "cbba"}, {"protocol": CBBA()}),
     "a function": ({"protocol": still}, {"protocol": still}),
