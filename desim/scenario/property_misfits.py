@@ -14,7 +14,10 @@ def property_misfits(scenario: AnyScenario) -> Iterator[tuple[tuple[str | int, .
     labelled: dict[str, int] = {}
     for k, prop in enumerate(scenario.properties):
         if (first := labelled.setdefault(prop.label, k)) != k:
-            yield ("properties", k, "name"), f"properties.{first} has the name {prop.label!r}, too"
+            yield (
+                ("properties", k, "name"),
+                f"properties.{first} has the name {prop.label!r}, too: give one of them another",
+            )
         yield from ((("properties", k, *place), why) for place, why in misfits_of(prop, scenario))
     for k, metric in enumerate(scenario.record.metrics):
         if not isinstance(metric.of, PropertyMargin):
