@@ -19,8 +19,8 @@ Points = NDArray[np.complex128]
 def array_of(value: Any) -> "NDArray[Any]":
     """Return what a function of a user has returned, or a caller has given, as an array of numbers or booleans.
 
-    The dtype of the array is object if something in it is neither, such as a number with a unit or a masked one:
-    `np.asarray` would take the number. It also is if the labels of a series of pandas are not in order.
+    The dtype of the array is object if something in it is neither, such as a masked number or one with a unit, which
+    `np.asarray` would take; also if the labels of a series of pandas are not in order.
     """
     if type(value) in PLAIN or (type(value) is np.ndarray and value.dtype.kind in "biufc"):
         return np.asarray(value)

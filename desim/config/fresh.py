@@ -111,7 +111,7 @@ def _snapshot(value: Any) -> Any:
 
 
 class Remembered:
-    """Tells whether an object that is used again has changed since it was used first; it is told once.
+    """Tells, at the second use of an object, whether it has changed since the first.
 
     It is for an object of the caller that is not copied, because the caller may read it, or want it to learn.
     """
@@ -120,7 +120,7 @@ class Remembered:
         self._states: list[Any] = []
 
     def has_changed(self, value: Any) -> bool:
-        """Return whether the object has changed between the first and this, the second, call; later False."""
+        """Return whether the object has changed since the first call, at the second call; False at any other."""
         if len(self._states) > 1:
             return False
         self._states.append(_snapshot(value))

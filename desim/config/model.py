@@ -75,9 +75,11 @@ Unsigned = AfterValidator(lambda number: number + 0.0)
 
 
 def in_forms(*forms: str) -> Discriminator:
-    """Return what chooses the member of a union by the form of a value, which is its tag: a text, a list or a table.
+    """Return the discriminator of a union whose members have the forms of their values as tags.
 
-    A value that has none of the other forms has the last one.
+    Args:
+        forms: the tags, such as "list", "table", "number". "text", "list" and "table" are recognised; a value that has
+            none of the forms before the last has the last one.
     """
     types: dict[str, Any] = {"text": str, "list": list | tuple, "table": dict | BaseModel}
 

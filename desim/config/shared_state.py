@@ -112,9 +112,10 @@ def _carried(reads: Sequence[tuple[Any, str, Read]], before: Sequence[Any]) -> s
 
 @contextmanager
 def followed_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> Iterator[None]:
-    """Follow what a block that is no run changes of what the last run has left: its caller has not reset that.
+    """Note what a block that is no run changes of the state that the last run has left.
 
-    Metrics, for instance, call models of links. For the arguments see `shared_changes`.
+    Metrics, for instance, call models of links. Otherwise the next run would take their changes for a reset by the
+    caller, and not be warned of. For the arguments see `shared_changes`.
     """
     if not _runs:
         yield

@@ -68,9 +68,8 @@ def inconsistencies(trace: Sequence[Event]) -> Iterator[tuple[int, str]]:
     """Yield (line, error) for each line of a trace that is inconsistent with the lines before."""
     size, once = len(trace[0].pursuers) if isinstance(trace[0], Started) else 0, set[type[Event]]()
     receivers, broken = dict[int, tuple[int, ...]](), list[TracedFault]()
-    lost = defaultdict[tuple[int, int], list[int]](
-        list
-    )  # by transmission and receiver, the lines of those without Lost
+    # By transmission and receiver, the lines of lost messages for which no event Lost has come yet.
+    lost = defaultdict[tuple[int, int], list[int]](list)
     for number, event in enumerate(trace, start=1):
         if isinstance(event, Started | MessageCounts | TransportCounts | Ended):
             if type(event) in once:

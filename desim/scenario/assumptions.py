@@ -237,8 +237,7 @@ def _out_of_hops(scenario: "Scenario") -> str | None:
     graph = initial_graph(scenario)
     if is_complete(graph):
         return None
-    lengths = nx.all_pairs_shortest_path_length(graph)
-    widest = max(max(hops.values()) for _, hops in lengths)
+    widest = max(max(lengths.values()) for _, lengths in nx.all_pairs_shortest_path_length(graph))
     return (
         f"some pursuers are {widest} hops apart at the start, but announcements travel at most {hops:g}"
         if widest > hops

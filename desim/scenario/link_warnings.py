@@ -190,10 +190,10 @@ def late_rows(noun: str, times: Sequence[float], horizon: float, late: float = 1
 
 
 def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield the warnings about traces of links that end before the run, how named nodes are numbered, and doubts."""
+    """Yield the warnings about traces of links: those that end before the run, doubtful ones, and numbers of nodes."""
     owners = [("network", dict(scenario.network)), *(("network.graph", edge) for edge in edge_attributes(scenario))]
     owners += [(f"network.link.{k}", dict(link)) for k, link in enumerate(scenario.network.link)]
-    numbers: dict[tuple[str, str], None] = {}  # once for both ways of an edge
+    notes: dict[tuple[str, str], None] = {}  # a set in order: one note for both ways of an edge
     spans: dict[str, float] = {}
     for key, owner in owners:
         for name in ("latency", "loss", "duplicate"):
@@ -202,19 +202,19 @@ def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
                 continue
             if (named := model.named_nodes) is not None:
                 place = key if key == "network.graph" else f"{key}.{name}.nodes"
-                numbers[place, f"the nodes of {model.name} are numbered in its order: {named}"] = None
+                notes[place, f"the nodes of {model.name} are numbered in its order: {named}"] = None
             if model.is_replayed and model.doubt is not None:
                 field, doubt = model.doubt
-                numbers[key if key == "network.graph" else f"{key}.{name}.{field}", doubt] = None
+                notes[key if key == "network.graph" else f"{key}.{name}.{field}", doubt] = None
             times = model.measurements.times
             if model.is_replayed and len(times) > 1 and model.start != "random":
                 since = (times / SECOND - model.start).tolist()
                 if (why := late_rows("row", since, scenario.horizon)) is not None:
-                    numbers[key if key == "network.graph" else f"{key}.{name}.time_unit", why] = None
+                    notes[key if key == "network.graph" else f"{key}.{name}.time_unit", why] = None
             if model.is_replayed and model.after == "error" and model.span < scenario.horizon:
                 place = key if key == "network.graph" else f"{key}.{name}.after"
                 spans[place] = min(model.span, spans.get(place, inf))
-    yield from numbers
+    yield from notes
     for place, span in spans.items():
         yield (
             place,

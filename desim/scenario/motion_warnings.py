@@ -145,10 +145,8 @@ def _place_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     starts = [complex(*evader.start(scenario.seed, k, scenario.space)) for k, evader in enumerate(evaders)]
     top_speed = max(scenario.team.top_speed, *(evader.speed for evader in evaders)) + environment.top_speed
     way = 0.0 if scenario.motion.static else top_speed * max(scenario.horizon, SHORT)
-    box, hint = (
-        _box([*pursuers, *starts], way),
-        "are its coordinates in another unit, in degrees, or from another origin?",
-    )
+    box = _box([*pursuers, *starts], way)
+    hint = "are its coordinates in another unit, in degrees, or from another origin?"
     if scenario.wall:
         walls = _box([complex(*corner) for wall in scenario.wall for shape in wall.shapes for corner in shape.corners])
         if max(walls[1] - walls[0], walls[3] - walls[2]) < TINY:

@@ -77,12 +77,10 @@ def _named(value: Any, info: ValidationInfo) -> NamedMetric:
     elif value in (installed := installed_metrics()):
         name, of = value, load_named(f"{installed[value].module}:{installed[value].attr}", None)
     else:
-        hint, names = (
-            did_you_mean(value, installed),
-            ", ".join(['"module:name"', '"margin:NAME" of a property', *installed]),
-        )
+        names = ", ".join(['"module:name"', '"margin:NAME" of a property', *installed])
         raise ValueError(
-            f"there is no installed metric {value!r}{hint}; allowed: {names}; the built-in metrics are in every summary"
+            f"there is no installed metric {value!r}{did_you_mean(value, installed)}; allowed: {names}; the built-in"
+            " metrics are in every summary"
         )
     _check_called(value, of)
     return NamedMetric(name=name, given=value, of=of)

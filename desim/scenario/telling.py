@@ -14,11 +14,7 @@ def is_built_in(scenario: Scenario) -> bool:
     if not (PROTOCOLS.holds(protocol) and DISSEMINATIONS.holds(scenario.announce.dissemination)):
         return False
     fields = type(protocol).model_fields
-    return (
-        all(kinds.holds(protocol.schedule) for kinds in choices_of(fields["schedule"]))
-        if "schedule" in fields
-        else True
-    )
+    return "schedule" not in fields or all(kind.holds(protocol.schedule) for kind in choices_of(fields["schedule"]))
 
 
 def tells_nothing(scenario: Scenario) -> bool:

@@ -127,6 +127,6 @@ def _start_behaviour(protocol: Behaviour, agent: Agent) -> Process:
         raise wrong_answer(why, behaviour, protocol)
     if not isinstance(behaviour, Iterator):
         raise wrong_answer(f"{PROCESS} should be a generator that yields the events it waits for", behaviour, protocol)
-    return (
-        behaviour if hasattr(behaviour, "send") else (event for event in behaviour)
-    )  # an iterator of a list has no `send`
+    if hasattr(behaviour, "send"):
+        return behaviour
+    return (event for event in behaviour)  # an iterator of a list has no `send`

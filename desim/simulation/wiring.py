@@ -45,9 +45,16 @@ def make_network(
     *,
     positions: "PursuerPositions | None" = None,
 ) -> TeamNetwork:
-    """Create the network of a team; `link_layer` is as in `Network`.
+    """Create the network of a team.
 
-    `positions` are those of the pursuers; None: those of the state, in which none is faster than it can go.
+    Args:
+        env: the clock of the simulation.
+        scenario: the experiment.
+        state: the true state of the world.
+        seed: the seed of the run.
+        trace: receives the events of messages; None: they are not recorded.
+        link_layer: as in `Network`.
+        positions: those of the pursuers; None: those of the state, where no pursuer exceeds its top speed.
     """
     faults = draw_faults(scenario.network_faults, state.size, scenario.horizon, seed)
     positions = positions or PursuerPositions(state, scenario.team.top_speed + scenario.environment.top_speed)
