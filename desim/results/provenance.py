@@ -6,9 +6,10 @@ The file has no date: the same command on the same code, in the same environment
 import json
 import shlex
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Sized
+from functools import partial
 from pathlib import Path
-from types import FunctionType, NoneType
+from types import FunctionType, MethodType, NoneType
 from typing import TYPE_CHECKING, Any
 
 from desim.config.errors import KeyPath
@@ -268,7 +269,7 @@ def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
     elif isinstance(node, tuple) and not callable(node):
         inner = {str(k): entry for k, entry in enumerate(node)}
     else:
-        if callable(node) and not isinstance(node, FunctionType | type) and node.__getstate__():
+        if callable(node) and not isinstance(node, FunctionType | type) and _has_state(node):
             yield ".".join(place)
         return
     for name, value in inner.items():
@@ -277,3 +278,10 @@ def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
         is_chosen = field is not None and choices_of(field)  # a model, which its name selects
         if not (isinstance(node, tuple) or is_ours(type(node)) or is_chosen) and is_named_only(value):
             yield ".".join((*place, name))
+
+
+def _has_state(model: Any) -> bool:
+    """Return whether an object holds anything: attributes, arguments of a partial function, an object, or items."""
+    return isinstance(model, partial | MethodType) or bool(
+        model.__getstate__() or (isinstance(model, Sized) and len(model))
+    )

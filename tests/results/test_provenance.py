@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from dataclasses import dataclass
+from functools import partial
 from math import inf, nan
 from pathlib import Path
 
@@ -159,6 +160,14 @@ class Stateful:
     def __call__(self, context, rng):
         return self.other
 
+    def delay(self, context, rng):
+        return self.other
+
+
+class Listed(list):
+    def __call__(self, context, rng):
+        return self[0]
+
 
 class Stateless:
     def __call__(self, context, rng):
@@ -176,17 +185,24 @@ def half_a_second(context, rng):
     return 0.5
 
 
+def seconds_of(value, context, rng):
+    return value
+
+
 @pytest.mark.parametrize(
     ("latency", "known"),
     [
         (Stateful(), False),
         (Slotted(), False),
+        (Listed([0.5]), False),
+        (partial(seconds_of, 0.5), False),
+        (Stateful().delay, False),
         (Delay(0.5), True),
         (Stateless(), True),
         (Own(), True),
         (half_a_second, True),
     ],
-    ids=["stateful", "slots", "dataclass", "stateless", "value", "function"],
+    ids=["stateful", "slots", "list", "partial", "method", "dataclass", "stateless", "value", "function"],
 )
 def test_a_model_whose_parameters_are_not_recorded_is_named(latency, known):
     links = Links(
