@@ -19,8 +19,8 @@ from pydantic import Field
 from desim.pursuit.team.agent import Agent
 from protocols.rule import LearningRule, argmax, current_action
 
-RevisionProbability = Annotated[float, Field(gt=0, le=1, strict=True)]
-"""Probability that a pursuer which revises its action changes to a better one, in (0, 1]."""
+ChangeProbability = Annotated[float, Field(gt=0, le=1, strict=True)]
+"""Probability that a pursuer changes its action at a turn at which its rule would, in (0, 1]."""
 
 
 class BestResponse(LearningRule):
@@ -39,7 +39,7 @@ class BetterReply(LearningRule):
     """At its turn a pursuer changes, with probability alpha, to a random action among those better than its own."""
 
     kind: Literal["better_reply"] = "better_reply"
-    alpha: RevisionProbability = 0.5
+    alpha: ChangeProbability = 0.5
     """Probability of changing if there is a better action, in (0, 1]; 1 - alpha is the inertia.
 
     If all change at once with probability 1, they may swap actions for ever; with a small alpha they settle slowly.

@@ -26,7 +26,7 @@ from desim.config.traits import inherits
 from desim.pursuit.core.traits import UtilityTraits
 from desim.pursuit.team.agent import Agent
 from desim.pursuit.team.beliefs import Belief
-from protocols.best_response import RevisionProbability
+from protocols.best_response import ChangeProbability
 from protocols.rule import LearningRule, argmax, current_action
 
 
@@ -75,7 +75,7 @@ class JointStrategyFictitiousPlay(LearningRule):
     """
 
     kind: Literal["jsfp"] = "jsfp"
-    alpha: RevisionProbability = 0.5
+    alpha: ChangeProbability = 0.5
     """Probability of changing to a better action, in (0, 1]; 1 - alpha is the inertia.
 
     If all change at once with probability 1, they may swap actions for ever; with a small alpha they settle slowly.

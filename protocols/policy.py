@@ -143,7 +143,7 @@ class Policy(Rule):
         names = observation_names(pursuers, evaders)
         absent = [name for name in self.features if not name.startswith(f"{RELATIVE}.") and name not in names]
         if absent:
-            what = f"there is no {absent[0]!r} with {pursuers} pursuers and {evaders} evaders"
+            what = f"there is no {absent[0]!r} in this game (pursuers: {pursuers}, evaders: {evaders})"
             raise KeyedError(Problem(what, "features"))
         if self.outputs not in {1, evaders + 1}:
             what = f"the last layer should have 1 output, or {evaders + 1}, one for each action (it has {self.outputs})"

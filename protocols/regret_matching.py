@@ -24,7 +24,7 @@ from typing import Literal
 from desim.config.model import Probability
 from desim.kernel.core.portable_math import portable_sum
 from desim.pursuit.team.agent import Agent
-from protocols.best_response import RevisionProbability
+from protocols.best_response import ChangeProbability
 from protocols.rule import LearningRule, current_action
 from protocols.sap import categorical
 
@@ -45,7 +45,7 @@ class RegretMatching(LearningRule):
 
     If in doubt, use 0 in a static game, and 0.1 if the players move.
     """
-    alpha: RevisionProbability = 1.0
+    alpha: ChangeProbability = 1.0
     """Probability of choosing anew, in (0, 1]; 1 - alpha is the inertia.
 
     If in doubt, use 1 if only one pursuer revises at a time, and 0.5 if several may do so at once.
@@ -80,7 +80,7 @@ class GeneralisedRegretMatching(RegretMatching):
 
     If in doubt, use 0.1.
     """
-    alpha: RevisionProbability = 0.5
+    alpha: ChangeProbability = 0.5
     """Probability of choosing anew, in (0, 1]; 1 - alpha is the inertia.
 
     If in doubt, use 0.5.

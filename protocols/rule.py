@@ -53,8 +53,8 @@ class Rule(Value):
         """Run the schedule of a pursuer; at each turn, assign the next of `actions`, or 0 if it is not asked.
 
         Raises:
-            TypeError: if `actions` is not a generator, or the schedule returns none.
-            ValueError: if `actions` ends.
+            TypeError: if `actions` is not a generator.
+            ValueError: if `actions` ends, or the schedule is not a generator.
         """
         actions = self.actions(me)
         if not isinstance(actions, Iterator):
@@ -96,7 +96,7 @@ def argmax(utilities: dict[int, float]) -> int:
     """Return the action of highest utility; ties go to the first, so inactivity is preferred to a chase of gain 0.
 
     Raises:
-        ValueError: if they are no utilities by action.
+        ValueError: if the utilities are not a dict by action.
     """
     if not isinstance(utilities, dict):
         raise ValueError(

@@ -174,7 +174,7 @@ class Server(Value):
         return me.id
 
     def _turn(self, me: Agent, pursuer: int) -> int:
-        """Return how many pursuers are to be the server before a pursuer is."""
+        """Return the place of a pursuer in the order in which pursuers become the server: 0 for the host."""
         return (pursuer - self.host) % me.team_size
 
     def _delay(self, me: Agent) -> float:
@@ -182,7 +182,10 @@ class Server(Value):
         return me.latency + me.airtime(me.located())
 
     def _timeout(self, me: Agent) -> float:
-        """Return the time, s, after which silence means that no more is to come: two reports in a row may be lost."""
+        """Return the time, s, without a message after which its sender counts as silent.
+
+        Two reports in a row may be lost.
+        """
         return 3.0 * max(self.period, me.interval(me.located())) + 2.0 * self._delay(me)
 
     def _ticks(self, me: Agent) -> Iterator[float]:

@@ -107,7 +107,9 @@ def test_names_of_features_are_checked(name, why):
 @pytest.mark.parametrize("name", ["evader_2.lead", "evader_0.lead", "pursuer_6.age"])
 def test_features_have_to_exist_in_the_game(name):
     policy = Policy(features=(name,), layers=(Layer(weights=((1.0,),), bias=(0.0,)),))
-    with pytest.raises(KeyedError, match=f"protocol.features: there is no '{name}' with 6 pursuers and 1 evaders"):
+    with pytest.raises(
+        KeyedError, match=f"protocol.features: there is no '{name}' in this game .pursuers: 6, evaders: 1"
+    ):
         small(policy)
 
 
