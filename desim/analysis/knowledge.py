@@ -130,6 +130,8 @@ class _Receptions:
 class _Lives:
     """The columns of a table of lives, periods in which a reader keeps its memory, in order of reader and time."""
 
+    edges: Integers
+    """(lives + 1,) the row in `_Receptions` of the first reception of each life, and the number of receptions."""
     reader: Integers
     begin: Integers
     """Start of the run, or time of a loss of memory, ns."""
@@ -139,8 +141,6 @@ class _Lives:
     """`LAST` if the life ends with the run, else `FIRST`."""
     knows: Integers
     """1 if the reader knows the initial actions of all, else 0: the rank of the sequence number of its beliefs."""
-    edges: Integers
-    """(lives + 1,) the row in `_Receptions` of the first reception of each life, and the number of receptions."""
 
     def batches(self, size: int, records: Integers) -> "Iterator[_Lives]":
         """Yield the lives in batches of about `ROWS` rows at most; one life may have more.
@@ -158,7 +158,7 @@ class _Lives:
         bounds = np.flatnonzero((np.diff(part) > 0) | (np.diff(block) > 0)) + 1
         for first, last in pairwise([0, *bounds.tolist(), len(number)]):
             columns = (self.reader, self.begin, self.until, self.before, self.knows)
-            yield _Lives(*(column[first:last] for column in columns), self.edges[first : last + 1])
+            yield _Lives(self.edges[first : last + 1], *(column[first:last] for column in columns))
 
     def fill(
         self,
@@ -224,7 +224,7 @@ def _lives(result: Result, receptions: _Receptions, end: int) -> _Lives:
         edges += [first, *(first + np.searchsorted(receptions.arrival[first:last], losses)).tolist()]
         for k, (begin, until) in enumerate(pairwise([0, *losses, end])):
             lives.append((reader, begin, until, LAST if k == len(losses) else FIRST, knows if k == 0 else 0))
-    return _Lives(*np.array(lives, np.int64).T, np.array([*edges, len(receptions.dst)]))
+    return _Lives(np.array([*edges, len(receptions.dst)]), *np.array(lives, np.int64).T)
 
 
 def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Transmissions, _Receptions]:
