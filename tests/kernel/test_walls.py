@@ -330,6 +330,7 @@ def test_a_closed_path_without_a_fill_is_a_line_around_a_free_inside(tmp_path, d
 SHAPES = {
     '<line x1="1" y1="2" x2="3" y2="4" stroke="red"/>': ([[1, -2], [3, -4]], False),
     '<polyline points="1,2 3,4 5-6" fill="none" stroke="red"/>': ([[1, -2], [3, -4], [5, 6]], False),
+    '<path d="M9 9z"/><path fill="none" d=" M9 9 "/><path d="M1 2v0H3h0"/>': ([[1, -2], [3, -2]], False),
     '<polygon points="1 2 3 4 5 2"/>': ([[1, -2], [3, -4], [5, -2]], True),
     '<polygon fill="none" stroke="red" points="1 2 3 4 5 2"/>': ([[1, -2], [3, -4], [5, -2], [1, -2]], False),
     '<rect x="1" y="2px" width="3" height="4"/>': ([[1, -2], [4, -2], [4, -6], [1, -6]], True),

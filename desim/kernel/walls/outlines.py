@@ -167,6 +167,8 @@ class _Wkt:
 def svg_outlines(text: str) -> list[Outline]:
     """Return the lines and rings of the data of an SVG path, its attribute d; y changes its sign.
 
+    Pieces without a length are left out, as nothing is drawn there.
+
     Raises:
         ValueError: if the text is not such data, or has a curve.
     """
@@ -194,11 +196,9 @@ def svg_outlines(text: str) -> list[Outline]:
             outlines += _svg_outline(corners, closed=False)
             corners, begin = [], place
             command = "L" if command == "M" else "l"
-        corners.append(place)
-    outlines += _svg_outline(corners, closed=False)
-    if not outlines:
-        raise ValueError("SVG path: has no line")
-    return outlines
+        if not corners or corners[-1] != place:
+            corners.append(place)
+    return outlines + _svg_outline(corners, closed=False)
 
 
 def _svg_tokens(text: str) -> Iterator[str | float]:

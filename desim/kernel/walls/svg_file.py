@@ -97,10 +97,10 @@ def svg_file_outlines(text: str) -> list[Outline]:
             continue
         properties = _style(element, name, rules)
         around = _within(around, properties)
-        if name in SHAPES and (data := SHAPES[name](element)):
+        if name in SHAPES and (outlines := svg_outlines(SHAPES[name](element))):  # a single point draws nothing
             is_evenodd = around.style.get("fill-rule") == "evenodd"
             number = drawn[-1].element + 1 if drawn else 0
-            drawn += [_Drawn(outline, number, is_evenodd) for outline in _placed(svg_outlines(data), name, around)]
+            drawn += [_Drawn(outline, number, is_evenodd) for outline in _placed(outlines, name, around)]
         waiting += [(child, around) for child in reversed(element)]
     _check_nesting([shape for shape in drawn if shape.outline.closed])
     return [shape.outline for shape in drawn]

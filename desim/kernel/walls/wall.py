@@ -91,6 +91,8 @@ class Wall(Value):
             raise ValueError(f"should have exactly one of {', '.join(SHAPE_KEYS)}{has}")
         if self.material is not None and self.loss != inf:
             raise ValueError("should have a loss or a material, not both")
+        if not self._outlines:
+            raise ValueError("SVG path: has no line")
         check_outlines(self._outlines)
         if self.scale != 1.0 or self.offset != (0.0, 0.0):
             for k, shape in enumerate(self.shapes):
