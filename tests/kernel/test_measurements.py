@@ -544,7 +544,8 @@ def test_a_column_named_after_another_unit_is_refused(named, form, model, key, c
     table = f"{columns['time']},{columns['value']}\n0,0\n1,0\n"
     for unit in PER_SECOND if key else ["s"]:
         keys = columns | ({key: unit} if key else {})
-        if key and named == unit:
+        is_least = name == "x_min" and column == "value"
+        if (key and named == unit) or is_least:
             model(table=table, **keys)
         else:
             with pytest.raises(ValueError, match=f"column {re.escape(repr(name))} is in {named}, and should be in"):
@@ -590,6 +591,15 @@ def test_a_power_that_no_radio_receives_gives_a_warning(column, value, is_told):
 def test_a_link_that_never_received_has_no_power_of_0_dbm():
     assert SignalTrace(table="t,src,dst,rssi\n0,0,1,-80\n0,1,0,\n1,1,0,nan\n", value="rssi").doubt is None
     assert SignalTrace(table="t,rssi\n0,\n", value="rssi").doubt is None
+
+
+def test_the_least_value_is_not_in_minutes_and_a_time_is():
+    table = "t,rtt_min\n0,50\n1,40\n"
+    assert LatencyTrace(table=table, value="rtt_min", unit="ms").mean_latency() == pytest.approx(0.045)
+    for names in ({"value": "rtt [min]"}, {"value": "rtt_min", "time": "t_min"}):
+        text = table.replace("rtt_min", names["value"]).replace("t,", f"{names.get('time', 't')},", 1)
+        with pytest.raises(ValueError, match="is in min, and should be in"):
+            LatencyTrace(table=text, unit="ms", **names)
 
 
 @pytest.mark.parametrize("table", ["t,value\n0,0.1\n1,0.2\n", "t,src,dst,value\n0,0,1,0.1\n1,0,1,0.2\n"])
