@@ -329,6 +329,7 @@ NO_GRAPHS = {
     "ragged.csv": ("source,target,loss\n0,1\n", "line 2: should have 3 columns, has 2"),
     "commas.txt": ("source target loss\n0 1 0,5\n", "line 2: loss: '0,5' is not a number; the decimal sign is a point"),
     "signs.csv": ("source;target;loss\n0;1;0,5\n1;2;0.5\n", "either decimal points or decimal commas"),
+    "columns.csv": ("a,b\n", "line 1: a, b are the names of columns, and no edge follows; if they are an edge, write"),
     "unit.csv": ("source,target,latency\n0,1,10 km\n", "line 2: latency: '10 km' is not a number"),
     "mixed.csv": ("Source,Target,Type\n0,1,Directed\n1,2,Undirected\n", "has directed and undirected edges"),
     "parallel.csv": ("source,target,loss\n0,1,0\n0,1,1\n", "edges 0 and 1 are parallel: both join nodes 0 and 1"),

@@ -318,7 +318,7 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
     Nodes may be called a and b, too: a first line whose names occur below, or that has a number, is an edge.
 
     Raises:
-        ValueError: if the first line may be both.
+        ValueError: if the first line may be both, or no other follows.
     """
     if len(rows[0].cells) < 2:
         return [], rows
@@ -344,6 +344,9 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
     if len(first) == 2 and nodes and max(map(len, nodes)) == 1 == max(map(len, first)) and not has_numbers:
         why = f"{first[0]} {first[1]} may be an edge or the names of the columns: write source and target above"
         raise ValueError(f"{file}, line {rows[0].line}: {why}")
+    if not below:
+        why = f"{', '.join(first)[:60]} are the names of columns, and no edge follows"
+        raise ValueError(f"{file}, line {rows[0].line}: {why}; if they are an edge, write source and target above")
     return first, below
 
 
