@@ -890,6 +890,12 @@ def test_numbers_with_a_fraction_are_names_where_the_first_line_names_the_column
     assert read(tmp_path / "g.csv").names == ("1.1", "1.2", "2.1")
 
 
+def test_one_edge_is_no_graph_of_metis_without_edges(tmp_path):
+    for name, edges in (("g.txt", [(1, 0)]), ("g.metis", [])):
+        (tmp_path / name).write_text("1 0\n")
+        assert [(edge.src, edge.dst) for edge in read(tmp_path / name).edges] == edges
+
+
 def test_a_first_line_with_one_name_is_a_node_without_edges(tmp_path):
     (tmp_path / "g.txt").write_text("base\n0 1\n")
     assert read(tmp_path / "g.txt").names == ("base", "0", "1")

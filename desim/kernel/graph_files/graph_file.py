@@ -141,7 +141,7 @@ def _metis(file: Path, ending: str, text: str) -> "nx.Graph[Any] | None":
         return None
     if graph is None and ending in METIS - {".graph"}:
         raise ValueError(f"{file} is not a graph of METIS: its first line should have the number of the lines below")
-    return graph
+    return graph if ending in METIS or (graph is not None and graph.number_of_edges()) else None  # 1 0 is an edge
 
 
 # JSON
