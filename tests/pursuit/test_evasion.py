@@ -10,6 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from desim.config.choice import kind_of
+from desim.kernel.walls.wall import Wall
 from desim.pursuit.core.state import State, complex_points, coordinates
 from desim.pursuit.evaders.evasion import (
     STRATEGIES,
@@ -27,6 +28,7 @@ from desim.pursuit.evaders.evasion import (
     first_captures,
 )
 from desim.pursuit.evaders.observation import EvaderObservation
+from desim.pursuit.paths.space import space_among
 from desim.scenario.players import Evader
 from desim.scenario.toml import load
 
@@ -229,6 +231,15 @@ def test_first_captures_are_those_of_the_first():
     """Towards a pursuer of 1.5 m/s at 5 m, at 1 m/s: 4.9 / 2.5 s; away from it 4.9 / 0.5 s; the other is far."""
     times = first_captures(observation(5 + 0j, 1e3 + 0j), np.array([1 + 0j, -1 + 0j]))
     assert times == pytest.approx([4.9 / 2.5, 4.9 / 0.5])
+
+
+@pytest.mark.parametrize(("speed", "heads_for"), [(0.2, -1.0), (9.0, 1.0)])
+def test_a_place_to_which_a_pursuer_could_come_first_hides_nobody(speed, heads_for):
+    """All hiding places are on the left of a wall, and the pursuer is between it and the evader."""
+    space = space_among((Wall(line=((0.0, -1.0), (0.0, 1.0)), blocks=("sight",)),))
+    seen = observation(1 + 0j, evader=2 + 0j, speeds=speed).within(space)
+    heading = Hide()(seen, np.random.default_rng(0))
+    assert heading.real * heads_for > 0.5
 
 
 def test_a_zigzag_goes_left_and_right_of_straight_away_by_the_clock():

@@ -38,6 +38,7 @@ from desim.testing.pursuits import watched
 STEADY = SteadyFlow(velocity=(0.3, -0.2))
 TIDE = HarmonicFlow(velocity=(0.1, 0.2), amplitude=(0.5, -0.4), period=3.0, phase=0.3)
 GUST = RecordedFlow(velocities=((1.0, 0.4, 0.0), (3.0, 0.0, -0.5), (4.0, 0.1, 0.2)))
+CALMED = RecordedFlow(velocities=((5.0, 1.0, 0.0), (5.01, 0.0, 0.0)))
 SPIN = AffineFlow(velocity=(0.1, 0.0), expansion=-0.05, rotation=0.3, centre=(10.0, 9.0))
 CELLS = GyreFlow(speed=0.5, size=4.0, shift=1.0, period=5.0)
 UNIFORM, UNEVEN = [STEADY, TIDE, GUST], [SPIN, CELLS]
@@ -67,7 +68,7 @@ def test_a_displacement_is_the_integral_of_the_velocity(flow, begin, end):
     assert flow.displacement(begin, end) == pytest.approx(complex(x, y), abs=1e-6)
 
 
-@pytest.mark.parametrize("flow", UNIFORM, ids=name)
+@pytest.mark.parametrize("flow", [*UNIFORM, CALMED], ids=name)
 def test_speeds_accelerations_and_trends_are_bounds(flow):
     times = np.linspace(0.0, 12.0, 4_001)
     values = np.array([flow.velocity_at(t) for t in times.tolist()])

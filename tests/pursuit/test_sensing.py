@@ -167,6 +167,18 @@ def test_the_worst_case_grows_with_age():
     assert phi[2.0] == pytest.approx((2.999 + 0.9 * (2.0 - 1.11) - 0.1) / 0.1)
 
 
+def test_the_worst_case_bounds_the_distance_from_the_place_of_the_search():
+    """The evader flees along the x axis; at times the spiral leads to the other side of where it was last seen."""
+    sensing = Sensing(radius=3.0, estimate="worst_case", track_timeout=1.0)
+
+    def error_and_bound(me):
+        return abs(me.global_state.evader(1) - me.evader()), me.errors()[0]
+
+    answers = seen_once(sensing, ConstantHeading(angle=0.0), error_and_bound)
+    assert all(off <= bound + 1e-9 for off, bound in answers.values())
+    assert sum(off > 0.9 * (t - 1.1) + 0.1 for t, (off, _) in answers.items()) > 5
+
+
 def test_a_pursuer_that_lost_the_evader_stays_or_searches():
     """It is last seen at 1.11 s, and so lost from 3.11 s on."""
     for on_lost, knows in (("stay", False), ("search", True)):

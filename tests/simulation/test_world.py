@@ -26,6 +26,7 @@ from desim.scenario.scenario import Capture, Motion, Recording
 from desim.simulation.wiring import PursuerPositions
 from desim.testing.pursuits import watched
 from scenarios.studies.study import SCENARIOS
+from tests.worlds import world_of
 
 
 def orders(*plan):
@@ -129,6 +130,18 @@ def test_capture_at_the_horizon_still_counts_and_no_decision_follows():
     assert summary(run(still((0.0, 0, True), horizon=2.9))).captured
     assert not summary(run(still((0.0, 0, True), horizon=2.8999999))).captured
     assert [event.t for event in run(still((2.4, 0, True), (2.5, 0, False))).trace.of(Decided)] == [2_400_000_000]
+
+
+def test_chasers_are_inactive_since_the_capture_of_their_evader():
+    """Both chase evader 1, which pursuer 0 captures after 2.9 s; pursuer 2 stays."""
+    team = Team(positions=[(0.0, 0.0), (9.0, 0.0), (9.0, 9.0)], speeds=1.0, active_at_start=0.0)
+    parts = world_of(still(team=team, horizon=5.0))
+    parts.world.begin()
+    for pursuer in (0, 1):
+        parts.view.set_action(pursuer, 1)
+    parts.env.run(until=3 * SECOND)
+    assert parts.state.profile == [0, 0, 0]
+    assert parts.state.acting_since == [2_900_000_000, 2_900_000_000, 0]
 
 
 def test_a_pursuer_within_the_radius_at_the_start_captures_before_any_decision():
