@@ -90,6 +90,30 @@ def test_pursuers_err_independently_of_each_other_and_of_the_sensing_range():
     assert len({round(abs(place - (5 + 5j)), 9) for place in near}) == 3
 
 
+def test_the_order_in_which_tracks_arrive_does_not_count():
+    """The fusion of three tracks depends on their order, which is that of their sources."""
+
+    def fused_both_ways(me):
+        view = me._view
+        view._read_reports()
+        reports, now = view._tracks[1], view._clock.stamp
+        before = view._fuse(1, now)
+        view._tracks[1] = dict(reversed(reports.items()))
+        return len(reports), before == view._fuse(1, now)
+
+    sensing = Sensing(noise=NOISE, estimator=Kalman(), fusion="covariance_intersection", period=0.1)
+    assert looked(sensing, [0.5], fused_both_ways) == [(2, True)] * 3
+
+
+@pytest.mark.parametrize(("flow", "speed"), [("none", 11.0), ({"kind": "uniform", "velocity": [3.0, 0.0]}, 14.0)])
+def test_a_filter_begins_with_the_speed_of_the_evader_over_ground(flow, speed):
+    """Its variance of the velocity after the first sighting, and after 0.02 s in which it grows by diffusion."""
+    sensing = Sensing(noise=NOISE, estimator=Kalman(velocity_diffusion=1.0), period=9.0)
+    fast = {"evader": Evader(position=(5.0, 5.0), speed=11.0), "environment": {"flow": flow}}
+    variances = looked(sensing, [0.02], lambda me: me._view.track(1).covariance[7], **fast)
+    assert variances == pytest.approx([speed**2 + 0.02] * 3)
+
+
 @pytest.mark.parametrize("period", [9.0, 0.1])
 @pytest.mark.parametrize("estimator", [AlphaBeta(), Kalman()])
 def test_a_filter_is_nearer_to_the_truth_than_single_sightings(estimator, period):
