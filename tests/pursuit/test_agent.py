@@ -108,6 +108,21 @@ def test_waiting_for_a_time_that_never_comes_is_an_error(call, time, allowed, fa
         play(protocol, fault=fault)
 
 
+@pytest.mark.parametrize(("prune", "late"), [("infeasible", (0,)), ("inf", (0, 1)), ("none", (0, 1))])
+def test_options_shrink_with_the_time_left_if_it_prunes(prune, late):
+    """Pursuer 2 needs 3.9 s of the 10 s: from 6.1 s on it would come too late."""
+    seen = []
+
+    def protocol(me):
+        for t in (0.0, 6.0, 6.2):
+            yield me.at(t)
+            if me.id == 2:
+                seen.append(tuple(me.options()))
+
+    play(protocol, prune=prune)
+    assert seen == [(0, 1), (0, 1), late]
+
+
 @pytest.mark.parametrize("wait", [lambda me: me.sleep(0), lambda me: me.at(-1.0), lambda me: me.sleep(1e-12)])
 def test_waiting_for_the_present_without_end_is_an_error(wait, monkeypatch):
     monkeypatch.setattr("desim.pursuit.team.timing.MAX_AT_ONE_INSTANT", 50)
