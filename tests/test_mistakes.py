@@ -176,7 +176,7 @@ CALLS: dict[str, tuple[Any, ...]] = {
     "sweep(SHORT, {'loss': [0.1]})": ("unknown key, did you mean network.loss?",),
     "sweep(SHORT, {'network.latency': Constant()})": ("network.latency: should be a list: [Constant()]",),
     "sweep(SHORT, GRID, store=3)": ("store should be the path of a file", "got 3"),
-    "sweep(SHORT, GRID, store='.')": ("give a path that can be written",),
+    "sweep(SHORT, GRID, store='.')": ("is a folder, and a store is a file (.sqlite)",),
     "sweep(SHORT, GRID, until=('active_time,regret', 1))": ("the name of one metric",),
     "sweep(SHORT, GRID).plot(['regret', 'energy'])": ("the name of one metric, 'active_time' for instance",),
     "sweep(SHORT, GRID).crossover('team.count')": ("it is crossover(metric, key, a, b", "{'protocol': 'sap'}"),

@@ -9,7 +9,7 @@ from contextlib import closing
 import pytest
 
 import desim
-from desim.study.sweeps.listing import ls
+from desim.study.sweeps.listing import _modified, ls
 from tests.command import accepted, refused, strict_json
 from tests.conftest import undraw
 
@@ -98,6 +98,18 @@ def test_what_is_unfinished_or_damaged_says_so(results, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("_undrawn")
+def test_links_to_nothing_are_listed_as_such(tmp_path):
+    for folder, name in (("run", "trace.jsonl"), ("swept", "sweep.sqlite"), ("told", "run.json")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / name).symlink_to("nowhere")
+    states = {entry.folder.name: entry.state for entry in ls(tmp_path)}
+    assert states["run"] == "trace.jsonl: No such file or directory"
+    assert "sweep.sqlite: is a symbolic link to nowhere, which is no store" in states["swept"]
+    assert states["told"] == "no run.json; no runs recorded"
+    assert all(entry.modified > 0.0 for entry in ls(tmp_path))
+    assert _modified(tmp_path / "gone") == 0.0
+
+
 def test_runs_of_another_grid_are_not_those_of_the_last_sweep(results, tmp_path):
     """Three runs of one configuration and two of another, of which one is then missing."""
     for loss, runs in ((0.0, 3), (0.3, 2)):

@@ -116,6 +116,13 @@ def test_a_database_of_something_else_is_refused_and_left_alone(tmp_path, file):
     assert path.read_bytes() == before
 
 
+@pytest.mark.parametrize("read_only", [True, False])
+def test_a_folder_is_no_store(tmp_path, read_only):
+    (tmp_path / "sweep.sqlite").mkdir()
+    with pytest.raises(StoreError, match=r"sweep\.sqlite: is a folder, and a store is a file"):
+        Store(tmp_path / "sweep.sqlite", read_only=read_only)
+
+
 @pytest.mark.parametrize("content", [None, b""])
 def test_no_store_is_made_through_a_symbolic_link(tmp_path, content):
     target, link = tmp_path / "target", tmp_path / "sweep.sqlite"

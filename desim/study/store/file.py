@@ -128,10 +128,12 @@ class StoreFile:
         self.path: Any = path or "the store in memory"
         self._lock: LockFile | None = None
         self._open_things = ExitStack()
-        if read_only and not (path and path.is_file()):
-            raise StoreError(_missing(path))
         if path and path.is_symlink() and not (path.is_file() and path.stat().st_size):
             raise StoreError(f"{path}: is a symbolic link to {path.readlink()}, which is no store: remove it")
+        if path and path.is_dir():
+            raise StoreError(f"{path}: is a folder, and a store is a file (.sqlite)")
+        if read_only and not (path and path.is_file()):
+            raise StoreError(_missing(path))
         self._open(path, read_only)
 
     @naming_the_file

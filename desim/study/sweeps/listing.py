@@ -3,6 +3,7 @@
 import html
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -105,10 +106,18 @@ def _entries(folder: Path) -> Iterator[Entry]:
         stores = [here / STORE] if STORE in names else sorted(here.glob(STORE_PARTS))
         files = [*stores, *(here / name for name in (TRACE, provenance.FILE) if name in names)]
         if TRACE in names or stores or (provenance.FILE in names and not _is_batch(here, folders)):
-            yield _entry(here, stores, TRACE in names, max(file.stat().st_mtime for file in files))
+            yield _entry(here, stores, TRACE in names, max(map(_modified, files)))
         for store in sorted(here.glob("*.sqlite")):
             if store.name != STORE and not store.match(STORE_PARTS) and (entry := _entry_of_store(store)) is not None:
                 yield entry
+
+
+def _modified(path: Path) -> float:
+    """Return the time at which a file was written, s since 1970; that of a link to nothing, and 0 if it is gone."""
+    for look in (path.stat, path.lstat):
+        with suppress(OSError):
+            return look().st_mtime
+    return 0.0
 
 
 def _entry_of_store(path: Path) -> Entry | None:
@@ -121,7 +130,7 @@ def _entry_of_store(path: Path) -> Entry | None:
     except (OSError, ValueError):
         return None
     state = f"{failed:,} failed" if failed else "complete" if runs else "empty"
-    return Entry(path, "sweep", name, path.stat().st_mtime, runs, state)
+    return Entry(path, "sweep", name, _modified(path), runs, state)
 
 
 def _is_batch(folder: Path, folders: list[str]) -> bool:
@@ -143,10 +152,11 @@ def _entry(folder: Path, stores: list[Path], has_trace: bool, modified: float) -
         problems.append(_first_line(error))
     if not stores:
         if has_trace:
-            is_ended = b'"event": "Ended"' in _tail(folder / TRACE)
-            return Entry(
-                folder, kind, scenario, modified, 1, "; ".join([*problems, "complete" if is_ended else "unfinished"])
-            )
+            try:
+                state = "complete" if b'"event": "Ended"' in _tail(folder / TRACE) else "unfinished"
+            except OSError as error:
+                return Entry(folder, kind, scenario, modified, None, f"{TRACE}: {error.strerror}")
+            return Entry(folder, kind, scenario, modified, 1, "; ".join([*problems, state]))
         return Entry(folder, kind, scenario, modified, planned, "; ".join([*problems, "no runs recorded"]))
     runs: int | None = 0
     is_told = plan is not None and plan.configurations is not None
