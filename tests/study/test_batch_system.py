@@ -79,6 +79,8 @@ def test_an_executor_of_jobs_is_recognised_and_its_number_of_jobs_is_the_callers
     assert workers_for(workers).timeout is None
     with pytest.raises(ValueError, match="executor should be a number of processes"):
         workers_for(object())
+    with pytest.raises(ValueError, match=r"executor should be an executor, not its class: Jobs\(...\)"):
+        workers_for(Jobs)
 
 
 @pytest.mark.slow

@@ -41,6 +41,8 @@ def _new_workers(executor: Executor | JobExecutor | int | str, calls: int | None
     if isinstance(executor, Executor):
         return Workers(executor)
     if hasattr(executor, "submit"):
+        if isinstance(executor, type):
+            raise ValueError(f"executor should be an executor, not its class: {executor.__name__}(...)")
         return JobWorkers(executor)
     try:
         number = whole(executor, "the number of workers")
