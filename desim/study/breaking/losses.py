@@ -4,9 +4,11 @@ A run without chance in its links is a function of what becomes of its messages 
 by size, each as an extension of a smaller one by one message that matters in the run of the smaller one. What becomes
 of a message does not matter
 
-- if it is lost anyway, or would be lost or late and its receiver never looked while it was the newest of its sender
-  there or, if it is late, never before it has arrived;
-- if it is a record that arrives twice: the second time, its receiver has this or a newer one.
+- if it is lost anyway;
+- if its receiver never looked while it was the newest of its sender there;
+- if it is a record that would be late, and its receiver did not look before its late arrival;
+- if it is a record that arrives twice: the second time, its receiver has this or a newer one;
+- if it would arrive twice, the second time after the end of the run.
 
 That no choice is left out: let R be the part of a choice T that does not matter in the run of the rest S of T, and grow
 S within T until there is no other. At each look the newest record that has arrived is not in R, so the run of T is that
