@@ -1,4 +1,4 @@
-"""Texts that are meant as numbers, such as "50 ms": which time they say, and what to write instead."""
+"""Numbers and times as texts: exact ones, what one such as "50 ms" says, and what to write instead of it."""
 
 import re
 from collections.abc import Collection
@@ -24,6 +24,12 @@ UNITS = MappingProxyType(
     }
 )
 """The unit in which a number is expected instead of another one, and how many of these it is."""
+
+
+def exact_text(number: float) -> str:
+    """Return a number as a text from which the same number is read: 2, 0.1, 12345.678."""
+    short = f"{number:.15g}"
+    return short if float(short) == number else repr(number)
 
 
 def why_no_number(text: str, units: Collection[str] = ("s", "1")) -> str | None:

@@ -31,17 +31,12 @@ from desim.config.choice import OneOf
 from desim.config.error_texts import text_of
 from desim.config.errors import ArgumentError
 from desim.config.model import Time, Value
+from desim.config.number_texts import exact_text
 from desim.kernel.core.units import seconds
 from desim.scenario.conditions import NUMBER, QUANTITIES, AnyScenario, Condition, ConditionText
 
 SAMPLES = 0.05
 """Time between samples of positions, s, if a property needs them and the scenario records none."""
-
-
-def _exact(number: float) -> str:
-    """Return a number as text from which the same number is read: 2, 0.1, 12345.678."""
-    short = f"{number:g}"
-    return short if float(short) == number else repr(number)
 
 
 PropertyName = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
@@ -113,7 +108,7 @@ class Property(Value):
     @property
     def text(self) -> str:
         """The property as a text, without its name; `Property` objects are made from such texts."""
-        parts = {key: _exact(part) if isinstance(part, float) else part for key, part in self}
+        parts = {key: exact_text(part) if isinstance(part, float) else part for key, part in self}
         return self.form.format(**parts) + (f" against {self.against}" if self.against else "")
 
     @property

@@ -7,6 +7,8 @@ from decimal import Decimal
 from math import exp, floor, isfinite, log
 from typing import Any
 
+from desim.config.number_texts import exact_text
+
 _NUMBER = r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*"
 _RANGE = re.compile(":".join([_NUMBER] * 3), re.IGNORECASE)
 """Matches FIRST:LAST:STEP."""
@@ -60,7 +62,7 @@ class KeyRange:
         return abs(second - first) / (self.high - self.low)
 
     def __str__(self) -> str:
-        return f"{'log:' if self.is_log else ''}{self.low:.15g}:{self.high:.15g}"
+        return f"{'log:' if self.is_log else ''}{exact_text(self.low)}:{exact_text(self.high)}"
 
 
 def rounded(number: float) -> float:

@@ -143,3 +143,9 @@ def test_a_range_without_steps_is_one_in_an_option_a_file_and_a_script():
         written = sweep_table.model_dump(mode="json")
         assert written["grid"] == {"network.loss.p": "log:0.1:0.5"}
         assert Sweep(**written) == sweep_table
+
+
+@given(low=st.floats(1e-9, 1e9), ratio=st.floats(1.001, 1e6), is_log=st.booleans())
+def test_a_range_is_written_so_that_it_is_read_again(low, ratio, is_log):
+    interval = KeyRange(low, low * ratio, is_log)
+    assert interval_of(str(interval)) == interval
