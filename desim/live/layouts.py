@@ -121,7 +121,7 @@ class Layout:
             records: reads the records in the rest of some bytes.
 
         Raises:
-            ValueError: if it is none.
+            ValueError: if they are not those of such a body.
         """
         numbers = self._struct.unpack_from(data, at)
         if self._has_floats and any(map(isnan, numbers)):

@@ -1,6 +1,6 @@
 """The link layer of a live node: a transmission leaves through a socket, and the links are drawn where it arrives.
 
-Kernel and shim divide the work. The sender decides what is known at transmission: its receivers, the range, the
+Sender and receiver divide the work. The sender decides what is known at transmission: its receivers, the range, the
 partitions. The receiver draws losses, duplicates and latency from the models of the scenario, with streams of its own,
 and delivers at the time stamp of the transmission plus the latency. The clocks of processes on one machine agree, so
 the time that a datagram takes is absorbed in the latency, unless the latency is shorter.

@@ -37,7 +37,7 @@ class PursuerStart(NamedTuple):
         """Return the start that an invitation stands for, with a scenario that was read from a file.
 
         Raises:
-            ValueError: if it is none.
+            ValueError: if it is not an invitation.
         """
         try:
             referee, pursuer, seed, host, token = invitation.split("/")
