@@ -76,7 +76,7 @@ class Mirror:
         """Number of orders that the pursuer has given."""
         self._last = -1
 
-    def show(self, frame: WorldFrame) -> None:
+    def follow(self, frame: WorldFrame) -> None:
         """Let the world be as in a frame, unless it is older than the last one."""
         if frame.t < self._last:
             return

@@ -334,9 +334,9 @@ class Node:
         """The time of the last event, s since the start of the run. A call of `sense`, say, is an event, too."""
         return seconds(self._env.now)
 
-    def show(self, frame: WorldFrame) -> None:
+    def follow(self, frame: WorldFrame) -> None:
         """Let the world be as in a frame of the referee."""
-        self._meet(partial(self._mirror.show, frame))
+        self._meet(partial(self._mirror.follow, frame))
 
     def sense(self, position: Any, evaders: Any, teammates: Any = None, velocities: Any = None) -> None:
         """Tell the node where the pursuer and the evaders are now.
@@ -389,7 +389,7 @@ class Node:
         pairs = zip(seen.tolist(), commands[state.size :].tolist(), strict=True)
         segments = [segment_list(TrackSegment(now, place, place, velocity, end)) for place, velocity in pairs]
         frame = frame_of(state, [self._mirror.orders] * state.size)
-        self._mirror.show(frame._replace(places=hex_digits(places), commands=hex_digits(commands), segments=segments))
+        self._mirror.follow(frame._replace(places=hex_digits(places), commands=hex_digits(commands), segments=segments))
 
     def captured(self, evader: int) -> None:
         """Tell the node that an evader has been captured.

@@ -134,7 +134,7 @@ class _Pursuer:
         if word == "over":
             self._node.stop(*values)
         elif word == "frame":
-            self._node.show(WorldFrame(*values))
+            self._node.follow(WorldFrame(*values))
             if self._heard > self._reported + REPORTS:
                 self._reported = self._heard
                 self._report()

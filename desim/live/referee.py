@@ -117,20 +117,20 @@ class Referee:
         """Send a frame each period (ns)."""
         for when in range(0, self._state.horizon + period, period):
             yield Instant(self._env, when, Phase.SAMPLE + 1)
-            self._show()
+            self._send_frame()
 
-    def _show(self, _: object = None) -> None:
+    def _send_frame(self, _: object = None) -> None:
         """Send a frame."""
         self._lobby.tell_all("frame", *frame_of(self._state, self._obeyed), may_skip=True)
 
-    def _show_soon(self) -> None:
+    def _send_frame_soon(self) -> None:
         """Send a frame after all other events of this instant, because the action of a pursuer changes."""
-        Instant(self._env, self._env.now, Phase.SAMPLE + 1).callbacks.append(self._show)
+        Instant(self._env, self._env.now, Phase.SAMPLE + 1).callbacks.append(self._send_frame)
 
     def _watch(self, event: Event) -> None:
         """Show at once what a pursuer could not foresee."""
         if isinstance(event, Captured | BrokeDown):
-            self._show_soon()
+            self._send_frame_soon()
 
     def _obey(self, pursuer: int, decided: int, action: int) -> None:
         """Let a pursuer act as its protocol decided at the time `decided`, ns."""
@@ -139,7 +139,7 @@ class Referee:
         self._world.set_action(pursuer, action)
         if self._state.profile[pursuer] != before:
             self._conduct.orders.append(max(self._env.now - decided, 0))
-            self._show_soon()
+            self._send_frame_soon()
 
     def _crash(self, pursuer: int, how: str) -> None:
         """Take a pursuer down whose process was lost; end the run if a protocol has raised an exception."""

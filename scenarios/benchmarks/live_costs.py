@@ -85,7 +85,7 @@ def nodes_alone(scenario: Scenario, seed: int) -> float:
             frame = frame_of(nodes[0]._state, [node._mirror.orders for node in nodes])
             frame = frame._replace(t=shown, profile=[node.action for node in nodes])
             for node in nodes:
-                node.show(frame)
+                node.follow(frame)
             while due[0][0] < shown + FRAME:
                 now, pursuer = int(due[0][0]), due[0][1]
                 nodes[pursuer]._env.advance(now)

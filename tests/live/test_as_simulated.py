@@ -66,7 +66,7 @@ class Punctual:
         """Show all nodes the world as it is now."""
         frame = WorldFrame(*json.loads(json.dumps(frame_of(self.state, self.obeyed))))
         for node in self.nodes:
-            node.show(frame)
+            node.follow(frame)
 
     def carry(self, now):
         """Obey all orders and deliver all datagrams of an instant."""

@@ -45,7 +45,7 @@ def test_a_mirror_shows_a_frame(name):
     assert (frame.drifts is not None) == (name == "a flow")
     assert (frame.courses is not None) == (name == "inertia")
     mirror = mirror_at(referee, 300 * MS, pursuer=1)
-    mirror.show(frame)
+    mirror.follow(frame)
     assert frame_of(mirror.state, frame.obeyed) == frame
     assert mirror.state.at_large == referee._state.at_large
 
@@ -55,12 +55,12 @@ def test_an_older_frame_changes_nothing_and_one_of_the_same_time_does():
     pass_time(referee, 300 * MS)
     frame = sent(referee)
     mirror = mirror_at(referee, 300 * MS)
-    mirror.show(frame._replace(profile=[0, 0]))
-    mirror.show(frame._replace(t=frame.t - 1, broken=[1], profile=[1, 1]))
+    mirror.follow(frame._replace(profile=[0, 0]))
+    mirror.follow(frame._replace(t=frame.t - 1, broken=[1], profile=[1, 1]))
     assert (mirror.state.broken.tolist(), mirror.state.profile) == ([False, False], [0, 0])
-    mirror.show(frame._replace(broken=[1], profile=[0, 1]))
+    mirror.follow(frame._replace(broken=[1], profile=[0, 1]))
     assert (mirror.state.broken.tolist(), mirror.state.profile) == ([False, True], [0, 1])
-    mirror.show(frame._replace(profile=[0, 1]))
+    mirror.follow(frame._replace(profile=[0, 1]))
     assert mirror.state.broken.tolist() == [False, False]
 
 
@@ -71,7 +71,7 @@ def test_a_pursuer_keeps_its_action_while_its_order_is_under_way_and_it_is_not_d
     mirror = mirror_at(referee, 300 * MS)
     mirror.state.set_actions(mirror.state.actions * 0)
     mirror.orders = 1
-    mirror.show(sent(referee)._replace(obeyed=[obeyed, 0], broken=broken, profile=[1, 1]))
+    mirror.follow(sent(referee)._replace(obeyed=[obeyed, 0], broken=broken, profile=[1, 1]))
     assert mirror.state.profile == [acts, 1]
 
 

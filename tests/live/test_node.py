@@ -133,7 +133,7 @@ def test_a_stamp_that_is_ahead_delays_a_message_by_the_latency_only():
 def test_a_pursuer_keeps_its_action_until_its_order_is_obeyed_or_it_is_down():
     node = Node(scenario(), 1, 5)
     before = frame_of(node._state, [0] * 3)._replace(profile=[0, 0, 0])
-    node.show(before)
+    node.follow(before)
     node._set_action(1, 1)
     for frame, profile in (
         (before, [0, 1, 0]),  # the referee does not know of the order yet
@@ -141,7 +141,7 @@ def test_a_pursuer_keeps_its_action_until_its_order_is_obeyed_or_it_is_down():
         (before._replace(obeyed=[0, 1, 0], profile=[1, 1, 1]), [1, 1, 1]),
         (before._replace(obeyed=[0, 1, 0]), [0, 0, 0]),  # the evader was captured, for instance
     ):
-        node.show(frame)
+        node.follow(frame)
         assert node._state.profile == profile
 
 
@@ -162,7 +162,7 @@ def test_a_frame_that_another_has_overtaken_changes_nothing():
     frame = frame_of(node._state, [0] * 3)
     places = [hex_digits(np.full(4, k + 0j)) for k in (1.0, 2.0)]
     for when, digits in zip((20, 10), places, strict=True):
-        node.show(frame._replace(t=when, places=digits))
+        node.follow(frame._replace(t=when, places=digits))
     assert node._state.position(1) == 1.0
 
 

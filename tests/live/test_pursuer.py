@@ -131,7 +131,7 @@ SAID = {
     "lost before it begins": ([], {"loses": True}, LOST_REFEREE, []),
     "something else": ([("frame",)], {}, LOST_REFEREE, []),
     "over": ([*BEGIN, ("over", 5)], {}, 0, [*READY, RUN, ("stop", 5), *LEAVES]),
-    "a frame, and over": ([*BEGIN, FRAME, ("over",)], {}, 0, [*READY, RUN, ("show", FRAME[1:]), ("stop",), *LEAVES]),
+    "a frame, and over": ([*BEGIN, FRAME, ("over",)], {}, 0, [*READY, RUN, ("follow", FRAME[1:]), ("stop",), *LEAVES]),
     "another word": ([*BEGIN, ("nonsense", 5)], {}, 0, [*READY, RUN, ("stop",), *LEAVES]),
     "lost clocks": ([("start", PEERS, False), *PONGS[:1], ("gone",)], {}, LOST_REFEREE, [("tell", "ping")] * 2),
     "another clock": (
@@ -196,7 +196,7 @@ def test_a_report_is_sent_with_a_frame_at_most_each_quarter_of_a_second(monkeypa
         for now in (0.1, REPORTS, 0.26, 0.5, 0.52):
             monkeypatch.setattr(asyncio.get_running_loop(), "time", lambda now=now: now)
             joined._take(*FRAME)
-            assert lines.count(("show", FRAME[1:])) == len(counts) + 1
+            assert lines.count(("follow", FRAME[1:])) == len(counts) + 1
             counts.append(sum(line[:2] == ("tell", "report") for line in lines))
         monkeypatch.undo()
         return counts, lines
