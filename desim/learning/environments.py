@@ -33,7 +33,7 @@ class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
     """One pursuer at a time decides, at the instants of its schedule: `agent_selection` is the next one.
 
     A pursuer that has no choice is not asked if the rule of the scenario does not ask it. In an episode in which nobody
-    is asked, the first pursuer has a turn without effect, so that it can be learned that the episode is over.
+    is asked, the first pursuer has a turn without effect: its step says that the episode is over.
     """
 
     metadata: ClassVar = {"name": NAME, "render_modes": list(RENDER_MODES), "is_parallelizable": False}

@@ -1,9 +1,9 @@
 """Rewards: functions of a step, the time between two turns of an environment.
 
 The utility of a pursuer, or of the team, at the start of the step is multiplied by the duration and divided by the
-horizon. So rewards are in seconds, as utilities are, those between two turns of a pursuer add up, and those of a whole
-episode are the mean utility over the horizon, from the first turn on: nothing that anybody decides changes what happens
-before it, and no step has it.
+horizon. Rewards are therefore in seconds, as utilities are, and the rewards of successive steps add up. Their sum over
+an episode is the mean utility over the horizon from the first turn on; the time before it belongs to no step, because
+no decision changes what happens then.
 """
 
 from collections.abc import Callable, Mapping, Sequence
