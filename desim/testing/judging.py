@@ -195,7 +195,7 @@ def are_apart(first: NDArray[Any], second: NDArray[Any]) -> bool:
     values = np.sort(np.concatenate((first, second)))
     shares = [np.searchsorted(np.sort(sample), values, "right") / len(sample) for sample in (first, second)]
     # Equal values that are computed in two ways differ by rounding, which is no difference of distributions.
-    if np.allclose(np.sort(first), np.sort(second)[: len(first)]) and len(first) == len(second):
+    if len(first) == len(second) and np.allclose(np.sort(first), np.sort(second)):
         return False
     scale = sqrt(len(first) * len(second) / (len(first) + len(second)))
     return bool(np.abs(shares[0] - shares[1]).max() * scale > DISTANCE)
