@@ -25,7 +25,7 @@ def described(
 ) -> Iterator[str]:
     """Yield lines that describe a model, its parameters and, recursively, the models that these may hold.
 
-    For a model in `known` only the first line is yielded; the models described are added to `known`.
+    For a model in `described_models` only the first line is yielded; the models that are described are added to it.
     """
     described_models = set() if described_models is None else described_models
     yield f"{indent}{title}: {summary(model)}"
