@@ -20,7 +20,7 @@ import numpy as np
 import simpy
 from numpy.typing import NDArray
 
-from desim import Result, Scenario, load, run
+from desim import Result, Scenario, load, run, summary
 from desim.analysis.metrics import end_time
 from desim.analysis.trace_index import messages
 from desim.config.arrays import Floats
@@ -74,6 +74,8 @@ STREAMED = (100_000, 10_000_000)
 STARTS = 9
 """Number of times that each command is started."""
 MEGABYTE = 1e6
+MEASURED = ("relay", "recorded", "reliable")
+"""The scenarios of which the metrics of a run are measured, too."""
 
 
 # Large teams.
@@ -367,19 +369,31 @@ TARGETS = MappingProxyType(
 
 
 def examples(options: Options) -> list[Cost]:
-    """Measure the CPU time of a run of each shipped scenario, relative to `relay.toml`; each has its own seed."""
+    """Measure the CPU time of a run of each shipped scenario, relative to `relay.toml`; each has its own seed.
+
+    The time of all metrics of some runs is relative to the run.
+    """
     files = sorted(SCENARIOS.glob("*.toml"))
     variants = {file.stem: partial(_one_run, load(file)) for file in files}
-    times = per_unit(variants, range(options.runs))
+    measured = {f"metrics of {name}": partial(_metrics, run(load(SCENARIOS / f"{name}.toml"))) for name in MEASURED}
+    times = per_unit(variants | measured, range(options.runs))
     return [
-        Cost(f"{name} / relay", spent / times["relay"], "", TARGETS.get(name, DEAREST))
-        for name, spent in times.items()
-        if name != "relay"
+        *(
+            Cost(f"{name} / relay", times[name] / times["relay"], "", TARGETS.get(name, DEAREST))
+            for name in variants
+            if name != "relay"
+        ),
+        *(Cost(f"metrics of {name} / {name}", times[f"metrics of {name}"] / times[name], "") for name in MEASURED),
     ]
 
 
 def _one_run(scenario: Scenario, _: int) -> int:
     run(scenario)
+    return 1
+
+
+def _metrics(result: Result, _: int) -> int:
+    summary(result)
     return 1
 
 
