@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from desim import Scenario, Team, run
 from desim.analysis.trace_index import messages
 from desim.config.errors import KeyedError
-from desim.kernel.models.access import Aloha, CsmaCa, SlottedAloha, Tdma
+from desim.kernel.models.access import Aloha, Csma, CsmaCa, SlottedAloha, Tdma
 from desim.kernel.models.interference import LoRaInterference
 from desim.kernel.models.latency import Constant, Gamma, Propagation, ShiftedExponential, Uniform
 from desim.kernel.models.links import Links
-from desim.kernel.models.medium import Bitrate, LoRa, Unlimited, airtime_of
+from desim.kernel.models.medium import Bitrate, LoRa, Unlimited, airtime_of, channel_of
 from desim.kernel.models.presets import PRESETS
 from tests.golden import golden
 
@@ -155,6 +155,23 @@ def test_a_message_occupies_the_channel_for_longer_than_its_airtime():
         assert medium.occupancy(10, 3, to_one=True) == pytest.approx(to_one)
     fits = Bitrate(bitrate=250_000.0, access=SlottedAloha(slot=1.28e-4))  # 5 slots, whose float quotient is above 5
     assert fits.occupancy(20, 3) == pytest.approx(fits(20))
+
+
+def test_frames_of_one_instant_overlap_for_an_airtime_or_a_slot_or_until_they_are_sensed():
+    """Where either of two nodes starts first, each with probability p in a slot, both do with probability p / (2 - p)."""
+    for access, channel in (
+        (Aloha(), (0.01, 0.01, 1.0)),
+        (SlottedAloha(slot=0.004), (0.01, 0.01, 1.0)),
+        (SlottedAloha(slot=0.05, p=0.5), (0.05, 0.05, 1 / 3)),
+        (Csma(sensing_delay=1e-4, p=0.5), (1e-4, 0.01, 1.0)),
+        (Csma(persistence="p_persistent", p=0.5), (0.0, 0.01, 1 / 3)),
+        (CsmaCa(), (0.0, 0.01, 1.0)),
+        (Tdma(slot=0.05), None),
+    ):
+        assert channel_of(Bitrate(bitrate=8000.0, access=access), 0.01) == channel
+    assert channel_of(Bitrate(bitrate=8000.0, half_duplex=True), 0.01) == (0.01, 0.01, 1.0)
+    for alone in (Bitrate(bitrate=8000.0), Bitrate(bitrate=8000.0, half_duplex=True, shared=True), Unlimited()):
+        assert channel_of(alone, 0.01) is None
 
 
 def test_the_airtime_of_a_message_is_that_of_the_slowest_node():
