@@ -158,7 +158,7 @@ def test_a_message_occupies_the_channel_for_longer_than_its_airtime():
 
 
 def test_frames_of_one_instant_overlap_for_an_airtime_or_a_slot_or_until_they_are_sensed():
-    """Where either of two nodes starts first, each with probability p in a slot, both do with probability p / (2 - p)."""
+    """Where one of two nodes starts first, each with probability p a slot, both do with probability p / (2 - p)."""
     for access, channel in (
         (Aloha(), (0.01, 0.01, 1.0)),
         (SlottedAloha(slot=0.004), (0.01, 0.01, 1.0)),
