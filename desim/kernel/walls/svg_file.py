@@ -31,6 +31,8 @@ PLACES = frozenset({"transform", "transform-origin", "d", "x", "y", "width", "he
 """The properties that say where an element is drawn; as attributes they are read, except transform-origin."""
 PROPERTIES = INHERITED | PLACES | {"display", "opacity", "clip-path", "mask"}
 """The properties that say what is drawn."""
+DEFAULTS = frozenset({"inherit", "unset", "revert"})
+"""Values that stand for the one that an element has without the property."""
 COMMENT = re.compile(r"/\*.*?(?:\*/|\Z)", re.DOTALL)
 SELECTOR = re.compile(r"(\*|[\w-]+)?(?:([.#])([\w-]+))?")
 """Matches a selector by element, class or id."""
@@ -188,11 +190,13 @@ def _style_rules(root: ElementTree.Element) -> _Rules:
 def _declarations(text: str) -> dict[str, str]:
     """Return the properties in a list `name: value; ...` that say what is drawn."""
     pairs = (part.partition(":") for part in COMMENT.sub("", text).split(";"))
-    named = ((name.strip().lower(), value.strip()) for name, sign, value in pairs if sign)
+    named = ((name.strip().lower(), value.strip().lower()) for name, sign, value in pairs if sign)
     style = {name: value for name, value in named if name in PROPERTIES}
     for name, value in style.items():
         if "!" in value:
             raise ValueError(f"'{name}: {value}' is not read: leave out !important")
+        if "var(" in value:
+            raise ValueError(f"'{name}: {value}' is not read: write the value of the variable")
         if name in PLACES:
             raise ValueError(f"{name} in a style is not read: make it an attribute in the editor")
     return style
@@ -200,7 +204,11 @@ def _declarations(text: str) -> dict[str, str]:
 
 def _style(element: ElementTree.Element, name: str, rules: _Rules) -> dict[str, str]:
     """Return the properties of an element: its style before the rules of style sheets, and these before attributes."""
-    attributes = {key: value.strip() for key, value in element.attrib.items() if key in PROPERTIES}
+    attributes = {
+        key: value if key in PLACES else value.strip().lower()
+        for key, value in element.attrib.items()
+        if key in PROPERTIES
+    }
     if "transform-origin" in attributes:
         raise ValueError("transform-origin is not read: apply transformations in the editor")
     keys = ["", *(f".{one}" for one in element.get("class", "").split()), f"#{element.get('id')}"]
@@ -208,7 +216,7 @@ def _style(element: ElementTree.Element, name: str, rules: _Rules) -> dict[str, 
     for rule in sorted(concerned, key=lambda rule: rule.weight):
         attributes |= rule.style
     attributes |= _declarations(element.get("style", ""))
-    return {key: value for key, value in attributes.items() if value != "inherit"}
+    return {key: value for key, value in attributes.items() if value not in DEFAULTS}
 
 
 def _within(around: _Inherited, properties: Mapping[str, str]) -> _Inherited:
