@@ -27,8 +27,10 @@ REFUSED = frozenset({"circle", "ellipse", "use", "image", "text", "foreignObject
 where they stand."""
 INHERITED = frozenset({"fill", "fill-opacity", "fill-rule", "stroke", "stroke-opacity", "stroke-width", "visibility"})
 """The properties that elements inherit."""
-PLACES = frozenset({"transform", "transform-origin", "d", "x", "y", "width", "height", "rx", "ry"})
-"""The properties that say where an element is drawn; as attributes they are read, except transform-origin."""
+MOVES = frozenset({"transform", "transform-origin", "translate", "rotate", "scale"})
+PLACES = MOVES | {"d", "x", "y", "width", "height", "rx", "ry"}
+"""The properties that say where an element is drawn; as attributes they are read, or have no effect, except
+transform-origin."""
 PROPERTIES = INHERITED | PLACES | {"display", "opacity", "clip-path", "mask"}
 """The properties that say what is drawn."""
 DEFAULTS = frozenset({"inherit", "unset", "revert"})
