@@ -224,6 +224,7 @@ def test_a_wall_that_is_none_is_refused_with_what_is_allowed(case):
         ('<svg><path visibility="hidden" d="M0 0H1"/></svg>', "a.svg", "'visibility: hidden' hides a <path>"),
         ('<svg><path style="fill:none; opacity: 0" d="M0 0H1"/></svg>', "a.svg", "'opacity: 0' hides a <path>"),
         ('<svg><path fill="none" display="None" d="M0 0H1"/></svg>', "a.svg", "'display: none' hides a <path>"),
+        ('<?xml-stylesheet href="a.css"?><svg><path d="M0 0H1"/></svg>', "a.svg", "in another file is not read"),
         ('<svg><path style="translate: 9px" d="M0 0H1"/></svg>', "a.svg", "translate in a style is not read"),
         ('<svg><path style="fill: var(--room)" d="M0 0H1"/></svg>', "a.svg", "write the value of the variable"),
         ("<svg><path class='a' fill='none' d='M0 0H1'/></svg>", "a.svg", "neither a fill nor a stroke"),

@@ -83,6 +83,8 @@ def svg_file_outlines(text: str) -> list[Outline]:
         raise ValueError(f"is not a drawing in SVG: {error}") from error
     if _name(root) != "svg":
         raise ValueError(f"is not a drawing in SVG: its first element is <{root.tag.rpartition('}')[2]}>")
+    if "<?xml-stylesheet" in text:
+        raise ValueError("a style sheet in another file is not read: give styles to objects")
     rules = _style_rules(root)
     drawn: list[_Drawn] = []
     waiting = [(root, _Inherited({}, (1.0, 0.0, 0.0, 1.0, 0.0, 0.0), ""))]
