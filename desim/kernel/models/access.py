@@ -42,7 +42,10 @@ class _Access(Value):
     """Base of all models of channel access."""
 
     def interval(self, time: float, nodes: int) -> float:
-        """Return the time, s, from a frame of one of `nodes` nodes to its next one, if its radio takes `time`, s."""
+        """Return the least time, s, between the starts of two frames of one of `nodes` nodes.
+
+        `time` is that of the airtime of the first and of the silence after it, s.
+        """
         return time
 
     def occupancy(self, airtime: float, *, to_one: bool) -> float:
@@ -273,7 +276,7 @@ class Tdma(_Access):
         return self
 
     def interval(self, time: float, nodes: int) -> float:
-        """Return the time, s, of the whole rounds of slots, at least one, that a time, s, takes."""
+        """Return the time, s, of the whole rounds of slots, at least one, that a frame and the silence after it take."""
         period = len(self.owners(nodes)) * self.slot
         return max(_whole(time, period), 1) * period
 
