@@ -605,6 +605,7 @@ def test_wrong_names_of_a_matrix_are_refused(nodes, why):
     [
         ("x,a,b\na,0,1\nc,1,0\n", "the names of the first line and of the first column should be equal"),
         (",10,20\n10,0,30\n20,30,0\n", "10, 20 may be the names of the nodes, or numbers of a matrix whose first cell"),
+        (",2,0,1\n2,,3,4\n0,5,,6\n1,7,8,\n", "2, 0, 1 may be the names of the nodes, or numbers of a matrix whose"),
         (",a,\na,0,1\n,1,0\n", "a node has no name in the first line and in the first column"),
     ],
 )

@@ -339,12 +339,15 @@ def names_beside(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
             raise ValueError("a node has no name in the first line and in the first column")
         if not all(map(is_number_text, names)):
             return names
+        if not all(map(str.isdecimal, names)) or len({*names}) < len(names):
+            return ()
+        numbers, counts = [*map(int, names)], counts_of(len(names))
         lacks_diagonal = all(len(row) > k and row[k].lower() in MISSING for k, row in enumerate(rows))
-        if lacks_diagonal or not all(map(str.isdecimal, names)) or len({*names}) < len(names):
+        if lacks_diagonal and (numbers in counts or sorted(numbers) not in counts):
             return ()
         inner = [row[1:] for row in rows[1:]]
         is_symmetric = [*map(list, zip(*inner, strict=False))] == inner
-        if rows[0][0].lower() in MISSING and is_symmetric and [*map(int, names)] not in counts_of(len(names)):
+        if lacks_diagonal or (rows[0][0].lower() in MISSING and is_symmetric and numbers not in counts):
             raise ValueError(
                 f"{', '.join(names)[:40]} may be the names of the nodes, or numbers of a matrix whose first cell is"
                 " empty: write a text into it if they are names, and 0 if not"
