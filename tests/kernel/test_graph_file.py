@@ -763,6 +763,14 @@ def test_an_adjacency_matrix_is_the_graph_that_it_is_of(tmp_path, mark, header, 
     assert made.nodes == size
 
 
+def test_three_lines_whose_diagonal_is_missing_are_a_matrix(tmp_path):
+    (tmp_path / "g.txt").write_text("nan 1 1\n1 nan 0\n1 0 nan\n")
+    assert [(edge.src, edge.dst) for edge in read(tmp_path / "g.txt").edges] == [(0, 1), (0, 2)]
+    (tmp_path / "g.txt").write_text("nan 1\n1 nan\n")
+    with pytest.raises(ValueError, match="'nan' is probably no name of a node"):
+        read(tmp_path / "g.txt")
+
+
 def test_three_lines_with_names_are_a_matrix_whatever_their_numbers(tmp_path):
     """Without names, they may be edges with weights."""
     (tmp_path / "costs.csv").write_text(",x,y,z\nx,0,2,7\ny,2,0,1\nz,7,1,0\n")

@@ -11,7 +11,8 @@ A symmetric matrix has edges that hold both ways. Any other may be of one-way li
 """
 
 from collections.abc import Sequence
-from math import isfinite
+from itertools import chain
+from math import isfinite, isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,7 +55,7 @@ def read_matrix(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any] 
         return None
     if not names and numbers[0][1:] == [row[0] for row in numbers[1:]] and numbers[0][1:] in counts_of(size - 1):
         raise ValueError(f"{file}: the first line may number the nodes: leave its first cell empty, or leave it out")
-    if size == LEAST and not names and not all(number in {0.0, 1.0} for row in numbers for number in row):
+    if size == LEAST and not names and not all(_is_link_or_none(*cell) for cell in enumerate(chain(*numbers))):
         return None  # lines of three numbers may also be edges with weights
     weights = {
         (src, dst): weight
@@ -73,6 +74,11 @@ def read_matrix(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any] 
     for (src, dst), weight in weights.items():
         graph.add_edge(nodes[src], nodes[dst], **({} if weight == 1.0 else {"weight": weight}))
     return graph
+
+
+def _is_link_or_none(place: int, number: float) -> bool:
+    """Return whether a number is 0 or 1, or is missing on the diagonal of a matrix of three nodes."""
+    return number in {0.0, 1.0} or (place % (LEAST + 1) == 0 and isnan(number))
 
 
 def _parts(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[float]]]:

@@ -358,12 +358,16 @@ In disjoint pairs all names differ, so a list of these with names of several wor
 
 
 def _check_names(file: Path, rows: Sequence[EdgeRow]) -> None:
-    """Raise ValueError if an end is a key with a colon (YAML), or a number that is negative or has a fraction."""
+    """Raise ValueError if an end is a key with a colon (YAML), nan, inf, or a number that is negative or no integer."""
     for line, cells, _ in rows:
         for name in cells[:2] if len(cells) > 1 else ():
-            if name.endswith(":") or (is_number_text(name) and (number_of(name) < 0.0 or number_of(name) % 1.0 > 0.0)):
+            if name.endswith(":") or (is_number_text(name) and not _is_count(number_of(name))):
                 why = "is probably no name of a node; if it is, name the columns in a first line, such as source,target"
                 raise ValueError(f"{file}, line {line}: {name!r} {why}")
+
+
+def _is_count(number: float) -> bool:
+    return number >= 0.0 and number.is_integer()
 
 
 def _check_form(file: Path, rows: Sequence[EdgeRow]) -> None:
