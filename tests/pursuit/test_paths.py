@@ -250,6 +250,17 @@ def test_walls_that_block_starts_alone_let_players_through():
         assert space.distance(-1 + 0.5j, 2 + 0.5j) == 3.0
 
 
+@pytest.mark.parametrize("flight", [0.0, 0.9, 0.99])
+def test_a_contact_round_a_corner_is_found_however_slowly_the_path_shortens(flight):
+    """A pursuer 0.2 m from the end of a wall comes at 1 m/s, and an evader 0.1 m beyond it flees: 0.3 - (1 - v) t m."""
+    space = Walled([Wall(line=((-9.0, 0.0), (0.0, 0.0)))])
+    away, towards = (-1 + 1j) / sqrt(2.0), (1 + 1j) / sqrt(2.0)
+    players = 0.1 * away, flight * away, -0.2 * towards, towards
+    for early in (0.0, 1e-5, 5e-4):
+        found = space.contact(*players, 0.3 - early, 0.1)
+        assert found == pytest.approx(early / (1.0 - flight), abs=2e-9)
+
+
 def test_the_vector_of_an_arrival_is_as_long_as_the_path():
     space = Walled([Wall(line=((0, -5), (0, 50))), Wall(line=((9, 9), (9, 7), (7, 7), (7, 9), (9, 9)))])
     offsets = space.arrivals(0.5 + 0j, np.array([-0.5 + 0j, 3 + 4j, 8 + 8j]))

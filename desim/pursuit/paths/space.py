@@ -5,7 +5,7 @@ distance of two players is the length of the shortest path between them.
 """
 
 from cmath import rect
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from itertools import pairwise
 from math import ceil, inf, pi
@@ -26,6 +26,8 @@ MAX_FREE_PLACES = 16
 """Maximum number of free places that are kept: all who ask at one instant ask about the same few estimates."""
 MAX_STEPS = 1_000
 """Maximum number of steps towards a contact around a corner."""
+FEW_STEPS = 40
+"""Number of such steps after which a contact that is certain is found by bisection."""
 ROUNDING = 1e-12
 """Gap that counts as a contact, in m and as a share of the distance."""
 
@@ -247,7 +249,7 @@ class Walled(Plane):
 
         There is no contact before the straight distance has fallen to the radius, because it is never longer than the
         path. From then on, the path shortens at most at the sum of both speeds: steps of the time that the rest of the
-        path needs at this rate approach the contact from before.
+        path needs at this rate approach the contact from before. Where they approach it slowly, it is bisected.
 
         Args:
             target: the position of the one, m.
@@ -258,10 +260,16 @@ class Walled(Plane):
             duration: length of the interval, s.
         """
         first = first_contact(np.array([target - place]), np.array([flight - velocity]), radius, duration)
+        if first is None:
+            return None
         closing = abs(flight) + abs(velocity)
-        t = duration if first is None else first[0]
-        for _ in range(MAX_STEPS if first is not None else 0):
-            distance = self.paths.distance(place + velocity * t, target + flight * t)
+
+        def distance_at(t: float) -> float:
+            return self.paths.distance(place + velocity * t, target + flight * t)
+
+        t = first[0]
+        for step in range(MAX_STEPS):
+            distance = distance_at(t)
             if distance == inf:  # walls enclose one of them
                 return None
             gap = distance - radius
@@ -270,7 +278,17 @@ class Walled(Plane):
             t += gap / closing if closing else inf
             if not t <= duration:
                 return None
+            if step == FEW_STEPS and distance_at(duration) <= radius:  # as where both go nearly equally fast
+                return _bisected(lambda time: distance_at(time) <= radius, t, duration)
         return None
+
+
+def _bisected(is_reached: Callable[[float], bool], low: float, high: float) -> float:
+    """Return a time, s, between one at which something is not reached and one at which it is: where that changes."""
+    while high - low > ROUNDING * (1.0 + high):
+        middle = (low + high) / 2.0
+        low, high = (low, middle) if is_reached(middle) else (middle, high)
+    return high
 
 
 PLANE = Plane()
