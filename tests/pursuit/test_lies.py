@@ -172,6 +172,18 @@ def test_opposite_and_stay_are_said_by_a_pursuer_that_chases():
         assert said(go(lone, 1), 0, 0.2e9)[-1][1].active == told
 
 
+def test_a_pursuer_that_is_to_stay_stops_at_once():
+    """It would decide again only at 9 s."""
+
+    def protocol(me):
+        me.assign(1)
+        yield me.at(9.0)
+
+    scenario = team(Liar(node=0, start=0.5, acts="stay"), protocol=protocol, horizon=1.0)
+    last = [event for event in run(scenario, 3).trace.of(Decided) if event.pursuer == 0][-1]
+    assert (last.t, last.active) == (HALF, 0)
+
+
 def test_a_pursuer_that_should_stay_does_not_chase():
     """Nor does it go on with a chase that it has begun."""
     lie = Liar(node=0, start=0.5, action="chase", acts="stay")
