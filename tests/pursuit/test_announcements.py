@@ -25,6 +25,8 @@ from desim.pursuit.motion.dynamics import Acceleration, Simple, TurnRate
 from desim.pursuit.team.announcements import (
     STARTS,
     Announcements,
+    Assignment,
+    Eavesdropper,
     Forwarded,
     LocatedAssignment,
     MovingAssignment,
@@ -529,3 +531,14 @@ def test_an_older_record_neither_replaces_a_newer_one_nor_prolongs_its_memory(pa
         acts = script((0.1, 0, chase), (0.5, 0, last), *((t, 2, believed_chasers) for t in times), seen=seen)
         play(acts, {"payload": payload} | memory, late_at_first, **late)
         assert [seen[t] for t in times] == expected
+
+
+def test_an_old_record_that_arrives_late_is_no_handover():
+    """Pursuer 0 begins to chase with record 2; record 1 of its stay is flooded once more, and record 2 again."""
+    evader = Eavesdropper([0])
+    evader(Record(0, 2, 0, Assignment(1)), 10)
+    assert (evader.hands_over(9), evader.hands_over(10)) == (True, False)
+    evader(Record(0, 1, 0, Assignment(0)), 20)
+    assert not evader.hands_over(15)
+    evader(Record(0, 2, 0, Assignment(1)), 30)
+    assert evader.hands_over(25)
