@@ -236,7 +236,7 @@ def test_a_margin_is_a_metric_of_the_scenario():
 
 def test_a_run_has_no_margin_against_its_own_protocol_and_is_measured_all_the_same():
     against = {"properties": ["a: idle never longer than 1 against sap"], "record.metrics": ["margin:a"]}
-    scenario = SMALL.with_(against)
+    scenario = SMALL.with_(against | {"horizon": 0.1})
     assert summary(run(scenario, 0))["a"] is None
     assert summary(run(scenario.with_({"protocol": "local_min"}), 0))["a"] is not None
 

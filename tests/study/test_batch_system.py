@@ -95,6 +95,7 @@ def test_submitit_performs_a_sweep(tmp_path, monkeypatch):
     assert texts(found) == texts(sweep(SMALL, GRID, 2))
 
 
+@pytest.mark.slow
 def test_a_sweep_that_ends_early_says_why_also_if_its_jobs_cannot_be_cancelled(monkeypatch):
     monkeypatch.delattr(Job, "cancel")
 
