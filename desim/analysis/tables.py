@@ -64,7 +64,8 @@ def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -
     unseen = f"; {ALL_EQUAL}: at most {percent(most)} of all seeds have another value" if equal else ""
     if len({*equal}) > 1:
         unseen += f" (for {min(equal)} values; {percent(wilson(0, max(equal))[1])} for {max(equal)})"
-    is_of_truths = any(isinstance(value, bool) for name, value in runs[0].items() if name not in METRICS)
+    added = [{type(run[name]) for run in runs} - {type(None)} for name in runs[0] if name not in METRICS]
+    is_of_truths = {bool} in added
     shares = ", of shares half a Wilson interval" * is_of_truths
     late = portable_sum(run.end_time >= scenario.horizon for run in runs)
     why = (

@@ -51,6 +51,14 @@ def test_a_metric_is_a_number_a_truth_value_or_none(result, value, expected):
     assert (found, type(found)) == (expected, type(expected))
 
 
+@pytest.mark.parametrize(
+    ("values", "is_share"), [([True, False], True), ([None, True], True), ([True, 2.0], False), ([None, None], False)]
+)
+def test_a_table_of_runs_says_which_interval_a_share_has(result, values, is_share):
+    scenario, runs = Scenario(), [summary(result, {"x": lambda _, value=value: value}) for value in values]
+    assert (", of shares half a Wilson interval" in batch_table(scenario, runs, 1.0)) == is_share
+
+
 def test_infinity_is_a_text_in_json(result):
     numbers = summary(result, {"x": lambda result: -inf})
     assert strict_json(json.dumps(plain(numbers)))["x"] == "-Infinity"
