@@ -22,7 +22,7 @@ not count either. There is no symmetry between pursuers: they differ in their pl
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
 from math import inf
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from desim.analysis.properties import Judgement, Stated, judge
 from desim.config.arguments import naming_arguments, scenario_argument
@@ -117,7 +117,7 @@ def fatal_losses(
     return table
 
 
-def _checked_seeds(seeds: Iterable[int]) -> tuple[int, ...]:
+def _checked_seeds(seeds: Any) -> tuple[int, ...]:
     """Return the seeds.
 
     Raises:
