@@ -2,19 +2,19 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, reduce
+from functools import cache
 from pathlib import Path
 from typing import Any, Self
 
-from pydantic import BaseModel
+from pydantic import BaseModel, BeforeValidator
 from pydantic.fields import FieldInfo
 
 from desim.config.arguments import value_text
-from desim.config.choice import choices_of
+from desim.config.choice import OneOf, choices_of
 from desim.config.errors import KeyedError, KeyPath, Problem, problems_of
 from desim.config.field_docs import fields_of
 from desim.config.key_errors import model_of
-from desim.config.model import Value
+from desim.config.model import Value, markers_of
 from desim.config.parameters import not_kept, parameters_of
 from desim.config.python_numbers import as_python
 from desim.config.suggestion import did_you_mean
@@ -216,10 +216,20 @@ class Source:
         self.origins[*place, key] = origin
 
     def _as_table(self, place: KeyPath) -> Any:
-        """Return the table that a bare string or number at a place stands for; return any other value unchanged."""
-        info = _field_at(self.model, self.tables, place)
-        value = value_at(self.tables, place)
-        return reduce(lambda value, one_of: one_of.as_table(value), choices_of(info) if info else (), value)
+        """Return the table that a bare string or number at a place stands for; return any other value unchanged.
+
+        Raises:
+            ValueError: if a text is no short form of a table.
+        """
+        info, value = _field_at(self.model, self.tables, place), value_at(self.tables, place)
+        for marker in reversed(markers_of(info)) if info else ():  # the last one reads a value first
+            if isinstance(marker, OneOf):
+                value = marker.as_table(value)
+            elif isinstance(marker, BeforeValidator) and isinstance(value, str):  # of a property or a design
+                read: Any = marker.func
+                table = read(value)
+                value = table if isinstance(table, dict) else value
+        return value
 
     def _remove_misfits(self, place: KeyPath, kind: Any) -> None:
         """Remove the keys of a table that a new kind does not have, except overridden keys."""

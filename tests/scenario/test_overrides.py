@@ -199,6 +199,12 @@ def test_a_key_of_a_function_is_refused():
             "protocol.schedule.slot=0.5",
             "protocol = { kind = 'sap', schedule = { kind = 'shared_seed', slot = 0.5 } }",
         ),
+        (
+            "properties = ['idle never longer than 2']",
+            "properties.0.limit=3.0",
+            "properties = ['idle never longer than 3']",
+        ),
+        ("sweep.design = 'sobol:64'", "sweep.design.size=32", "sweep.design = { method = 'sobol', size = 32 }"),
     ],
 )
 def test_a_key_of_what_a_bare_value_stands_for_is_set(text, override, same, tmp_path):
