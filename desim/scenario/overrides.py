@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, cast
 
 from pydantic import BaseModel, BeforeValidator
 from pydantic.fields import FieldInfo
@@ -93,8 +93,9 @@ class Source:
     def over(self, base: Self) -> Self:
         """Return this source with the keys that it lacks taken from a base; neither may have overrides.
 
-        Tables are merged key by key; any other value replaces the value of the base. When the kind of a table
-        changes, the keys of the base that the new kind does not have are left out.
+        Tables are merged key by key, also if a bare text or number stands for that of the base; any other value
+        replaces the value of the base. When the kind of a table changes, the keys of the base that the new kind does
+        not have are left out.
         """
         lines, files = dict(base.lines or {}), dict.fromkeys(base.lines or {}, base.name) | base.files
         merged = replace(self, tables=_copied(base.tables), lines=lines, files=files)
@@ -109,15 +110,21 @@ class Source:
     def _lay(self, tables: dict[str, Any], above: KeyPath) -> Iterator[KeyPath]:
         """Merge tables into the table of this source at `above`, and yield the place of every value that is set."""
         present = value_at(self.tables, above)
+        lines, files = cast("dict[KeyPath, int]", self.lines), self.files
         if "kind" in tables and tables["kind"] != present.get("kind"):
             self._remove_misfits(above, tables["kind"])
             present["kind"] = tables["kind"]  # first, because it determines the models of nested tables
         for key, value in tables.items():
+            place = *above, key
+            if isinstance(value, dict) and isinstance(present.get(key), str | int | float):
+                table = present[key] = self._as_table(place)
+                for inner in table if isinstance(table, dict) else ():  # set where the bare value was
+                    lines[*place, inner], files[*place, inner] = lines[place], files[place]
             if isinstance(value, dict) and isinstance(present.get(key), dict):
-                yield from self._lay(value, (*above, key))
+                yield from self._lay(value, place)
             else:
                 present[key] = _copied(value)
-                yield (*above, key)
+                yield place
 
     def at(self, parts: Sequence[str]) -> Any:
         """Return the value at a dotted key, given as its parts; None if there is none."""

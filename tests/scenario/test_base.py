@@ -89,6 +89,32 @@ def test_an_example_is_its_own_scenario_over_no_keys_and_over_the_default(path, 
     assert load(tmp_path / "over.toml") == load(path)
 
 
+@pytest.mark.parametrize(
+    ("base", "mine", "same"),
+    [
+        ("network.latency = 0.1", "network.latency.value = 0.2", "network.latency = 0.2"),
+        (
+            "network.latency = 'gamma'",
+            "network.latency.scale = 0.2",
+            "network.latency = { kind = 'gamma', scale = 0.2 }",
+        ),
+        ("network.latency = 0.1", "network.latency = { kind = 'gamma' }", "network.latency = 'gamma'"),
+        ("protocol = 'cbba'", "protocol.winner_timeout = 5.0", "protocol = { kind = 'cbba', winner_timeout = 5.0 }"),
+        ("team.speeds = 1.5", "team.speeds.last = 5.0", "team.speeds = { last = 5.0 }"),
+    ],
+)
+def test_a_key_of_what_a_bare_value_of_the_base_stands_for_is_overridden(base, mine, same, files):
+    """As by --set."""
+    path = files(mine=f"base = 'b.toml'\n{mine}\n", b=base)
+    assert load(path) == load(files(other=same))
+
+
+def test_an_error_in_a_bare_value_of_the_base_is_told_with_its_line(files, tmp_path):
+    path = files(mine="base = 'b.toml'\nprotocol.slot = 5.0\n", b="seed = 1\nprotocol = 'no:rule'\n")
+    with pytest.raises(ScenarioError, match=rf"^{tmp_path / 'b.toml'}:2: protocol.kind: 'no:rule' names code"):
+        load(path)
+
+
 def test_a_base_has_a_base(files):
     found = load(files(a="base = 'b.toml'\nseed = 1\n", b="base = 'c.toml'\nseed = 2\nhorizon = 2.0\n", c=RELAY))
     assert (found.seed, found.horizon, found.team.count) == (1, 2.0, 4)
