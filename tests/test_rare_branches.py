@@ -388,7 +388,7 @@ VALUES = {
     "the times of requests": lambda: (remembered(TimeRequest, ANSWERS + 1), [*range(1, ANSWERS + 1)]),
     "the times of answers": lambda: (
         remembered(lambda number: TimeAnswer(number, 3), 2 * ANSWERS + 1),
-        [*range(1, 2 * ANSWERS + 1)],
+        [TimeAnswer(number, 3) for number in range(1, 2 * ANSWERS + 1)],
     ),
     "lines of poses": lambda: (
         [

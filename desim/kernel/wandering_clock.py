@@ -10,6 +10,7 @@ The states are drawn exactly at multiples of `TICK`; in between the error of the
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from math import sqrt
+from typing import ClassVar
 
 import numpy as np
 
@@ -94,6 +95,8 @@ class WanderingClock(NodeClock):
         rate: the mean rate.
         walk: the random part of the error.
     """
+
+    wanders: ClassVar[bool] = True
 
     def __init__(self, env: Clock, offset: float, rate: float, walk: ClockWalk):
         super().__init__(env, offset, rate)

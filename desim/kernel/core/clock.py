@@ -12,7 +12,7 @@ from enum import IntEnum
 from heapq import heappush
 from operator import attrgetter
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import simpy
 from simpy.events import Condition, EventPriority
@@ -256,9 +256,11 @@ class NodeClock:
     """The local clock of a node: at the true time t, s, it shows offset + correction + rate * t, s.
 
     Attributes:
+        wanders: whether the true duration of a local one depends on when it begins.
         correction: what synchronisation has added to it, s.
     """
 
+    wanders: ClassVar[bool] = False
     true: int = property(attrgetter("_env._now"), doc="The true time, ns.")  # type: ignore[assignment]  # as in `Clock`
 
     def __init__(self, env: Clock, offset: float = 0.0, rate: float = 1.0):

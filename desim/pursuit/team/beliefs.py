@@ -88,7 +88,7 @@ class Beliefs(Knowledge):
         super().__init__(pursuer, view, network, clock)
         self._announcements, self._announcement, self._judge = announcements, announcement, judge
         self._constant_timeouts: dict[float | None, float] = {}
-        """By period (`trusted`), the time for which an announcement is believed, s of its clock; unless it varies."""
+        """By period (`trusted`), the time for which an announcement is believed, ns of true time; unless it varies."""
         self.senses_others = announcements.payload == "action"
         """Whether it senses the positions of its teammates, so that announcements need not contain them."""
 
@@ -288,10 +288,9 @@ class Beliefs(Knowledge):
         timeout = self._constant_timeouts.get(period)
         if timeout is None:
             timeout = self._timeout_for(self._period if period is None else period)
-            if self._announcements.belief_timeout != "affordable":
+            if self._announcements.belief_timeout != "affordable" and not self._clock.wanders:
                 self._constant_timeouts[period] = timeout
-        # Asked each time, because a clock may wander. No run lasts longer than `MAX_TIME`.
-        return inf if timeout > MAX_TIME else self._clock.span(timeout)
+        return timeout
 
     @property
     def _period(self) -> float:
@@ -299,7 +298,7 @@ class Beliefs(Knowledge):
         return self._announcements.heartbeat if self._announcements.has_heartbeats else inf
 
     def _timeout_for(self, period: float) -> float:
-        """Return the time, s of its clock, for which an announcement that is repeated every period (s) is believed."""
+        """Return the time, ns of true time, for which an announcement that is repeated every period (s) is believed."""
         limit = self._announcements.belief_timeout
         if not period > 0.0:
             raise ValueError(
@@ -312,7 +311,7 @@ class Beliefs(Knowledge):
             # Two announcements in a row may be lost before a teammate is given up.
             auto = 3.0 * period + 2.0 * delay if period < inf else inf
             limit = auto if limit == "auto" else self._affordable(period + 2.0 * delay, auto)
-        return limit
+        return inf if limit > MAX_TIME else self._clock.span(limit)  # no run lasts longer than MAX_TIME
 
     def _affordable(self, least: float, most: float) -> float:
         """Return the time, s, for which it can wait for news and still capture in time; `most` if it cannot at all."""
