@@ -378,7 +378,7 @@ def test_the_belief_timeout_is_measured_by_a_clock_as_it_is_then():
         me.broadcast()
         yield me.at(1.5)
         if me.id == 1:
-            me._clock.span = lambda duration: spans.pop(0)
+            me._clock.wanders, me._clock.span = True, lambda duration: spans.pop(0)
             seen.extend([me.trusted().keys(), me.trusted().keys()])
 
     play(protocol, announce=Announcements(trigger="never", belief_timeout=1.0, start="silent"))
