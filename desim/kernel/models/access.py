@@ -276,7 +276,7 @@ class Tdma(_Access):
         return self
 
     def interval(self, time: float, nodes: int) -> float:
-        """Return the time, s, of the whole rounds of slots, at least one, that a frame and its silence take."""
+        """Return the time, s, of the whole rounds of slots, at least one, for a frame and the silence after it."""
         period = len(self.owners(nodes)) * self.slot
         return max(_whole(time, period), 1) * period
 
