@@ -208,8 +208,8 @@ def _declarations(text: str) -> dict[str, str]:
 
 def _style(element: ElementTree.Element, name: str, rules: _Rules) -> dict[str, str]:
     """Return the properties of an element: its style before the rules of style sheets, and these before attributes."""
-    given = {key: value.strip() for key, value in element.attrib.items() if key in PROPERTIES}
-    attributes = {key: value if key in PLACES else value.lower() for key, value in given.items()}
+    stripped = {key: value.strip() for key, value in element.attrib.items() if key in PROPERTIES}
+    attributes = {key: value if key in PLACES else value.lower() for key, value in stripped.items()}
     if "transform-origin" in attributes:
         raise ValueError("transform-origin is not read: apply transformations in the editor")
     keys = ["", *(f".{one}" for one in element.get("class", "").split()), f"#{element.get('id')}"]
