@@ -75,6 +75,7 @@ def test_a_parquet_file_means_the_same_as_a_csv_file(tmp_path):
     found = read(t=[0, 0, 1], **ends, value=[0.1, 0.3, None], x=[[1], [2], [3]])
     assert found.table == PER_LINK.replace("0.2", "")
     assert found.read_from == "rtt.parquet"
+    assert read(**{"t": [0, 1], " value ": [0.1, 0.2]}).measurements.values.tolist() == [0.1, 0.2]
     refused = {
         "row 2: a latency should be at least 0 (got -1.0)": {"t": [0, 1], "value": [0.0, -1.0]},
         "row 3: there is no node 7": {"t": [0, 0, 0], "src": [0, 1, 7], "dst": [1, 0, 0], "value": [1, 1, 1]},

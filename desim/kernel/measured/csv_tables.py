@@ -128,7 +128,7 @@ def _csv_of(parquet: bytes, columns: tuple[str, ...] | None) -> str:
 
     file = ParquetFile(BufferReader(parquet))
     names = file.schema_arrow.names
-    read = [name for name in names if columns is None or name in columns]
+    read = [name for name in names if columns is None or name.strip() in columns]  # as `csv_header` has it
     # A few kB can hold as many equal rows as their writer likes, so the bound is on what they say, not on their size.
     if (size := file.metadata.num_rows * len(read)) > MAX_CELLS:
         raise ValueError(
