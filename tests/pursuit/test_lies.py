@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from math import inf
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -41,8 +42,10 @@ from desim.pursuit.byzantine.lies import (
     Spoof,
     draw_lies,
 )
+from desim.pursuit.byzantine.speaker import Speaker
 from desim.pursuit.core.events import Decided
 from desim.pursuit.motion.capture import capture_time, least_capture_time
+from desim.pursuit.sensing.views import NOWHERE
 from desim.pursuit.team.announcements import (
     DISSEMINATIONS,
     Announcements,
@@ -170,6 +173,17 @@ def test_opposite_and_stay_are_said_by_a_pursuer_that_chases():
         lie = Liar(node=0, start=0.0, action=action)
         lone = team(lie, team=Team(positions=[(0.0, 0.0), (30.0, 0.0)], speeds=[2.0, 1.0], active_at_start=1.0))
         assert said(go(lone, 1), 0, 0.2e9)[-1][1].active == told
+
+
+@pytest.mark.parametrize("places", [(3 + 0j, NOWHERE), (NOWHERE, 3 + 0j)])
+def test_an_evader_of_unknown_position_does_not_hide_a_plausible_lie(places):
+    """2.9 m at 2 m/s less 0.5 m/s, whichever of the two is known; of none, nothing can be said."""
+    state = SimpleNamespace(at_large=(1, 2), radius=0.1, top_speed=2.0)
+    state.position, state.body = lambda pursuer: 0j, lambda evader: SimpleNamespace(speed=0.5)
+    view = SimpleNamespace(state=state, evader=lambda evader: places[evader - 1])
+    me = Speaker(0, view, 0, np.random.default_rng(0), 0)
+    assert me.least_phi(0) == pytest.approx(2.9 / 1.5)
+    assert {me.least_phi(1), me.least_phi(2)} == {me.least_phi(0), inf}
 
 
 def test_a_pursuer_that_is_to_stay_stops_at_once():

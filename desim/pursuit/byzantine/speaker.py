@@ -1,5 +1,6 @@
 """A pursuer that speaks: the facts that it can lie about, and the announcements that can be falsified."""
 
+from cmath import isnan
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
@@ -61,14 +62,17 @@ class Speaker:
         return min((self.view.capture_times_of([self.id], target)[0] for target in evaders), default=inf)
 
     def least_phi(self, evader: int) -> float:
-        """Return the least capture time for an evader, s, that any pursuer at its position could have; see `phi`."""
+        """Return the least capture time for an evader, s, that any pursuer at its position could have; see `phi`.
+
+        Evaders of unknown position do not count.
+        """
         state, position = self.view.state, self.view.state.position(self.id)
+        targets = [evader] if evader else state.at_large
+        places = {target: place for target in targets if not isnan(place := self.view.evader(target))}
         return min(
             (
-                least_capture_time(
-                    abs(self.view.evader(target) - position), state.radius, state.top_speed, state.body(target).speed
-                )
-                for target in ([evader] if evader else state.at_large)
+                least_capture_time(abs(place - position), state.radius, state.top_speed, state.body(target).speed)
+                for target, place in places.items()
             ),
             default=inf,
         )
