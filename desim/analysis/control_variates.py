@@ -41,7 +41,7 @@ from math import inf, nan, sqrt
 
 import numpy as np
 
-from desim.analysis.statistics import Estimate, estimate, t_quantile
+from desim.analysis.statistics import ROUNDING, Estimate, estimate, t_quantile
 from desim.config.arrays import Floats
 from desim.kernel.core.portable_math import inner_product
 
@@ -125,7 +125,7 @@ def control_variate(
     if not all(np.isfinite(numbers).all() for numbers in (y, x, z)):
         raise ValueError("some runs have no value, or no finite one")
     plain, control, rest = estimate(y), estimate(x), estimate(z)
-    if not (control.standard_error and rest.standard_error):
+    if any(np.ptp(numbers) <= ROUNDING * np.abs(numbers).max() for numbers in (x, z)):
         raise ValueError("the control does not vary")
     slopes, slope, explained = _slopes(y - plain.mean, x - control.mean)
     corrected = estimate(y - slopes * (x - rest.mean))

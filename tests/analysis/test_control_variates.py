@@ -112,6 +112,8 @@ def test_intervals_cover_with_as_few_runs_of_the_control_as_a_study_may_have():
         ([1.0, 2.0, 3.0, 4.0], [1.0, 2.0, inf, 5.0], [1.0, 2.0], "no finite one"),
         ([1.0, 2.0, 3.0, 4.0], [2.0, 2.0, 2.0, 2.0], [1.0, 2.0], "the control does not vary"),
         ([1.0, 2.0, 3.0, 4.0], [1.0, 2.0, 3.0, 5.0], [2.0, 2.0], "the control does not vary"),
+        ([1.0, 2.0, 3.0, 4.0], [0.1 + 0.2, 0.3, 0.3, 0.3], [1.0, 2.0], "the control does not vary"),
+        ([1.0, 2.0, 3.0, 4.0], [0.0, 0.0, 0.0, 0.0], [1.0, 2.0], "the control does not vary"),
     ],
 )
 def test_what_cannot_be_corrected_is_refused(values, paired, others, why):
