@@ -91,13 +91,14 @@ def other_key(place: KeyPath, allowed: Sequence[str], whole: type[BaseModel]) ->
     word = str(place[-1]).split(".")[-1]
     close = _similar(word, allowed)
     homes, renamed = homes_of(word, whole), RENAMED.get(word)
-    if renamed and not any(key.place[-1] == word for key in homes):
+    is_elsewhere = any(key.place[-1] == word for key in homes)
+    if renamed and not is_elsewhere:
         homes = homes_of(renamed, whole) or homes
     is_loose = close == close_to(word, allowed) and not close_to(word, allowed, cutoff=0.8)
-    if is_loose and any(key.place[-1] == word for key in homes):
-        close = []
+    if is_loose and is_elsewhere:
+        close = []  # the same name in another table is surer than one that is hardly similar in this
     if renamed not in close and any(key.place[-1] == renamed for key in homes):
-        close = []  # the new name in another table is surer than a similar one in this
+        close = []  # so is the new name
     if close:  # then suggest other tables only for a key of exactly this name, and none for a renamed key
         homes = [key for key in homes if key.place[-1] == word and close != [renamed]]
     here = [part for part in place if isinstance(part, str)]

@@ -114,7 +114,10 @@ class QuantityComparison:
         return signed if (signed >= 0.0) == holds else JUST_BELOW_0
 
     def can(self, scenario: AnyScenario, *, hold: bool) -> bool:
-        """Return whether some value of the quantity in a scenario satisfies it or, with `hold` = False, does not."""
+        """Return whether some value of the quantity in a scenario satisfies it or, with `hold` = False, does not.
+
+        The ends of the values, the number, and those beside it decide: a comparison changes at its number only.
+        """
         most = QUANTITIES[self.quantity].most(scenario) if self.of is None else inf
         if self.evader is not None and self.quantity != "active":
             most = 1.0
