@@ -152,7 +152,7 @@ class Source:
         """
         self._set_as_text(f"--grid {text}", text, key_and_values, above="sweep.grid.")
 
-    def replace(self, name: Any, value: Any) -> None:
+    def change(self, name: Any, value: Any) -> None:
         """Set a key to a value of Python.
 
         Raises:
