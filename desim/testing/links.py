@@ -238,7 +238,7 @@ class _Losses(_Links):
             alone[run] = replies.reshape(2, len(dst))
         for k, node in enumerate(dst):
             for messages, of in (("a first message", (0,)), ("a second message", (1,)), ("both of two", (0, 1))):
-                first, second = (sample[:, of, k].all(axis=1) for sample in (together, alone))
+                first, second = (np.asarray(sample[:, of, k].all(axis=1)) for sample in (together, alone))
                 self.tested.require(
                     not are_more(first, second),
                     f"loss(context, rng) from 0 to {node} loses {messages} in {first.mean():.3f} of the runs with"
