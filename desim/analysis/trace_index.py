@@ -47,7 +47,7 @@ def remembered(derive: Callable[[Result], Derived]) -> Callable[[Result], Derive
 
 @remembered
 def _places(result: Result) -> dict[type, list[int]]:
-    """Return the positions in the trace of the events of each type; one pass serves all metrics of a run."""
+    """Return the positions in the trace of the events of each type."""
     places: dict[type, list[int]] = {}
     for place, kind in enumerate(map(type, result.trace)):
         if kind in places:
@@ -58,12 +58,19 @@ def _places(result: Result) -> dict[type, list[int]]:
 
 
 def places_of(result: Result, *kinds: type) -> list[int]:
-    """Return the positions in the trace of the events of some types, in order."""
+    """Return the positions in the trace of the events of some types, in order.
+
+    One pass serves all calls for a `TraceIndex`. It takes longer than the search of a single call for another result.
+    """
+    if not isinstance(result, TraceIndex):
+        return [place for place, event in enumerate(result.trace) if isinstance(event, kinds)]
     return sorted(chain.from_iterable(at for kind, at in _places(result).items() if issubclass(kind, kinds)))
 
 
 def events_of(result: Result, kind: type[Kind]) -> list[Kind]:
-    """Return the events of one type, in order, as `Trace.of` does."""
+    """Return the events of one type, in order, as `Trace.of` does; see `places_of`."""
+    if not isinstance(result, TraceIndex):
+        return result.trace.of(kind)
     events: list[Any] = result.trace.events
     return [events[place] for place in places_of(result, kind)]
 

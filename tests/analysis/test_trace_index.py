@@ -77,12 +77,13 @@ class SpecialSample(Sampled):
     """A type of events that a user derives."""
 
 
-def test_events_are_those_of_the_trace_in_order_also_of_a_derived_type():
+@pytest.mark.parametrize("derive", [trace_index, lambda result: result], ids=["index", "result"])
+def test_events_are_those_of_the_trace_in_order_also_of_a_derived_type(derive):
     result = ran(0.1)
     result.trace.events.insert(2, SpecialSample(*result.trace.of(Sampled)[0]))
-    index, events = trace_index(result), result.trace.events
-    assert events_of(index, Sampled) == result.trace.of(Sampled) != []
-    assert events_of(index, Ended) == result.trace.of(Ended) != []
-    places = places_of(index, Sampled, Decided)
+    searched, events = derive(result), result.trace.events
+    assert events_of(searched, Sampled) == result.trace.of(Sampled) != []
+    assert events_of(searched, Ended) == result.trace.of(Ended) != []
+    places = places_of(searched, Sampled, Decided)
     assert places == [k for k, event in enumerate(events) if isinstance(event, Sampled | Decided)]
     assert 2 in places
