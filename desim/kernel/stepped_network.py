@@ -485,7 +485,12 @@ class SteppedNetwork:
             raise RuntimeError(self._problem)
         array = self._positions.array if positions is None else positions
         last = None if self._problem else (self._network, self._trace)
-        self._start(seed, array, trace)
+        before, self._problem = self._problem, CALLED
+        try:
+            self._start(seed, array, trace)
+        except BaseException:
+            self._problem = before
+            raise
         if last is not None:
             self._run(_finish, *last)
 

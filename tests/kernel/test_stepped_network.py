@@ -903,6 +903,13 @@ def test_a_network_belongs_to_one_thread_and_a_failed_step_is_not_continued():
     assert network.step(0.1) == []
 
 
+def test_a_watcher_of_the_first_fault_cannot_call_a_network_that_is_reset():
+    network = SteppedNetwork(2, faults=[Crash(start=0.0, node=0)])
+    with pytest.raises(RuntimeError, match="a call is under way"):
+        network.reset(1, trace=Trace([lambda _: network.step(0.1)]))
+    network.step(0.1)  # the episode goes on
+
+
 @pytest.mark.parametrize("call", ["send", "publish"])
 def test_a_message_whose_sending_failed_is_not_counted_as_delivered(call):
     def watch(event):
