@@ -278,7 +278,8 @@ def independent(values: Sequence[float] | Floats, others: Sequence[float] | Floa
     Its interval is that of Welch 1947, "The Generalization of 'Student's' Problem when Several Different Population
     Variances are Involved", whose degrees of freedom are Satterthwaite's.
     """
-    first, second = mean(values), mean(others)
+    sides = (np.asarray(side, dtype=float) for side in (values, others))
+    first, second = (mean(differences(side, np.zeros(len(side)))) for side in sides)  # rounding is no scatter
     count = min(first.count, second.count)
     difference = first.mean - second.mean
     if count < 2:

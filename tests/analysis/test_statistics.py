@@ -364,6 +364,8 @@ def test_two_samples_that_are_equal_each_are_told_apart_if_there_are_enough():
     assert [one.excludes_0(1.0 - 2.0 / 69) for one in found] == [False, False, True]
     assert not found[-1].excludes_0(1.0 - 2.0 / 71)
     assert statistics.independent([1.0] * 600, [0.0] * 600).excludes_0()  # no float holds the coefficient
+    assert not statistics.independent([0.1 + 0.2, 0.3], [0.2, 0.2]).excludes_0()  # equal but for rounding
+    assert statistics.independent([0.3 + 1e-12, 0.3], [0.2, 0.2]).excludes_0()
 
 
 @given(st.lists(st.integers(-9, 9), min_size=2, max_size=30).filter(lambda values: len({*values}) > 1))
