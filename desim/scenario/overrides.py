@@ -1,6 +1,7 @@
 """The source of a scenario before validation: its tables, overrides of keys, and the origin of each key."""
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -117,8 +118,9 @@ class Source:
         for key, value in tables.items():
             place = *above, key
             if isinstance(value, dict) and isinstance(present.get(key), str | int | float):
-                table = present[key] = self._as_table(place)
-                for inner in table if isinstance(table, dict) else ():  # set where the bare value was
+                with suppress(ValueError):  # a text that stands for no table is replaced
+                    present[key] = self._as_table(place)
+                for inner in present[key] if isinstance(present[key], dict) else ():  # set where the bare value was
                     lines[*place, inner], files[*place, inner] = lines[place], files[place]
             if isinstance(value, dict) and isinstance(present.get(key), dict):
                 yield from self._lay(value, place)

@@ -101,6 +101,8 @@ def test_an_example_is_its_own_scenario_over_no_keys_and_over_the_default(path, 
         ("network.latency = 0.1", "network.latency = { kind = 'gamma' }", "network.latency = 'gamma'"),
         ("protocol = 'cbba'", "protocol.winner_timeout = 5.0", "protocol = { kind = 'cbba', winner_timeout = 5.0 }"),
         ("team.speeds = 1.5", "team.speeds.last = 5.0", "team.speeds = { last = 5.0 }"),
+        ("sweep.design = 'sobol:8'", "sweep.design.size = 16", "sweep.design = 'sobol:16'"),
+        ("sweep.design = 'sobol:x'", "sweep.design.size = 16", "sweep.design = 'sobol:16'"),
     ],
 )
 def test_a_key_of_what_a_bare_value_of_the_base_stands_for_is_overridden(base, mine, same, files):
