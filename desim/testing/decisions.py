@@ -54,6 +54,8 @@ SHARED = (
     " keep what a pursuer remembers in local variables of the generator"
 )
 """What is wrong with an object that remembers something."""
+SLOW = "if it is meant to be slower, check it with a shorter period"
+"""What to do with a model that is right, but too slow for the runs of a check."""
 
 
 def _scenario(protocol: Any, parts: dict[str, Any], dissemination: Any = None) -> Scenario:
@@ -75,7 +77,8 @@ def check_protocol(protocol: Any, *, limit: float = 10.0, hash_seeds: bool = Fal
     seed are equal. It also checks that the protocol draws from no global random generator; that pursuers decide, each
     for itself; that they announce what they decide; that the protocol object remembers nothing, since all pursuers
     share it; that a message which `ignores` of `me.listen` drops would have had no effect; and that it can be sent to
-    the workers of a sweep.
+    the workers of a sweep. The runs last 1 s: check a protocol whose pursuers decide more rarely with a faster
+    schedule.
 
     Args:
         protocol: a function or object, a class that needs no parameters, a kind, or "module:name".
@@ -96,8 +99,9 @@ def check_protocol(protocol: Any, *, limit: float = 10.0, hash_seeds: bool = Fal
 def check_schedule(schedule: Any, *, limit: float = 10.0) -> None:
     """Check a schedule; if you are unsure whether yours is right, run this.
 
-    It runs the protocol `best_response` with the schedule as `check_protocol` does, and compares `mean_slot(me)` with
-    the mean time between two turns of the team.
+    It runs the protocol `best_response` with the schedule as `check_protocol` does, for 1 s, and compares
+    `mean_slot(me)` with the mean time between two turns of the team in 10 s. Check a slower schedule with a shorter
+    period.
 
     Args:
         schedule: an object, a class that needs no parameters, a kind, or "module:name".
@@ -176,7 +180,8 @@ def _check_runs(tested: Subject, protocol: Any, limit: float, dissemination: Any
         if ignores:
             ignores = _check_ignored(tested, where, scenario(), result, limit)
     tested.require(
-        decided, f"no pursuer decides within {HORIZON:g} s: expected me.assign(action), and then me.announce()"
+        decided,
+        f"no pursuer decides within {HORIZON:g} s: expected me.assign(action), and then me.announce(); {SLOW}",
     )
 
 
@@ -292,7 +297,7 @@ def _check_slots(tested: Subject, limit: float) -> None:
     last = max(turns, default=0.0)
     slot, instants = slots[0] if slots else inf, len(set(turns))
     expected = last / slot
-    tested.require(turns, f"no pursuer has a turn within {horizon:g} s: call revise() and then me.announce()")
+    tested.require(turns, f"no pursuer has a turn within {horizon:g} s: call revise() and then me.announce(); {SLOW}")
     tested.require(
         instants <= 2.0 * expected + 5.0 and len(turns) >= expected / 2.0 - 5.0,
         f"mean_slot(me) of a team of 5 returns {slot:.4g} s, and it has {len(turns)} turns at {instants} instants in"
