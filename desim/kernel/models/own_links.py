@@ -47,7 +47,7 @@ Place = tuple[str | int, ...]
 def link_misfits(links: Links, graph: "nx.Graph[int]") -> Iterator[tuple[Place, str]]:
     """Yield the key, below `network`, and the text of each model that does not apply to a link that would use it.
 
-    So is each link in `links.link` that is listed twice: its models would depend on the order.
+    A link that `links.link` lists twice is yielded, too: its models would depend on the order.
 
     Args:
         links: the link models; their links are in the graph.
