@@ -1132,6 +1132,30 @@ def test_a_comparison_that_cannot_begin_says_why(played):
     assert not played.value("document.querySelector('.seeds').checkVisibility()")
 
 
+def test_a_pinned_run_that_is_not_valid_is_told_in_a_sentence(small):
+    found = small.answer(SMALL, ["team.count=abc"])
+    assert found["errors"][""].startswith(
+        "The pinned run is not valid, so unpin it: --set team.count=abc: team.count: "
+    )
+    assert "Traceback" not in found["errors"][""]
+
+
+@in_chromium
+@pytest.mark.slow
+def test_only_a_run_that_is_shown_can_be_pinned(played):
+    pinned = played.value("play.pinned")
+    played.value("play.change('team.count', 'abc')")
+    played.until("document.querySelector('.play').classList.contains('outdated')")
+    played.value(CLICK.format("Pin"))
+    assert "Correct the values" in played.value("document.querySelector('.status').textContent")
+    assert played.value("play.pinned") == pinned
+    played.value("play.change('team.count', '5')")
+    played.until("play.runs === 2")
+    played.value(CLICK.format("Pin"))
+    played.until("play.runs === 3")
+    assert played.value("play.pinned") == played.value("play.changes") != pinned
+
+
 @in_chromium
 @pytest.mark.slow
 def test_a_kind_without_defaults_asks_for_what_it_needs(played):

@@ -59,7 +59,10 @@ export function start(root, transport, options) {
 
   const button = (text, about, act) => make("button", { type: "button", title: about, onclick: act }, text);
   const status = make("span", { className: "status" }), spoken = make("span", { className: "spoken", role: "status" });
-  const pin = button("Pin", "Compare with this run from now on", () => { pinned = joined(now); writeAddress(true); run(); });
+  const pin = button("Pin", "Compare with this run from now on", () => {
+    if (pin.reason) return tellWhy(pin.reason);
+    pinned = joined(now); writeAddress(true); run();
+  });
   pin.className = "primary";
   const alone = button("Unpin", "Compare with no run", () => { pinned = null; writeAddress(true); run(); });
   const reset = button("Reset", "Undo all changes", () => { now = new Map(options.changes.map(split)); writeAddress(true); run(); });
@@ -70,7 +73,7 @@ export function start(root, transport, options) {
     element.setAttribute("aria-disabled", reason !== null);
     element.title = reason ?? element.about;
   }
-  many.about = many.title;
+  for (const each of [pin, many]) each.about = each.title;
   const copy = button("Copy as …", "This scenario as a file, a command or a program", () => showTexts());
   const save = button("Save", "Write this run to a folder, which desim run --from repeats", () => saveRun());
   const toggle = button("Keys", "Show or hide the keys of the scenario", () => {
@@ -262,7 +265,7 @@ export function start(root, transport, options) {
     const own = running = new AbortController(), begun = performance.now();
     const late = setTimeout(() => { status.textContent = "running …"; }, 250);
     alone.disabled = pinned === null;
-    setDisabled(many, "Wait for the run.");
+    for (const each of [pin, many]) setDisabled(each, "Wait for the run.");
     let answer;
     try {
       answer = await transport.run({ now: joined(now), pinned, page }, own.signal);
@@ -283,9 +286,10 @@ export function start(root, transport, options) {
       markWanted();
       status.textContent = "not run";
       old.textContent = runs ? "Not run: the metrics and the replay are those of the last valid run." : "Not run.";
-      setDisabled(many, "Correct the values that are marked first.");
+      for (const each of [pin, many]) setDisabled(each, "Correct the values that are marked first.");
       return;
     }
+    setDisabled(pin, null);
     lastTime = (performance.now() - begun) / 1000;
     drawNumbers(answer);
     await showReplay(answer.page, own);

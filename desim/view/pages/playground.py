@@ -117,6 +117,8 @@ class Playground:
                         "warnings": [f"{key}: {why}" for key, why in warnings(scenario)],
                     }
                 )
+        except ScenarioError as error:  # of the pinned run, as that of an address may be
+            return json_answer(shown | {"errors": {"": f"The pinned run is not valid, so unpin it: {error}"}})
         except (Exception, TimedOut) as error:
             return json_answer(shown | {"errors": {"": _reason(error)}})
 
