@@ -614,6 +614,9 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "play one/trac.jsonl": ("did you mean 'trace.jsonl'?",),
     "run one/run.json": ("their scenario is one/scenario.toml; `desim run --from one/run.json` repeats the run",),
     "plot one/summary.json": ("belongs to the results in the folder one, and is no scenario", "`desim plot one` draws"),
+    "check swept/run.json": (
+        "swept/run.json: belongs to the results in the folder swept, and is no scenario; `desim plot",
+    ),
     "version": ("Did you mean 'desim --version'?",),
     "new protocol class": ("'class' is a word of Python itself", "my_class"),
     "new protocol my-rule": ("my_rule for instance",),
@@ -633,11 +636,15 @@ def test_a_wrong_command_says_what_to_type(command, monkeypatch, tmp_path):
         Path("one").mkdir()
         for name in ("trace.jsonl", "run.json", "summary.json", "scenario.toml"):
             Path("one", name).write_text("{}")
+    if "swept/" in command:
+        Path("swept").mkdir()
+        for name in ("sweep.sqlite", "run.json"):
+            Path("swept", name).write_text("{}")
     done = CliRunner().invoke(main, [word.replace("''", "") for word in command.split()])
     assert done.exit_code == 2
     for part in COMMANDS[command]:
         assert part in done.stderr
-    assert {path.name for path in tmp_path.iterdir()} - {"one"} == {"f.py", "f.toml", "x.yaml", "x.json"}
+    assert {path.name for path in tmp_path.iterdir()} - {"one", "swept"} == {"f.py", "f.toml", "x.yaml", "x.json"}
 
 
 def test_a_traceback_of_a_wrong_call_is_short():

@@ -94,7 +94,7 @@ def _of_results(file: Path) -> str:
     if file.suffix == ".toml" or not any((folder / name).exists() for name in (TRACE, STORE)):
         return ""
     scenario = folder / "scenario.toml"
-    is_record = file.name == "run.json"
+    is_record = file.name == "run.json" and (folder / TRACE).exists()  # that of a sweep is not repeated by `desim run`
     how = f"run --from {quote(str(file))}` repeats the run" if is_record else f"plot {quote(str(folder))}` draws them"
     beside = f"; their scenario is {scenario}" if scenario.exists() else ""
     return f"{file}: belongs to the results in the folder {folder}, and is no scenario{beside}; `desim {how}"
