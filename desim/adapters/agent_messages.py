@@ -20,6 +20,7 @@ from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 
 from desim.adapters.env_network import EnvNetwork
 from desim.adapters.message_spaces import UNHEARD, ActionSpace, blank, with_entries
+from desim.config.arguments import value_text
 from desim.config.arrays import array_of
 
 
@@ -45,7 +46,9 @@ class AgentMessages(EnvNetwork):
         if type(message) is int and message > 0:
             message = spaces.Box(-1.0, 1.0, (message,), np.float32)
         if not isinstance(message, spaces.Space):
-            raise ValueError(f"message should be a gymnasium space, or a number of floats from 1 on (got {message!r})")
+            raise ValueError(
+                f"message should be a gymnasium space, or a number of floats from 1 on (got {value_text(message)})"
+            )
         self._message, self._blank, self._size = message, blank(message), size
         ages = spaces.Box(UNHEARD, np.inf, (self.size,), np.float64)
         self._heard = {"messages": batch_space(message, self.size), "ages": ages}
@@ -75,13 +78,18 @@ class AgentMessages(EnvNetwork):
         """
         space = self.spaces_of(agent)[0]
         if not isinstance(action, dict) or action.keys() != set(space):
-            raise ValueError(f"the action of {agent!r} should be a dict with the keys {list(space)} (got {action!r})")
+            raise ValueError(
+                f"the action of {value_text(agent)} should be a dict with the keys {list(space)} (got"
+                f" {value_text(action)})"
+            )
         rest = {key: value for key, value in action.items() if key != "message"}
         body = message = action["message"]
         if message is not None:
             body = _in_box(message, self._message.dtype) if isinstance(self._message, spaces.Box) else message
             if body is None or body not in self._message:
-                raise ValueError(f"the message of {agent!r} should be in {self._message} (got {message!r})")
+                raise ValueError(
+                    f"the message of {value_text(agent)} should be in {self._message} (got {value_text(message)})"
+                )
         return rest if space.keeps_keys else rest["action"], body
 
     def say(self, agent: Hashable, message: Any) -> None:

@@ -4,6 +4,7 @@ import secrets
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
+from desim.config.arguments import value_text
 from desim.config.arrays import array_of, array_text
 from desim.config.caller_warnings import warn_caller
 from desim.config.calls import check_argument
@@ -62,7 +63,9 @@ class EnvNetwork:
         if positions is not None:
             check_argument(positions, ("env",), "positions")
         if graph is not None and not is_networkx(graph):
-            raise ValueError(f"graph should be a graph of networkx whose nodes are the agents (got {graph!r})")
+            raise ValueError(
+                f"graph should be a graph of networkx whose nodes are the agents (got {value_text(graph)})"
+            )
         if (capacity := whole(capacity, "capacity")) < 1:
             raise ValueError(f"capacity should be at least 1 (got {capacity})")
         self._env, self._dt, self._positions_of, self._has_graph = env, dt, positions, graph is not None
@@ -135,7 +138,9 @@ class EnvNetwork:
             places = dict(zip(self.row, rows, strict=True))
         unknown = [] if self._is_open else [agent for agent in places if agent not in self.row]
         if unknown:
-            raise ValueError(f"positions has {unknown[0]!r}, which is no agent: they are {list(self.row)}")
+            raise ValueError(
+                f"positions has {value_text(unknown[0])}, which is no agent: they are {value_text(list(self.row))}"
+            )
         self._places |= {self.node(agent): place for agent, place in places.items()}
         return self._places
 

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from desim.config.arguments import value_text
+
 UNHEARD = -1.0
 """The age of a message that has not arrived."""
 
@@ -43,7 +45,7 @@ def with_entries(value: Any, name: str, more: dict[str, Any]) -> dict[str, Any]:
     """
     parts = dict(value) if isinstance(value, dict | spaces.Dict) else {name: value}
     if both := sorted(parts.keys() & more.keys()):
-        raise ValueError(f"the {name} of this environment has the key {both[0]!r} already")
+        raise ValueError(f"the {name} of this environment has the key {value_text(both[0])} already")
     return parts | more
 
 

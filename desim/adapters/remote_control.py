@@ -25,6 +25,7 @@ from gymnasium.utils import RecordConstructorArgs
 
 from desim.adapters.env_network import EnvNetwork
 from desim.adapters.message_spaces import UNHEARD, blank
+from desim.config.arguments import value_text
 from desim.kernel.stepped_network import SteppedNetwork
 
 ROBOT, OPERATOR = "robot", "operator"
@@ -58,7 +59,7 @@ class RemoteControl(gymnasium.Wrapper[dict[str, Any], Any, Any, Any], RecordCons
         self._link = EnvNetwork(env, (ROBOT, OPERATOR), links, **options)
         self._size, self._idle = size, blank(env.action_space) if idle is None else idle
         if self._idle not in env.action_space:
-            raise ValueError(f"idle should be an action in {env.action_space} (got {idle!r})")
+            raise ValueError(f"idle should be an action in {env.action_space} (got {value_text(idle)})")
         age = spaces.Box(UNHEARD, np.inf, (1,), np.float64)
         self.observation_space = spaces.Dict({"observation": env.observation_space, "age": age, "command_age": age})
 

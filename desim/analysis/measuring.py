@@ -10,7 +10,7 @@ from typing import Any
 
 from desim.analysis.metrics import METRICS, Metric, Summary
 from desim.analysis.trace_index import trace_index
-from desim.config.arguments import naming_arguments, run_argument
+from desim.config.arguments import naming_arguments, run_argument, value_text
 from desim.config.calls import check_argument, check_at_once
 from desim.config.errors import MetricError, NoMetricError
 from desim.config.fresh import fresh_copy
@@ -87,7 +87,7 @@ def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType
     functions: Any = more
     if not isinstance(functions, Mapping):
         form = "{'late': late} for instance; the built-in metrics are always measured"
-        raise TypeError(f"metrics should be functions by name, {form} (got {more!r})")
+        raise TypeError(f"metrics should be functions by name, {form} (got {value_text(more)})")
     metrics: dict[str, Metric] = {}
     pairs: list[tuple[Any, Any]] = [*((metric.name, metric.of) for metric in named), *functions.items()]
     for name, of in pairs:
@@ -98,7 +98,7 @@ def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType
             taken = "built-in metric" if low in METRICS else "column of tables" if low in COLUMNS else "scenario key"
             raise ValueError(f"metric {name!r} should have another name: there is a {taken} of this name")
         if not callable(of) or isinstance(of, type):
-            raise ValueError(f"metric {name!r} should be a function of a result, got {of!r}")
+            raise ValueError(f"metric {name!r} should be a function of a result, got {value_text(of)}")
         function = of.of if isinstance(of, Metric) else of
         check_argument(function, ("result",), f"metric {name!r}")
         check_at_once(function, f"metric {name!r} ")
@@ -123,9 +123,11 @@ def check_numeric(metric: str, added: Iterable[str] = ()) -> None:
     asked: Any = metric
     if not isinstance(asked, str):
         if isinstance(asked, Sequence):
-            raise ValueError(f"{ONE_NAME} (got {metric!r})")
+            raise ValueError(f"{ONE_NAME} (got {value_text(metric)})")
         name = getattr(asked, "__name__", "mine")
-        raise ValueError(f'metric should be a name: "{name}", with metrics={{"{name}": ...}} (got {metric!r})')
+        raise ValueError(
+            f'metric should be a name: "{name}", with metrics={{"{name}": ...}} (got {value_text(metric)})'
+        )
     if "," in metric:
         raise ValueError(f"{ONE_NAME} (got {metric!r})")
     numeric = [*(name for name, metric in METRICS.items() if metric.is_number), *added]

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import ClassVar, Literal, get_args
 
 from desim.analysis.tables import aligned
+from desim.config.arguments import value_text
 from desim.config.escaping import escaped
 from desim.config.html import html_table
 from desim.config.suggestion import close_to
@@ -79,7 +80,7 @@ def check_format(format: str) -> None:  # noqa: A002 - as the argument that it c
     if format not in get_args(TableFormat):
         near = close_to(str(format), get_args(TableFormat))
         hint = f", did you mean {near[0]}?" if near else ""
-        raise ValueError(f"format should be {', '.join(get_args(TableFormat))}, got {format!r}{hint}")
+        raise ValueError(f"format should be {', '.join(get_args(TableFormat))}, got {value_text(format)}{hint}")
 
 
 def formatted(

@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from desim.config.arguments import value_text
 from desim.config.choice import choices_of, kind_of
 from desim.config.field_docs import fields_of
 from desim.config.model import models_in
@@ -47,7 +48,7 @@ def described_traits(traits: Traits) -> Iterator[str]:
     fields = fields_of(type(traits))
     for name in traits.names():
         value = dict(traits)[name]
-        shown = value.__qualname__ if isinstance(value, MethodType) else repr(value)
+        shown = value.__qualname__ if isinstance(value, MethodType) else value_text(value)
         yield f"        {name} = {shown}: {' '.join((fields[name].description or '').split())}"
 
 

@@ -50,6 +50,8 @@ _ADDRESS = re.compile(
     r"(?: object)? at 0x[0-9a-fA-F]+>"
 )
 """Matches the default representation of an object, a function or a generator; its name is the group."""
+_OTHER_ADDRESS = re.compile(r" at 0x[0-9a-fA-F]{6,}")
+"""Matches the address in other representations, for example those of a future and of a generator of numpy."""
 MAX_SHOWN = 60
 """The largest number of characters of a value that a message shows."""
 
@@ -61,7 +63,7 @@ def value_text(value: object) -> str:
 
 def without_addresses(text: str) -> str:
     """Return a text in which objects and functions have no addresses, which differ from process to process."""
-    return _ADDRESS.sub(r"\1", text)
+    return _OTHER_ADDRESS.sub("", _ADDRESS.sub(r"\1", text))
 
 
 def abridged(text: str) -> str:

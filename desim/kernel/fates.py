@@ -5,7 +5,7 @@ from math import isnan, nan
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from desim.config.arguments import naming_arguments
+from desim.config.arguments import naming_arguments, value_text
 from desim.config.model import MAX_TIME
 from desim.config.number_files import number_of
 from desim.config.python_numbers import real
@@ -88,7 +88,7 @@ def fates(
     """
     duration = real(wait, "wait")
     if not 0 <= duration <= MAX_TIME:
-        raise ValueError(f"wait should be a time from 0 to {MAX_TIME:g} s (got {wait!r})")
+        raise ValueError(f"wait should be a time from 0 to {MAX_TIME:g} s (got {value_text(wait)})")
     log: list[LoggedMessage] = []
     arrivals: dict[tuple[int, Hashable], float] = {}
     losses: dict[tuple[int, Hashable], str] = {}
@@ -111,7 +111,7 @@ def fates(
                 network.send(message.src, message.dst, row, size=message.size)
             except (TypeError, ValueError) as error:
                 shown = tuple(values) if isinstance(values, tuple) else values
-                raise ValueError(f"message {row} {shown!r}: {error}") from error
+                raise ValueError(f"message {row} {value_text(shown)}: {error}") from error
         left = min(duration, MAX_TIME - network.now)
         while left > 0.0 and (network.counts().in_flight or network.transport_counts() is not None):
             step(min(STEP, left))
@@ -141,7 +141,7 @@ def _rows(messages: Any) -> Iterable[Any]:
     """
     if isinstance(messages, str | bytes | PurePath) or not isinstance(messages, Iterable):
         raise ValueError(
-            f"messages should be rows of {', '.join(COLUMNS)} (got {messages!r}); `desim fates` reads files"
+            f"messages should be rows of {', '.join(COLUMNS)} (got {value_text(messages)}); `desim fates` reads files"
         )
     names = getattr(getattr(messages, "dtype", None), "names", None)
     order = _order(getattr(messages, "columns", ()) if names is None else names)

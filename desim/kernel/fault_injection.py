@@ -7,6 +7,7 @@ from typing import Any, cast
 import simpy
 
 from desim.config.answers import wrong_answer
+from desim.config.arguments import value_text
 from desim.config.calls import check_at_once, check_call
 from desim.config.model import MAX_TIME
 from desim.config.traits import kind_of
@@ -133,7 +134,9 @@ class _Site:
 
     def begin(self, fault: Fault) -> Undo:
         if not isinstance(fault, Fault):
-            raise ValueError(f"begin(fault) should be given a fault, such as Crash(start=1.0, node=0) (got {fault!r})")
+            raise ValueError(
+                f"begin(fault) should be given a fault, such as Crash(start=1.0, node=0) (got {value_text(fault)})"
+            )
         hooks = self._crashed, self._recovered, self.targets
         part = _Site(self._env, self._network, self._trace, fault, *hooks, self._stated_cause)
         part.record(FaultStarted)
@@ -147,7 +150,9 @@ class _Site:
 
     def crash(self, crash: Crash) -> Undo:
         if not isinstance(crash, Crash):
-            raise ValueError(f"crash(crash) should be given a Crash, such as Crash(start=1.0, node=0) (got {crash!r})")
+            raise ValueError(
+                f"crash(crash) should be given a Crash, such as Crash(start=1.0, node=0) (got {value_text(crash)})"
+            )
         outage = self._network.crash(crash.node, self._cause)
         self._crashed(crash)
 
@@ -162,7 +167,9 @@ class _Site:
             parts = tuple(map(tuple, groups))
         except TypeError:
             example = "[[0, 1], [2, 3]] for instance"
-            raise ValueError(f"partition(groups) should be given lists of nodes, {example} (got {groups!r})") from None
+            raise ValueError(
+                f"partition(groups) should be given lists of nodes, {example} (got {value_text(groups)})"
+            ) from None
         state, partition = self._network.fault_state, Partition(start=0.0, groups=parts)  # checks the arguments
         _require_nodes(partition.named()["groups"], self.size, "partition: ")
         return partial(state.rejoin, state.partition(partition.groups, self._cause))
@@ -170,7 +177,9 @@ class _Site:
     def block(self, is_blocked: Callable[[int, int], bool]) -> Undo:
         state = self._network.fault_state
         if not callable(is_blocked):
-            raise ValueError(f"block(is_blocked) should be given a function of two nodes (got {is_blocked!r})")
+            raise ValueError(
+                f"block(is_blocked) should be given a function of two nodes (got {value_text(is_blocked)})"
+            )
         check_call(is_blocked, ("src", "dst"), is_blocked)
         return partial(state.rejoin, state.block(is_blocked, self._cause))
 
@@ -178,7 +187,7 @@ class _Site:
         state, given = self._network.fault_state, cast("Any", delays)
         if not callable(given):
             expected = "a function of sender, receivers and body"
-            raise ValueError(f"intercept(delays) should be given {expected} (got {given!r})")
+            raise ValueError(f"intercept(delays) should be given {expected} (got {value_text(given)})")
         check_call(given, ("src", "receivers", "body"), given)
         return partial(state.release, state.intercept(delays, self._cause))
 

@@ -6,6 +6,7 @@ Each function raises ValueError with a sentence that names the argument.
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
+from desim.config.arguments import value_text
 from desim.config.caller_warnings import warn_caller
 from desim.config.errors import KeyedError
 from desim.config.model import MAX_TIME, Value
@@ -52,7 +53,7 @@ def walls_argument(walls: Any) -> tuple[Wall, ...]:
 def _checked_tables(key: str, tables: Any, example: str) -> tuple[Any, ...]:
     """Return a list of tables; an error names their keys, and not the list, which a caller does not know."""
     if isinstance(tables, str | Mapping | Wall) or not isinstance(tables, Iterable):
-        raise ValueError(f"{key}s should be a list of {key}s, such as [{example}] (got {tables!r})")
+        raise ValueError(f"{key}s should be a list of {key}s, such as [{example}] (got {value_text(tables)})")
     try:
         return tuple(getattr(_Tables(**{key: tuple(tables)}), key))
     except KeyedError as error:
@@ -66,8 +67,8 @@ def links_argument(links: Any) -> Links:
         return links or Links()
     if not isinstance(links, Mapping):
         raise ValueError(
-            f"links should be Links(...), or a table [network] as a dict (got {links!r}); those of a scenario file are"
-            " load(file).network"
+            f"links should be Links(...), or a table [network] as a dict (got {value_text(links)}); those of a"
+            " scenario file are load(file).network"
         )
     return Links(**links)
 
@@ -83,7 +84,7 @@ def nodes_argument(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, t
         except ValueError:
             names = "networkx.complete_graph(['a', 'b']) for nodes with names"
             raise ValueError(
-                f"nodes should be their number, or a networkx graph, such as {names} (got {nodes!r})"
+                f"nodes should be their number, or a networkx graph, such as {names} (got {value_text(nodes)})"
             ) from None
         if not 1 <= size <= LARGEST_NETWORK:
             raise ValueError(f"a network should have at least 1 node and at most {LARGEST_NETWORK:,} (got {size:,})")
@@ -126,9 +127,9 @@ def horizon_argument(horizon: float | None, faults: Iterable[Any]) -> int:
     if horizon is None:
         plan = next((fault for fault in faults if not isinstance(fault, Fault | ClockSkew)), None)
         if plan is not None:
-            raise ValueError(f"{plan!r} needs horizon=, the time until which it draws, s")
+            raise ValueError(f"{value_text(plan)} needs horizon=, the time until which it draws, s")
         return NEVER
     duration = real(horizon, "horizon")
     if not 0 < duration <= MAX_TIME:
-        raise ValueError(f"horizon should be a time above 0 and at most {MAX_TIME:g} s (got {horizon!r})")
+        raise ValueError(f"horizon should be a time above 0 and at most {MAX_TIME:g} s (got {value_text(horizon)})")
     return nanoseconds(duration)

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 
-from desim.config.arguments import naming_arguments
+from desim.config.arguments import naming_arguments, value_text
 from desim.config.arrays import Floats
 from desim.config.fresh import fresh_copy
 from desim.config.model import MAX_TIME
@@ -154,7 +154,7 @@ class SteppedNetwork:
     def _start(self, seed: int, positions: Any, trace: Trace | None) -> None:
         """Create the network of an episode, at time 0; nothing has changed if an argument is wrong."""
         if not isinstance(trace, Trace | None):
-            raise ValueError(f"trace should be a desim.kernel.core.events.Trace (got {trace!r})")
+            raise ValueError(f"trace should be a desim.kernel.core.events.Trace (got {value_text(trace)})")
         if trace is not None and trace.events:
             raise ValueError(f"trace has {len(trace):,} events of another episode: give a new Trace()")
         if trace is not None and trace.is_taken:
@@ -301,7 +301,7 @@ class SteppedNetwork:
         """Return the end of the next step, ns; raise ValueError if there is none."""
         duration = real(dt, "dt")
         if not 0 < duration <= MAX_TIME or nanoseconds(duration) < 1:
-            raise ValueError(f"dt should be a time from 1 ns to {MAX_TIME:g} s, in s (got {dt!r})")
+            raise ValueError(f"dt should be a time from 1 ns to {MAX_TIME:g} s, in s (got {value_text(dt)})")
         if self.now + duration > MAX_TIME:
             raise ValueError(f"the time should be at most {MAX_TIME:g} s (got {self.now:g} s and dt = {duration:g} s)")
         return self._clock.now + nanoseconds(duration)
@@ -394,7 +394,7 @@ class SteppedNetwork:
         """
         number = self._member(node)
         if number in self._away:
-            raise ValueError(f"node {node!r} is away already")
+            raise ValueError(f"node {value_text(node)} is away already")
         crash = Crash(start=self.now, node=number, scope="radio", memory=False)
         self._is_unused = False
         if self._trace is not None:
@@ -409,7 +409,7 @@ class SteppedNetwork:
         """
         number = self._member(node)
         if number not in self._away:
-            raise ValueError(f"node {node!r} is not away")
+            raise ValueError(f"node {value_text(node)} is not away")
         crash, outage = self._away.pop(number)
         if self._trace is not None:
             self._run(self._trace.append, FaultEnded(self._clock.now, crash))
@@ -449,8 +449,8 @@ class SteppedNetwork:
                 return self._numbers[node]
             except (KeyError, TypeError):  # TypeError: it has no hash
                 pass
-        names = ", ".join(map(repr, self._nodes[:SHOWN])) + (", ..." if len(self._nodes) > SHOWN else "")
-        raise ValueError(f"there is no node {node!r}: the nodes are {names}")
+        names = ", ".join(map(value_text, self._nodes[:SHOWN])) + (", ..." if len(self._nodes) > SHOWN else "")
+        raise ValueError(f"there is no node {value_text(node)}: the nodes are {names}")
 
     # Time and life.
 

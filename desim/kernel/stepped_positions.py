@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from desim.config.arguments import value_text
 from desim.config.arrays import Floats, Integers, array_of, array_text
 from desim.config.model import MAX_COORDINATE
 from desim.kernel.core.clock import Clock
@@ -123,7 +124,9 @@ class SteppedPositions(PositionSource):
             positions = positions.loc[[*self._nodes]]
         elif isinstance(positions, Mapping):
             if missing := [node for node in self._nodes if node not in positions]:
-                raise ValueError(f"positions should have a place for each node: there is none for {missing[0]!r}")
+                raise ValueError(
+                    f"positions should have a place for each node: there is none for {value_text(missing[0])}"
+                )
             positions = [positions[node] for node in self._nodes]
         view = array_of(positions)
         if view.shape != (self._size, 2) or view.dtype.kind not in "iuf":

@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium.spaces import Box, Discrete, Space
 from numpy.typing import NDArray
 
+from desim.config.arguments import value_text
 from desim.config.caller_warnings import warn_caller
 from desim.config.extras import naming_extras
 from desim.config.fresh import Remembered
@@ -61,12 +62,12 @@ class Pursuit:
         render_mode: str | None,
     ):
         if observation not in FORMS:
-            raise ValueError(f"an observation should be {' or '.join(FORMS)} (got {observation!r})")
+            raise ValueError(f"an observation should be {' or '.join(FORMS)} (got {value_text(observation)})")
         if render_mode is not None and render_mode not in RENDER_MODES:
-            raise ValueError(f"a render mode should be {' or '.join(RENDER_MODES)} (got {render_mode!r})")
+            raise ValueError(f"a render mode should be {' or '.join(RENDER_MODES)} (got {value_text(render_mode)})")
         for name, value in (("omniscient", omniscient), ("agents_leave", agents_leave)):
             if not isinstance(value, bool | np.bool_):  # "no" would count as true
-                raise ValueError(f"{name} should be True or False (got {value!r})")
+                raise ValueError(f"{name} should be True or False (got {value_text(value)})")
         max_cycles = None if max_cycles is None else whole(max_cycles, "max_cycles")
         if max_cycles is not None and max_cycles < 1:
             raise ValueError(f"max_cycles should be at least 1 (got {max_cycles})")
@@ -183,7 +184,8 @@ class Pursuit:
         """Return the name of a pursuer; KeyError if there is none with this name."""
         if not isinstance(agent, str) or agent not in self._ids:
             raise KeyError(
-                f"there is no agent {agent!r}: they are {self.possible_agents[0]} to {self.possible_agents[-1]}"
+                f"there is no agent {value_text(agent)}: they are {self.possible_agents[0]} to"
+                f" {self.possible_agents[-1]}"
             )
         return agent
 
@@ -217,7 +219,9 @@ class Pursuit:
             return action
         number = as_python(action)
         if number is None or not self.action_spaces[agent].contains(number):
-            raise ValueError(f"{agent}: an action should be from 0 to {len(self.scenario.evaders)} (got {action!r})")
+            raise ValueError(
+                f"{agent}: an action should be from 0 to {len(self.scenario.evaders)} (got {value_text(action)})"
+            )
         return int(number)
 
     def _begun(self, actions: Mapping[int, int], *, may_keep: bool = False) -> StepStart:

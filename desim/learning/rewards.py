@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from desim.config.answers import wrong_answer
+from desim.config.arguments import value_text
 from desim.config.arrays import array_of
 from desim.config.calls import check_argument, check_at_once
 from desim.pursuit.game.game import gain, welfare
@@ -97,7 +98,7 @@ def reward_named(reward: Any) -> Reward:
         function: Reward = reward
         return function
     if not isinstance(reward, str) or reward not in REWARDS:
-        raise ValueError(f"a reward should be {', '.join(REWARDS)} or a function of a step (got {reward!r})")
+        raise ValueError(f"a reward should be {', '.join(REWARDS)} or a function of a step (got {value_text(reward)})")
     return REWARDS[reward]
 
 

@@ -6,7 +6,7 @@ from contextlib import contextmanager, suppress
 from threading import Event, Thread
 from typing import Any, Literal, get_args
 
-from desim.config.arguments import naming_arguments, scenario_argument
+from desim.config.arguments import naming_arguments, scenario_argument, value_text
 from desim.config.python_numbers import whole
 from desim.kernel.core.seeds import seed_list, seed_of
 from desim.live.lobby import LOCAL
@@ -80,10 +80,10 @@ def runs(
     if (at_once := whole(at_once, "at_once")) < 1:
         raise ValueError(f"at_once should be at least 1 (got {at_once})")
     if links not in get_args(LinkKind):
-        raise ValueError(f"links should be {', '.join(map(repr, get_args(LinkKind)))} (got {links!r})")
+        raise ValueError(f"links should be {', '.join(map(repr, get_args(LinkKind)))} (got {value_text(links)})")
     told: tuple[Any, ...] = (tell, tell if finished is None else finished)
     if not all(map(callable, told)):
-        raise ValueError(f"tell and finished should be functions (got {tell!r} and {finished!r})")
+        raise ValueError(f"tell and finished should be functions (got {value_text(tell)} and {value_text(finished)})")
     if hosts is not None:
         _check_hosts(hosts, size)
     if hosts is not None and links != "drawn":
@@ -96,11 +96,13 @@ def runs(
 def _check_hosts(hosts: Any, size: int) -> None:
     """Raise ValueError if the hosts are not one for each pursuer, each a text."""
     if isinstance(hosts, str) or not isinstance(hosts, Sequence) or not all(isinstance(host, str) for host in hosts):
-        raise ValueError(f"hosts should be a list of names or addresses, ['192.168.0.2', ...] (got {hosts!r})")
+        raise ValueError(
+            f"hosts should be a list of names or addresses, ['192.168.0.2', ...] (got {value_text(hosts)})"
+        )
     if len(hosts) != size:
         raise ValueError(f"hosts should be one for each of the {size} pursuers (got {len(hosts)})")
     if not all(hosts):
-        raise ValueError(f"a host should have a name or an address (got {hosts!r})")
+        raise ValueError(f"a host should have a name or an address (got {value_text(hosts)})")
 
 
 def _play(

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from desim.config.arguments import scenario_argument
+from desim.config.arguments import scenario_argument, value_text
 from desim.config.arrays import Floats, Integers, Points, array_of
 from desim.config.calls import check_argument
 from desim.config.fresh import fresh_copy
@@ -103,7 +103,7 @@ class Node:
         if not 0 <= pursuer < scenario.team.count:
             raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {scenario.team.count - 1}")
         if not isinstance(draws, bool | np.bool_):  # "no" would count as true
-            raise ValueError(f"draws should be True or False (got {draws!r})")
+            raise ValueError(f"draws should be True or False (got {value_text(draws)})")
         if on_action is not None:
             check_argument(on_action, ("action",), "on_action")
         self._opened = ExitStack()
@@ -250,7 +250,7 @@ class Node:
         ]
         self._number_of = {peer: number for number, peer in enumerate(self._peers)}
         if len(self._number_of) < len(self._peers):  # datagrams from there would be those of one of them
-            raise ValueError(f"peers should be different addresses (got {peers!r})")
+            raise ValueError(f"peers should be different addresses (got {value_text(peers)})")
         self._mailboxes = [box or peer for box, peer in zip_longest(mailboxes, self._peers)]
 
     async def run(self, now: Callable[[], int] | None = None) -> None:
@@ -510,5 +510,5 @@ def _points(name: str, pairs: Any, *shape: int) -> Any:
     is_wrong = array.shape != shape or array.dtype.kind not in "iuf"
     if is_wrong or not (np.abs(array) <= MAX_COORDINATE).all():
         allowed = f"numbers of shape {shape}, at most {MAX_COORDINATE:g} from 0"
-        raise ValueError(f"{name} should be finite {allowed} (got {pairs!r})")
+        raise ValueError(f"{name} should be finite {allowed} (got {value_text(pairs)})")
     return array.astype(float, order="C").view(complex).ravel()

@@ -10,6 +10,7 @@ from ipaddress import ip_address
 from struct import Struct
 from typing import Any
 
+from desim.config.arguments import value_text
 from desim.kernel.core.units import SECOND
 from desim.live.start import Address
 
@@ -35,7 +36,7 @@ def checked_address(value: Any) -> Address:
     match value:
         case [str(host), int(port)] if 0 <= port < 1 << 16 and port is not True and port is not False:
             return host, port
-    raise ValueError(f"an address should be a host and a port (got {value!r})")
+    raise ValueError(f"an address should be a host and a port (got {value_text(value)})")
 
 
 def family_of(address: Address) -> socket.AddressFamily:

@@ -4,6 +4,7 @@ import hashlib
 import json
 from typing import NamedTuple, Self
 
+from desim.config.arguments import value_text
 from desim.scenario.scenario import Scenario
 
 Address = tuple[str, int]
@@ -46,7 +47,9 @@ class PursuerStart(NamedTuple):
                 raise ValueError
             return cls((referee_host, int(port)), token, int(pursuer), int(seed), host, scenario=digest(scenario))
         except ValueError:
-            raise ValueError(f"should be the word that `desim live --hosts` prints (got {invitation!r})") from None
+            raise ValueError(
+                f"should be the word that `desim live --hosts` prints (got {value_text(invitation)})"
+            ) from None
 
 
 def digest(scenario: Scenario) -> str:

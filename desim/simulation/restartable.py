@@ -8,7 +8,7 @@ from typing import cast
 import simpy
 
 from desim.config.answers import wrong_answer
-from desim.config.arguments import HintedItems, arguments_of, missing_attribute, with_article
+from desim.config.arguments import HintedItems, arguments_of, missing_attribute, value_text, with_article
 from desim.config.traits import is_ours
 from desim.kernel.core.clock import Clock, Phase
 from desim.pursuit.team.agent import Agent, Behaviour, Process
@@ -81,7 +81,9 @@ class RestartableProcess(simpy.Process):
 def _id_was_set(agent: Agent, pursuer: int) -> AttributeError:
     """Give an agent its id again, and return the error of a protocol that has changed it."""
     agent.id, other = pursuer, agent.id
-    return AttributeError(f"pursuer {pursuer}: the protocol has set me.id to {other!r}; the id of an agent stays")
+    return AttributeError(
+        f"pursuer {pursuer}: the protocol has set me.id to {value_text(other)}; the id of an agent stays"
+    )
 
 
 OF_METHOD = re.compile(r"'(?:method|function)' object|operand .*'(?:method|function)'")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from desim.config.arguments import HintedAttributes, naming_arguments, scenario_argument
+from desim.config.arguments import HintedAttributes, naming_arguments, scenario_argument, value_text
 from desim.config.escaping import escaped
 from desim.config.fresh import fresh_copy
 from desim.config.html import html_properties, picture_of
@@ -199,7 +199,7 @@ def _simulate(
     except SystemExit as error:
         notes = getattr(error, "__notes__", [])
         who = "the protocol" if notes else "code of the scenario"
-        raise RuntimeError(" ".join([f"{who} called exit({error.code!r})", *notes])) from error
+        raise RuntimeError(" ".join([f"{who} called exit({value_text(error.code)})", *notes])) from error
     world.sample()
     for event in counts():
         trace.append(event)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from desim.config.arguments import naming_arguments
+from desim.config.arguments import naming_arguments, value_text
 from desim.pursuit.core.state import lengths
 from desim.pursuit.motion.capture import RadialTime
 from desim.pursuit.motion.dynamics import DYNAMICS, Course, Courses, Piece, coasts
@@ -61,7 +61,7 @@ class _Body:
         with self.tested.blaming(str(call)):
             first, second = self.model(*call), self.model(*call)
         if not isinstance(first, Piece):
-            self.tested.fail(f"{call} returns {first!r}, expected a Piece")
+            self.tested.fail(f"{call} returns {value_text(first)}, expected a Piece")
         self.tested.require(first == second, f"{call} returns another Piece when it is repeated: it may not remember")
         self.tested.require(first.curved >= 0.0, f"{call}: curved is {first.curved}, expected a duration >= 0 s")
         self.tested.require(
@@ -181,7 +181,9 @@ class _Body:
             first, second = (self.model.headings(np.random.default_rng(1), 5) for _ in range(2))
         array = np.asarray(first)
         right = array.shape == (5,) and array.dtype.kind in "iufc" and bool(np.allclose(np.abs(array), 1.0))
-        self.tested.require(right, f"headings(rng, 5) returns {first!r}, expected 5 complex numbers of length 1")
+        self.tested.require(
+            right, f"headings(rng, 5) returns {value_text(first)}, expected 5 complex numbers of length 1"
+        )
         self.tested.require(
             np.array_equal(array, second), "headings(rng, 5) returns others for an equal rng; draw from rng only"
         )
@@ -248,7 +250,9 @@ class _Body:
             reply = self.model.capture_times(offsets, courses, speeds, EVADER_SPEED, CAPTURE_RADIUS)
         times = np.asarray(reply)
         right = times.shape == speeds.shape and times.dtype.kind in "iuf" and not np.isnan(times).any()
-        self.tested.require(right, f"{call} returns {reply!r}, expected as many times in s, or inf, in an array")
+        self.tested.require(
+            right, f"{call} returns {value_text(reply)}, expected as many times in s, or inf, in an array"
+        )
         return times
 
 

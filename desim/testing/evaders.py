@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from desim.config.arguments import naming_arguments
+from desim.config.arguments import naming_arguments, value_text
 from desim.config.python_numbers import as_complex
 from desim.pursuit.core.state import State
 from desim.pursuit.core.traits import StrategyTraits
@@ -116,7 +116,7 @@ def _heading(tested: Subject, case: _Case) -> complex:
     heading = as_complex(answer)
     if heading != heading:
         expected = "a heading: a finite complex number x + 1j * y of length at most 1"
-        tested.fail(f"{case} returns {answer!r}, expected {expected}")
+        tested.fail(f"{case} returns {value_text(answer)}, expected {expected}")
     length = abs(heading)
     tested.require(
         length <= 1.0 + ROUNDING,

@@ -4,7 +4,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from desim.config.arguments import naming_arguments
+from desim.config.arguments import naming_arguments, value_text
 from desim.kernel.core.trace_file import line_of
 from desim.results.run_folder import streamed, write
 from desim.scenario.scenario import Scenario
@@ -59,7 +59,7 @@ def _refusals(tested: Subject, where: str, parts: dict[str, Any], folder: Path) 
         tested.require(file.exists(), f"{call} does not write the file that it is given")
         tested.require(
             count is None or (isinstance(count, int) and count >= 0),
-            f"{call} returns {count!r}, expected the number of items in the file, an integer, or None",
+            f"{call} returns {value_text(count)}, expected the number of items in the file, an integer, or None",
         )
     first, second = (file.read_bytes() for file in files)
     how = "read from its folder, event by event," if results[1] is not result else "exported again"

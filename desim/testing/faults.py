@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from desim.config.arguments import naming_arguments
+from desim.config.arguments import naming_arguments, value_text
 from desim.kernel.core.events import Event, Lost
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.models.clock_skew import ClockSkew
@@ -81,10 +81,12 @@ def _call(tested: Subject, call: str, size: int, seed: int) -> list[Any]:
     try:
         planned = [*answer]
     except TypeError:
-        tested.fail(f"{call} returns {answer!r}, expected faults, as a list or from a generator")
+        tested.fail(f"{call} returns {value_text(answer)}, expected faults, as a list or from a generator")
     for window in planned:
         if not isinstance(window, Fault | ByzantineFault):
-            tested.fail(f"{call} draws {window!r}, expected faults: objects of classes derived from desim.Fault")
+            tested.fail(
+                f"{call} draws {value_text(window)}, expected faults: objects of classes derived from desim.Fault"
+            )
     return planned
 
 
@@ -98,7 +100,7 @@ def _check_drawn(tested: Subject, window: Window, size: int | None, call: str) -
         for node in nodes if size is not None else ():
             tested.require(
                 0 <= node < size,  # type: ignore[operator]
-                f"{call} draws {window!r}, whose {key} names node {node}: expected nodes 0 .. size - 1",
+                f"{call} draws {value_text(window)}, whose {key} names node {node}: expected nodes 0 .. size - 1",
             )
 
 
@@ -137,6 +139,6 @@ class _Ends:
             self._tested.require(
                 event.t <= self._since + nanoseconds(0.002),
                 f"{self._where} loses a message from {event.src} to {event.dst} at {seconds(event.t):g} s (cause"
-                f" {event.cause!r}), when no fault is active: the function that begin(site) returns should end all that"
-                " it has begun",
+                f" {value_text(event.cause)}), when no fault is active: the function that begin(site) returns should"
+                " end all that it has begun",
             )

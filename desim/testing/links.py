@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.config.arguments import naming_arguments
+from desim.config.arguments import abridged, naming_arguments
 from desim.config.arrays import Floats
 from desim.config.caller_warnings import warn_caller
 from desim.config.python_numbers import real, whole
@@ -367,8 +367,7 @@ def _form(reply: Any) -> str:
     """Return a short description of what a model returned."""
     if isinstance(reply, np.ndarray):
         return f"an array of shape {reply.shape} of type {reply.dtype}"
-    text = repr(reply)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    return abridged(repr(reply))
 
 
 def _run(tested: Subject, nodes: int, **network: Any) -> None:

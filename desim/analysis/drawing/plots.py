@@ -21,6 +21,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.text import Text
 
 from desim.analysis.drawing.legends import uncover_data
+from desim.config.arguments import value_text
 from desim.config.errors import ArgumentError
 from desim.config.file_names import PICTURE_SUFFIXES, files
 from desim.config.whole_files import write_whole
@@ -74,11 +75,11 @@ def in_style(style: Style) -> Iterator[None]:
             drawing.enter_context(mpl_style.context([] if style is None else style))  # type: ignore[arg-type]
         except UnicodeDecodeError as error:
             raise ArgumentError(
-                "style", f"should be a style sheet of matplotlib, got a binary file: {style!r}"
+                "style", f"should be a style sheet of matplotlib, got a binary file: {value_text(style)}"
             ) from error
         except TypeError as error:
             raise ArgumentError(
-                "style", f"should be rcParams, the name of a style, or a list (got {style!r})"
+                "style", f"should be rcParams, the name of a style, or a list (got {value_text(style)})"
             ) from error
         except (KeyError, OSError) as error:
             raise ArgumentError("style", f": {error.args[0] if error.args else error}") from error
@@ -244,7 +245,7 @@ def size_of(text: str) -> tuple[float, float | None]:
     units = [match["unit"], match["last"]] if match else []
     if match is None or not any(units):
         why = "should be a width and perhaps a height in cm, mm or in, as 8.5cmx6cm"
-        raise ArgumentError("size", f"{why} (got {text!r})")
+        raise ArgumentError("size", f"{why} (got {value_text(text)})")
     unit, last = (unit_name or units[1 - k] for k, unit_name in enumerate(units))
     width = float(match["width"]) / UNITS[unit]
     height = None if match["height"] is None else float(match["height"]) / UNITS[last]

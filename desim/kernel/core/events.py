@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Protocol, TypeVar
 import numpy as np
 from pydantic import Field
 
+from desim.config.arguments import value_text
 from desim.config.calls import check_at_once, check_call
 
 LOST = -1
@@ -303,7 +304,7 @@ class Trace:
         self._watchers = tuple(watchers)
         for watch in self._watchers:
             if not callable(watch):
-                raise ValueError(f"a watcher should be a function of an event (got {watch!r})")
+                raise ValueError(f"a watcher should be a function of an event (got {value_text(watch)})")
             try:
                 check_call(watch, ("event",), watch)
                 check_at_once(watch)
@@ -351,5 +352,7 @@ class Trace:
             TypeError: if it is not a class of events, or a tuple of such classes.
         """
         if not isinstance(kind, type | tuple):
-            raise TypeError(f"`of` takes a class of events, such as desim.pursuit.core.events.Decided (got {kind!r})")
+            raise TypeError(
+                f"`of` takes a class of events, such as desim.pursuit.core.events.Decided (got {value_text(kind)})"
+            )
         return [event for event in self.events if isinstance(event, kind)]

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
+from desim.config.arguments import value_text
 from desim.kernel.core.body_content import (
     JSON_ATOMS,
     Fields,
@@ -94,7 +95,7 @@ def _check_copy(value: Any, copied: Any, depth: int = 0) -> None:
         return
     if type(copied) in ATOMS:
         if copied is not value and copied != value and copied == copied:  # nan differs from itself
-            raise ValueError(f"its copy has {copied!r} where it has {value!r}")
+            raise ValueError(f"its copy has {value_text(copied)} where it has {value_text(value)}")
         return
     if copied is value and isinstance(value, SHARED):
         raise ValueError(f"its copies would share a {type(value).__name__}")

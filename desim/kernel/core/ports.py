@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from desim.config.arguments import value_text
+
 
 def check_port(port: Any, name: str) -> None:
     """Raise ValueError if a port is no text, as if the size of a message or a time was given in its place.
@@ -11,7 +13,7 @@ def check_port(port: Any, name: str) -> None:
         name: the function that it was given to, for the error message.
     """
     if not isinstance(port, str):
-        raise ValueError(f"{name}: a port should be a text, the name of an inbox (got {port!r})")
+        raise ValueError(f"{name}: a port should be a text, the name of an inbox (got {value_text(port)})")
 
 
 class ReservedPort(str):

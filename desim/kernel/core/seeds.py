@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from desim.config.arguments import value_text
 from desim.config.arrays import Integers
 from desim.config.python_numbers import whole
 
@@ -26,7 +27,7 @@ def seed_list(seeds: Any) -> list[Any]:
         ValueError: if they are a text or a table, or one number.
     """
     if isinstance(seeds, str | Mapping) or not isinstance(seeds, Iterable):
-        raise ValueError(f"seeds should be a list of integers (got {seeds!r})")
+        raise ValueError(f"seeds should be a list of integers (got {value_text(seeds)})")
     return list(seeds)
 
 

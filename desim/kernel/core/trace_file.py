@@ -24,6 +24,7 @@ from unicodedata import is_normalized
 from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 from pydantic_core import to_json
 
+from desim.config.arguments import value_text
 from desim.config.error_texts import text_of
 from desim.config.json_numbers import field_names, has_plain
 from desim.config.whole_files import open_no_link
@@ -73,7 +74,7 @@ class TraceFile:
     def __init__(self, path: str | Path):
         place: Any = path
         if not isinstance(place, str | PathLike) or not Path(place).name:
-            raise ValueError(f"TraceFile takes the path of a file (got {path!r})")
+            raise ValueError(f"TraceFile takes the path of a file (got {value_text(path)})")
         self._path = Path(path)
         self._part = self._place = self._path.with_name(self._path.name + ".part")
         self._block: list[Event] = []

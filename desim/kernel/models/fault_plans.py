@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import PlainSerializer, PlainValidator, ValidationInfo, WithJsonSchema
 
 from desim.config.answers import wrong_answer
+from desim.config.arguments import value_text
 from desim.config.choice import OneOf, kind_of
 from desim.config.model import Box, Duration, Extent, FirstError, Flag, NotEmpty, Rate, Value
 from desim.config.named_code import import_name, named_in_file
@@ -85,7 +86,7 @@ def _fault_kind(value: Any, info: ValidationInfo) -> str | type[Fault]:
     if not (isinstance(value, type) and issubclass(value, Fault)):
         hint = did_you_mean(value, _BY_KIND) if isinstance(value, str) else ""
         classes = 'a class that derives from Fault as "module:Name"'
-        raise ValueError(f"should be {', '.join(_BY_KIND)}, or {classes}{hint} (got {value!r})")
+        raise ValueError(f"should be {', '.join(_BY_KIND)}, or {classes}{hint} (got {value_text(value)})")
     return value
 
 

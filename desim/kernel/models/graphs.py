@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self, get_a
 
 from pydantic import Field, ModelWrapValidatorHandler, ValidationError, ValidationInfo, model_validator
 
+from desim.config.arguments import value_text
 from desim.config.choice import OneOf
 from desim.config.errors import WORDINGS, KeyedError
 from desim.config.model import Flag, Value
@@ -275,7 +276,7 @@ def _is_one_way(graph: "nx.Graph[Any]") -> bool:
 
 def node_names(graph: "nx.Graph[Any]") -> str:
     """Return the names of the first nodes of a graph as one line of text, with long names truncated."""
-    names = [repr(node)[:20] for node in sorted(graph, key=str)[:MAX_NAMES]]
+    names = [value_text(node)[:20] for node in sorted(graph, key=str)[:MAX_NAMES]]
     return f"[{', '.join([*names, *(['...'] if len(graph) > MAX_NAMES else [])])}]"
 
 
@@ -296,7 +297,7 @@ def as_model(name: str, value: Any) -> Any:
         ValueError: if the attribute is an invalid order, or a number that is not a valid latency or probability.
     """
     if name == "order" and value not in (None, *get_args(Order)):
-        raise ValueError(f"the order of an edge should be {' or '.join(get_args(Order))} (got {value!r})")
+        raise ValueError(f"the order of an edge should be {' or '.join(get_args(Order))} (got {value_text(value)})")
     number = value if name == "order" or callable(value) else as_python(value)
     if name == "latency" and isinstance(number, str):
         number = seconds_in(number)

@@ -15,6 +15,7 @@ from itertools import count
 from math import inf
 from typing import Any, Literal
 
+from desim.config.arguments import value_text
 from desim.config.model import MAX_TIME
 from desim.kernel.core.clock import Phase
 from desim.kernel.core.events import Trace, TransportCounts
@@ -100,7 +101,9 @@ class TransportLayer:
         """
         chosen = self._transports.setdefault(port, transport)
         if chosen is not transport and chosen != transport:
-            raise ValueError(f"a port has one transport: {port!r} has {chosen!r} (got {transport!r})")
+            raise ValueError(
+                f"a port has one transport: {port!r} has {value_text(chosen)} (got {value_text(transport)})"
+            )
 
     def send(self, src: int, dst: int | None, message: Message, port: str, size: int, transport: Transport) -> None:
         """Send a message to a node, or to all neighbours (None), under a transport.

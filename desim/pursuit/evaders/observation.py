@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from desim.config.arguments import value_text
 from desim.config.arrays import Floats, Points
 from desim.pursuit.core.state import State, lengths
 from desim.pursuit.paths.space import PLANE, Plane
@@ -58,7 +59,7 @@ class EvaderObservation(State):
         if not hasattr(space, "arrivals"):
             raise ValueError(
                 f"within(space) takes a space; for the pursuers within 5 m write only(state.distances <= 5.0) (got"
-                f" {space!r})"
+                f" {value_text(space)})"
             )
         offsets = space.arrivals(self.evader, self.pursuers)
         reaches = np.isfinite(offsets)
@@ -85,7 +86,7 @@ class EvaderObservation(State):
         """
         mask: Any = who
         if getattr(getattr(mask, "dtype", None), "kind", "") != "b" or mask.shape != self.speeds.shape:
-            raise ValueError(f"only(who) takes an array of {len(self.speeds)} booleans (got {mask!r})")
+            raise ValueError(f"only(who) takes an array of {len(self.speeds)} booleans (got {value_text(mask)})")
         if who.all():
             return self
         seen = EvaderObservation(

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 import simpy
 
-from desim.config.arguments import HintedItems
+from desim.config.arguments import HintedItems, value_text
 from desim.kernel.core.clock import Clock, NodeClock, Phase
 from desim.kernel.core.message_body import as_sent, differs
 from desim.kernel.core.ports import check_port
@@ -188,7 +188,9 @@ class Agent(Beliefs, Timing, HintedItems):
     def _check_stream(self, name: Any) -> None:
         """Raise ValueError if the name of a stream is no text: that of an object may differ from run to run."""
         if not isinstance(name, str):
-            raise ValueError(f"pursuer {self.id}: the name of a random stream should be a text (got {name!r})")
+            raise ValueError(
+                f"pursuer {self.id}: the name of a random stream should be a text (got {value_text(name)})"
+            )
 
     # Actions and announcements.
 
@@ -199,7 +201,7 @@ class Agent(Beliefs, Timing, HintedItems):
 
     @action.setter
     def action(self, action: int) -> None:
-        raise AttributeError(f"the action of an agent is set by a call: me.assign({action!r})")
+        raise AttributeError(f"the action of an agent is set by a call: me.assign({value_text(action)})")
 
     def assign(self, action: int) -> None:
         """Chase an evader (its number) or be inactive (0) from now on.
@@ -240,7 +242,7 @@ class Agent(Beliefs, Timing, HintedItems):
             raise ValueError(
                 f"pursuer {self.id}: the payload should have an attribute news, since announce.trigger is"
                 f" {self._announcements.trigger!r}, and a change of the news makes an announcement due (got"
-                f" {self._payload!r})"
+                f" {value_text(self._payload)})"
             ) from error
 
     def set_payload(self, body: Any) -> None:
@@ -285,11 +287,11 @@ class Agent(Beliefs, Timing, HintedItems):
             ValueError: if one is no record.
         """
         if not isinstance(records, Iterable):
-            raise ValueError(f"pursuer {self.id}: merge_records takes a list of records (got {records!r})")
+            raise ValueError(f"pursuer {self.id}: merge_records takes a list of records (got {value_text(records)})")
         for record in records:
             if not isinstance(record, Record):
                 raise ValueError(
-                    f"pursuer {self.id}: merge_records takes records, as of me.record(body) (got {record!r})"
+                    f"pursuer {self.id}: merge_records takes records, as of me.record(body) (got {value_text(record)})"
                 )
             self._network.insert(self.id, record)
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from desim.config.answers import wrong_answer
+from desim.config.arguments import value_text
 from desim.config.arrays import Floats, Points
 from desim.config.model import MAX_TIME
 from desim.config.python_numbers import as_real, real
@@ -251,7 +252,7 @@ class Beliefs(Knowledge):
             scope = utility.scope
         except AttributeError as error:
             raise ValueError(
-                f"gain(utility) takes a utility, such as desim.pursuit.game.utility.Mean() (got {utility!r})"
+                f"gain(utility) takes a utility, such as desim.pursuit.game.utility.Mean() (got {value_text(utility)})"
             ) from error
         own_time, rivals, times = self._rivals(evader)
         if scope != "heard":
@@ -277,7 +278,7 @@ class Beliefs(Knowledge):
         if scope == "heard" or not self.senses_others:
             return range(self.team_size)
         if scope not in ("neighbours", "component"):
-            raise ValueError(f"a scope should be 'heard', 'neighbours' or 'component' (got {scope!r})")
+            raise ValueError(f"a scope should be 'heard', 'neighbours' or 'component' (got {value_text(scope)})")
         topology = self._network.topology
         return [*topology.audible(self.id)] if scope == "neighbours" else topology.component(self.id)
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import simpy
 
+from desim.config.arguments import value_text
 from desim.config.calls import check_argument, check_at_once
 from desim.config.python_numbers import real
 from desim.config.traits import OURS, module_of
@@ -101,7 +102,7 @@ class Timing:
         """Raise TypeError if a phase is none: for example a time-out."""
         if not isinstance(phase, Phase):
             raise TypeError(
-                f"pursuer {self.id}: a phase should be one of desim.kernel.core.clock.Phase (got {phase!r})"
+                f"pursuer {self.id}: a phase should be one of desim.kernel.core.clock.Phase (got {value_text(phase)})"
             )
 
     def resume(self) -> None:
@@ -134,7 +135,7 @@ class Timing:
             ValueError: if the duration is negative, infinite, nan or not a number, or there is no function.
         """
         if not callable(act):
-            raise ValueError(f"pursuer {self.id}: after: act should be a function (got {act!r})")
+            raise ValueError(f"pursuer {self.id}: after: act should be a function (got {value_text(act)})")
         restarts_before = self.restarts
 
         def happen(_: simpy.Event) -> None:
@@ -187,9 +188,11 @@ class Timing:
             check_port(port, f"pursuer {self.id}: listen")  # type: ignore[unreachable]
         self._check_phase(phase)
         if not callable(act):
-            raise ValueError(f"pursuer {self.id}: listen: act should be a function of messages (got {act!r})")
+            raise ValueError(f"pursuer {self.id}: listen: act should be a function of messages (got {value_text(act)})")
         if ignores is not None and not callable(ignores):
-            raise ValueError(f"pursuer {self.id}: listen: ignores should be a function of a message (got {ignores!r})")
+            raise ValueError(
+                f"pursuer {self.id}: listen: ignores should be a function of a message (got {value_text(ignores)})"
+            )
         for function, takes, name in ((act, ("messages",), "act"), (ignores, ("message",), "ignores")):
             if function is not None and module_of(function).partition(".")[0] not in OURS:
                 check_argument(function, takes, f"pursuer {self.id}: listen: {name}")

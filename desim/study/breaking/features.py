@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from desim.config.arguments import value_text
 from desim.config.errors import ArgumentError, problems_of
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Scenario
@@ -115,7 +116,9 @@ def of_grid(grid: Mapping[str, Sequence[Any]], scenario: Scenario) -> Mapping[st
 
     for key, values in grid.items():
         if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray):
-            raise ArgumentError("vary", f": {key}: should be a list of values, [{values!r}] (got {values!r})")
+            raise ArgumentError(
+                "vary", f": {key}: should be a list of values, [{value_text(values)}] (got {value_text(values)})"
+            )
     ranges = {key: values for key, values in grid.items() if is_range(values)}
     grid = {**grid, **checked_ranges(Source.of(scenario), ranges)}
     for key, values in grid.items():

@@ -25,7 +25,7 @@ from math import inf
 from typing import Any, NamedTuple
 
 from desim.analysis.properties import Judgement, Stated, judge
-from desim.config.arguments import naming_arguments, scenario_argument
+from desim.config.arguments import naming_arguments, scenario_argument, value_text
 from desim.config.errors import ArgumentError
 from desim.config.python_numbers import real, whole
 from desim.config.traits import kind_of
@@ -124,7 +124,7 @@ def _checked_seeds(seeds: Any) -> tuple[int, ...]:
         ValueError: if they are no list, or one is no integer of at least 0.
     """
     if isinstance(seeds, str) or not isinstance(seeds, Iterable):
-        raise ArgumentError("seeds", f"should be a list of seeds (got {seeds!r})")
+        raise ArgumentError("seeds", f"should be a list of seeds (got {value_text(seeds)})")
     return tuple(map(seed_of, seeds))
 
 
@@ -137,9 +137,9 @@ def _checked_fates(fates: Sequence[MessageFate], delay: float) -> tuple[MessageF
     if not delay > 0.0:
         raise ArgumentError("delay", f"should be positive, s (got {delay:g})")
     if isinstance(fates, str) or not isinstance(fates, Collection):
-        raise ArgumentError("fates", f"should be a list of {', '.join(FATES)} (got {fates!r})")
+        raise ArgumentError("fates", f"should be a list of {', '.join(FATES)} (got {value_text(fates)})")
     if unknown := [fate for fate in fates if fate not in FATES]:
-        raise ArgumentError("fates", f"should be {', '.join(FATES)} (got {unknown[0]!r})")
+        raise ArgumentError("fates", f"should be {', '.join(FATES)} (got {value_text(unknown[0])})")
     if not fates:
         return ("lost",) if delay == inf else ("late",)
     if delay == inf and set(fates) != {"lost"}:

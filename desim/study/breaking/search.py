@@ -7,7 +7,7 @@ from math import inf
 from typing import Any
 
 from desim.analysis.properties import Judgement, Stated, stated, under_protocol
-from desim.config.arguments import naming_arguments, scenario_argument
+from desim.config.arguments import naming_arguments, scenario_argument, value_text
 from desim.config.errors import ArgumentError
 from desim.config.python_numbers import real, whole
 from desim.config.suggestion import did_you_mean
@@ -206,7 +206,7 @@ def find_violation(
     if (shrinking := whole(shrinking, "shrinking")) < 0:
         raise ArgumentError("shrinking", f"should be at least 0 (got {shrinking})")
     if not isinstance(log, CaseLog | None):
-        raise ArgumentError("log", f"should be a CaseLog (got {log!r})")
+        raise ArgumentError("log", f"should be a CaseLog (got {value_text(log)})")
     prop = checked_property(prop, scenario)
     cases = _Cases(
         scenario,
@@ -244,10 +244,14 @@ def features_of(
     """
     listed: Any = [*FEATURES] if names is None else [names] if isinstance(names, str) else names
     if not isinstance(listed, Collection) or not all(isinstance(name, str) for name in listed):
-        raise ValueError(f"features should be a list of names (got {names!r}); there are {', '.join(FEATURES)}")
+        raise ValueError(
+            f"features should be a list of names (got {value_text(names)}); there are {', '.join(FEATURES)}"
+        )
     names = list(listed)
     if not isinstance(vary, Mapping):
-        raise ValueError(f"vary should be lists of values by key, {{'team.count': [3, 5]}} for instance (got {vary!r})")
+        raise ValueError(
+            f"vary should be lists of values by key, {{'team.count': [3, 5]}} for instance (got {value_text(vary)})"
+        )
     if unknown := [name for name in names if name not in FEATURES]:
         raise ArgumentError(
             "features",

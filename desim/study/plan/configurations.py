@@ -10,6 +10,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from desim.config.arguments import value_text
 from desim.config.data_files import content_hash, in_short
 from desim.config.errors import Problem
 from desim.config.model import Value
@@ -101,7 +102,7 @@ def sweep_of(source: Source, grid: SweepGrid | None, design: Design | str | None
     given_grid: Any = grid
     if not isinstance(given_grid, Mapping | None):
         form = "{'network.latency.value': [0.0, 0.1]}"
-        raise TypeError(f"the grid should be lists of values by key, {form} for instance (got {grid!r})")
+        raise TypeError(f"the grid should be lists of values by key, {form} for instance (got {value_text(grid)})")
     if grid is not None or design is not None:
         source = _with_grid(source, grid, design)
     sweep = validate(source).sweep  # once, as a grid of Python may hold generators
@@ -273,7 +274,9 @@ def _with_grid(source: Source, grid: SweepGrid | None, design: Design | str | No
     if grid is not None:
         for key, values in grid.items():
             if isinstance(values, Value):
-                raise ScenarioError(Problem(f"{key}: should be a list: [{values!r}]", "sweep.grid", "the grid"))
+                raise ScenarioError(
+                    Problem(f"{key}: should be a list: [{value_text(values)}]", "sweep.grid", "the grid")
+                )
         changed.tables["sweep"] = {"grid": grid}
         changed.origins["sweep", "grid"] = "the grid"
     if design is not None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from desim.analysis.metrics import METRICS
 from desim.analysis.table_formats import SUFFIXES, Table, TableFormat, TabularResult, formatted
-from desim.config.arguments import HintedAttributes, naming_arguments
+from desim.config.arguments import HintedAttributes, naming_arguments, value_text
 from desim.config.extras import naming_extras
 from desim.config.whole_files import write_whole
 from desim.study.results import export
@@ -145,7 +145,7 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
         kinds = {"means": means, "phase": phase, "scatter": scatter, "contour": contour}
         chosen = self.usual_kind if kind is None and not (x or by or against or labels) else kind or "means"
         if chosen not in kinds:
-            raise ValueError(f"kind should be {', '.join(list(kinds)[:-1])} or contour, got {kind!r}")
+            raise ValueError(f"kind should be {', '.join(list(kinds)[:-1])} or contour, got {value_text(kind)}")
         labelled = {"xlabel": xlabel, "ylabel": ylabel}
         of_means = {"x": x, "by": by, "against": against, "labels": labels}
         options: dict[str, Any] = {"size": size, "style": style, "ax": ax}
@@ -194,7 +194,7 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
         without = names_of_metrics(without)
         names: Mapping[Any, Any] = labels
         if no_text := [name for name, text in names.items() if not isinstance(text, str)]:
-            raise ValueError(f"the label of {no_text[0]} should be a text (got {labels[no_text[0]]!r})")
+            raise ValueError(f"the label of {no_text[0]} should be a text (got {value_text(labels[no_text[0]])})")
         notes = sweep_tables.notes(self, names_of_metrics(metrics))
         tables = self.tables(metrics, against=against)
         if labels or without:

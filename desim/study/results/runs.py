@@ -13,6 +13,7 @@ from desim.analysis.measuring import check_numeric
 from desim.analysis.metrics import words
 from desim.analysis.statistics import Estimate, mean, paired, share
 from desim.analysis.tables import counted
+from desim.config.arguments import value_text
 from desim.config.arrays import Floats
 from desim.config.suggestion import close_to
 from desim.study.plan.configurations import in_words, label
@@ -165,7 +166,9 @@ class SweepRuns:
         if reference is None:
             return self.first_along(self.compared_by)
         if not isinstance(reference, Mapping):
-            raise ValueError(f'a reference should be a mapping, such as {{"protocol": "sap"}} (got {reference!r})')
+            raise ValueError(
+                f'a reference should be a mapping, such as {{"protocol": "sap"}} (got {value_text(reference)})'
+            )
         wanted = {key: self.setting(key, value) for key, value in reference.items()}
         places = {repr(dict(group.settings)): k for k, group in enumerate(self.groups)}
         places_of_references = [places.get(repr({**group.settings, **wanted})) for group in self.groups]
@@ -181,7 +184,9 @@ class SweepRuns:
             ValueError: if the grid has no such key.
         """
         if not isinstance(key, str):
-            raise ValueError(f"a key of the grid should be a text, 'network.latency.value' for instance (got {key!r})")
+            raise ValueError(
+                f"a key of the grid should be a text, 'network.latency.value' for instance (got {value_text(key)})"
+            )
         if key not in self.keys:
             near = [name for name in self.keys if f"{name}.".startswith(f"{key}.")] or close_to(key, self.keys)
             hint = f", did you mean {near[0]}?" if near else f": its keys are {', '.join(self.keys) or 'none'}"
@@ -346,7 +351,9 @@ def names_of_metrics(metrics: Sequence[str]) -> Sequence[str]:
     """
     names: Any = [metrics] if isinstance(metrics, str) else metrics
     if not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
-        raise ValueError(f"names of metrics or columns should be a list of texts, ['active_time'] (got {metrics!r})")
+        raise ValueError(
+            f"names of metrics or columns should be a list of texts, ['active_time'] (got {value_text(metrics)})"
+        )
     return names
 
 

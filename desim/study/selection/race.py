@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from desim.analysis.measuring import Metrics, check_numeric
 from desim.analysis.metrics import more_is, unit_of, words
-from desim.config.arguments import naming_arguments, scenario_argument
+from desim.config.arguments import naming_arguments, scenario_argument, value_text
 from desim.config.errors import ArgumentError
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
@@ -141,7 +141,7 @@ class RaceRules:
                 raise ValueError(f"{words(metric)}: whether more of it is better is not known: give `maximise`")
             maximise = better == "better"
         elif not isinstance(maximise, bool):
-            raise ArgumentError("maximise", f"should be True, False or None (got {maximise!r})")
+            raise ArgumentError("maximise", f"should be True, False or None (got {value_text(maximise)})")
         return cls(metric, maximise, zone, confidence, first)
 
 

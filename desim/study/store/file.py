@@ -14,6 +14,7 @@ from typing import Any, ParamSpec, Self, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
+from desim.config.arguments import value_text
 from desim.config.caller_warnings import warn_caller
 from desim.config.error_texts import text_of
 from desim.config.file_names import STORE
@@ -88,7 +89,9 @@ def naming_the_file(method: Callable[Arguments, Returned]) -> Callable[Arguments
 def path_of_store(store: Any) -> Path | None:
     """Return the path of a store, None for one in memory; raise TypeError if it is no path."""
     if not isinstance(store, str | PathLike | None):
-        raise TypeError(f"store should be the path of a file, 'out/sweep.sqlite' for instance (got {store!r})")
+        raise TypeError(
+            f"store should be the path of a file, 'out/sweep.sqlite' for instance (got {value_text(store)})"
+        )
     return None if store is None else Path(store)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from desim.analysis.measuring import Metrics, UsersMetrics, check_numeric, measured
 from desim.analysis.statistics import runs_needed
-from desim.config.arguments import naming_arguments
+from desim.config.arguments import naming_arguments, value_text
 from desim.config.python_numbers import real
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
@@ -100,7 +100,9 @@ def sweep(
         pair: Any = until
         if not isinstance(pair, list | tuple) or len(pair) != 2:
             form = "('active_time', 0.1)"
-            raise ValueError(f"until should be a metric and a half width, {form} for instance (got {until!r})")
+            raise ValueError(
+                f"until should be a metric and a half width, {form} for instance (got {value_text(until)})"
+            )
         until = until[0], real(until[1], f"the half width of {until[0]}")
         check_target(*until, plan.metrics)
     with workers_for(executor, plan.runs, timeout) as workers, Store(path_of_store(store)) as kept:

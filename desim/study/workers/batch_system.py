@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
+from desim.config.arguments import value_text
 from desim.config.python_numbers import whole
 from desim.study.workers.workers import Workers
 
@@ -48,7 +49,7 @@ class JobWorkers(Workers):
 
     def __init__(self, executor: JobExecutor, jobs: int | None = None):
         self.executor: Any = executor
-        self._name = repr(executor)
+        self._name = value_text(executor)
         number = 0 if jobs is None else whole(jobs, "the number of jobs")
         if number < 0:
             raise ValueError(f"the number of jobs should be at least 0, got {number}")

@@ -3,6 +3,7 @@
 import os
 from concurrent.futures import Executor
 
+from desim.config.arguments import value_text
 from desim.config.python_numbers import whole
 from desim.simulation.watchdog import checked_limit
 from desim.study.workers.batch_system import JobExecutor, JobWorkers
@@ -49,7 +50,7 @@ def _new_workers(executor: Executor | JobExecutor | int | str, calls: int | None
     except ValueError:
         raise ValueError(
             "executor should be a number of processes, the address of a Dask scheduler or an executor of"
-            f" concurrent.futures, such as ProcessPoolExecutor (got {executor!r})"
+            f" concurrent.futures, such as ProcessPoolExecutor (got {value_text(executor)})"
         ) from None
     if number < 0:
         raise ValueError(f"the number of workers should be at least 0, got {number}")

@@ -15,6 +15,7 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, 
 from contextlib import contextmanager
 from typing import Any, Self, TypeVar
 
+from desim.config.arguments import value_text
 from desim.config.extras import missing
 from desim.config.interrupts import SIGNALS, deferred
 from desim.config.trust import NO_CWD_IMPORT
@@ -40,7 +41,7 @@ class Workers:
 
     def __init__(self, executor: Executor, count: int | None = None, name: str = ""):
         self.executor = executor
-        self._name = name or repr(executor)
+        self._name = name or value_text(executor)
         self.count: int = count or getattr(executor, "_max_workers", None) or os.cpu_count() or 1
         """The number of calls that the workers can perform at the same time."""
         self.max_pending = 2 * self.count

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
 
-from desim.config.arguments import Argument, naming_arguments, run_argument
+from desim.config.arguments import Argument, naming_arguments, run_argument, value_text
 from desim.config.choice import OneOf
 from desim.config.error_texts import text_of
 from desim.config.extras import missing
@@ -102,7 +102,7 @@ def exporter_for(file: Path, exporter: Any = None, *, allow_import: bool = False
 def _reason(error: ValidationError, exporter: Any) -> str:
     """Return the text of the first error in the choice of an exporter."""
     first = error.errors()[0]
-    name = exporter["kind"] if isinstance(exporter, dict) and "kind" in exporter else repr(exporter)
+    name = exporter["kind"] if isinstance(exporter, dict) and "kind" in exporter else value_text(exporter)
     key = ".".join(str(part) for part in first["loc"][1:] if part != name)
     if first["type"] == "union_tag_invalid":
         kinds = list(EXPORTERS.choices())

@@ -23,6 +23,7 @@ from typing import Any, ClassVar, Literal
 
 from desim.analysis.drawing.palette import ACTIVE, ACTIVE_WITH_OTHERS, EVADER, IN_FLIGHT, INACTIVE, LOST
 from desim.analysis.knowledge import Pieces, knowledge
+from desim.config.arguments import value_text
 from desim.config.model import Value
 from desim.kernel.core.events import LOST as NEVER
 from desim.kernel.core.events import Broadcast, Event, Lost, Sent, Trace
@@ -152,7 +153,7 @@ class Scene:
                     yield event.t, "/in_flight", _scene([self._line(event, event.dst, SHOWN, LOST)])
                 case FaultStarted() | FaultEnded():
                     verb = "starts" if isinstance(event, FaultStarted) else "ends"
-                    yield _log(event.t, "faults", f"{verb}: {event.fault!r}", WARNING)
+                    yield _log(event.t, "faults", f"{verb}: {value_text(event.fault)}", WARNING)
                 case Ended():
                     if self._is_new:
                         yield self._drawn(event.t)

@@ -37,6 +37,7 @@ from desim.analysis.drawing.palette import (
 from desim.analysis.drawing.plots import Axes, Figure, size_of, styled
 from desim.analysis.drawing.walls import draw_walls
 from desim.analysis.trace_index import captures, ended, messages_recorded, started
+from desim.config.arguments import value_text
 from desim.config.arrays import Bools, Floats, Integers
 from desim.config.errors import ArgumentError
 from desim.config.python_numbers import real, whole
@@ -165,7 +166,7 @@ def _pixels(size: str | None) -> tuple[int, int]:
     sides = width, width * HEIGHT / WIDTH if height is None else height
     if not all(SIDES[0] <= side <= SIDES[1] for side in sides):
         why = f"of a film should be from {SIDES[0]} to {SIDES[1]} pixels, each way"
-        raise ArgumentError("size", f"{why} (got {size!r})")
+        raise ArgumentError("size", f"{why} (got {value_text(size)})")
     return 2 * round(sides[0] / 2), 2 * round(sides[1] / 2)
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
-from desim.config.arguments import naming_arguments, run_argument
+from desim.config.arguments import naming_arguments, run_argument, value_text
 from desim.config.extras import naming_extras
 from desim.pursuit.core.events import Sampled
 from desim.simulation.run import Result
@@ -55,7 +55,7 @@ def plot(
     if kind == "spacetime":
         return spacetime(result, begin, end, pursuers, size, style=style, ax=ax)
     if kind != "trajectory":
-        raise ValueError(f"kind should be trajectory or spacetime, got {kind!r}")
+        raise ValueError(f"kind should be trajectory or spacetime, got {value_text(kind)}")
     if (begin, end, pursuers) != (None, None, None):
         raise ValueError("begin, end and pursuers are options of the kind spacetime")
     return trajectory(result, size, style=style, ax=ax)

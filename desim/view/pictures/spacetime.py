@@ -18,6 +18,7 @@ from desim.analysis.deliveries import Delivery, Interval, chasing, deliveries, o
 from desim.analysis.drawing.palette import CAPTURE_MARK, COLLISION_MARK, GREY, LOST, LOST_MARK
 from desim.analysis.drawing.plots import NARROW, Axes, Figure, Style, figure_of, in_style, size_of, styled
 from desim.analysis.trace_index import ended, started
+from desim.config.arguments import value_text
 from desim.config.errors import ArgumentError
 from desim.config.escaping import escaped
 from desim.config.python_numbers import real, whole
@@ -80,7 +81,7 @@ def spacetime(
     begin, end = (None if time is None else real(time, name) for time, name in ((begin, "begin"), (end, "end")))
     numbers: Any = pursuers
     if numbers is not None and (isinstance(numbers, str) or not isinstance(numbers, Iterable)):
-        raise ArgumentError("pursuers", f"should be a list of their numbers (got {numbers!r})")
+        raise ArgumentError("pursuers", f"should be a list of their numbers (got {value_text(numbers)})")
     shown = _busiest(result) if pursuers is None else [whole(pursuer, "a pursuer") for pursuer in pursuers]
     _check(result, shown, begin, end)
     window, shown_messages = _window(result, shown, begin, end, round(MAX_DENSITY * width * 2.54))
