@@ -1,9 +1,13 @@
 """Calls of functions that are refused: what is said, with all that is allowed, is golden."""
 
+import ast
+import re
+from inspect import signature
 from math import inf, nan
 
 import matplotlib.pyplot as plt
 import networkx as nx
+import numpy as np
 import pytest
 
 import desim
@@ -194,6 +198,39 @@ CALLS = {
     """,
 }
 """Each line is a call. What is refused before anything is run or drawn takes a millisecond."""
+PUBLIC = {public: getattr(desim, public) for public in desim.__all__}
+ADDRESS = re.compile("0x[0-9a-fA-F]{6,}")
+WRONG = {
+    "object": object(),
+    "list": [object()],
+    "key": {object(): 1},
+    "value": {"kind": object()},
+    "function": lambda: 1,
+    "method": [].append,
+    "generator": np.random.default_rng(1),
+}
+"""Objects whose `repr` has an address."""
+
+
+def calls_of(name):
+    """Return the calls of a group as texts."""
+    return [*filter(None, map(str.strip, CALLS[name].splitlines()))]
+
+
+def with_wrong_arguments(call):
+    """Yield a call as a text, once for each of its arguments, which is `wrong` there."""
+
+    def arguments(tree):
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and not ast.unparse(node.func).startswith("made."):
+                yield from ((node.args, k) for k in range(len(node.args)))
+                yield from ((vars(keyword), "value") for keyword in node.keywords)
+
+    for k, _ in enumerate(arguments(ast.parse(call))):
+        tree = ast.parse(call, mode="eval")
+        holder, place = [*arguments(tree)][k]
+        holder[place] = ast.Name("wrong", ast.Load())
+        yield ast.unparse(tree)
 
 
 def results():
@@ -212,9 +249,9 @@ def results():
 def test_what_a_refused_call_says_is_golden(name, monkeypatch, tmp_path):
     """Each names the argument and what is allowed: review it when it is regenerated."""
     monkeypatch.chdir(tmp_path)
-    names = GIVEN | {public: getattr(desim, public) for public in desim.__all__} | results()
+    names = GIVEN | PUBLIC | results()
     lines, drawn = [], plt.get_fignums()
-    for call in filter(None, map(str.strip, CALLS[name].splitlines())):
+    for call in calls_of(name):
         with pytest.raises((ValueError, TypeError, OSError)) as refused:
             eval(call, names)
         said = [line[:WIDTH] for line in str(refused.value).splitlines()]
@@ -222,3 +259,37 @@ def test_what_a_refused_call_says_is_golden(name, monkeypatch, tmp_path):
     golden(f"refused_calls/{name}.txt", "\n".join(lines))
     assert plt.get_fignums() == drawn
     assert not list(tmp_path.iterdir())
+
+
+def said_by(called, *arguments, **named):
+    """Return what is said if a call is refused, and "" otherwise."""
+    try:
+        called(*arguments, **named)
+    except Exception as error:
+        return " ".join([str(error), *getattr(error, "__notes__", ())])
+    return ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CALLS)
+def test_no_message_about_an_argument_shows_the_address_of_an_object(name, monkeypatch, tmp_path):
+    """An address differs from process to process and says nothing."""
+    monkeypatch.chdir(tmp_path)
+    names = GIVEN | PUBLIC | results()
+    calls = dict.fromkeys(text for call in calls_of(name) for text in with_wrong_arguments(call))
+    refused = 0
+    for k, call in enumerate(calls):
+        for kind in [*WRONG][k % 4 :: 4]:  # all take four times as long
+            message = said_by(eval, call, names | {"wrong": WRONG[kind]})
+            refused += bool(message)
+            assert not ADDRESS.search(message), f"{call} with wrong = {kind}"
+    assert refused > len(calls)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", WRONG)
+def test_no_message_about_a_key_shows_the_address_of_an_object(kind):
+    models = [public for public in PUBLIC.values() if isinstance(public, type) and hasattr(public, "model_fields")]
+    for model in models:
+        for key in signature(model).parameters:
+            assert not ADDRESS.search(said_by(model, **{key: WRONG[kind]})), f"{model.__name__}({key}={kind})"

@@ -92,7 +92,7 @@ def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType
     pairs: list[tuple[Any, Any]] = [*((metric.name, metric.of) for metric in named), *functions.items()]
     for name, of in pairs:
         if not (isinstance(name, str) and name.isascii() and name.isidentifier()) or iskeyword(name):
-            raise ValueError(f"the name of a metric should be a Python identifier in ASCII, got {name!r}")
+            raise ValueError(f"the name of a metric should be a Python identifier in ASCII, got {value_text(name)}")
         low = name.lower()  # SQL does not tell cases apart
         if low in METRICS or low in COLUMNS or low in Scenario.model_fields:
             taken = "built-in metric" if low in METRICS else "column of tables" if low in COLUMNS else "scenario key"

@@ -36,7 +36,7 @@ class Argument(NamedTuple):
             call = f": {function}({value.__name__}(...))" if issubclass(value, self.kind) else ""
             return f"not the class {value.__name__}{call}"
         is_path = isinstance(value, str | PathLike)
-        name, shown = type(value).__name__, repr(str(value) if is_path else value)
+        name, shown = type(value).__name__, value_text(str(value) if is_path else value)
         code = self.instead.get("path" if is_path else name)
         if code is None:
             return f"not {with_article(name)} (got {abridged(shown)})"

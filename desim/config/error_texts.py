@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from desim.config.arguments import without_addresses
+
 OF_EXCEPTIONS = {"value_error", "assertion_error"}
 """Types of errors whose message is the text of an exception, after the words "Value error, " for instance."""
 BEGINNINGS = {
@@ -23,7 +25,8 @@ def text_of(error: Mapping[str, Any]) -> str:
         return text.partition(", ")[2]
     if error["type"] == "union_tag_invalid":
         context = error["ctx"]
-        return f"there is no {context['tag']!r}; allowed: {context['expected_tags'].replace(chr(39), '')}"
+        tag = without_addresses(str(context["tag"]))
+        return f"there is no {tag!r}; allowed: {context['expected_tags'].replace(chr(39), '')}"
     if error["type"] == "union_tag_not_found" and "ctx" in error:
         return f"should be a table with the key {error['ctx']['discriminator'].strip(chr(39))}"
     for machine, human in BEGINNINGS.items():

@@ -3,6 +3,8 @@
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+from desim.config.arguments import without_addresses
+
 KeyPath = tuple[str | int, ...]
 """A place: the keys and the indices of lists that lead to a key."""
 
@@ -20,7 +22,7 @@ class Problem(NamedTuple):
 
     def __str__(self) -> str:
         text = ": ".join(part for part in (self.where, self.key, self.reason) if part)
-        return text.replace("\n", "\\n")  # such as that of a file's name
+        return without_addresses(text).replace("\n", "\\n")  # such as that of a file's name
 
     def below(self, above: str) -> "Problem":
         """Return the problem with its key relative to the table that contains the model at the key `above`."""
@@ -69,7 +71,7 @@ class ArgumentError(ValueError):
         self.name, self.reason = name, reason
 
     def __str__(self) -> str:
-        return f"{self.name}{'' if self.reason.startswith(':') else ' '}{self.reason}"
+        return without_addresses(f"{self.name}{'' if self.reason.startswith(':') else ' '}{self.reason}")
 
 
 class AnswerError(ValueError):

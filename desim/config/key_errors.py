@@ -14,7 +14,7 @@ from pydantic import BaseModel, Tag, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from desim.config.arguments import abridged, with_article
+from desim.config.arguments import abridged, with_article, without_addresses
 from desim.config.choice import FILE_NAME, OneOf, choices_of
 from desim.config.error_texts import OF_EXCEPTIONS, text_of
 from desim.config.errors import KeyedError, KeyPath, Problem
@@ -111,7 +111,7 @@ class Wording:
         if error_type == "extra_forbidden":
             return self._unknown_key(place, owner, context.get("allowed"))
         if error_type == "union_tag_invalid":
-            tag = str(context["tag"])
+            tag = without_addresses(str(context["tag"]))
             code = f", write '{tag[:-3]}:NAME' for what {tag} defines" if tag.endswith(".py") else ""
             hint = code or suggestion(tag, kinds)
             return f"there is no {tag!r}{hint}; allowed: {', '.join(kinds)}"

@@ -27,6 +27,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field, ValidationError
 
+from desim.config.arguments import value_text
 from desim.config.choice import OneOf
 from desim.config.error_texts import text_of
 from desim.config.errors import ArgumentError
@@ -329,11 +330,11 @@ def property_of(value: Any, *, folder: Any = None) -> Property:
         ValueError: if it is not the text or the table of a property.
     """
     if value is None or isinstance(value, int | float):
-        raise ValueError(f"a property should be a text, such as 'idle at most 2 in total' (got {value!r})")
+        raise ValueError(f"a property should be a text, such as 'idle at most 2 in total' (got {value_text(value)})")
     try:
         made: Property = _One.model_validate({"one": value}, context={"allow_import": True, "folder": folder}).one
     except ValidationError as error:
-        raise ArgumentError("property", f"{value!r}: {'; '.join(map(text_of, error.errors()))}") from None
+        raise ArgumentError("property", f"{value_text(value)}: {'; '.join(map(text_of, error.errors()))}") from None
     return made
 
 

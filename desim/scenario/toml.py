@@ -14,7 +14,7 @@ from typing import Any
 
 import tomli_w
 
-from desim.config.arguments import Argument, naming_arguments
+from desim.config.arguments import Argument, naming_arguments, value_text
 from desim.config.choice import choices_of
 from desim.config.errors import Problem
 from desim.config.model import models_in
@@ -57,7 +57,7 @@ def load(file: str | PathLike[str], overrides: Sequence[str] = (), *, allow_impo
     if isinstance(overrides, str):
         overrides = [overrides]
     if isinstance(overrides, Mapping):
-        instead = f"load({str(file)!r}).with_({dict(overrides)!r})"
+        instead = f"load({str(file)!r}).with_({value_text(dict(overrides))})"
         raise TypeError(f"load takes overrides as texts, ['team.count=8'] for instance; values by key: {instead}")
     try:
         source = read_source(file, overrides, allow_import=allow_import)

@@ -72,7 +72,7 @@ class RestartableProcess(simpy.Process):
                     raise _id_was_set(agent, pursuer) from None
                 return
             except (Exception, SystemExit) as error:
-                error.add_note(f"(pursuer {agent.id}, at {agent.now:g} s of its clock)")
+                error.add_note(f"(pursuer {value_text(agent.id)}, at {agent.now:g} s of its clock)")
                 if isinstance(error, TypeError | AttributeError) and (advice := _advice(error)):
                     error.add_note(advice)
                 raise

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from desim.config.arguments import without_addresses
 from desim.config.arrays import Floats
 from desim.config.packages import package_folder
 from desim.scenario.scenario import Scenario
@@ -53,7 +54,8 @@ class Suite:
             ValueError: if there is no such version.
         """
         if str(version) not in RUNS:
-            raise ValueError(f"there is no version {version} of the benchmark; allowed: {', '.join(RUNS)}")
+            name = without_addresses(str(version))
+            raise ValueError(f"there is no version {name} of the benchmark; allowed: {', '.join(RUNS)}")
         return cls(str(version))
 
     @property

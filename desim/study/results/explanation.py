@@ -13,6 +13,7 @@ from desim.analysis.metrics import with_unit, words
 from desim.analysis.statistics import Estimate, Share, wilson
 from desim.analysis.table_formats import Table, TableFormat, TabularResult
 from desim.analysis.tables import aligned, as_json, counted, digits_in, number, percent, with_half_width
+from desim.config.arguments import without_addresses
 from desim.config.extras import naming_extras
 from desim.kernel.core.portable_math import portable_sum
 from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT, Bounds, Cost, Saving
@@ -100,7 +101,8 @@ class Explanation(TabularResult):
         from desim.study.results.waterfalls import waterfall
 
         if metric is not None and metric not in self.costs:
-            raise ValueError(f"there are no costs in {metric}: the metrics are {', '.join(self.costs)}")
+            name = without_addresses(str(metric))
+            raise ValueError(f"there are no costs in {name}: the metrics are {', '.join(self.costs)}")
         chosen = self if metric is None else replace(self, costs={metric: self.costs[metric]})
         return waterfall(chosen, size=size, style=style, ax=ax)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from desim.analysis.metrics import METRICS
 from desim.analysis.table_formats import SUFFIXES, Table, TableFormat, TabularResult, formatted
-from desim.config.arguments import HintedAttributes, naming_arguments, value_text
+from desim.config.arguments import HintedAttributes, naming_arguments, value_text, without_addresses
 from desim.config.extras import naming_extras
 from desim.config.whole_files import write_whole
 from desim.study.results import export
@@ -194,7 +194,8 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
         without = names_of_metrics(without)
         names: Mapping[Any, Any] = labels
         if no_text := [name for name, text in names.items() if not isinstance(text, str)]:
-            raise ValueError(f"the label of {no_text[0]} should be a text (got {value_text(labels[no_text[0]])})")
+            name, given = without_addresses(str(no_text[0])), value_text(labels[no_text[0]])
+            raise ValueError(f"the label of {name} should be a text (got {given})")
         notes = sweep_tables.notes(self, names_of_metrics(metrics))
         tables = self.tables(metrics, against=against)
         if labels or without:

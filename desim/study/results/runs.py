@@ -13,7 +13,7 @@ from desim.analysis.measuring import check_numeric
 from desim.analysis.metrics import words
 from desim.analysis.statistics import Estimate, mean, paired, share
 from desim.analysis.tables import counted
-from desim.config.arguments import value_text
+from desim.config.arguments import value_text, without_addresses
 from desim.config.arrays import Floats
 from desim.config.suggestion import close_to
 from desim.study.plan.configurations import in_words, label
@@ -220,7 +220,7 @@ class SweepRuns:
         if len(alike) == 1:
             return alike[0]
         problem = "has several values of the kind" if alike else "does not take the value"
-        raise ValueError(f"{key} {problem} {label(value)}: it takes {', '.join(map(text, there))}")
+        raise ValueError(f"{key} {problem} {without_addresses(label(value))}: it takes {', '.join(map(text, there))}")
 
     @property
     def compared_by(self) -> str | None:
@@ -396,7 +396,8 @@ def labels_of_values(result: SweepRuns, labels: Mapping[str, str], names: Collec
     allowed = {*values, *result.keys, *names}
     if unknown := [name for name in labels if name not in allowed and kinds[name] != 1]:
         problem = "several values are of the kind" if kinds[unknown[0]] else "no key takes the value"
-        raise ValueError(f"{problem} {unknown[0]}, which has a label; values: {', '.join(sorted(values))}")
+        name = without_addresses(str(unknown[0]))
+        raise ValueError(f"{problem} {name}, which has a label; values: {', '.join(sorted(values))}")
     of_kinds = {value: labels[kind] for value in values if (kind := kind_of(value)) in labels and kind not in values}
     return {**of_kinds, **labels}
 
