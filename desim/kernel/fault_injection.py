@@ -15,7 +15,7 @@ from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.events import Cause, Trace
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.faults import Crash, Delays, Fault, Jamming, Partition, Undo, cause_of, nodes_of
-from desim.kernel.models.traced_faults import FaultEnded, FaultStarted, traced
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted, TracedFault, as_built_in, traced
 from desim.kernel.models.traits import FaultTraits
 from desim.kernel.network import Network
 
@@ -55,8 +55,7 @@ def inject(
         raise ValueError("faults should be injected before the first message is sent")
     sites = [_Site(env, network, trace, fault, crashed, recovered, targets) for fault in faults]
     for fault in faults:
-        for key, nodes in nodes_of(fault).items():
-            _require_nodes(nodes, size, f"{kind_of(fault)}.{key}: ")
+        _require_named_nodes(fault, size)
 
     def begin(site: _Site, _: simpy.Event) -> None:
         site.record(FaultStarted)
@@ -118,8 +117,11 @@ class _Site:
 
     def record(self, kind: type[FaultStarted | FaultEnded]) -> None:
         """Append to the trace that the fault starts or ends now."""
+        self._append(kind, self._record)
+
+    def _append(self, kind: type[FaultStarted | FaultEnded], record: TracedFault) -> None:
         if self._trace is not None:
-            self._trace.append(kind(self._env.now, self._record))
+            self._trace.append(kind(self._env.now, record))
 
     def apply(self) -> Undo:
         """Let the fault begin; return the function that ends it."""
@@ -137,6 +139,7 @@ class _Site:
             raise ValueError(
                 f"begin(fault) should be given a fault, such as Crash(start=1.0, node=0) (got {value_text(fault)})"
             )
+        _require_named_nodes(fault, self.size)
         hooks = self._crashed, self._recovered, self.targets
         part = _Site(self._env, self._network, self._trace, fault, *hooks, self._stated_cause)
         part.record(FaultStarted)
@@ -153,10 +156,18 @@ class _Site:
             raise ValueError(
                 f"crash(crash) should be given a Crash, such as Crash(start=1.0, node=0) (got {value_text(crash)})"
             )
+        _require_nodes([crash.node], self.size, "crash: ")
+        # A fault that is recorded as a crash takes down the node that it names, and is in the trace already. A crash by
+        # any other fault is recorded here: metrics, replays and invariants read who is down, and who forgets, from it.
+        record = None if isinstance(self._record, Crash) else cast("Crash", as_built_in(crash, Crash))
+        if record is not None:
+            self._append(FaultStarted, record)
         outage = self._network.crash(crash.node, self._cause)
         self._crashed(crash)
 
         def recover() -> None:
+            if record is not None:
+                self._append(FaultEnded, record)
             self._network.recover(crash.node, outage, memory=crash.memory)
             self._recovered(crash)
 
@@ -195,6 +206,12 @@ class _Site:
         # Creating a fault checks the arguments.
         state, jamming = self._network.fault_state, Jamming(start=0.0, centre=centre, radius=radius)
         return partial(state.clear, state.jam((jamming.centre, jamming.radius), self._cause))
+
+
+def _require_named_nodes(fault: Fault, size: int) -> None:
+    """Raise ValueError if one of the nodes that a fault names does not exist."""
+    for key, nodes in nodes_of(fault).items():
+        _require_nodes(nodes, size, f"{kind_of(fault)}.{key}: ")
 
 
 def _require_nodes(nodes: Iterable[int], size: int, where: str) -> None:

@@ -12,7 +12,8 @@ import pytest
 import desim
 from desim import Bitrate, Evader, Links, Scenario, Team, run, summary
 from desim.cli.output import RAISED
-from desim.kernel.core.events import Broadcast, Lost
+from desim.kernel.core.events import Broadcast, Lost, MessageCounts
+from desim.kernel.models.faults import cause_of
 from desim.kernel.models.traced_faults import CustomFault, FaultEnded, FaultStarted
 from desim.pursuit.byzantine.lies import ByzantineFault
 from desim.pursuit.motion.environment import Environment
@@ -276,6 +277,8 @@ def test_a_node_that_does_not_exist_is_reported_at_the_key_of_the_fault(own):
         ({"begin": lambda self, site: site.partition(None)}, r"partition\(groups\) should be given lists of nodes"),
         ({"begin": lambda self, site: site.begin(desim.Crash)}, r"begin\(fault\) should be given a fault"),
         ({"begin": lambda self, site: site.crash(0)}, r"crash\(crash\) should be given a Crash.*got 0"),
+        ({"begin": lambda self, site: site.crash(desim.Crash(start=0.0, node=77))}, "crash: there is no node 77"),
+        ({"begin": lambda self, site: site.begin(desim.Crash(start=0.0, node=77))}, "crash.node: there is no node 77"),
         ({"begin": lambda self, site: site.begin({"kind": "crash", "node": 0})}, "should be given a fault"),
         ({"begin": lambda self, site: site.jam((0.0, 0.0), float("nan"))}, "radius: should be a finite number"),
         ({"begin": lambda self, site: print, "sketch": lambda self: 3}, r"sketch\(\) of a fault should return a dict"),
@@ -308,6 +311,39 @@ def test_a_fault_may_begin_others(own):
     assert kinds == ["custom", "crash", "crash"]
     rest = [event for event in made.trace if getattr(getattr(event, "fault", None), "kind", "") != "custom"]
     assert sorted(map(repr, rest)) == sorted(map(repr, plain.trace))
+
+
+class Blackout(desim.Fault):
+    """Takes node 0 down without asking the site to begin a fault."""
+
+    def begin(self, site):
+        return site.crash(desim.Crash(start=self.start, node=0, memory=False))
+
+
+class Reset(desim.Crash):
+    """Begins as a crash does, in a method of its own."""
+
+    def begin(self, site):
+        return super().begin(site)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", [Blackout(start=0.5, end=2.0), Reset(start=0.5, end=2.0, node=0, memory=False)])
+def test_a_crash_by_a_fault_of_a_user_is_a_crash_in_the_trace(fault):
+    """Metrics, properties and invariants know from it who is down, and who forgets; its losses have the cause."""
+    crash = desim.Crash(start=0.5, end=2.0, node=0, memory=False)
+    made, plain = (
+        run(Scenario(horizon=3.0, fault=(single,), record=MESSAGES), 1, Conservation()) for single in (fault, crash)
+    )
+    for kind in FaultStarted, FaultEnded:
+        times = [(event.t, event.fault.kind, event.fault.named()) for event in made.trace.of(kind)]
+        (event,) = plain.trace.of(kind)
+        assert (event.t, "crash", {"node": [0]}) in times
+        assert len(times) == 2
+    assert desim.judge("down never longer than 1", made).margin == desim.judge("down never longer than 1", plain).margin
+    assert desim.summary(made).belief_error == desim.summary(plain).belief_error
+    cause = cause_of(fault)
+    assert made.trace.of(MessageCounts)[0].lost_by[cause] == plain.trace.of(MessageCounts)[0].lost_by["crash"] > 0
 
 
 @pytest.mark.whole

@@ -38,7 +38,8 @@ NO_NODES: NamedNodes = MappingProxyType({})
 class FaultSite(Protocol):
     """What a fault can do to a network. Each method returns the function that ends what it has begun.
 
-    Losses by the fault have its `cause`.
+    Losses by the fault have its `cause`. The trace records this fault, the parts that it begins, and each crash. What it
+    blocks, jams or intercepts is seen by the losses and arrivals of messages, and drawn as its `sketch` says.
     """
 
     @property
@@ -57,11 +58,21 @@ class FaultSite(Protocol):
         """Begin another fault as a part of this one; the trace records both.
 
         Its losses have its own `cause`, or else that of this fault, if either class has one.
+
+        Raises:
+            ValueError: if it names a node that does not exist.
         """
         ...
 
     def crash(self, crash: "Crash") -> Undo:
-        """Take a node down."""
+        """Take a node down; the trace records the crash, so that metrics and pages know who is down.
+
+        Its losses have the `cause` of this fault, those of `begin(crash)` that of the crash if it has one. `start` and
+        `end` of the crash have no effect: it lasts until the function is called that ends it.
+
+        Raises:
+            ValueError: if the node does not exist.
+        """
         ...
 
     def partition(self, groups: Iterable[Iterable[int]]) -> Undo:

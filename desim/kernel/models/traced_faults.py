@@ -70,6 +70,13 @@ TracedFault = Crash | Partition | Jamming | Misbehaviour | CustomFault
 """A fault whose start and end are events of the trace."""
 
 
+def as_built_in(fault: Fault, base: type[Fault]) -> Fault:
+    """Return a fault of a class that derives from a built-in one as the built-in fault with the same fields."""
+    if type(fault) is base:
+        return fault
+    return base(**{name: getattr(fault, name) for name in base.model_fields if name != "kind"})
+
+
 def traced(fault: Fault) -> TracedFault:
     """Return the record of a fault in a trace.
 
@@ -78,8 +85,7 @@ def traced(fault: Fault) -> TracedFault:
     """
     for base in BUILT_IN:
         if all(inherits(fault, base, name) for name in ("begin", "separates") if hasattr(base, name)):
-            fields = {name: getattr(fault, name) for name in base.model_fields if name != "kind"}
-            return fault if type(fault) is base else base(**fields)  # type: ignore[return-value]
+            return as_built_in(fault, base)  # type: ignore[return-value]
     nodes = tuple(node for named in nodes_of(fault).values() for node in named)
     sketch: Any = fault.sketch()
     if not isinstance(sketch, dict):
