@@ -30,6 +30,7 @@ from desim.config.named_code import (
     definition_of,
     entry_points_of,
     import_name,
+    imported,
     is_unlisted_import,
     load_named,
     refusal,
@@ -105,13 +106,16 @@ class OneOf:
 
     def choices(self) -> Mapping[str, type[BaseModel]]:
         """Return all models by kind: first `models`, then those of `group`, sorted by kind; imports all of them."""
-        return MappingProxyType(self._builtin | {kind: point.load() for kind, point in self._installed.items()})
+        return MappingProxyType(
+            self._builtin | {kind: imported(point.value, point.load) for kind, point in self._installed.items()}
+        )
 
     def choice(self, kind: str) -> type[BaseModel] | None:
         """Return the model of a kind; None if the kind is unknown."""
         if kind not in self._installed:
             return self._builtin.get(kind)
-        model: type[BaseModel] = self._installed[kind].load()
+        point = self._installed[kind]
+        model: type[BaseModel] = imported(point.value, point.load)
         return model
 
     def has(self, model: type[BaseModel]) -> bool:

@@ -58,6 +58,15 @@ class KeyedError(ValueError):
         return "\n".join(map(str, self.args))
 
 
+def cause_in(error: Any) -> Exception | None:
+    """Return the first part of an error of pydantic that another exception caused; None if there is none.
+
+    An error about a value is raised from it, so that Python shows what failed, such as the import of a user's module.
+    """
+    parts = (part.get("ctx", {}).get("error") for part in error.errors(include_url=False, include_input=False))
+    return next((part for part in parts if isinstance(part, Exception) and part.__cause__ is not None), None)
+
+
 def problems_of(error: ValueError) -> tuple[Problem, ...]:
     """Return the problems of an error; the text of an error without fields is a problem without a key."""
     return error.problems if isinstance(error, KeyedError) else (Problem(str(error)),)

@@ -27,7 +27,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from desim.config.arguments import missing_attribute, with_article
-from desim.config.errors import WORDINGS, KeyedError, Problem
+from desim.config.errors import WORDINGS, KeyedError, Problem, cause_in
 from desim.config.field_docs import annotated, fields_of
 from desim.config.interrupts import deferred
 from desim.config.json_numbers import from_json
@@ -192,8 +192,8 @@ else:
             try:
                 return super().__call__(*args, **values)
             except ValidationError as error:
-                problems = WORDINGS["call"](error, cls, values)
-            raise KeyedError(*problems)
+                problems, cause = WORDINGS["call"](error, cls, values), cause_in(error)
+            raise KeyedError(*problems) from cause
 
         def __setattr__(cls, name: str, value: Any) -> None:
             """Raise KeyedError for a key: its default is part of the schema, and a new one would have no effect."""
@@ -318,8 +318,8 @@ class Value(BaseModel, metaclass=_ValueType):
                 return type(self).model_validate(values, by_name=True)
             return _made_by_own_init(type(self), values, update.keys())
         except ValidationError as error:
-            problems = WORDINGS["call"](error, type(self), values)
-        raise KeyedError(*problems)
+            problems, cause = WORDINGS["call"](error, type(self), values), cause_in(error)
+        raise KeyedError(*problems) from cause
 
     def copy(self, **options: Any) -> Self:
         """Do what `model_copy` does: pydantic's method of this name would not validate."""

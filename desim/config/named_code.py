@@ -1,17 +1,18 @@
 """Code that a file names as "module:name": when it may be imported, its import, and the name of a definition."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache, reduce
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from traceback import walk_tb
 from types import FunctionType, MappingProxyType
 from typing import Any
 
 from pydantic import PydanticUserError, ValidationInfo
 
-from desim.config.own_modules import CodeName, find_own_modules, module_beside, plain_name
-from desim.config.packages import KINDS_OF
+from desim.config.own_modules import CodeName, find_own_modules, is_of_user, module_beside, plain_name
+from desim.config.packages import KINDS_OF, HiddenPackageError
 from desim.config.suggestion import did_you_mean
 from desim.config.trust import ALLOW_HINT, is_trusted
 
@@ -85,17 +86,41 @@ def load_named(kind: str, folder: Path | None) -> Any:
         where = f"; also searched in the folder of the file, {folder.absolute()}"
         package = module_beside(module, folder)
     place = package.removeprefix(module.partition(".")[0]).partition(".")[0]
+    load = (lambda: reduce(getattr, name.split("."), import_module(package))) if point is None else point.load
+    return imported(kind, load, place, where)
+
+
+def imported(kind: str, load: Callable[[], Any], place: str = "", where: str = "") -> Any:
+    """Return the object "module:name" that a function imports.
+
+    Args:
+        kind: "module:name".
+        load: the function, whose import runs the code of the module.
+        place: the part of the name of the module that has a folder; "" if none has.
+        where: what the error says about where the module was looked for.
+
+    Raises:
+        ValueError: if the object cannot be imported, with the file and the line of the user that raised, and from what
+            was raised.
+        HiddenPackageError: if another package hides one of desim.
+    """
     try:
-        return reduce(getattr, name.split("."), import_module(package)) if point is None else point.load()
+        return load()
+    except (HiddenPackageError, MemoryError):
+        raise
     except AttributeError as error:
         hint = did_you_mean(error.name, dir(error.obj)) if error.name else ""
-        raise ValueError(f"{kind!r} cannot be imported: {_without(place, error)}{hint}{where}") from error
+        raise _import_error(kind, f"{_without(place, error)}{hint}", error, where) from error
     except (ImportError, SyntaxError, ValueError) as error:
-        raise ValueError(f"{kind!r} cannot be imported: {_without(place, error)}{where}") from error
+        raise _import_error(kind, _without(place, error), error, where) from error
     except PydanticUserError as error:  # an invalid definition of a model, such as a field without a type
-        raise ValueError(f"{kind!r} cannot be imported: {error.message}") from error
+        raise _import_error(kind, str(error.message), error) from error
     except SystemExit as error:
-        raise ValueError(f"{kind!r} cannot be imported: {module} calls exit({error.code!r})") from error
+        text = f"{kind.partition(':')[0]} calls exit({error.code!r})"
+        raise _import_error(kind, text, error) from error
+    except Exception as error:
+        text = f"{type(error).__name__}: {_without(place, error)}".removesuffix(": ")
+        raise _import_error(kind, text, error) from error
 
 
 def named_in_file(kind: str, info: ValidationInfo) -> Any:
@@ -107,6 +132,21 @@ def named_in_file(kind: str, info: ValidationInfo) -> Any:
     if is_unlisted_import(kind) and not is_trusted(info):
         raise ValueError(refusal(kind))
     return load_named(kind, (info.context or {}).get("folder"))
+
+
+def _import_error(kind: str, text: str, error: BaseException, where: str = "") -> ValueError:
+    """Return the error about an object that cannot be imported, with the file and the line of a user that raised it.
+
+    A SyntaxError has them in its text already.
+    """
+    module = kind.partition(":")[0].partition(".")[0]  # it may be installed, and is the user's all the same
+    calls = [] if isinstance(error, SyntaxError) else walk_tb(error.__traceback__)
+    places = [
+        f" ({frame.f_code.co_filename}, line {line})"
+        for frame, line in calls
+        if is_of_user(frame) or plain_name(str(frame.f_globals.get("__name__"))).partition(".")[0] == module
+    ]
+    return ValueError(f"{kind!r} cannot be imported: {text}{''.join(places[-1:])}{where}")
 
 
 def _without(place: str, error: Exception) -> str:

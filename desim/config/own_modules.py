@@ -16,13 +16,15 @@ from collections.abc import Iterator, Sequence
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from importlib.util import find_spec, spec_from_file_location
 from pathlib import Path
-from types import CodeType, ModuleType
+from types import CodeType, FrameType, ModuleType
 from typing import Any
 
 from desim.config.packages import PACKAGES
 
 NOT_OWN = {*sys.stdlib_module_names, *PACKAGES, "desim"}
 """The modules that no file beside a scenario replaces."""
+_LIBRARIES = {*sys.stdlib_module_names, "networkx", "numpy", "pydantic", "scipy", "simpy"} - {"__main__"}
+"""The packages whose lines say nothing about the cause of an error or of a hang."""
 _FOLDER = re.compile(r"@[^.]*")
 
 
@@ -49,6 +51,14 @@ class CodeName(str):
 def plain_name(name: str) -> str:
     """Return the name of a module, function or class without the folder of its module."""
     return _FOLDER.sub("", name) if "@" in name else name
+
+
+def is_of_user(frame: FrameType) -> bool:
+    """Return whether a frame runs code that belongs neither to desim, nor to Python, nor to an installed package."""
+    top = plain_name(str(frame.f_globals.get("__name__", ""))).partition(".")[0]
+    file = Path(frame.f_code.co_filename)
+    is_library = top in {"desim", "protocols"} or top in _LIBRARIES
+    return not is_library and not {"site-packages", "dist-packages"} & set(file.parts) and file.is_file()
 
 
 def module_beside(name: str, folder: Path) -> str:

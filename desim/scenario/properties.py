@@ -30,7 +30,7 @@ from pydantic import BeforeValidator, Field, ValidationError
 from desim.config.arguments import value_text
 from desim.config.choice import OneOf
 from desim.config.error_texts import text_of
-from desim.config.errors import ArgumentError
+from desim.config.errors import ArgumentError, cause_in
 from desim.config.model import Time, Value
 from desim.config.number_texts import exact_text
 from desim.kernel.core.units import seconds
@@ -334,7 +334,8 @@ def property_of(value: Any, *, folder: Any = None) -> Property:
     try:
         made: Property = _One.model_validate({"one": value}, context={"allow_import": True, "folder": folder}).one
     except ValidationError as error:
-        raise ArgumentError("property", f"{value_text(value)}: {'; '.join(map(text_of, error.errors()))}") from None
+        why = "; ".join(map(text_of, error.errors()))
+        raise ArgumentError("property", f"{value_text(value)}: {why}") from cause_in(error)
     return made
 
 

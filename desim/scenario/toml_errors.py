@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from desim.config.errors import KeyPath, Problem
+from desim.config.errors import KeyPath, Problem, cause_in
 from desim.config.key_errors import Wording
 from desim.config.model import Value
 from desim.scenario.overrides import ScenarioError, Source
@@ -22,8 +22,8 @@ def validated(source: Source, model: type[Model]) -> Model:
     try:
         return model.model_validate(source.tables, context={"folder": folder, "allow_import": source.allow_import})
     except ValidationError as error:
-        problems = _problems(error, source, model)
-    raise ScenarioError(*sorted(problems, key=lambda problem: (problem.line, problem.where, str(problem))))
+        problems, cause = _problems(error, source, model), cause_in(error)
+    raise ScenarioError(*sorted(problems, key=lambda problem: (problem.line, problem.where, str(problem)))) from cause
 
 
 def _problems(error: ValidationError, source: Source, model: type[Value]) -> list[Problem]:

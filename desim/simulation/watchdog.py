@@ -18,7 +18,7 @@ from types import CodeType, FrameType, GeneratorType
 from typing import TYPE_CHECKING, Any
 
 from desim.config.interrupts import deferred
-from desim.config.own_modules import plain_name
+from desim.config.own_modules import is_of_user
 from desim.config.python_numbers import real
 
 if TYPE_CHECKING:
@@ -31,10 +31,6 @@ OUT_OF_MEMORY = (
     ' record.messages = "file")'
 )
 """What a user can do about a `MemoryError`, which has no text of its own."""
-_OURS = {"desim", "protocols"}
-"""The packages of the simulator and its protocols."""
-_LIBRARIES = {*sys.stdlib_module_names, "networkx", "numpy", "pydantic", "scipy", "simpy"} - {"__main__"}
-"""The packages whose lines say nothing about the cause of a hang."""
 HAS_THREADS = sys.platform not in {"emscripten", "wasi"}
 """Whether this Python can start threads; that of a browser (Pyodide) cannot, and has no timers of signals either."""
 AGAIN = 0.1
@@ -217,18 +213,10 @@ def code_place_of(error: BaseException) -> str:
 def _raised_in(error: BaseException) -> tuple[CodeType, int]:
     """Return the code and the line that `code_place_of` names."""
     places = list(walk_tb(error.__traceback__))[::-1]
-    users = (place for place in places if _is_of_user(place[0]))
+    users = (place for place in places if is_of_user(place[0]))
     outside = (place for place in places if place[0].f_code.co_filename != __file__)
     frame, line = next(users, None) or next(outside, None) or places[0]
     return frame.f_code, line or frame.f_code.co_firstlineno  # an instruction may belong to no line
-
-
-def _is_of_user(frame: FrameType) -> bool:
-    """Return whether a frame runs code that belongs neither to desim, nor to Python, nor to an installed package."""
-    top = plain_name(str(frame.f_globals.get("__name__", ""))).partition(".")[0]
-    file = Path(frame.f_code.co_filename)
-    is_library = top in _OURS or top in _LIBRARIES or {"site-packages", "dist-packages"} & set(file.parts)
-    return not is_library and file.is_file()
 
 
 def short(file: str) -> str:

@@ -215,7 +215,7 @@ def test_the_protocols_of_other_distributions_are_choices_too(monkeypatch):
     class Point:
         """An entry point that another distribution installs."""
 
-        name = "square"
+        name, value = "square", "shapes:Square"
 
         def load(self) -> type[BaseModel]:
             return Square
@@ -262,7 +262,7 @@ def test_only_the_models_named_in_a_table_are_loaded(monkeypatch):
         """An entry point that another distribution installs."""
 
         def __init__(self, name: str, model: type[BaseModel]):
-            self.name, self.model = name, model
+            self.name, self.value, self.model = name, f"shapes:{name}", model
 
         def load(self) -> type[BaseModel]:
             loaded.append(self.name)

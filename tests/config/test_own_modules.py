@@ -4,15 +4,19 @@ import importlib
 import json
 import pickle
 import py_compile
+import re
 import sys
+from importlib.metadata import EntryPoint
 from multiprocessing import get_context
 
 import pytest
 
 from desim import load, run, summary, sweep
+from desim.config.choice import OneOf
 from desim.config.own_modules import _Finder, folder_in_name, module_beside, plain_name
 from desim.kernel.core.trace_file import line_of
 from desim.results import provenance
+from desim.scenario.overrides import ScenarioError
 from desim.scenario.toml import dump, read_source, validate
 from desim.study.plan.config_hash import identify
 from desim.study.plan.configurations import configurations
@@ -232,3 +236,53 @@ def test_a_module_that_is_there_compiled_only_is_found(tmp_path):
     found = _Finder().find_spec(module_beside("compiled_rule", tmp_path))
     assert found is not None
     assert found.origin == str(tmp_path / "compiled_rule.pyc")
+
+
+RAISES = """import helper
+
+def table(numbers):
+    return {helper.NUMBER: 1}[numbers]
+
+RULES = table(None)
+"""
+NAMES_CODE = {
+    "protocol": 'protocol = "{}:Rule"',
+    "a model of the network": 'network.latency = {{ kind = "{}:Rule" }}',
+    "a model of the evader": 'evader.strategy = "{}:Rule"',
+    "a metric": 'record.metrics = ["{}:Rule"]',
+    "a fault": '[[fault]]\nkind = "{}:Rule"',
+    "a property": 'properties = ["always {}:Rule"]',
+}
+
+
+@pytest.mark.parametrize("line", NAMES_CODE.values(), ids=NAMES_CODE)
+@pytest.mark.parametrize(
+    ("code", "cause", "text"),
+    [
+        (RAISES, KeyError, "KeyError: None (FILE, line 4)"),
+        ("\nassert False", AssertionError, "AssertionError (FILE, line 2)"),
+        ("import math\nmath.sin('')", TypeError, "TypeError: must be real number, not str (FILE, line 2)"),
+        ("import no_such_module", ImportError, "No module named 'no_such_module' (FILE, line 1)"),
+        ("import math\nmath.sine", AttributeError, "module 'math' has no attribute 'sine'.* (FILE, line 2)"),
+    ],
+)
+def test_an_exception_at_the_import_is_told_with_the_file_and_the_line_that_raised_it(folders, line, code, cause, text):
+    """In any family whose kinds may be code of a user; from Python the exception itself is the cause."""
+    file = folders[0] / "raises.py"
+    file.write_text(code)
+    (folders[0] / "s.toml").write_text(line.format("raises"))
+    pattern = re.escape(f"'raises:Rule' cannot be imported: {text}").replace(r"\.\*", ".*")
+    with pytest.raises(ScenarioError, match=pattern.replace("FILE", re.escape(str(file)))) as refused:
+        loaded(folders[0])
+    assert isinstance(refused.value.__cause__.__cause__, cause)
+    assert len(str(refused.value).splitlines()) == 1
+
+
+def test_an_installed_kind_that_raises_at_its_import_is_refused_too(folders, monkeypatch):
+    (folders[0] / "raises.py").write_text("1 / 0")
+    monkeypatch.syspath_prepend(folders[0])
+    family = OneOf(group="desim.shapes")
+    family.__dict__["_installed"] = {"round": EntryPoint("round", "raises:Circle", "desim.shapes")}
+    for choose in family.choices, lambda: family.choice("round"):
+        with pytest.raises(ValueError, match=r"'raises:Circle' cannot be imported: ZeroDivisionError: .*line 1\)"):
+            choose()

@@ -38,8 +38,8 @@ NO_NODES: NamedNodes = MappingProxyType({})
 class FaultSite(Protocol):
     """What a fault can do to a network. Each method returns the function that ends what it has begun.
 
-    Losses by the fault have its `cause`. The trace records this fault, the parts that it begins, and each crash. What it
-    blocks, jams or intercepts is seen by the losses and arrivals of messages, and drawn as its `sketch` says.
+    Losses by the fault have its `cause`. The trace records this fault, the parts that it begins, and each crash. What
+    it blocks, jams or intercepts is seen by the losses and arrivals of messages, and drawn as its `sketch` says.
     """
 
     @property
