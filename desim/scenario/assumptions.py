@@ -57,15 +57,24 @@ def everyone_heard(scenario: "Scenario") -> str | None:
 
 
 def component_heard(scenario: "Scenario") -> str | None:
-    """Announcements of every pursuer reach all others in its network component, directly or relayed."""
-    graph = initial_graph(scenario)
+    """Every pursuer gets the announcements of all others in its network component, directly or relayed.
+
+    The component of a pursuer contains all whose messages can reach it over any number of hops
+    (`Topology.component`). A link may be one-way: then only its receiver has the other end in its component.
+    """
     if is_relayed(scenario):
         return _out_of_hops(scenario)
+    graph = initial_graph(scenario)
     if is_complete(graph):
         return None
-    parts = nx.weakly_connected_components(graph)
-    if any(graph.subgraph(part).size() < len(part) * (len(part) - 1) for part in parts):
-        return f"some pursuers are several hops apart at the start, and {NOT_FORWARDED}"
+    # All that a pursuer can reach should hear it directly. Those that reach each other can reach the same ones.
+    condensed = nx.condensation(graph)
+    reached: dict[int, set[int]] = {}
+    for part in reversed([*nx.topological_sort(condensed)]):
+        members: set[int] = condensed.nodes[part]["members"]
+        reached[part] = members.union(*(reached[later] for later in condensed[part]))
+        if any(graph.out_degree(pursuer) < len(reached[part]) - 1 for pursuer in members):
+            return f"some pursuers are several hops apart at the start, and {NOT_FORWARDED}"
     return None
 
 

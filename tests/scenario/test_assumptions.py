@@ -4,6 +4,8 @@ from typing import ClassVar, Literal, get_args
 
 import networkx as nx
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from desim import Scenario, run
 from desim.config.errors import KeyedError
@@ -123,11 +125,26 @@ def test_all_pursuers_are_reached_directly_or_by_forwarding_or_not(scenario, why
         (four(nx.path_graph(4), protocol=BetterReply(schedule=TokenRing())), None),
         (four(network=Links(range=1.5)), "several hops"),
         (four(network=Links(range=0.5)), None),
-        (four(nx.DiGraph([(0, 1), (1, 0), (2, 3)])), "several hops"),
+        (four(nx.DiGraph([(0, 1), (1, 0), (2, 3)])), None),
+        (four(nx.DiGraph([(0, 1), (2, 1), (3, 1)])), None),
+        (four(nx.DiGraph([(0, 1), (1, 2), (0, 2), (0, 3)])), None),
+        (four(nx.DiGraph([(0, 1), (1, 2), (3, 2)])), "several hops"),
+        (four(nx.DiGraph([(0, 1), (1, 0), (1, 2), (3, 2)])), "several hops"),
+        (four(nx.DiGraph([(0, 1), (1, 2), (2, 0), (3, 2)])), "several hops"),
     ],
 )
 def test_the_component_is_reached_if_it_is_complete_or_records_are_forwarded_or_not(scenario, why):
     assert_reason(component_heard(scenario), why)
+
+
+@pytest.mark.slow
+@given(st.sets(st.tuples(st.integers(0, 3), st.integers(0, 3)).filter(lambda link: link[0] != link[1])))
+def test_the_component_is_heard_if_each_pursuer_hears_all_whose_messages_can_reach_it(links):
+    """In a graph with one-way links, as `Topology.component` has it."""
+    graph = nx.DiGraph(links)
+    graph.add_nodes_from(range(4))
+    hears_all = all(nx.ancestors(graph, pursuer) == {*graph.predecessors(pursuer)} for pursuer in range(4))
+    assert (component_heard(four(graph)) is None) == hears_all
 
 
 LOSSY = Links(loss=Bernoulli(p=0.1))
