@@ -938,6 +938,8 @@ def test_pairs_with_names_of_several_words_need_quotes_or_a_header(tmp_path, sig
         file.write_text(text)
         graph = read(file)
         assert [(graph.names[edge.src], graph.names[edge.dst]) for edge in graph.edges] == CITIES
+    file.write_text("".join(f'" {src}"{sign}"{dst} "\n' for src, dst in CITIES))  # as a spreadsheet may have them
+    assert len(read(file).edges) == len(CITIES)
     file.write_text(quoted.replace('"', ""))
     with pytest.raises(ValueError, match=r"put names in quotes, or name the columns|should have two nodes"):
         read(file)

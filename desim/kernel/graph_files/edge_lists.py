@@ -55,6 +55,8 @@ OVER_TIME = frozenset({*COLUMNS["t"]} - {"t"})
 """The name of the first column of a table over time, in lower case; t may be a node."""
 ONE_WAY = re.compile(r"[#%]\s*(directed\b|asym\b)", re.IGNORECASE)
 """Matches the comment of a list whose edges are one-way: of SNAP and of KONECT."""
+QUOTED = re.compile(r'"((?:[^"\n]|"")*)"')
+"""Matches a text in quotes, in one line."""
 WITH_DICT = re.compile(r"(\S+)\s+(\S+)\s*(\{.*\})")
 """Matches an edge as `networkx.write_edgelist` writes it."""
 
@@ -78,8 +80,9 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
         rows = [row._replace(cells=cells) for row, (_, cells) in zip(rows, points, strict=True)]
     if not (header and _names_ends(header)):
         _check_names(file, rows)
-        long = {name.replace('"', '""') for row in rows for name in row.cells[:2] if len(name.split()) > 1}
-        if not all(f'"{name}"' in text for name in long):  # a name in quotes is meant as one
+        long = {name.strip() for row in rows for name in row.cells[:2] if len(name.split()) > 1}
+        quoted = {match[1].replace('""', '"').strip() for match in QUOTED.finditer(text)} if long else set()
+        if not long <= quoted:  # a name in quotes is meant as one
             _check_form(file, rows)
     if not header:
         is_weighted = all(len(row.cells) == 3 and is_number_text(row.cells[2]) for row in rows)
