@@ -358,6 +358,10 @@ NO_GRAPHS = {
     "count.metis": ("2 2\n2\n1\n", "line 1: says 2 edges, but 1 follow"),
     "far.metis": ("2 1\n2\n3\n", "line 3: 3 is no other node from 1 to 2, or is there twice"),
     "word.metis": ("2 1\nb\n1\n", "line 2: should have the numbers of the neighbours of node 1"),
+    "unclear.csv": (
+        ",2,0,1\n2,,1,0\n0,1,,1\n1,0,1,\n",
+        "unclear.csv: 2, 0, 1 may be the names of the nodes, or numbers",
+    ),
     "market.txt": ("%%MatrixMarket matrix coordinate\n2 2 1\n1 2 1\n", "Matrix Market is not read; in Python, scipy"),
     "labels.tgf": ("1 a\n2 b\n", "should have a line # between nodes and edges"),
     "far.tgf": ("1 a\n2 b\n#\n1 3\n", "line 4: should be two of the nodes above the line #"),
@@ -766,6 +770,9 @@ def test_an_adjacency_matrix_is_the_graph_that_it_is_of(tmp_path, mark, header, 
 def test_three_lines_whose_diagonal_is_missing_are_a_matrix(tmp_path):
     (tmp_path / "g.txt").write_text("nan 1 1\n1 nan 0\n1 0 nan\n")
     assert [(edge.src, edge.dst) for edge in read(tmp_path / "g.txt").edges] == [(0, 1), (0, 2)]
+    for text in (",1,0\n1,,1\n0,1,\n", "- 1 0\n1 - 1\n0 1 -\n"):  # 1 and 0 are no names of two nodes
+        (tmp_path / "g.txt").write_text(text)
+        assert [(edge.src, edge.dst) for edge in read(tmp_path / "g.txt").edges] == [(0, 1), (1, 2)]
     (tmp_path / "g.txt").write_text("nan 1\n1 nan\n")
     with pytest.raises(ValueError, match="'nan' is probably no name of a node"):
         read(tmp_path / "g.txt")

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from desim.kernel.measured.csv_tables import plain_rows
-from desim.kernel.measured.measurements import counts_of, names_beside, number_or_nan
+from desim.kernel.measured.measurements import UnclearNamesError, counts_of, names_beside, number_or_nan
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -38,7 +38,7 @@ def read_matrix(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any] 
 
     Raises:
         ValueError: if it is not symmetric and `directed` does not say what this means, or the first line may be numbers
-            of nodes.
+            or names of nodes.
     """
     import networkx as nx
 
@@ -48,13 +48,15 @@ def read_matrix(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any] 
     try:
         rows = [[cell.strip() for cell in cells] for _, cells in plain_rows(text, str(file))]
         names, numbers = _parts(rows)
+    except UnclearNamesError as error:
+        raise ValueError(f"{file}: {error}") from error
     except ValueError:
         return None
     size = len(numbers)
     if size < LEAST or any(len(row) != size for row in numbers):
         return None
     if not names and numbers[0][1:] == [row[0] for row in numbers[1:]] and numbers[0][1:] in counts_of(size - 1):
-        raise ValueError(f"{file}: the first line may number the nodes: leave its first cell empty, or leave it out")
+        raise ValueError(f"{file}: the first line may number the nodes: write a text into its first cell, or leave it out")
     if size == LEAST and not names and not all(_is_link_or_none(*cell) for cell in enumerate(chain(*numbers))):
         return None  # lines of three numbers may also be edges with weights
     weights = {
@@ -87,7 +89,7 @@ def _parts(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[float]]]
     Raises:
         ValueError: if a cell is not a number, or the names of lines and of columns differ.
     """
-    names = list(names_beside(rows))
+    names = list(names_beside(rows)) if len(rows) > LEAST else []
     if len({*names}) < len(names):
         raise ValueError("the names should differ from each other")
     inner = [row[1:] for row in rows[1:]] if names else rows

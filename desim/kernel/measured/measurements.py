@@ -321,6 +321,10 @@ def number_or_nan(cell: str) -> float:
         raise
 
 
+class UnclearNamesError(ValueError):
+    """The first line and the first column of a matrix may be names, or numbers of the matrix."""
+
+
 def names_beside(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
     """Return the names in the first line and the first column of a square matrix; none if it has none.
 
@@ -328,8 +332,8 @@ def names_beside(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
     matrix does not lack its diagonal: without names, its first cell is empty, too.
 
     Raises:
-        ValueError: if the first line and the first column have different names, or an empty one, or both may be numbers
-            of a symmetric matrix.
+        UnclearNamesError: if both may be numbers of a symmetric matrix.
+        ValueError: if the first line and the first column have different names, or an empty one.
     """
     if len(rows) < 3 or not rows[0] or is_number_text(rows[0][0]):
         return ()
@@ -348,7 +352,7 @@ def names_beside(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
         inner = [row[1:] for row in rows[1:]]
         is_symmetric = [*map(list, zip(*inner, strict=False))] == inner
         if lacks_diagonal or (rows[0][0].lower() in MISSING and is_symmetric and numbers not in counts):
-            raise ValueError(
+            raise UnclearNamesError(
                 f"{', '.join(names)[:40]} may be the names of the nodes, or numbers of a matrix whose first cell is"
                 " empty: write a text into it if they are names, and 0 if not"
             )
