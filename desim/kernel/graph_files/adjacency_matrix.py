@@ -56,7 +56,9 @@ def read_matrix(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any] 
     if size < LEAST or any(len(row) != size for row in numbers):
         return None
     if not names and numbers[0][1:] == [row[0] for row in numbers[1:]] and numbers[0][1:] in counts_of(size - 1):
-        raise ValueError(f"{file}: the first line may number the nodes: write a text into its first cell, or leave it out")
+        raise ValueError(
+            f"{file}: the first line may number the nodes: write a text into its first cell, or leave it out"
+        )
     if size == LEAST and not names and not all(_is_link_or_none(*cell) for cell in enumerate(chain(*numbers))):
         return None  # lines of three numbers may also be edges with weights
     weights = {
