@@ -884,7 +884,7 @@ def test_a_comment_does_not_count_where_all_edges_hold_both_ways(tmp_path, text)
 def test_comments_may_precede_a_graph_of_pajek_and_empty_rows_follow_a_list(tmp_path):
     (tmp_path / "g.net").write_text('% one\n% two\n\n*Network x\n*vertices 2\n1 "a b"\n2 "c"\n*edges\n1 2\n')
     assert read(tmp_path / "g.net").names == ("a b", "c")
-    (tmp_path / "g.net").write_text('*vertices 2\n1 "50 % up"\n2 5%  % a "comment"\n*edges\n1 2\n')
+    (tmp_path / "g.net").write_text('*vertices 2%two\n1 "50 % up"\n2 5%  % a "comment"\n*edges%one\n1 2%"c"\n')
     assert read(tmp_path / "g.net").names == ("50 % up", "5%")
     (tmp_path / "g.csv").write_text("source,target\na,b\n,\n")
     assert read(tmp_path / "g.csv").names == ("a", "b")

@@ -207,7 +207,8 @@ def read_pajek(file: Path, text: str) -> "nx.Graph[Any]":
     vertices = list[str]()
     for number, line in enumerate(text.split("\n"), 1):
         place = f"{file}, line {number}"
-        cells = [cell.strip('"') for cell in re.findall(r'"[^"]*"|%.*|\S+', line) if cell[0] != "%"]
+        word = r"(?<=\s)\S+|[^\s%]+" if part == "*vertices" else r"[^\s%]+"  # a name may have %, as networkx writes it
+        cells = [cell.strip('"') for cell in re.findall(rf'"[^"]*"|%.*|{word}', line) if cell[0] != "%"]
         if not cells:
             continue
         if cells[0].startswith("*"):
