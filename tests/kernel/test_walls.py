@@ -227,6 +227,7 @@ def test_a_wall_that_is_none_is_refused_with_what_is_allowed(case):
         ('<?xml-stylesheet href="a.css"?><svg><path d="M0 0H1"/></svg>', "a.svg", "in another file is not read"),
         ('<svg><path style="translate: 9px" d="M0 0H1"/></svg>', "a.svg", "translate in a style is not read"),
         ('<svg><path style="fill: var(--room)" d="M0 0H1"/></svg>', "a.svg", "write the value of the variable"),
+        ('<svg><path fill="var(--room)" d="M0 0H1"/></svg>', "a.svg", "write the value of the variable"),
         ("<svg><path class='a' fill='none' d='M0 0H1'/></svg>", "a.svg", "neither a fill nor a stroke"),
         ('<svg><path d="M0 0H1"/><svg x="5"><path d="M0 0H1"/></svg></svg>', "a.svg", "a drawing inside the drawing"),
         ('<svg><path style="fill:none;stroke:none" d="M0 0H1"/></svg>', "a.svg", "neither a fill nor a stroke"),
@@ -347,6 +348,7 @@ SHAPES = {
     '<path transform="rotate(-90, 1 2)" d="M1 2H3"/>': ([[1, -2], [1, 0]], False),
     '<path transform="matrix(1 0 0 -1 0 7) , scale(2,3)" d="M1 2H3"/>': ([[2, -1], [6, -1]], False),
     '<g transform=" "><path d="M1 2H3"/></g>': ([[1, -2], [3, -2]], False),
+    '<!-- <?xml-stylesheet?> --><path style="rotate: none" d="M1 2H3"/>': ([[1, -2], [3, -2]], False),
     '<path transform="skewX(45)" d="M1 2H3"/>': ([[3, -2], [5, -2]], False),
     '<path transform="skewY(-45)" d="M1 2H3"/>': ([[1, -1], [3, 1]], False),
     "<style>/* x */ @import 'a;b'; @font-face {src: c} .a {stroke: red} path {fill: none; stroke: none}</style>"

@@ -27,8 +27,8 @@ REFUSED = frozenset({"circle", "ellipse", "use", "image", "text", "foreignObject
 where they stand."""
 INHERITED = frozenset({"fill", "fill-opacity", "fill-rule", "stroke", "stroke-opacity", "stroke-width", "visibility"})
 """The properties that elements inherit."""
-MOVES = frozenset({"transform", "transform-origin", "translate", "rotate", "scale"})
-PLACES = MOVES | {"d", "x", "y", "width", "height", "rx", "ry"}
+MOVES = frozenset({"translate", "rotate", "scale"})
+PLACES = MOVES | {"transform", "transform-origin", "d", "x", "y", "width", "height", "rx", "ry"}
 """The properties that say where an element is drawn; as attributes they are read, or have no effect, except
 transform-origin."""
 PROPERTIES = INHERITED | PLACES | {"display", "opacity", "clip-path", "mask"}
@@ -36,6 +36,7 @@ PROPERTIES = INHERITED | PLACES | {"display", "opacity", "clip-path", "mask"}
 DEFAULTS = frozenset({"inherit", "unset", "revert"})
 """Values that stand for the one that an element has without the property."""
 COMMENT = re.compile(r"/\*.*?(?:\*/|\Z)", re.DOTALL)
+XML_COMMENT = re.compile(r"<!--.*?(?:-->|\Z)", re.DOTALL)
 SELECTOR = re.compile(r"(\*|[\w-]+)?(?:([.#])([\w-]+))?")
 """Matches a selector by element, class or id."""
 ZERO = r"(?:0+\.?0*|\.0+)(?:[a-zA-Z]+|%)?"
@@ -83,7 +84,7 @@ def svg_file_outlines(text: str) -> list[Outline]:
         raise ValueError(f"is not a drawing in SVG: {error}") from error
     if _name(root) != "svg":
         raise ValueError(f"is not a drawing in SVG: its first element is <{root.tag.rpartition('}')[2]}>")
-    if "<?xml-stylesheet" in text:
+    if "<?xml-stylesheet" in XML_COMMENT.sub("", text):
         raise ValueError("a style sheet in another file is not read: give styles to objects")
     rules = _style_rules(root)
     drawn: list[_Drawn] = []
@@ -199,9 +200,7 @@ def _declarations(text: str) -> dict[str, str]:
     for name, value in style.items():
         if "!" in value:
             raise ValueError(f"'{name}: {value}' is not read: leave out !important")
-        if "var(" in value:
-            raise ValueError(f"'{name}: {value}' is not read: write the value of the variable")
-        if name in PLACES:
+        if name in PLACES and not (name in MOVES and value == "none"):
             raise ValueError(f"{name} in a style is not read: make it an attribute in the editor")
     return style
 
@@ -217,6 +216,8 @@ def _style(element: ElementTree.Element, name: str, rules: _Rules) -> dict[str, 
     for rule in sorted(concerned, key=lambda rule: rule.weight):
         attributes |= rule.style
     attributes |= _declarations(element.get("style", ""))
+    if variable := next((key for key, value in attributes.items() if "var(" in value), ""):
+        raise ValueError(f"'{variable}: {attributes[variable]}' is not read: write the value of the variable")
     return {key: value for key, value in attributes.items() if value not in DEFAULTS}
 
 
