@@ -19,6 +19,7 @@ from click import Option
 from desim.analysis.drawing import palette
 from desim.analysis.tables import aligned
 from scenarios.studies.learning_runs import (
+    CANDIDATES,
     DELAY,
     LATENCIES,
     LATENCY,
@@ -60,10 +61,10 @@ def picture(generations: Sequence[Generation], cells: Sequence[Cell]) -> "Figure
         numbers = range(1, len(generations) + 1)
         curve.plot(numbers, [generation.typical for generation in generations], color=palette.GREY, label="all")
         best = [generation.best for generation in generations]
-        curve.plot(numbers, best, color=palette.SERIES[0], label="best candidate")
+        curve.plot(numbers, best, color=palette.SERIES[0], label=f"least of {CANDIDATES} candidates")
         rival = next((cell.cost for cell in cells if (cell.rule, cell.latency) == ("local_min", LATENCY)), None)
         if rival is not None:
-            curve.axhline(rival, color=palette.SERIES[1], ls=":", label="local_min")
+            curve.axhline(rival, color=palette.SERIES[1], ls=":", label="local_min, unseen seeds")
         curve.set(xlabel="generation", ylabel="cost (s)", yscale="log")
         curve.legend(fontsize=7)
         _draw_costs(costs, cells)

@@ -66,7 +66,8 @@ def table(cells: list[Cell], runs: int) -> str:
     return (
         f"Sum of active times, s, N = 20, {runs} runs per cell, +- standard error\n"
         + aligned(rows)
-        + f"\nIt changes along delta by up to a factor {by_slot:.1f}, along h by {by_step:.2f}: Table I is about the "
+        + f"\nIt changes along delta by up to a factor {by_slot:.1f}, along h by up to {by_step:.2f}, chance "
+        + "included: Table I is about the "
         + ("negotiation slot." if by_slot > by_step else "motion step.")
     )
 

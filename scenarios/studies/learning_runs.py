@@ -70,7 +70,7 @@ class Generation:
     deviation: tuple[float, ...]
     """(6,) the deviations with which the next candidates are drawn."""
     best: float
-    """The mean cost of the best candidate, s."""
+    """The least mean cost of a candidate, s: on other seeds this candidate costs more."""
     typical: float
     """The mean cost of all candidates, s."""
 
