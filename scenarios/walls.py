@@ -3,7 +3,8 @@
 Six pursuers look for an evader in four rooms (`scenarios/rooms.toml`). The walls block nothing, one of radio, sight and
 motion, or all of them. With walls for radio, pursuers hear each other within a room and through doors; with walls for
 sight, they see the evader so; with walls for motion, all players walk around walls. Each cost is the difference from
-walls that block nothing, with the same seeds. All start at the same places, which are outside of the walls.
+walls that block nothing, with the same seeds. All protocols, also `local_min`, have their default parameters. All start
+at the same places, which are outside of the walls.
 """
 
 from collections.abc import Mapping, Sequence
