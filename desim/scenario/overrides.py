@@ -1,5 +1,6 @@
 """The source of a scenario before validation: its tables, overrides of keys, and the origin of each key."""
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -22,6 +23,9 @@ from desim.config.suggestion import did_you_mean
 from desim.config.tables import holds, value_at
 from desim.kernel.models.presets import PRESETS
 from desim.scenario.override_texts import key_and_value, key_and_values
+
+_QUOTED = re.compile(r"""(["'])([^"']+)\1""")
+"""Matches a part of a key in quotes."""
 
 
 class ScenarioError(KeyedError):
@@ -251,12 +255,13 @@ class Source:
                     del table[key]
 
     def _parts(self, name: str) -> list[str]:
-        """Return the parts of a dotted name.
+        """Return the parts of a dotted name; a part in quotes, as TOML allows it, is what they enclose.
 
         The rest after `sweep.grid` is one key, such as "team.count", unless the source has nested tables for it.
         """
+        name = _QUOTED.sub(r"\2", name)
         parts = name.split(".")
-        within, key = parts[:2], name.removeprefix("sweep.grid.").strip("\"'")
+        within, key = parts[:2], name.removeprefix("sweep.grid.")
         nested = [*within, *key.split(".")]
         if within != ["sweep", "grid"] or not parts[2:]:
             return parts

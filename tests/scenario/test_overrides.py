@@ -271,3 +271,20 @@ def test_a_key_of_a_grid_that_is_written_twice_is_refused():
     source = of_text('[sweep.grid]\nnetwork.range = [1.0]\n"network.range" = [2.0]')
     with pytest.raises(ScenarioError, match=r"^f:1: sweep\.grid: network\.range is given twice"):
         validate(source)
+
+
+@pytest.mark.parametrize("key", ["team.count", 'team."count"', "team.'count'", '"team"."count"', '"team.count"'])
+def test_a_part_of_a_key_in_quotes_is_what_they_enclose(key):
+    """As in TOML, in an override and in the grid."""
+    source = Source("s", {}, Scenario)
+    source.override(f"{key}=3")
+    source.vary(f"{key}=4,5")
+    scenario = validate(source)
+    assert (scenario.team.count, scenario.sweep.grid) == (3, {"team.count": (4, 5)})
+
+
+def test_a_quote_without_another_is_a_part_of_the_key():
+    source = Source("s", {}, Scenario)
+    source.override('team."count=3')
+    with pytest.raises(ScenarioError, match=r'team\."count: unknown key'):
+        validate(source)
