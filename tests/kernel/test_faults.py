@@ -16,7 +16,7 @@ from desim.kernel.core.events import Trace
 from desim.kernel.core.seeds import stream
 from desim.kernel.core.units import SECOND
 from desim.kernel.fault_injection import inject
-from desim.kernel.models.access import Aloha
+from desim.kernel.models.access import Aloha, Csma, CsmaCa
 from desim.kernel.models.clock_skew import MIN_DRIFT, ClockSkew, clock_errors
 from desim.kernel.models.fault_plans import RandomCrashes, RandomFaults, draw_faults
 from desim.kernel.models.faults import Crash, Jamming, MessageFault, Partition
@@ -516,4 +516,32 @@ def test_what_a_fault_does_to_a_message_is_forgotten_when_its_arrival_is_known(a
         network.send(node, (node + 1) % 3, "x", size=1)
     clock.run(until=SECOND // 2)
     assert network.message_counts().lost_by["message_fault"] > 0
+    assert network.fault_state._intercepted == network.fault_state._copies == {}
+
+
+@pytest.mark.parametrize(
+    ("medium", "cause"),
+    [
+        (Bitrate(bitrate=1e3, queue_limit=0), "queue"),
+        (Bitrate(bitrate=1e3, queue_limit=0, access=Aloha()), "queue"),
+        (Bitrate(bitrate=1e3, access=Csma(attempts=1)), "access"),
+        (Bitrate(bitrate=1e3, access=CsmaCa(window=1, doublings=0, retries=1)), "collision"),
+        (Bitrate(bitrate=1e3), "crash"),
+        (Bitrate(bitrate=1e3, access=Aloha()), "crash"),
+    ],
+)
+def test_what_a_fault_does_to_a_message_that_never_starts_is_forgotten(medium, cause):
+    """Four messages leave at once and one soon after; some are dropped, given up, or lost in a crash as they wait."""
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(3), Links(medium=medium), fault_state=FaultState())
+    faults = [MessageFault(messages=tuple(range(1, 10)), delay=0.5, duplicate=True)]
+    inject([*faults, *[Crash(node=0, start=0.001, end=9.0)] * (cause == "crash")], clock, network)
+    clock.run(until=Instant(clock, 0, Phase.DECISION))
+    for node in (0, 1, 0, 1):
+        network.send(node, 2, "x", size=20)
+    clock.run(until=Instant(clock, SECOND // 100, Phase.DECISION))
+    network.send(2, 1, "x", size=20)
+    clock.run(until=5 * SECOND)
+    assert network.message_counts().lost_by[cause] > 0
+    assert network.message_counts().in_flight == 0
     assert network.fault_state._intercepted == network.fault_state._copies == {}

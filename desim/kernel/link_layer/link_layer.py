@@ -65,12 +65,12 @@ class LinkLayer:
                 succeed=self._succeed,
                 acknowledge=self._departure.acknowledgement,
                 wait=wait,
-                lose=self._log.give_up,
+                lose=self._give_up,
             )
             self._transmitter = Contention(state, medium, seed, callbacks)
         elif type(medium) is not Unlimited:
             self._transmitter = Transmitter(
-                env, medium, state.topology.size, self._leave, wait, self._log.give_up, sampler.processing
+                env, medium, state.topology.size, self._leave, wait, self._give_up, sampler.processing
             )
         self._receivers = self._departure.receivers
         self._contends = isinstance(self._transmitter, Contention)
@@ -125,7 +125,7 @@ class LinkLayer:
         taken += self._hosts.flush(node) if self._hosts is not None else []
         for transmission in taken:
             reached, *_ = self._on_air.pop(transmission.number, (transmission.receivers,))
-            self._log.lose(transmission, dict.fromkeys(reached, cause))
+            self._lose_unstarted(transmission, dict.fromkeys(reached, cause))
 
     def message_counts(self) -> MessageCounts:
         """Return the counts of messages up to now; each sent message is delivered, lost or in flight."""
@@ -189,6 +189,16 @@ class LinkLayer:
         assert self._hosts is not None
         self._log.queue(transmission)
         self._hosts.process(transmission)
+
+    def _give_up(self, transmission: Transmission, cause: Cause = "queue") -> None:
+        """Lose a transmission that never starts, or is not repeated any more."""
+        self._lose_unstarted(transmission, dict.fromkeys(transmission.receivers, cause))
+
+    def _lose_unstarted(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
+        """Lose a transmission whose arrivals are not scheduled, so what a fault does to it would never be asked."""
+        if self._fault_state is not None:
+            self._fault_state.forget(transmission.number)
+        self._log.lose(transmission, causes)
 
     def _succeed(self, transmission: Transmission) -> None:
         self._leave(transmission, draws=False)
@@ -373,10 +383,6 @@ class MessageLog:
             self._lost[cause] += 1
         for watch in self.loss_watchers:
             watch(transmission, causes)
-
-    def give_up(self, transmission: Transmission, cause: Cause = "queue") -> None:
-        """Count and record that all messages of a transmission are lost now."""
-        self.lose(transmission, dict.fromkeys(transmission.receivers, cause))
 
     def _record_losses(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
         """Append losses to the trace."""

@@ -325,12 +325,17 @@ class FaultState:
             reached: the nodes that it reaches.
             arrival: its arrival times there, ns.
         """
-        self._intercepted.pop(number, None)
-        copies = self._copies.pop(number, None)
+        copies = self._copies.get(number)
+        self.forget(number)
         if copies is None:
             return []
         arrivals = dict(zip(reached, per_receiver(arrival, len(reached)), strict=True))
         return [(node, arrivals[node] + nanoseconds(late)) for node, late in copies if node in arrivals]
+
+    def forget(self, number: int) -> None:
+        """Forget what the interceptions do to a transmission; nothing if they do nothing."""
+        self._intercepted.pop(number, None)
+        self._copies.pop(number, None)
 
     def _require_change(self) -> None:
         """Raise ValueError if the state may not be changed now."""
