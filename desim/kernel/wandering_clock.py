@@ -126,7 +126,9 @@ class WanderingClock(NodeClock):
         return round(self._walk.when(time - self._offset) * SECOND)
 
     def span(self, duration: float) -> int:
-        """Return the true duration (ns) from now of a local duration (s)."""
+        """Return the true duration (ns) from now of a local duration (s); of a negative one as at the mean rate."""
+        if duration < 0.0:
+            return super().span(duration)
         return max(self.when(self.now + duration) - self.true, 0)
 
 

@@ -92,6 +92,16 @@ def test_a_span_ends_where_the_clock_shows_that_it_has_passed():
     assert env.now != 2.5 * SECOND
 
 
+@pytest.mark.parametrize("skew", [ClockSkew(drift=0.25), ClockSkew(drift=0.25, offset_walk=0.01)])
+def test_a_negative_span_is_negative_and_refused_whether_or_not_a_clock_wanders(skew):
+    env = Clock()
+    (clock,) = node_clocks(env, [skew], 1, 3, UNTIL)
+    env.run(until=Instant(env, SECOND, Phase.DECISION))
+    assert clock.span(-0.5) == -0.4 * SECOND
+    with pytest.raises(ValueError, match="has passed"):
+        Instant(env, env.now + clock.span(-0.5), Phase.DECISION)
+
+
 @pytest.mark.timeout(10)
 def test_the_error_of_a_clock_stays_as_it_is_from_the_end_on():
     (clock,) = clocks(ClockSkew(offset_walk=1e-3), until=SECOND)

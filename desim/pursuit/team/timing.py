@@ -81,7 +81,7 @@ class Timing:
         if type(duration) is not float:
             duration = real(duration, f"pursuer {self.id}: sleep: the duration")
         try:
-            if duration < 0.0:  # of which a clock that wanders makes 0
+            if duration < 0.0:  # also one that rounds to 0 ns
                 raise ValueError(duration)
             return self._event(self._env.now + self._clock.span(duration), phase)
         except (OverflowError, ValueError) as error:
