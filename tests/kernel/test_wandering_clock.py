@@ -92,7 +92,7 @@ def test_a_span_ends_where_the_clock_shows_that_it_has_passed():
     assert env.now != 2.5 * SECOND
 
 
-@pytest.mark.parametrize("skew", [ClockSkew(drift=0.25), ClockSkew(drift=0.25, offset_walk=0.01)])
+@pytest.mark.parametrize("skew", [ClockSkew(node=0, drift=0.25), ClockSkew(node=0, drift=0.25, offset_walk=0.01)])
 def test_a_negative_span_is_negative_and_refused_whether_or_not_a_clock_wanders(skew):
     env = Clock()
     (clock,) = node_clocks(env, [skew], 1, 3, UNTIL)

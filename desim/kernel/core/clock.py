@@ -299,5 +299,5 @@ class NodeClock:
         return round((time - self._offset) / self._rate * SECOND)
 
     def span(self, duration: float) -> int:
-        """Return the true duration (ns) of a local duration (s); of a negative one a negative, which no event accepts."""
+        """Return the true duration (ns) of a local duration (s), negative for a negative one."""
         return nanoseconds(duration / self._rate)
