@@ -218,12 +218,14 @@ def _stamp_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
         for skew in skews
     )
     way = error * max(evader.speed for evader in scenario.evaders)
-    # Along the line of sight of an evader that is close to its capture.
-    deviation = sqrt(covariance_of(scenario.sensing.noise, complex(scenario.capture.radius)).xx)
+    try:  # along the line of sight of an evader that is close to its capture
+        deviation = sqrt(covariance_of(scenario.sensing.noise, complex(scenario.capture.radius)).xx)
+    except Exception:  # a run may never ask a user's noise for this vector
+        return
     if way > DISPLACED * deviation:
         yield (
             "sensing.estimator",
             f"clocks are wrong by {error:.2g} s at the end, in which an evader moves {way:.2g} m, and a sighting has an"
-            f" error of {deviation:g} m: a filter takes time stamps for exact, and is too sure of itself"
+            f" error of {deviation:.2g} m: a filter takes time stamps for exact, and is too sure of itself"
             " (`clocks.sync`)",
         )

@@ -175,12 +175,22 @@ class Sonar:
         return self.variance, 0.0, 9.0
 
 
-@pytest.mark.parametrize(("variance", "is_warned_of"), [(0.25, True), (0.36, False)])
+@pytest.mark.parametrize(("variance", "is_warned_of"), [(0.25, True), (0.250001, True), (0.36, False)])
 def test_wrong_time_stamps_are_compared_with_the_noise_of_a_user(variance, is_warned_of):
     """In 0.3 s an evader of 0.9 m/s moves 0.27 m: half of a deviation of 0.54 m along the line of sight."""
     sensing = {"noise": Sonar(variance), "estimator": "kalman"}
     found = dict(warned(fault=[{"kind": "clock_skew", "offset": 0.3}], sensing=sensing))
     assert ("a sighting has an error of 0.5 m" in found.get("sensing.estimator", "")) == is_warned_of
+
+
+class FarSonar(Sonar):
+    def covariance(self, offset):
+        return (1.0 / max(abs(offset) - 0.5, 0.0),) * 3
+
+
+def test_a_noise_that_is_not_defined_close_to_a_pursuer_gives_no_warning():
+    sensing = {"noise": FarSonar(0.0), "estimator": "kalman"}
+    assert "sensing.estimator" not in dict(warned(fault=[{"kind": "clock_skew", "offset": 0.3}], sensing=sensing))
 
 
 @pytest.mark.parametrize("speeds", [(1.0, 3.0), (3.0, 1.0)])
