@@ -9,6 +9,8 @@ from types import FrameType
 
 SIGNALS = tuple(signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """SIGINT, SIGTERM and SIGHUP, as far as this platform has them; Windows has no SIGHUP."""
+_LEFT = (None, signal.SIG_IGN)
+"""The handlers that `deferred` leaves: None is one that was not set from Python."""
 
 
 class Terminated(KeyboardInterrupt):
@@ -56,18 +58,29 @@ def raising() -> Iterator[None]:
 def deferred() -> Iterator[None]:
     """Hold back the signals that arrive while the block runs, and raise the first of them at its end.
 
-    A library that calls Python code may swallow the exception of a signal, or wrap it in another exception.
+    Use it around a call of a library that itself calls Python code: the library may swallow the exception of a signal,
+    or wrap it in another exception. A signal that is ignored (as SIGHUP under nohup) stays ignored.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     received: list[int] = []
-    handlers = {signum: handler for signum in SIGNALS if (handler := signal.getsignal(signum)) is not None}
-    for signum in handlers:
-        signal.signal(signum, lambda number, _: received.append(number))
+    is_over = False
+    handlers = {signum: handler for signum in SIGNALS if (handler := signal.getsignal(signum)) not in _LEFT}
+
+    def hold(number: int, _: FrameType | None) -> None:
+        if is_over:  # a signal between two calls below has raised an exception, so that this handler has stayed
+            signal.signal(number, handlers[signal.Signals(number)])
+            signal.raise_signal(number)
+        else:
+            received.append(number)
+
     try:
+        for signum in handlers:
+            signal.signal(signum, hold)
         yield
     finally:
+        is_over = True
         for signum, handler in handlers.items():
             signal.signal(signum, handler)
         for number in received[:1]:

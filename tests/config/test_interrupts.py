@@ -47,6 +47,45 @@ def test_the_first_of_several_signals_is_raised_when_the_outermost_block_ends():
         signal.signal(signal.SIGTERM, before)
 
 
+def test_an_ignored_signal_takes_the_place_of_no_other():
+    """As SIGHUP under nohup, which comes first when a terminal is closed."""
+    seen = []
+    ignored = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    before = signal.signal(signal.SIGTERM, lambda number, _: seen.append(number))
+    try:
+        with deferred():
+            signal.raise_signal(signal.SIGHUP)
+            signal.raise_signal(signal.SIGTERM)
+        assert seen == [signal.SIGTERM]
+    finally:
+        signal.signal(signal.SIGHUP, ignored)
+        signal.signal(signal.SIGTERM, before)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("after", range(6))
+def test_a_signal_while_a_block_begins_or_ends_leaves_no_signal_without_effect(monkeypatch, number, after):
+    """It is sent after one of the calls that replace the three handlers, or that restore them."""
+    calls, set_handler = iter(range(100)), signal.signal
+
+    def interrupted(*arguments):
+        set_handler(*arguments)
+        if next(calls) == after:
+            signal.raise_signal(number)
+
+    def block():
+        with deferred():
+            pass
+
+    with raising():
+        monkeypatch.setattr(signal, "signal", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            block()
+        for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            with pytest.raises(KeyboardInterrupt):
+                signal.raise_signal(each)
+
+
 @pytest.mark.parametrize("block", [deferred, raising])
 def test_a_block_in_another_thread_changes_no_handler(block):
     """Only the main thread may set handlers, so the control is a block in it."""
