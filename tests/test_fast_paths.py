@@ -21,6 +21,7 @@ NO_PAIR = {
     "desim/kernel/models/traits.py": "says what a user's method `draw` is for; the network does it",
     "desim/kernel/tc/writer.py": "refuses what it cannot write",
     "desim/pursuit/motion/environment.py": "says that there is no flow, and nothing is computed in another way",
+    "desim/pursuit/sensing/noise.py": "asks whether an answer of a user has to be checked",
     "desim/pursuit/team/observation.py": "saves questions that have one answer for that type",
     "protocols/schedules/periodic.py": "the block is a part of what a seed means, so there is no other way",
 }

@@ -58,7 +58,7 @@ ALLOWED = {
         "desim.kernel.stepped_arguments": "Edges",
         "desim.scenario.liar_warnings": "ByzantineFault FalseAnnouncements Liar RandomLies Reputation Selective Silent"
         " Slander Trimmed",
-        "desim.scenario.motion_warnings": "ClockSkew PositionNoise RangeBearingNoise",
+        "desim.scenario.motion_warnings": "ClockSkew",
         "desim.scenario.link_warnings": "Disk Edges LinkTrace LoRa QuasiUnitDisk Radio Reliable Window",
     },
     "a figure of link traces, one for each unit": {

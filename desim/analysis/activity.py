@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from desim.analysis.trace_index import captures, ended, events_of, places_of, remembered, started
+from desim.analysis.trace_index import captures, ended, places_of, remembered, started, traced_events
 from desim.config.arrays import Bools, Floats, Integers
 from desim.kernel.core.portable_math import inner_product, portable_sum
 from desim.kernel.core.units import SECOND, nanoseconds
@@ -54,7 +54,7 @@ class EvaderPursuit:
 @remembered
 def decisions(result: Result) -> list[Decided]:
     """Return the decisions, in order, whether or not they changed an action."""
-    return events_of(result, Decided)
+    return traced_events(result, Decided)
 
 
 @remembered

@@ -145,9 +145,9 @@ def believed_leaders(result: Result) -> float:
     times, steps = np.append(others.begin, others.until), np.repeat([1, -1], len(others.begin))
     order = np.lexsort((times, evader, reader))
     # After an event at which the count is not 0, and up to the next, the reader knows of others on the evader.
-    known = np.flatnonzero(np.cumsum(steps[order]))
+    begins = np.flatnonzero(np.cumsum(steps[order]))
     chasing = actions.time(reader, evader, times)[order]
-    alone = int(actions.lasted[actions.did > 0].sum()) - portable_sum((chasing[known + 1] - chasing[known]).tolist())
+    alone = int(actions.lasted[actions.did > 0].sum()) - portable_sum((chasing[begins + 1] - chasing[begins]).tolist())
     return alone / end if end else nan
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from math import nan
 
-from desim.analysis.trace_index import captures, events_of
+from desim.analysis.trace_index import captures, traced_events
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import seconds
 from desim.kernel.models.traced_faults import FaultStarted, Misbehaviour
@@ -15,7 +15,7 @@ from desim.simulation.run import Result, run
 def first_lies(result: Result) -> dict[int, int]:
     """Return the time, ns, at which the first Byzantine fault of each pursuer that has one begins, by pursuer."""
     lies: dict[int, int] = {}
-    for event in events_of(result, FaultStarted):
+    for event in traced_events(result, FaultStarted):
         if isinstance(event.fault, Misbehaviour):
             lies.setdefault(event.fault.node, event.t)
     return lies
@@ -34,7 +34,7 @@ def false_accusations(result: Result) -> int:
     lies = first_lies(result)
     return sum(
         1
-        for event in events_of(result, Distrusted)
+        for event in traced_events(result, Distrusted)
         if event.distrusted and lies.get(event.suspect, event.t + 1) > event.t and event.pursuer not in lies
     )
 
@@ -45,7 +45,7 @@ def time_to_detect(result: Result) -> float:
     The mean is over the pursuers that are distrusted before the end of the run; nan if there are none.
     """
     lies, detections = first_lies(result), dict[int, int]()
-    for event in events_of(result, Distrusted):
+    for event in traced_events(result, Distrusted):
         begun = lies.get(event.suspect)
         if event.distrusted and event.pursuer not in lies and begun is not None and event.t >= begun:
             detections.setdefault(event.suspect, event.t - begun)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from desim.analysis.deception import first_lies
-from desim.analysis.trace_index import ended, events_of, places_of, remembered, require_messages, started
+from desim.analysis.trace_index import ended, places_of, remembered, require_messages, started, traced_events
 from desim.config.arrays import Integers
 from desim.kernel.core.events import LOST, Broadcast, ClockCorrected, Delivered, Lost, Sent
 from desim.kernel.core.records import Record
@@ -261,7 +261,7 @@ def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Tra
     *columns, numbers, receivers = np.array(transmissions, np.int64).reshape(-1, 5).T
     sent = np.repeat(np.arange(len(receivers)), receivers)
     node, at = (np.fromiter(chain.from_iterable(column), np.int64, len(sent)) for column in (nodes, arrivals))
-    lost = [event.transmission * size + event.dst for event in events_of(result, Lost)]
+    lost = [event.transmission * size + event.dst for event in traced_events(result, Lost)]
     arrived = np.flatnonzero((at != LOST) & (at <= end))
     arrived = arrived[~np.isin(numbers[sent[arrived]] * size + node[arrived], lost)]
     # In order of (node, at, sent): the rows are in order of `sent`, and nearly in order of `at`, which is then fast.
@@ -284,7 +284,7 @@ class _Clocks:
         self._walks = clock_walks(faults, self._errors, result.seed, nanoseconds(scenario.horizon))
         self._corrections: dict[int, list[tuple[int, float]]] = {}
         """By node: the time, ns, and the value, s, of each correction, the newest first."""
-        for correction in events_of(result, ClockCorrected):
+        for correction in traced_events(result, ClockCorrected):
             self._corrections.setdefault(correction.node, [(0, 0.0)]).insert(0, (correction.t, correction.correction))
         self._lies = first_lies(result)
         self._published: dict[tuple[int, int], int] = {}
@@ -349,7 +349,7 @@ def _columns(records: list[Record], evaders: int) -> _Announcements:
 def _memory_losses(result: Result) -> dict[int, list[int]]:
     """Return the times, ns, at which each pursuer lost its memory: at the end of each crash with `memory` = false."""
     memory_losses: dict[int, list[int]] = {}
-    for over in events_of(result, FaultEnded):
+    for over in traced_events(result, FaultEnded):
         if isinstance(over.fault, Crash) and not over.fault.memory:
             memory_losses.setdefault(over.fault.node, []).append(over.t)
     return memory_losses

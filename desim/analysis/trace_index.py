@@ -67,7 +67,7 @@ def places_of(result: Result, *kinds: type) -> list[int]:
     return sorted(chain.from_iterable(at for kind, at in _places(result).items() if issubclass(kind, kinds)))
 
 
-def events_of(result: Result, kind: type[Kind]) -> list[Kind]:
+def traced_events(result: Result, kind: type[Kind]) -> list[Kind]:
     """Return the events of one type, in order, as `Trace.of` does; see `places_of`."""
     if not isinstance(result, TraceIndex):
         return result.trace.of(kind)
@@ -78,19 +78,19 @@ def events_of(result: Result, kind: type[Kind]) -> list[Kind]:
 @remembered
 def started(result: Result) -> Started:
     """Return the `Started` event, the first of the run."""
-    return events_of(result, Started)[0]
+    return traced_events(result, Started)[0]
 
 
 @remembered
 def ended(result: Result) -> Ended:
     """Return the `Ended` event, which gives the time and the reason of the end of the run."""
-    return events_of(result, Ended)[0]
+    return traced_events(result, Ended)[0]
 
 
 @remembered
 def captures(result: Result) -> list[Captured]:
     """Return the captures in order."""
-    return events_of(result, Captured)
+    return traced_events(result, Captured)
 
 
 @remembered
@@ -102,7 +102,7 @@ def positions_known(result: Result) -> bool:
 @remembered
 def samples(result: Result) -> list[Started | Sampled]:
     """Return the events with positions: the start and, unless the game is static, the samples."""
-    return [started(result), *(() if result.scenario.motion.static else events_of(result, Sampled))]
+    return [started(result), *(() if result.scenario.motion.static else traced_events(result, Sampled))]
 
 
 def sampled(result: Result) -> list[Sampled]:
@@ -111,7 +111,7 @@ def sampled(result: Result) -> list[Sampled]:
     Raises:
         ValueError: if there are none.
     """
-    states = events_of(result, Sampled)
+    states = traced_events(result, Sampled)
     if not states:
         raise ValueError(NO_POSITIONS)
     return states
@@ -141,11 +141,11 @@ def require_messages(result: Result) -> None:
 @remembered
 def messages(result: Result) -> MessageCounts:
     """Return the numbers of messages; a broadcast counts as one message per receiver."""
-    return events_of(result, MessageCounts)[0]
+    return traced_events(result, MessageCounts)[0]
 
 
 @remembered
 def transport(result: Result) -> TransportCounts | None:
     """Return what transports did; None if no message needed a transport."""
-    counts = events_of(result, TransportCounts)
+    counts = traced_events(result, TransportCounts)
     return counts[0] if counts else None

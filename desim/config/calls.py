@@ -14,8 +14,8 @@ def check_method(value: Any, name: str, takes: Sequence[str]) -> None:
     """Raise ValueError if a model has no method with a name and these arguments."""
     method: Any = getattr(value, name, None)
     if not callable(method):
-        what = f"{value_text(method)} of {name_and_place(value)}"
-        raise ValueError(f"{name} should be a method {name}({', '.join(takes)}) (got {what})")
+        answer = f"{value_text(method)} of {name_and_place(value)}"
+        raise ValueError(f"{name} should be a method {name}({', '.join(takes)}) (got {answer})")
     try:
         check_call(method, takes, value)
     except AnswerError as error:

@@ -86,16 +86,16 @@ def load_named(kind: str, folder: Path | None) -> Any:
         where = f"; also searched in the folder of the file, {folder.absolute()}"
         package = module_beside(module, folder)
     place = package.removeprefix(module.partition(".")[0]).partition(".")[0]
-    load = (lambda: reduce(getattr, name.split("."), import_module(package))) if point is None else point.load
-    return imported(kind, load, place, where)
+    look_up = (lambda: reduce(getattr, name.split("."), import_module(package))) if point is None else point.load
+    return imported(kind, look_up, place, where)
 
 
-def imported(kind: str, load: Callable[[], Any], place: str = "", where: str = "") -> Any:
+def imported(kind: str, look_up: Callable[[], Any], place: str = "", where: str = "") -> Any:
     """Return the object "module:name" that a function imports.
 
     Args:
         kind: "module:name".
-        load: the function, whose import runs the code of the module.
+        look_up: the function, whose import runs the code of the module.
         place: the part of the name of the module that has a folder; "" if none has.
         where: what the error says about where the module was looked for.
 
@@ -105,7 +105,7 @@ def imported(kind: str, load: Callable[[], Any], place: str = "", where: str = "
         HiddenPackageError: if another package hides one of desim.
     """
     try:
-        return load()
+        return look_up()
     except (HiddenPackageError, MemoryError):
         raise
     except AttributeError as error:

@@ -3,7 +3,6 @@
 import pytest
 
 from desim.analysis.trace_index import (
-    events_of,
     lacks_messages,
     messages_recorded,
     places_of,
@@ -12,6 +11,7 @@ from desim.analysis.trace_index import (
     sampled,
     samples,
     trace_index,
+    traced_events,
 )
 from desim.kernel.core.events import MessageCounts, Trace
 from desim.pursuit.core.events import Decided, Ended, Sampled, Started
@@ -82,8 +82,8 @@ def test_events_are_those_of_the_trace_in_order_also_of_a_derived_type(derive):
     result = ran(0.1)
     result.trace.events.insert(2, SpecialSample(*result.trace.of(Sampled)[0]))
     searched, events = derive(result), result.trace.events
-    assert events_of(searched, Sampled) == result.trace.of(Sampled) != []
-    assert events_of(searched, Ended) == result.trace.of(Ended) != []
+    assert traced_events(searched, Sampled) == result.trace.of(Sampled) != []
+    assert traced_events(searched, Ended) == result.trace.of(Ended) != []
     places = places_of(searched, Sampled, Decided)
     assert places == [k for k, event in enumerate(events) if isinstance(event, Sampled | Decided)]
     assert 2 in places

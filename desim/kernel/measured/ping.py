@@ -113,8 +113,8 @@ def probes_of(text: str) -> list[Probe]:
         first: stamps.get(earliest, 0.0) - interval * (earliest - first),
         end: stamps.get(latest, 0.0) + interval * (end - latest),
     }
-    known = sorted(stamps)
-    sent = np.interp(range(first, end + 1), known, [stamps[seq] for seq in known]).tolist()
+    dated = sorted(stamps)
+    sent = np.interp(range(first, end + 1), dated, [stamps[seq] for seq in dated]).tolist()
     return [Probe(time, replies[seq][1] if seq in replies else None) for seq, time in enumerate(sent, first)]
 
 

@@ -60,7 +60,7 @@ class CaseJudge:
         by_case: dict[int, CaseRun] = {}
         if self._log is not None:
             logged = ((k, self._log.find(planned.scenario, planned.seed)) for k, planned in enumerate(cases))
-            by_case = {k: known for k, known in logged if known and not known.failure.startswith(TOO_LONG)}
+            by_case = {k: case_run for k, case_run in logged if case_run and not case_run.failure.startswith(TOO_LONG)}
         missing = [k for k in range(len(cases)) if k not in by_case]
         if missing:
             by_case |= dict(zip(missing, self._run_all([cases[k] for k in missing]), strict=True))

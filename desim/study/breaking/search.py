@@ -65,7 +65,7 @@ class Violation:
         Args:
             jobs: the number of worker processes; 0 = the number of cores.
             log: what was run before, which is not run again; it receives what is run.
-            timeout: the longest wall time of a run, s; None: no limit. If in doubt, that of the search.
+            timeout: the longest wall time of a run, s; None: no limit; if in doubt, that of the search.
         """
         name = self.scenario.protocol_name
         verdicts: dict[str, Judgement | str] = (

@@ -194,8 +194,8 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
         without = names_of_metrics(without)
         names: Mapping[Any, Any] = labels
         if no_text := [name for name, text in names.items() if not isinstance(text, str)]:
-            name, given = without_addresses(str(no_text[0])), value_text(labels[no_text[0]])
-            raise ValueError(f"the label of {name} should be a text (got {given})")
+            name, label = without_addresses(str(no_text[0])), value_text(labels[no_text[0]])
+            raise ValueError(f"the label of {name} should be a text (got {label})")
         notes = sweep_tables.notes(self, names_of_metrics(metrics))
         tables = self.tables(metrics, against=against)
         if labels or without:
