@@ -26,9 +26,9 @@ UNITS = MappingProxyType(
 """The unit in which a number is expected instead of another one, and how many of these it is."""
 
 
-def exact_text(number: float) -> str:
-    """Return a number as a text from which the same number is read: 2, 0.1, 12345.678."""
-    short = f"{number:.15g}"
+def exact_text(number: float, digits: int = 15) -> str:
+    """Return a number as a text from which the same number is read, with up to so many digits if they are enough."""
+    short = f"{number:.{digits}g}"
     return short if float(short) == number else repr(number)
 
 

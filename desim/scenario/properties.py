@@ -109,7 +109,7 @@ class Property(Value):
     @property
     def text(self) -> str:
         """The property as a text, without its name; `Property` objects are made from such texts."""
-        parts = {key: exact_text(part) if isinstance(part, float) else part for key, part in self}
+        parts = {key: exact_text(part, 6) if isinstance(part, float) else part for key, part in self}
         return self.form.format(**parts) + (f" against {self.against}" if self.against else "")
 
     @property

@@ -264,6 +264,14 @@ TEXTS = [
 ]
 
 
+@pytest.mark.parametrize(
+    ("bound", "text"), [("2.0", "2"), ("1000000", "1e+06"), ("12345678", "12345678.0"), ("0.1234567", "0.1234567")]
+)
+def test_the_text_of_a_property_stays(bound, text):
+    """Stores and columns of tables are named by it."""
+    assert property_of(f"idle at most {bound} in total").text == f"idle at most {text} in total"
+
+
 @pytest.mark.parametrize("text", TEXTS)
 def test_a_text_is_the_property_that_states_it_and_a_file_keeps_it(tmp_path, text):
     prop = property_of(text)
