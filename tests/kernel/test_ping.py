@@ -48,6 +48,13 @@ PING 1.1.1.1 (1.1.1.1): 56 data bytes
 --- 1.1.1.1 ping statistics ---
 3 packets transmitted, 1 packets received, 66% packet loss
 """
+FIRST_LOST_IPV6 = """\
+PING6(56=40+8+8 bytes) ::1 --> ::1
+16 bytes from ::1, icmp_seq=1 hlim=64 time=3.611 ms
+
+--- ::1 ping6 statistics ---
+3 packets transmitted, 1 packets received, 66.7% packet loss
+"""
 WINDOWS_IPV6 = (
     "Pinging ::1 with 32 bytes of data:\nReply from ::1: time<1ms \nRequest timed out.\nReply from ::1: time=3ms\n"
 )
@@ -71,6 +78,7 @@ OUTPUTS = {
     MACOS: [(0.0, None), (1.0, 0.012345), (2.0, None)],
     BUSYBOX: [(0.0, 0.003611)],
     FIRST_LOST: [(0.0, None), (1.0, 0.003611), (2.0, None)],
+    FIRST_LOST_IPV6: [(0.0, None), (1.0, 0.003611), (2.0, None)],
     WINDOWS_IPV6: [(0.0, 0.001), (1.0, None), (2.0, 0.003)],
     WINDOWS: [(0.0, 0.012), (1.0, None), (2.0, 0.001), (3.0, None)],
 }
@@ -79,7 +87,17 @@ OUTPUTS = {
 @pytest.mark.parametrize(
     "text",
     OUTPUTS,
-    ids=["Linux", "with times", "uneven times", "macOS", "BusyBox", "first lost", "Windows, IPv6", "Windows"],
+    ids=[
+        "Linux",
+        "with times",
+        "uneven times",
+        "macOS",
+        "BusyBox",
+        "first lost",
+        "first lost, IPv6",
+        "Windows, IPv6",
+        "Windows",
+    ],
 )
 def test_each_probe_has_its_time_and_its_round_trip(text):
     """A lost one has a time between those of its neighbours."""
@@ -109,6 +127,8 @@ NO_REPLY = {
     "macOS": "PING a (10.0.0.2): 56 data bytes\n"
     + "".join(f"Request timeout for icmp_seq {seq}\n" for seq in range(4))
     + "\n--- a ping statistics ---\n5 packets transmitted, 0 packets received, 100.0% packet loss\n",
+    "macOS, IPv6": "PING6(56=40+8+8 bytes) ::1 --> ::2\n\n--- ::2 ping6 statistics ---\n"
+    "5 packets transmitted, 0 packets received, 100.0% packet loss\n",
     "Windows": "Pinging 10.0.0.2 with 32 bytes of data:\n"
     + 5 * "Request timed out.\n"
     + "\nPing statistics for 10.0.0.2:\n    Packets: Sent = 5, Received = 0, Lost = 5 (100% loss),\n",

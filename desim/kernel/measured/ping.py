@@ -27,8 +27,8 @@ RECEIVED = re.compile(
     r"\d+ packets transmitted, (\d+) (?:packets )?received.*|.*Sent = \d+, Received = (\d+),.*", re.ASCII
 )
 """Matches the line with the number of replies."""
-START = re.compile(r"(?:PING|Pinging) .*")
-FROM_0 = re.compile(r"PING .*: \d+ data bytes.*")
+START = re.compile(r"(?:PING |PING6?\(\d+=|Pinging ).*")
+FROM_0 = re.compile(r"PING .*: \d+ data bytes.*|PING6?\(\d+=.*")
 """Matches the first line of macOS, BSD and BusyBox, which number probes from 0; Linux numbers them from 1."""
 INTERVAL = 1.0
 """Time between probes, s, if the output has no times."""
@@ -71,7 +71,7 @@ def probes_of(text: str) -> list[Probe]:
     Raises:
         ValueError: if the text is the output of several pings, a summary only, or of more than `MAX_PROBES` probes.
     """
-    if "time=" not in text and "time<" not in text and "PING " not in text and "Pinging " not in text:
+    if "time=" not in text and "time<" not in text and "PING" not in text and "Pinging " not in text:
         return []
     lines = [line.strip() for line in text.split("\n")]
     starts = sum(bool(START.fullmatch(line)) for line in lines)
