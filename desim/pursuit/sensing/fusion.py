@@ -60,8 +60,8 @@ def fused(tracks: Sequence[InformedTrack], how: Fusion) -> Track:
     contain counts as often. covariance_intersection: of two, they are averaged with the weight w = det(P2) / (det(P1)
     + det(P2)), which is consistent whatever the correlation of the errors (Julier & Uhlmann 1997). It is the fast
     weight of Niehsen (2002) with determinants in place of traces, which add m^2 and (m/s)^2: so it does not depend on
-    units and axes. The weight that
-    minimises the determinant would make it slightly less, but jumps from one track to another of equal covariance.
+    units and axes. The weight that minimises the determinant would make it slightly less, but jumps from one track to
+    another of equal covariance.
 
     Kept equal to corrections of the first track by
     `tests/pursuit/test_tracking.py::test_tracks_that_are_fused_by_information_are_those_that_are_corrected`.
