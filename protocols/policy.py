@@ -19,6 +19,7 @@ from pydantic import Field, ValidationInfo, model_validator
 from desim.config.errors import KeyedError, Problem
 from desim.config.model import FirstError, Value
 from desim.config.number_files import text_of_file
+from desim.config.number_texts import counted
 from desim.config.suggestion import did_you_mean
 from desim.config.tables import object_once
 from desim.config.trust import resolve_path
@@ -62,7 +63,9 @@ class Layer(Value):
             if len(row) != self.inputs:
                 raise ValueError(f"weights should be a matrix: row {k} has {len(row)} numbers, row 0 has {self.inputs}")
         if len(self.bias) != len(self.weights):
-            raise ValueError(f"bias should have a number for each of {len(self.weights)} rows, has {len(self.bias)}")
+            raise ValueError(
+                f"bias should have a number for each of {counted(len(self.weights), 'row')}, has {len(self.bias)}"
+            )
         return self
 
     @property

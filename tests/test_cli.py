@@ -14,12 +14,12 @@ import pytest
 
 from desim.analysis.measuring import summary
 from desim.analysis.statistics import FIRST_LOOK
-from desim.analysis.tables import counted
 from desim.cli import main
 from desim.cli.recorded import labels_of
 from desim.config.extras import missing
 from desim.config.field_docs import fields_of
 from desim.config.model import Value
+from desim.config.number_texts import counted
 from desim.kernel.models.latency import Gamma
 from desim.pursuit.core.traits import ProtocolTraits
 from desim.results import provenance

@@ -47,7 +47,9 @@ SCENARIOS = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
 CASES = int(os.environ.get("FUZZ", "0"))
 LIMIT = 1.0
 """Time after which a run is ended, s."""
-WAITING = re.compile(r"processes wait\n  (the world: |pursuer \d+: |[\d,]+ processes wait at )\S+\.py:\d+ \(\S+\): ")
+WAITING = re.compile(
+    r"process(?:es wait| waits)\n  (the world: |pursuer \d+: |[\d,]+ processes wait at )\S+\.py:\d+ \(\S+\): "
+)
 """The head of what processes wait for, and its first line, of one process or of several at one line of code."""
 SLOW = 100.0
 """Longest time that a command may take whose run is ended after the limit, s: it hangs, however slow the machine."""

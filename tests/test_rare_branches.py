@@ -510,7 +510,7 @@ REFUSED = {
     ),
     "too few names of nodes": (
         lambda: desim.Edges(nodes=3, edges=[{"src": 0, "dst": 1}], names=("a", "b")),
-        "names should be one per node: there are 3 nodes and 2 names",
+        "names should be one per node (got 2 names for 3 nodes)",
     ),
     "networks that are closed": (step_of_closed_networks, "closed"),
     "losses that are numbers": (lambda: as_booleans([1, 0], desim.Bernoulli()), "losses should be booleans"),

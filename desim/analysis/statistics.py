@@ -46,6 +46,7 @@ from typing import TypeGuard
 import numpy as np
 
 from desim.config.arrays import Floats
+from desim.config.number_texts import counted
 from desim.kernel.core.portable_math import portable_sum
 
 NORMAL_975 = 1.959963984540054
@@ -79,7 +80,7 @@ class Estimate:
     count: int
 
     def __str__(self) -> str:
-        runs = f"{self.count:,} run{'' if self.count == 1 else 's'}"
+        runs = counted(self.count, "run")
         if self.others is not None:
             return f"{self.mean:.10g} in all of {runs} (of all others, at most {self.others:.1%} differ, 95 %)"
         digits = 4
@@ -154,7 +155,7 @@ class Share(Estimate):
 
     def __str__(self) -> str:
         low, high = self.interval
-        runs = f"{self.count:,} run{'' if self.count == 1 else 's'}"
+        runs = counted(self.count, "run")
         return f"{self.mean:.4g} ({low:.4g} to {high:.4g}, 95 % Wilson interval, {runs})"
 
     @property

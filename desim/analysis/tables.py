@@ -8,6 +8,7 @@ from desim.analysis.measuring import users_metrics
 from desim.analysis.metrics import METRICS, Summary, title, words
 from desim.analysis.statistics import Estimate, Share, mean_or_share, share, t_quantile, wilson
 from desim.config.json_numbers import json_number
+from desim.config.number_texts import counted
 from desim.kernel.core.portable_math import portable_sum
 from desim.scenario.scenario import Scenario
 
@@ -81,11 +82,6 @@ def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -
         + aligned(rows)
         + f"\nwall time {wall_time:.3f} s, {rate:,.0f} messages/s"
     )
-
-
-def counted(number: int, noun: str) -> str:
-    """Return a number of things as text: 1 run, 2 runs."""
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
 def number(value: float, digits: int = 3) -> str:

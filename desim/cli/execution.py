@@ -47,7 +47,7 @@ class Execution:
 
         End the program as `failures_told` does, or if no scheduler answers.
         """
-        from desim.analysis.tables import counted
+        from desim.config.number_texts import counted
         from desim.study.workers.executors import workers_for
 
         def kept() -> str:

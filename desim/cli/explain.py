@@ -11,6 +11,7 @@ from desim.cli.output import FAILED, echo, fail, folder_for, storing
 from desim.cli.result_files import present, record_command
 from desim.cli.sources import shown_metrics, source_of
 from desim.config.file_names import STORE
+from desim.config.number_texts import counted
 
 
 @click.command()
@@ -55,5 +56,5 @@ def explain(
             explanation = variants.carry_out(store, workers, shown)
     present(explanation, folder, "explain", as_json=as_json)
     if explanation.failed:
-        echo(f"for {explanation.failed} seeds a run failed; the same command retries them", err=True)
+        echo(f"for {counted(explanation.failed, 'seed')} a run failed; the same command retries them", err=True)
         sys.exit(FAILED)

@@ -1,5 +1,6 @@
 """`desim export`: the runs of a sweep as a table; the events of a run as a table, a capture file or an MCAP file."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -137,7 +138,8 @@ def _export_run(
     scenario = vars(result).get("scenario")  # a streamed result has one if the exporter has asked for it
     if is_recorded(source) and scenario is not None and scenario.record.messages is False:
         echo(f"warning: {source}: messages were not recorded, and are left out: set record.messages = true", err=True)
-    written = "" if count is None else f"{count:,} {traits.items} to "
+    items = traits.items if count != 1 else re.sub("s$", "", re.sub("ies$", "y", traits.items))
+    written = "" if count is None else f"{count:,} {items} to "
     echo(f"wrote {written}{file}", err=True)
 
 
@@ -150,7 +152,7 @@ def _export_sweep(
 ) -> None:
     """Write the runs of a sweep to a file, or the tables of metrics; end the program if that is not possible."""
     from desim.analysis.table_formats import SUFFIXES
-    from desim.analysis.tables import counted
+    from desim.config.number_texts import counted
     from desim.study.results.result import SweepResult
     from desim.study.results.runs import SHOWN
     from desim.study.store.store import Store

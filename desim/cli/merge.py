@@ -9,6 +9,7 @@ from desim.cli.options import MIX_VERSIONS
 from desim.cli.output import echo, fail, storing
 from desim.cli.result_files import record_command
 from desim.config.file_names import STORE, STORES, TRACE
+from desim.config.number_texts import counted
 
 
 @click.command()
@@ -33,7 +34,7 @@ def merge(stores: tuple[Path, ...], out: Path, mix_versions: bool) -> None:
         # An empty store has no root seed.
         root = store.read_property("root seed", int) if "root seed" in store.about else 0
         record_command(store, out, "merge", seed=root, runs=count, stores=names)
-    echo(f"{count} runs are in {out / STORE}")
+    echo(f"{counted(count, 'run')} {'is' if count == 1 else 'are'} in {out / STORE}")
 
 
 def store_files(stores: tuple[Path, ...]) -> list[Path]:

@@ -75,8 +75,8 @@ def _usual_page(sources: tuple[Path, ...]) -> Path:
 
 def _size(result: "Result") -> str:
     """Return the number of pursuers, the duration and the number of messages of a run as text."""
-    from desim.analysis.tables import counted
     from desim.analysis.trace_index import messages, started
+    from desim.config.number_texts import counted
     from desim.kernel.core.units import time_text
 
     counts = messages(result)
@@ -91,7 +91,7 @@ def _size(result: "Result") -> str:
 @limited
 def report(folder: Path, out: Path | None, against: tuple[tuple[str, str], ...]) -> None:
     """Make a page about a sweep: a DIR written by `desim sweep -o DIR` or `desim explain -o DIR`."""
-    from desim.analysis.tables import counted
+    from desim.config.number_texts import counted
     from desim.view.pages.report import Study
     from desim.view.pages.report import report as page_of
 

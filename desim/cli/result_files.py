@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from desim.cli.output import echo, storing
 from desim.config.file_names import STORE
+from desim.config.number_texts import counted
 from desim.config.whole_files import write_whole
 
 if TYPE_CHECKING:
@@ -40,7 +41,9 @@ def adding_to(folder: Path) -> Iterator["Store"]:
     with storing(folder), Store(folder / STORE) as store:
         before = len(store)
         yield store
-        echo(f"{store.added} runs were performed, {before} were already stored; store: {folder / STORE}", err=True)
+        performed = f"{counted(store.added, 'run')} {'was' if store.added == 1 else 'were'} performed"
+        stored = f"{before:,} {'was' if before == 1 else 'were'} already stored"
+        echo(f"{performed}, {stored}; store: {folder / STORE}", err=True)
 
 
 def record_command(store: "Store", into: Path, *made: Any, **more: Any) -> None:

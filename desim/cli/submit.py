@@ -107,7 +107,7 @@ def submit(
 
     The same command again submits only the parts that are not done.
     """
-    from desim.analysis.tables import counted
+    from desim.config.number_texts import counted
     from desim.scenario.overrides import ScenarioError
     from desim.study.results.runs import SHOWN
     from desim.study.sweeps import array_job

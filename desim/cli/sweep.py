@@ -123,7 +123,7 @@ def sweep(
 
     Runs that have succeeded are skipped, so the same command continues a sweep.
     """
-    from desim.analysis.tables import counted
+    from desim.config.number_texts import counted
     from desim.results import provenance
     from desim.study.results.runs import SHOWN
     from desim.study.store.store import Store
@@ -304,7 +304,8 @@ def _plan_text(
         until: the metric and the half width of --until.
     """
     from desim.analysis.statistics import FIRST_LOOK
-    from desim.analysis.tables import aligned, counted
+    from desim.analysis.tables import aligned
+    from desim.config.number_texts import counted
     from desim.study.results.runs import text
 
     wanted = [(configuration.key, k) for configuration, k in jobs]
@@ -365,7 +366,7 @@ def _write_summary(
 
 def _end_if_failed(result: "SweepResult", folder: Path) -> None:
     """End the program if runs have failed, and say how to see why."""
-    from desim.analysis.tables import counted
+    from desim.config.number_texts import counted
 
     if result.failed:
         echo(

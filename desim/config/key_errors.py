@@ -22,7 +22,7 @@ from desim.config.field_docs import fields_of
 from desim.config.key_index import unit_in
 from desim.config.key_suggestions import other_key, suggestion
 from desim.config.model import Value, markers_of, models_in
-from desim.config.number_texts import why_no_number
+from desim.config.number_texts import counted, why_no_number
 from desim.config.python_numbers import as_python
 from desim.config.tables import holds, value_at
 
@@ -136,7 +136,7 @@ class Wording:
         if error_type in {"too_long", "too_short"}:
             most = error_type == "too_long"
             limit = context["max_length" if most else "min_length"]
-            number = f"{limit} {'item' if limit == 1 else 'items'}, has {context['actual_length'] or 'none'}"
+            number = f"{counted(limit, 'item')}, has {context['actual_length'] or 'none'}"
             return f"should have at {'most' if most else 'least'} {number}"
         return (_no_number(error["input"], info) if error_type in NUMBERS else None) or text_of(error)
 

@@ -32,6 +32,11 @@ def exact_text(number: float, digits: int = 15) -> str:
     return short if float(short) == number else repr(number)
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number of things as text: 1 run, 2 runs."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
 def why_no_number(text: str, units: Collection[str] = ("s", "1")) -> str | None:
     """Return what to write instead of a text that is meant as a number; None for any other text, such as a kind.
 

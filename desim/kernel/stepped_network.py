@@ -27,6 +27,7 @@ from desim.config.arguments import naming_arguments, value_text
 from desim.config.arrays import Floats
 from desim.config.fresh import fresh_copy
 from desim.config.model import MAX_TIME
+from desim.config.number_texts import counted
 from desim.config.python_numbers import real, whole
 from desim.kernel.core.clock import NEVER, RARE_COLLECTION, Clock, Instant, Phase
 from desim.kernel.core.events import Cause, MessageCounts, Trace, TransportCounts
@@ -156,7 +157,7 @@ class SteppedNetwork:
         if not isinstance(trace, Trace | None):
             raise ValueError(f"trace should be a desim.kernel.core.events.Trace (got {value_text(trace)})")
         if trace is not None and trace.events:
-            raise ValueError(f"trace has {len(trace):,} events of another episode: give a new Trace()")
+            raise ValueError(f"trace has {counted(len(trace), 'event')} of another episode: give a new Trace()")
         if trace is not None and trace.is_taken:
             raise ValueError("trace belongs to another network, or to another episode of this one: give a new Trace()")
         seed, size, clock = seed_of(seed), len(self._nodes), Clock()
@@ -519,7 +520,7 @@ class SteppedNetwork:
 
     def __repr__(self) -> str:
         state = "closed" if self._problem == CLOSED else f"{self.now:g} s"
-        return f"<SteppedNetwork of {len(self._nodes)} nodes, seed {self._seed}, {state}>"
+        return f"<SteppedNetwork of {counted(len(self._nodes), 'node')}, seed {self._seed}, {state}>"
 
     def __reduce__(self) -> Any:
         if not self._is_unused or self._problem:

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple, get_args
 from desim.analysis.measuring import summary
 from desim.analysis.metrics import METRICS, Summary
 from desim.analysis.statistics import Estimate, mean, paired, t_quantile
-from desim.analysis.tables import aligned, counted, decimals_of, number
+from desim.analysis.tables import aligned, decimals_of, number
 from desim.config.arguments import scenario_argument
+from desim.config.number_texts import counted
 from desim.config.python_numbers import whole
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import SECOND

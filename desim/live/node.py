@@ -26,6 +26,7 @@ from desim.config.arrays import Floats, Integers, Points, array_of
 from desim.config.calls import check_argument
 from desim.config.fresh import fresh_copy
 from desim.config.model import MAX_COORDINATE
+from desim.config.number_texts import counted
 from desim.config.python_numbers import whole
 from desim.kernel.clock_sync import Synchroniser, TwoWay
 from desim.kernel.core.clock import Clock, Instant, Phase
@@ -244,7 +245,9 @@ class Node:
         """
         addresses = [checked_address(peer) for peer in peers]
         if len(peers) != self._state.size:
-            raise ValueError(f"peers should be the addresses of {self._state.size} pursuers (got {len(peers)})")
+            raise ValueError(
+                f"peers should be the addresses of {counted(self._state.size, 'pursuer')} (got {len(peers)})"
+            )
         self._peers = [
             peer if number == self.pursuer else resolved(peer, self._family) for number, peer in enumerate(addresses)
         ]

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from desim.config.extras import naming_extras
+from desim.config.number_texts import counted
 from desim.config.traits import is_ours, module_of
 from desim.kernel.core.records import Record
 from desim.live.layouts import WireError
@@ -145,7 +146,7 @@ def _restored(kind: Any, parts: list[Any]) -> Any:
     """
     names = kind._fields if issubclass(kind, tuple) else [field.name for field in fields(kind)]
     if len(names) != len(parts):
-        raise ValueError(f"{kind.__name__} has {len(names)} fields, not {len(parts)}")
+        raise ValueError(f"{kind.__name__} has {counted(len(names), 'field')}, not {len(parts)}")
     if issubclass(kind, tuple):
         return kind._make(parts)
     body = object.__new__(kind)

@@ -26,6 +26,7 @@ from itertools import count
 from struct import Struct, error
 from typing import Any, NamedTuple, Self
 
+from desim.config.number_texts import counted
 from desim.kernel.clock_sync import PORT as CLOCKS
 from desim.kernel.clock_sync import TimeAnswer, TimeRequest
 from desim.kernel.core.message_size import HEADER, NUMBER
@@ -195,9 +196,9 @@ class Wire:
         word = MARK | content.src << 22 | (place or 0) << 17 | to_one << 16 | kind << 13 | number << 8 | attempt & 0xFF
         datagram = _HEADER.pack(word, seq, content.stamp) + head + data
         if len(datagram) > size or (len(datagram) < size and number != OWN):
-            raise WireError(f"{type(body).__name__} counts {size} bytes, and has {len(datagram)}")
+            raise WireError(f"{type(body).__name__} counts {counted(size, 'byte')}, and has {len(datagram)}")
         if size > LARGEST:
-            raise WireError(f"{type(body).__name__} has {size} bytes; a datagram has at most {LARGEST}")
+            raise WireError(f"{type(body).__name__} has {counted(size, 'byte')}; a datagram has at most {LARGEST}")
         return datagram.ljust(size, b"\0")
 
     def _carried(self, frame: TransportFrame, content: Message, size: int) -> tuple[Kind, int, int, int, Any]:

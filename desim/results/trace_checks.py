@@ -7,6 +7,7 @@ from typing import Any
 
 from pydantic import Field
 
+from desim.config.number_texts import counted
 from desim.kernel.core.events import LOST, Broadcast, Event, Lost, MessageCounts, Queued, Sent, TransportCounts
 from desim.kernel.core.trace_file import Limits
 from desim.kernel.models.faults import nodes_of
@@ -28,7 +29,9 @@ def whole_trace(trace: Iterable[Event]) -> Iterator[Event]:
             raise ValueError(f"line {number} is earlier than the line before")
         t = event.t
         if isinstance(event, Broadcast) and len(event.arrival) not in {1, len(event.dst)}:
-            raise ValueError(f"line {number} has {len(event.dst)} receivers and {len(event.arrival)} arrivals")
+            raise ValueError(
+                f"line {number} has {counted(len(event.dst), 'receiver')} and {counted(len(event.arrival), 'arrival')}"
+            )
         before, last = last, type(event)
         yield event
     if (before, last) != (MessageCounts, Ended):

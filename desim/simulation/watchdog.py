@@ -18,6 +18,7 @@ from types import CodeType, FrameType, GeneratorType
 from typing import TYPE_CHECKING, Any
 
 from desim.config.interrupts import deferred
+from desim.config.number_texts import counted
 from desim.config.own_modules import is_of_user
 from desim.config.python_numbers import real
 
@@ -260,12 +261,12 @@ def stuck(env: "Clock", error: TimedOut, processes: Mapping[int, Sequence["Resta
     """
     due = env.scheduled()
     alive = [(pursuer, process) for pursuer, several in processes.items() for process in several if process.is_alive]
-    head = f"{interrupted_at(env, error)}; {len(alive):,} processes wait"
+    head = f"{interrupted_at(env, error)}; {'1 process waits' if len(alive) == 1 else f'{len(alive):,} processes wait'}"
     waiting: dict[str, list[int]] = {}
     for pursuer, process in alive:
         waiting.setdefault(f"{_line(process)}{_until(process, due)}", []).append(pursuer)
     lines = [_folded(line, pursuers) for line, pursuers in list(waiting.items())[:MAX_LISTED]]
-    more = [f"... and at {len(waiting) - MAX_LISTED:,} more lines"] if len(waiting) > MAX_LISTED else []
+    more = [f"... and at {counted(len(waiting) - MAX_LISTED, 'more line')}"] if len(waiting) > MAX_LISTED else []
     return TimedOut("\n  ".join([head, *lines, *more]))
 
 

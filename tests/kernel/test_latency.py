@@ -511,7 +511,7 @@ def test_a_matrix_has_a_row_per_node_and_a_latency_for_each_link():
     ("text", "why"),
     [
         ("# none\n", r"m\.csv contains no numbers"),
-        ("0,1\n1\n", r"line 2: has 1 numbers, but the file has 2 lines of numbers: one per node; with decimal commas"),
+        ("0,1\n1\n", r"line 2: has 1 number, but the file has 2 lines of numbers: one per node; with decimal commas"),
         (
             "a,b\n0,1\n",
             r"line 1: 'a' is not a number; a header should begin with #, or name the nodes, as the first column",

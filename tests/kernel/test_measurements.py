@@ -316,7 +316,7 @@ def test_the_last_measurement_holds_for_a_mean_interval(rows, end):
         ("t,value\n1_000,1\n", {}, r"line 2: t: '1_000' is not a number; a number has the digits 0 to 9"),
         ("t,value,value\n0,1,1\n", {}, r"rtt\.csv has several columns 'value'; its columns are t, value, value"),
         ("t,value\n0,1,5\n", {}, r"line 2: has 3 cells, but the table has 2 columns"),
-        ("value;t\n0,1;5\n0,2\n", {}, r"line 3: has 1 cells, but the table has 2 columns"),
+        ("value;t\n0,1;5\n0,2\n", {}, r"line 3: has 1 cell, but the table has 2 columns"),
         ("a;t;value\n0;1;0,5\n0;2\n", {}, r"line 3: has 2 cells, but the table has 3 columns"),
         ('t,value\n0,"1\n', {}, r"rtt\.csv, line 3: unexpected end of data"),
         ("# c\nt,value\n0,1\n\n1,x\n", {}, r"rtt\.csv, line 5: value: 'x' is not a number"),

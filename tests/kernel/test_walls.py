@@ -192,7 +192,7 @@ def test_a_wall_that_is_none_is_refused_with_what_is_allowed(case):
         (
             '<svg><path transform="turn(2)" d="M0 0H1"/></svg>',
             "a.svg",
-            "turn with 1 numbers is no transformation of SVG",
+            "turn with 1 number is no transformation of SVG",
         ),
         ('<svg><path transform="scale(2" d="M0 0H1"/></svg>', "a.svg", "'scale.2' is no transformation of SVG"),
         (

@@ -138,7 +138,7 @@ GOOD = {"features": ["own.x"], "layers": [{"weights": [[1.0]], "bias": [0.0]}]}
         (json.dumps(GOOD).replace("[[1.0]]", "[[1.0], [1.0, 2.0]]"), "row 1 has 2 numbers, row 0 has 1"),
         (json.dumps(GOOD).replace("[[1.0]]", "[[]]"), "at least one number"),
         (json.dumps(GOOD).replace("[[1.0]]", "[[1.0, 2.0]]"), "layer 0 has 2 inputs, but there are 1 features"),
-        (json.dumps(GOOD).replace("[0.0]", "[0.0, 1.0]"), "bias should have a number for each of 1 rows, has 2"),
+        (json.dumps(GOOD).replace("[0.0]", "[0.0, 1.0]"), "bias should have a number for each of 1 row, has 2"),
         ("[" * 100_000, "is not JSON"),
         (json.dumps(GOOD).replace("own.x", "own.y1"), "there is no feature 'own.y1', did you mean 'y'"),
         (json.dumps(GOOD).replace("1.0", "1e300"), "layers.0.weights.0.0: should be less than or equal"),

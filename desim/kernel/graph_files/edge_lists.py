@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from desim.config.column_names import COLUMNS, WORD
 from desim.config.number_files import is_number_text, number_of
-from desim.config.number_texts import seconds_in
+from desim.config.number_texts import counted, seconds_in
 from desim.config.tables import check_once
 from desim.kernel.measured.csv_tables import separator_in, with_points
 
@@ -100,7 +100,7 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
             nodes.append(cells[0])
             continue
         if len(cells) != len(header):
-            raise ValueError(f"{file}, line {line}: should have {len(header)} columns, has {len(cells)}")
+            raise ValueError(f"{file}, line {line}: should have {counted(len(header), 'column')}, has {len(cells)}")
         place = f"{file}, line {line}"
         if not (cells[src] and cells[dst]):
             raise ValueError(f"{place}: should have two nodes; a node without edges is a line with its name only")
@@ -165,7 +165,7 @@ def read_metis(file: Path, text: str) -> "nx.Graph[Any] | None":
     if one_way := next((ends for ends in weights if weights.get(ends[::-1]) != weights[ends]), None):
         raise ValueError(f"{file}: the edge between the nodes {one_way[0]} and {one_way[1]} should be in both lines")
     if len(weights) != 2 * number:
-        raise ValueError(f"{file}, line {lines[0][0]}: says {number} edges, but {len(weights) // 2} follow")
+        raise ValueError(f"{file}, line {lines[0][0]}: says {counted(number, 'edge')}, but has {len(weights) // 2}")
     graph: nx.Graph[Any] = nx.MultiGraph()
     graph.add_nodes_from(map(str, range(1, size + 1)))
     for (node, neighbour), weight in weights.items():

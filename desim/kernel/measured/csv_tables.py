@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from desim.config.number_files import check_comments, is_plain, number_of, text_of_file
+from desim.config.number_texts import counted
 from desim.kernel.measured.ping import ping_table
 
 MAX_CELLS = 20_000_000
@@ -201,7 +202,7 @@ def _as_long_as(
     for line, cells in rows:
         if len(cells) != len(header):
             hint = "; with decimal commas, separate cells by ;" if has_commas and len(cells) > len(header) else ""
-            problem = f"has {len(cells)} cells, but the table has {len(header)} columns"
+            problem = f"has {counted(len(cells), 'cell')}, but the table has {counted(len(header), 'column')}"
             raise ValueError(f"{name}, {row_place(line, name)}: {problem}{hint}")
         yield line, cells
 

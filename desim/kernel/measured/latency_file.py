@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from desim.config.number_files import check_comments, number_of, text_of_file, words_of
+from desim.config.number_texts import counted
 from desim.kernel.measured.csv_tables import DECIMAL, plain_rows
 from desim.kernel.measured.measurements import names_beside, number_or_nan
 from desim.kernel.measured.ping import Probe, probes_of
@@ -124,7 +125,8 @@ def matrix_of(file: Path, *, unit_is_given: bool = False) -> NamedMatrix:
         raise ValueError(f"{file}, line {first}: numbers the nodes, and so does the first column: leave both out")
     for (line, _), row in zip(cells, rows, strict=True):
         if len(row) != len(rows):
-            why = f"has {len(row)} numbers, but the file has {len(rows)} lines of numbers: one per node"
+            in_row, in_file = counted(len(row), "number"), counted(len(rows), "line")
+            why = f"has {in_row}, but the file has {in_file} of numbers: one per node"
             raise ValueError(f"{file}, line {line}: {why}; with decimal commas, separate numbers by ;")
     if names and all(map(str.isdecimal, names)):
         order = sorted(range(len(names)), key=lambda node: int(names[node]))

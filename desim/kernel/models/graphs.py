@@ -10,7 +10,7 @@ from desim.config.arguments import value_text
 from desim.config.choice import OneOf
 from desim.config.errors import WORDINGS, KeyedError
 from desim.config.model import Flag, Value
-from desim.config.number_texts import seconds_in
+from desim.config.number_texts import counted, seconds_in
 from desim.config.python_numbers import as_python
 from desim.config.trust import resolve_path
 from desim.kernel.graph_files.graph_attributes import unread_attributes
@@ -175,7 +175,8 @@ class Edges(Value):
     @model_validator(mode="after")
     def _simple(self) -> Self:
         if self.names and self.nodes is not None and len(self.names) != self.nodes:
-            raise ValueError(f"names should be one per node: there are {self.nodes} nodes and {len(self.names)} names")
+            nodes, names = counted(self.nodes, "node"), counted(len(self.names), "name")
+            raise ValueError(f"names should be one per node (got {names} for {nodes})")
         seen: dict[tuple[int, int], int] = {}
         for k, edge in enumerate(self.edges):
             ends = (edge.src, edge.dst) if self.directed else (min(edge.src, edge.dst), max(edge.src, edge.dst))
@@ -215,7 +216,7 @@ class Edges(Value):
 
         nodes = self.nodes if self.nodes is not None else len(self.names) or size
         if nodes != size:
-            raise ValueError(f"the graph has {nodes} nodes, the network {size}")
+            raise ValueError(f"the graph has {counted(nodes, 'node')}, the network {size}")
         graph: nx.Graph[int] = nx.empty_graph(size, create_using=nx.DiGraph if self.directed else nx.Graph)
         for edge in self.edges:
             if max(edge.src, edge.dst) >= size:
@@ -344,9 +345,11 @@ def graph_of(model: GraphModel, size: int) -> "nx.Graph[int]":
 
     graph: object = model(size)
     if not isinstance(graph, nx.Graph):
-        raise ValueError(f"should be a simple graph of {size} nodes, got {type(graph).__name__}, not a networkx.Graph")
+        raise ValueError(
+            f"should be a simple graph of {counted(size, 'node')}, got {type(graph).__name__}, not a networkx.Graph"
+        )
     if len(graph) != size or graph.is_multigraph():
-        raise ValueError(f"should be a simple graph of {size} nodes, got {graph}")
+        raise ValueError(f"should be a simple graph of {counted(size, 'node')}, got {graph}")
     for src, dst, attributes in links_with_attributes(graph):
         for name in ("latency", "loss", "order"):
             if (value := attributes.get(name)) is not None:

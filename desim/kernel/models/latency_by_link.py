@@ -15,6 +15,7 @@ from desim.config.answers import name_and_place, wrong_answer
 from desim.config.arrays import Floats, array_of
 from desim.config.choice import OneOf
 from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
+from desim.config.number_texts import counted
 from desim.config.trust import resolve_path
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.core.seeds import ROOM
@@ -212,7 +213,7 @@ class LatencyMatrix(NamedTable):
         """Raise ValueError if the matrix is not one of `size` nodes, or has no latency for one of some links."""
         base = self.base_latencies
         if len(base) != size:
-            raise ValueError(f"{MATRIX} should have a row for each of {size} nodes, it has {len(base)}")
+            raise ValueError(f"{MATRIX} should have a row for each of {counted(size, 'node')}, it has {len(base)}")
         for src, dst in links:
             if base[src, dst] == inf:
                 raise ValueError(f"{MATRIX} has none from {src} to {dst}")

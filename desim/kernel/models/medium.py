@@ -12,6 +12,7 @@ from desim.config.arrays import Bools, Integers
 from desim.config.choice import OneOf
 from desim.config.errors import KeyedError, Problem
 from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
+from desim.config.number_texts import counted
 from desim.config.python_numbers import as_real
 from desim.config.traits import inherits, is_ours
 from desim.kernel.models.access import ACCESSES, Access, Channel, Ideal, Owner
@@ -232,7 +233,9 @@ class LoRa(Radio):
         """Raise KeyedError if the medium is not for a network of `size` nodes."""
         for name in ("spreading_factors", "frequencies"):
             if (per_node := vars(self)[name]) is not None and len(per_node) != size:
-                raise KeyedError(Problem(f"should have one for each of {size} nodes (got {len(per_node)})", name))
+                raise KeyedError(
+                    Problem(f"should have one for each of {counted(size, 'node')} (got {len(per_node)})", name)
+                )
 
         if unknown := sorted({*(self.gateways or ())}.difference(range(size))):
             raise KeyedError(Problem(f"there is no node {unknown[0]}: the nodes are 0 .. {size - 1}", "gateways"))

@@ -17,6 +17,7 @@ import numpy as np
 
 from desim.config.arrays import Floats
 from desim.config.number_files import number_of
+from desim.config.number_texts import counted
 from desim.kernel.walls.crossings import WallShape, are_inside
 from desim.kernel.walls.outlines import SVG_NUMBER, Outline, svg_outlines
 
@@ -311,7 +312,7 @@ def _transformation(kind: str, numbers: list[float]) -> Transformation:
             return 1.0, 0.0, tan(radians(degrees)), 1.0, 0.0, 0.0
         case "skewY", [degrees]:
             return 1.0, tan(radians(degrees)), 0.0, 1.0, 0.0, 0.0
-    raise ValueError(f"transform: {kind} with {len(numbers)} numbers is no transformation of SVG")
+    raise ValueError(f"transform: {kind} with {counted(len(numbers), 'number')} is no transformation of SVG")
 
 
 def _product(first: Transformation, second: Transformation) -> Transformation:

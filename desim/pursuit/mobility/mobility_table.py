@@ -25,6 +25,7 @@ from desim.config.column_names import (
     joined,
 )
 from desim.config.number_files import converted, number_of
+from desim.config.number_texts import counted
 from desim.kernel.measured.csv_tables import rows_of, separator_in, with_points
 from desim.kernel.measured.measurements import Unit, clock_unit, start_of, time_of
 from desim.pursuit.mobility.mobility import MobilityFile, NodeName, NodeTrack, Waypoint, append, coordinate, time
@@ -93,7 +94,7 @@ class MobilityTable(MobilityFile):
         rows: list[tuple[int, list[str]]] = []
         for line, cells in self._points(_cells(file, lines, first, delimiter), delimiter):
             if len(cells) != width:
-                raise ValueError(f"{file}, line {line}: has {len(cells)} cells, but the header {width}")
+                raise ValueError(f"{file}, line {line}: has {counted(len(cells), 'cell')}, but the header {width}")
             if not rows and self._t < width and cells[self._t].strip().lower() in TIME_UNITS:  # a second line of units
                 units = [cells[k].strip() for k in (self._t, self._x, self._y)]
                 continue

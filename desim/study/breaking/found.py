@@ -8,7 +8,7 @@ from typing import Any
 import tomli_w
 
 from desim.analysis.properties import Judgement
-from desim.analysis.tables import counted
+from desim.config.number_texts import counted
 from desim.config.parameters import as_jsonable
 from desim.config.traits import kind_of
 from desim.scenario.properties import Property
@@ -33,7 +33,7 @@ def scenario_text(violation: Violation, file: str, command: str, folder: Path | 
     lines = [
         f"{name} {verb} here: {told_text(verdict, violation.failure, prop)}.",
         f"Found as case {violation.searched} of: {command}",
-        f"Made smaller in {violation.shrunk} runs. What is changed:",
+        f"Made smaller in {counted(violation.shrunk, 'run')}. What is changed:",
         *(f"  {name}: {_flat(changes)}" for name, changes in violation.case.items()),
         f"Look: {command_for('run' if violation.failure else 'replay', file, violation.scenario, folder)}"
         + ("" if violation.failure else f", then add #t={verdict.at:g} to the address"),
@@ -119,7 +119,7 @@ def search_text(search: Search, prop: Property) -> str:
         )
         lines += [
             f"{verb} in case {violation.searched}: seed {violation.seed}, {told}",
-            f"smallest after {violation.shrunk} more runs: {case_text(violation.case)}",
+            f"smallest after {counted(violation.shrunk, 'more run')}: {case_text(violation.case)}",
         ]
     else:
         least = f"{_number(search.closest)} {prop.unit}".rstrip()

@@ -17,8 +17,9 @@ from desim.analysis.control_variates import FEW_CONTROLS, MIN_PAIRS, ControlledE
 from desim.analysis.measuring import Metrics, check_numeric
 from desim.analysis.metrics import title, words
 from desim.analysis.table_formats import Table, TabularResult
-from desim.analysis.tables import as_json, counted, digits_of, percent, with_half_width
+from desim.analysis.tables import as_json, digits_of, percent, with_half_width
 from desim.config.arguments import naming_arguments
+from desim.config.number_texts import counted
 from desim.config.python_numbers import whole
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario

@@ -26,10 +26,11 @@ import numpy as np
 
 from desim.analysis.statistics import Estimate, estimate
 from desim.analysis.table_formats import Table, TabularResult
-from desim.analysis.tables import as_json, counted, digits_in
+from desim.analysis.tables import as_json, digits_in
 from desim.config.arrays import Floats
 from desim.config.extras import naming_extras
 from desim.config.json_numbers import json_number
+from desim.config.number_texts import counted
 from desim.kernel.core.portable_math import portable_sum
 from desim.study.comparing.suite import AS_IT_IS, PERFECT, REFERENCE, SILENT, CostsByProtocol
 
@@ -185,7 +186,8 @@ class Benchmark(TabularResult):
 
     def tables(self) -> list[Table]:
         """Return the tables of totals, of scores by scenario, and of bounds, each as its title and rows of text."""
-        head = f"benchmark, version {self.version}: {len(self.kept)} scenarios, {self.runs} runs each"
+        scenarios, runs = counted(len(self.kept), "scenario"), counted(self.runs, "run")
+        head = f"benchmark, version {self.version}: {scenarios}, {runs} each"
         return [
             (
                 f"{head}; 1 = {REFERENCE} on a perfect network, 0 = without messages; +- is half a 95 % t interval",

@@ -10,8 +10,9 @@ from desim.analysis.measuring import check_numeric
 from desim.analysis.metrics import title, unit_of, words
 from desim.analysis.statistics import Estimate, Share, independent, paired
 from desim.analysis.table_formats import Table, TabularResult
-from desim.analysis.tables import as_json, counted, digits_of, with_half_width
+from desim.analysis.tables import as_json, digits_of, with_half_width
 from desim.config.json_numbers import json_number
+from desim.config.number_texts import counted
 from desim.study.plan.configurations import in_words, label
 from desim.study.results.runs import SHOWN, Group, SweepRuns, names_of_metrics, text
 

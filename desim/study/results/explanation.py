@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any, Self
 from desim.analysis.metrics import with_unit, words
 from desim.analysis.statistics import Estimate, Share, wilson
 from desim.analysis.table_formats import Table, TableFormat, TabularResult
-from desim.analysis.tables import aligned, as_json, counted, digits_in, number, percent, with_half_width
+from desim.analysis.tables import aligned, as_json, digits_in, number, percent, with_half_width
 from desim.config.arguments import without_addresses
 from desim.config.extras import naming_extras
+from desim.config.number_texts import counted
 from desim.kernel.core.portable_math import portable_sum
 from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT, Bounds, Cost, Saving
 from desim.study.results.runs import CAPTURE_TIMES

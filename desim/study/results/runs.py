@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from desim.analysis.measuring import check_numeric
 from desim.analysis.metrics import words
 from desim.analysis.statistics import Estimate, mean, paired, share
-from desim.analysis.tables import counted
 from desim.config.arguments import value_text, without_addresses
 from desim.config.arrays import Floats
+from desim.config.number_texts import counted
 from desim.config.suggestion import close_to
 from desim.study.plan.configurations import in_words, label
 from desim.study.store.run_table import EXACT, Row, RunTable

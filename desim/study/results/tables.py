@@ -8,10 +8,11 @@ import numpy as np
 from desim.analysis.metrics import title, unit_of, words
 from desim.analysis.statistics import wilson
 from desim.analysis.table_formats import Table
-from desim.analysis.tables import as_json, counted, digits_of, percent, with_half_width
+from desim.analysis.tables import as_json, digits_of, percent, with_half_width
 from desim.config.arrays import Floats
 from desim.config.errors import ArgumentError
 from desim.config.json_numbers import json_number
+from desim.config.number_texts import counted
 from desim.study.plan.configurations import in_words
 from desim.study.results.runs import CAPTURE_TIMES, SweepRuns, labels_of_values, text
 

@@ -5,8 +5,9 @@ from math import isnan
 from desim.analysis.drawing.palette import BLUE, GREEN, GREY, ORANGE, SKY, VERMILION
 from desim.analysis.drawing.plots import Axes, Figure, Style, figure_of, in_style, size_of, styled
 from desim.analysis.statistics import Estimate
-from desim.analysis.tables import counted, decimals_of
+from desim.analysis.tables import decimals_of
 from desim.config.escaping import escaped
+from desim.config.number_texts import counted
 from desim.kernel.core.portable_math import portable_sum
 from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT, Cost, CostByMetric
 from desim.study.results.figure_labels import literal

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 from desim.analysis.metrics import with_unit, words
 from desim.analysis.statistics import Estimate, mean, paired, share
 from desim.analysis.table_formats import Table, TabularResult
-from desim.analysis.tables import as_json, counted, digits_of, with_half_width
+from desim.analysis.tables import as_json, digits_of, with_half_width
 from desim.config.extras import naming_extras
 from desim.config.json_numbers import json_number
+from desim.config.number_texts import counted
 from desim.study.plan.configurations import in_words
 from desim.study.results.runs import text
 from desim.study.selection.kim_nelson import Selection, independent_variances, two_stage_runs

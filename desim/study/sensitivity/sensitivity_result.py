@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from desim.analysis.metrics import with_unit, words
 from desim.analysis.table_formats import Table, TabularResult
-from desim.analysis.tables import counted, percent
+from desim.analysis.tables import percent
 from desim.config.extras import naming_extras
 from desim.config.json_numbers import json_number
+from desim.config.number_texts import counted
 from desim.study.sensitivity.morris import ElementaryEffects
 from desim.study.sensitivity.sobol_indices import IndexEstimate, SobolIndices
 

@@ -5,9 +5,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from desim.analysis.tables import aligned, counted
+from desim.analysis.tables import aligned
 from desim.config.arguments import RESULTS, naming_arguments
 from desim.config.file_names import STORE, STORE_PARTS, STORES
+from desim.config.number_texts import counted
 from desim.results import provenance
 from desim.study.store.store import Store
 from desim.study.sweeps.array_job import ArrayJob, states
@@ -54,7 +55,8 @@ class SweepStatus:
         failed = f", {counted(self.failed, 'run')} failed" if self.failed else ""
         count = len([part for part in self.parts if part.state.startswith("RUNNING")])
         running = f", {counted(count, 'part')} running" if count else ""
-        head = f"{self.name}: {self.done:,}{of} runs are done{failed}{running}"
+        runs = "run is" if self.done == 1 and not of else "runs are"
+        head = f"{self.name}: {self.done:,}{of} {runs} done{failed}{running}"
         rows = [
             (
                 part.name,

@@ -3,9 +3,9 @@
 from math import isfinite
 from typing import Any
 
-from desim.analysis.tables import counted
 from desim.analysis.trace_index import captures, ended, started
 from desim.config.model import Value
+from desim.config.number_texts import counted
 from desim.config.traits import kind_of, name_of
 from desim.kernel.models.graphs import Complete
 from desim.kernel.models.latency import Constant
