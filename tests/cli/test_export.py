@@ -79,6 +79,11 @@ def test_the_number_of_rows_is_told(recorded, tmp_path):
     assert accepted("export", recorded, tmp_path / "x.csv").stderr == f"wrote {count:,} rows to {tmp_path / 'x.csv'}\n"
 
 
+def test_one_row_is_told_in_the_singular(recorded, tmp_path):
+    done = accepted("export", recorded, tmp_path / "x.csv", "--event", "Ended")
+    assert done.stderr == f"wrote 1 row to {tmp_path / 'x.csv'}\n"
+
+
 def test_a_table_may_be_restricted_to_types_of_events(recorded, tmp_path):
     assert KINDS == trace_table.KINDS
     accepted("export", recorded, tmp_path / "x.csv", "--event", "Sampled", "--event", "Captured")
