@@ -1,6 +1,7 @@
 """The search for what breaks a protocol."""
 
 import json
+import time
 from collections import Counter
 from dataclasses import replace
 from functools import partial
@@ -717,14 +718,21 @@ def test_a_run_is_in_the_log_as_soon_as_it_has_ended(tmp_path, monkeypatch):
     assert case_text(case) == 'network.latency = { kind = "constant", value = 0.2 }, team.count = 3'
 
 
-def test_a_run_that_took_too_long_is_made_again(tmp_path, monkeypatch):
-    """The limit may be another one now; another failure is that of the run."""
+@pytest.mark.parametrize(("limit", "is_kept"), [(0.001, True), (0.0015, False), (None, False)])
+def test_a_run_that_took_too_long_is_made_again_if_the_limit_is_another(tmp_path, monkeypatch, limit, is_kept):
+    """Another failure is that of the run."""
     log, kept = log_of(tmp_path / "cases.jsonl"), CaseRun(Judgement(1.0, 0.9, 0.0), [])
-    for seed, failure in ((1, "TimedOut: took longer than 1 s"), (2, "ValueError: no")):
+    with pytest.raises(TimedOut) as late, within(0.001):
+        while True:
+            time.sleep(0.001)
+    too_long = failure_of(Outcome("error", error=late.value), 0.001)
+    for seed, failure in ((1, too_long), (2, "ValueError: no")):
         log.add(SMALL, seed, CaseRun(FAILED, [], 1.0, failure))
     monkeypatch.setattr(judging, "drive", lambda tasks, *_: ((k, Outcome("ok", kept)) for k in range(len(tasks))))
-    judge_run = CaseJudge(property_of(SHORT), InProcess(), log)
-    assert [judge_run(SMALL, seed).failure for seed in (1, 2)] == ["", "ValueError: no"]
+    workers = InProcess()
+    workers.timeout = limit
+    judge_run = CaseJudge(property_of(SHORT), workers, log)
+    assert [judge_run(SMALL, seed).failure for seed in (1, 2)] == [too_long if is_kept else "", "ValueError: no"]
 
 
 @pytest.mark.parametrize(("module", "function"), [(judging, "seen_in"), (losses, "copies")])

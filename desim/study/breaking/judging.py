@@ -21,7 +21,7 @@ from desim.study.workers.dispatch import Measurement, Outcome, Task, drive
 from desim.study.workers.workers import Workers
 
 TOO_LONG = "TimedOut"
-"""How the failure of a run begins that takes longer than the limit."""
+"""How the failure of a run begins that takes longer than the limit, which `within` tells next."""
 
 
 class Planned(NamedTuple):
@@ -35,7 +35,7 @@ class Planned(NamedTuple):
 class CaseJudge:
     """Judges runs by a property. Runs that a log has are not made again; the log receives the others.
 
-    A run that took too long is made again, as the limit may be another one now.
+    A run that took too long is made again if the limit is another one now.
 
     Args:
         prop: the property.
@@ -60,12 +60,19 @@ class CaseJudge:
         by_case: dict[int, CaseRun] = {}
         if self._log is not None:
             logged = ((k, self._log.find(planned.scenario, planned.seed)) for k, planned in enumerate(cases))
-            by_case = {k: case_run for k, case_run in logged if case_run and not case_run.failure.startswith(TOO_LONG)}
+            by_case = {k: case_run for k, case_run in logged if case_run and self._holds(case_run)}
         missing = [k for k in range(len(cases)) if k not in by_case]
         if missing:
             by_case |= dict(zip(missing, self._run_all([cases[k] for k in missing]), strict=True))
         self.seconds += portable_sum(case_run.seconds for case_run in by_case.values())
         return [by_case[k] for k in range(len(cases))]
+
+    def _holds(self, case_run: CaseRun) -> bool:
+        """Return whether a judgement of the log holds: that of a run that took too long does under the same limit."""
+        if not case_run.failure.startswith(TOO_LONG):
+            return True
+        limit = self._workers.timeout
+        return limit is not None and case_run.failure.startswith(f"{TOO_LONG}: took longer than {limit:g} s")
 
     def _run_all(self, cases: Sequence[Planned]) -> list[CaseRun]:
         """Make the run of each case, and append it to the log as soon as it has ended."""
