@@ -145,6 +145,22 @@ def test_what_runs_warn_of_in_workers_is_told_once_here():
         assert str(caught[0].message).startswith("remembering.calls: an earlier run has changed it")
 
 
+def test_what_a_run_warns_of_is_told_if_it_is_repeated_alone_or_fails():
+    """The first runs share the batch of one that ends its worker, so all of them are repeated."""
+    remembering.calls = 0
+    tasks = [(None, seed) for seed in range(4)]
+
+    def measured(seed):
+        return 1 / seed if seed != 3 else 3
+
+    with pytest.warns(StateWarning, match=r"remembering\.calls: ") as caught:
+        outcomes = dict(drive(tasks, Mortal(3), measured, simulate))
+        outcomes |= dict(drive(tasks[:1], InProcess(), measured, simulate))
+    assert [outcomes[k].status for k in range(4)] == ["error", "ok", "ok", "crashed"]
+    assert len(outcomes[0].warnings) == 1
+    assert len(caught) == 2
+
+
 def test_a_warning_of_runs_has_the_place_where_their_outcomes_are_asked_for():
     with pytest.warns(StateWarning) as caught:
         list(drive_batches([(None, 1)] * 2, InProcess(), lambda result: result, simulate))

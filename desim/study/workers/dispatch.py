@@ -102,21 +102,25 @@ def drive_batches(
     def submit(batch: list[int]) -> Future[Any]:
         return workers.submit(partial(perform, [tasks[k] for k in batch], measure, simulate))
 
+    warned: set[str] = set()
     try:
         while waiting:
-            unaccounted = yield from _in_batches(waiting, submit, workers)
+            unaccounted = yield from _in_batches(waiting, submit, workers, warned)
             for k in unaccounted:
-                yield [(k, _run_alone(k, submit, workers))]
+                outcome = _run_alone(k, submit, workers)
+                _warn([outcome], warned)
+                yield [(k, outcome)]
     except BaseException:  # the other outcomes are not needed any more
         workers.stop()
         raise
 
 
-def _in_batches(waiting: deque[int], submit: Submit, workers: Workers) -> Generator[Batch, None, list[int]]:
+def _in_batches(
+    waiting: deque[int], submit: Submit, workers: Workers, warned: set[str]
+) -> Generator[Batch, None, list[int]]:
     """Submit runs until a worker dies, and yield their outcomes; return the submitted runs without an outcome."""
     out: dict[Future[Any], list[int]] = {}
     unaccounted: list[int] = []
-    warned: set[str] = set()
     broken, run_time = False, FIRST_RUN
     try:
         while out or (waiting and not broken):
@@ -186,6 +190,7 @@ def perform(tasks: Sequence[Task], measure: Measurement, simulate: Simulate) -> 
 
 def _outcome(task: Task, measure: Measurement, simulate: Simulate) -> Outcome:
     scenario, seed = task
+    texts: list[str] = []
     try:
         # Whatever the worker, each run starts from what the driver's objects hold, as if it were the only one.
         with (
@@ -204,7 +209,7 @@ def _outcome(task: Task, measure: Measurement, simulate: Simulate) -> Outcome:
         _explain(error)
         module = type(error).__module__  # with the folder in it, if the module lies beside a scenario file
         text = traceback.format_exc(limit=-INNERMOST).replace(f"{module}.", f"{plain_name(module)}.")
-        return Outcome("error", error=_picklable(error), traceback=text)
+        return Outcome("error", error=_picklable(error), traceback=text, warnings=tuple(texts))
 
 
 def _explain(error: BaseException) -> None:
