@@ -167,7 +167,13 @@ def _functions_in(values: Iterable[Any]) -> Iterator[FunctionType]:
 
 
 def _is_installed(module: ModuleType) -> bool:
-    """Return whether a module is not of a user: of desim, of Python, or of an installed package."""
+    """Return whether a module is not of a user: of desim, of Python, or of an installed package.
+
+    `__main__` is of a user, wherever its file lies: in a worker process it has the file of the worker's package, and
+    the functions of the user's script.
+    """
+    if module.__name__ == "__main__":
+        return False
     file = getattr(module, "__file__", None) or ""
     is_library = not {"site-packages", "dist-packages"}.isdisjoint(re.split(r"[/\\]", file))
     return module.__name__.partition(".")[0] in _FOREIGN or is_library

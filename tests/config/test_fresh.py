@@ -861,6 +861,18 @@ def test_state_of_an_installed_package_is_a_matter_of_its_authors(folder, monkey
         run(scenario, 1)
 
 
+def test_state_of_a_users_script_is_warned_of_in_a_worker_process(monkeypatch):
+    """There, the main module is one of the installed package of the workers, and the script came by pickle."""
+    main = ModuleType("__main__")
+    main.__file__ = "/usr/lib/python3/site-packages/loky/backend/popen_loky_posix.py"
+    script = {"__name__": "__main__"}
+    exec("calls = 0\ndef turn(state, rng):\n    global calls\n    calls += 1\n    return 1j", script)
+    monkeypatch.setitem(sys.modules, "__main__", main)
+    run(brief(script["turn"]), 1)
+    with pytest.warns(StateWarning, match="calls: an earlier run has changed it"):
+        run(brief(script["turn"]), 1)
+
+
 def test_state_that_a_function_imports_is_watched(monkeypatch):
     """As in a strategy that imports where it is called, so that its module has no such variable."""
     library = ModuleType("library_of_mine")
