@@ -13,6 +13,7 @@ from desim.cli.options import ALLOW_IMPORT, FILE, GRID, JOBS, JSON, SEED, SET, T
 from desim.cli.output import echo, fail, folder_for, make_folder, storing, write
 from desim.cli.sources import protocol_of, source_of
 from desim.cli.usage import options_given, problem
+from desim.config.data_files import content_hash
 from desim.config.whole_files import write_whole
 
 if TYPE_CHECKING:
@@ -127,9 +128,9 @@ def break_(
         if protocol is not None:
             scenario = scenario.with_({"protocol": protocol_of(protocol, "--protocol")})
         prop = checked_property(_stated(text, scenario, file.parent), scenario)
-        if keep is not None:
-            _run_kept(keep, file.parent, scenario, prop, timeout)
         with storing(folder):
+            if keep is not None:
+                _run_kept(keep, file.parent, scenario, prop, folder, jobs, timeout, as_json=as_json)
             if losses is not None:
                 table = fatal_losses(
                     scenario,
@@ -141,7 +142,7 @@ def break_(
                     jobs=jobs,
                     timeout=timeout,
                 )
-                _end_with_losses(table, scenario, prop, file, folder, as_json=as_json)
+                _end_with_losses(table, scenario, prop, file, folder, keep, as_json=as_json)
             search = find_violation(
                 scenario,
                 prop,
@@ -179,25 +180,53 @@ def _stated(text: str | None, scenario: "Scenario", folder: Path) -> "Property":
     return named[text] if text in named else property_of(text, folder=folder)
 
 
-def _run_kept(keep: Path, folder: Path, scenario: "Scenario", prop: "Property", timeout: float | None) -> None:
+def _run_kept(
+    keep: Path,
+    code: Path,
+    scenario: "Scenario",
+    prop: "Property",
+    folder: Path,
+    jobs: int,
+    timeout: float | None,
+    *,
+    as_json: bool,
+) -> None:
     """Run the kept cases of a protocol and a property, and end the program if one is still violated.
 
-    The code that they name is looked up in `folder`, as that of the scenario.
+    The code that they name is looked up in the folder `code`, as that of the scenario. With several jobs, they run in
+    worker processes, so that a case that ends its process does not end the program.
     """
     from desim.study.breaking.found import told_text
     from desim.study.breaking.judging import CaseJudge
     from desim.study.workers.executors import workers_for
 
+    lines: list[str] = []
     for file in sorted(keep.glob("*.toml")):
-        _, case = source_of(file, (), folder=folder)
+        _, case = source_of(file, (), folder=code)
         if case.protocol_name != scenario.protocol_name or prop.text not in [one.text for one in case.properties]:
             continue
-        case_run = CaseJudge(prop, workers_for(1, timeout=timeout))(case, case.seed)
+        with workers_for(jobs, timeout=timeout) as workers:
+            case_run = CaseJudge(prop, workers)(case, case.seed)
         verb = "fails" if case_run.failure else "holds" if case_run.verdict.holds else "violates"
-        echo(f"kept: {file}: {verb}: {told_text(case_run.verdict, case_run.failure, prop)}")
+        lines.append(f"kept: {file}: {verb}: {told_text(case_run.verdict, case_run.failure, prop)}")
+        echo(lines[-1], err=as_json)
         if not case_run.verdict.holds:
-            echo("nothing else was searched: mend it, or move the file away")
+            lines.append("nothing else was searched: mend it, or move the file away")
+            echo(lines[-1], err=as_json)
+            verdict = case_run.verdict._asdict()
+            violation = {"seed": case.seed, "verdict": verdict, "failure": case_run.failure, "file": str(file)}
+            document = {"property": prop.text, "unit": prop.unit, "runs": 0, "violation": violation}
+            as_text = _write_result(document, "\n".join(lines), folder)
+            if as_json:
+                echo(as_text)
             sys.exit(VIOLATED)
+
+
+def _keep(keep: Path, text: str, protocol: str, prop: "Property", seed: int) -> None:
+    """Write a found case to the folder of kept cases, under a name that no other case has."""
+    _, _, content = text.partition("\n\n")  # without the comment, which names the command
+    name = f"{protocol}-{prop.label[:40]}-{seed}-{content_hash(content.encode())[:8]}.toml"
+    write(text.encode(), keep / name.replace(":", "-"))
 
 
 def _end_with_search(
@@ -224,8 +253,7 @@ def _end_with_search(
         text = scenario_text(violation, str(smallest), command, file.parent.absolute())
         write(text.encode(), smallest)
         if keep is not None:
-            name = f"{violation.scenario.protocol_name}-{prop.label[:40]}-{violation.seed}.toml".replace(":", "-")
-            write(text.encode(), keep / name)
+            _keep(keep, text, violation.scenario.protocol_name, prop, violation.seed)
         verdicts = violation.protocols(jobs, timeout=timeout)
         at = None if violation.failure else violation.verdict.at
         again = command_for("run", str(smallest), violation.scenario, file.parent.absolute())
@@ -247,7 +275,14 @@ def _end_with_search(
 
 
 def _end_with_losses(
-    table: "LossTable", scenario: "Scenario", prop: "Property", file: Path, folder: Path, *, as_json: bool
+    table: "LossTable",
+    scenario: "Scenario",
+    prop: "Property",
+    file: Path,
+    folder: Path,
+    keep: Path | None,
+    *,
+    as_json: bool,
 ) -> NoReturn:
     """Print and write which lost, late or repeated messages are fatal, and end the program."""
     from desim.study.breaking.found import command_for, told_text, with_comment
@@ -262,7 +297,10 @@ def _end_with_losses(
             told_text(worst.verdict, worst.failure, prop),
         ]
         smallest, code = folder / "smallest.toml", file.parent.absolute()
-        write(with_comment(broken, prop, worst.seed, lines, code).encode(), smallest)
+        text = with_comment(broken, prop, worst.seed, lines, code)
+        write(text.encode(), smallest)
+        if keep is not None:
+            _keep(keep, text, broken.protocol_name, prop, worst.seed)
         at = None if worst.failure else worst.verdict.at
         texts += ["", _drawn(broken, worst.seed, folder, at, command_for("run", str(smallest), broken, code))]
     document = {
@@ -323,9 +361,15 @@ def _drawn(scenario: "Scenario", seed: int, folder: Path, at: float | None, comm
 
 def _finish(document: "dict[str, Any]", text: str, folder: Path, *, as_json: bool) -> None:
     """Print the result, and write it to the folder."""
+    as_text = _write_result(document, text, folder)
+    echo(as_text if as_json else text)
+
+
+def _write_result(document: "dict[str, Any]", text: str, folder: Path) -> str:
+    """Write the result to the folder; return its document as JSON."""
     from desim.config.json_numbers import to_json
 
     as_text = json.dumps(to_json(document), indent=2)
     write_whole(folder / "break.json", f"{as_text}\n".encode())
     write_whole(folder / "break.txt", f"{text}\n".encode())
-    echo(as_text if as_json else text)
+    return as_text

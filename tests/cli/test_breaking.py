@@ -1,14 +1,17 @@
 """`desim break`: the search from the command line, and what it leaves in its folder."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 
 from desim import judge, load, run
+from desim.cli import breaking
 from desim.cli.breaking import VIOLATED
-from desim.scenario.scenario import PROTOCOLS
-from desim.study.breaking.found import case_text
+from desim.scenario.properties import property_of
+from desim.scenario.scenario import PROTOCOLS, Scenario
+from desim.study.breaking.found import case_text, with_comment
 from tests.command import desim, refused, strict_json
 
 GAME = (
@@ -79,8 +82,36 @@ def test_a_violation_is_written_and_kept_with_all_that_repeats_it(folder):
     assert f"smallest after {violation['shrunk']} more runs: {case_text(violation['case'])}\n" in text
     again = desim(*command)
     assert again.exit_code == VIOLATED
-    assert again.stdout.startswith(f"kept: kept/cbaa-idle_at_most_0_in_total-{smallest.seed}.toml: violates: margin -")
+    assert re.match(rf"kept: kept/cbaa-idle_at_most_0_in_total-{smallest.seed}-\w{{8}}\.toml: violates: ", again.stdout)
     assert "cases" not in again.stdout
+    again = desim(*command, "--json")
+    (kept,) = Path("kept").iterdir()
+    expected = {"seed": smallest.seed, "verdict": violation["verdict"], "failure": "", "file": str(kept)}
+    document = strict_json(again.stdout)
+    assert document == {"property": made["property"], "unit": "s", "runs": 0, "violation": expected}
+    assert strict_json((folder / "found" / "break.json").read_text()) == document
+    assert f"kept: {kept}: violates: " in again.stderr
+    assert (folder / "found" / "break.txt").read_text() in again.stderr
+
+
+def test_a_kept_case_takes_the_place_of_no_other(tmp_path):
+    """A case that is found again, by another command, is kept once."""
+    prop = property_of("idle at most 2 in total")
+    for command, horizon in (("a", 1.0), ("b", 1.0), ("a", 2.0)):
+        text = with_comment(Scenario(horizon=horizon), prop, 7, [command])
+        breaking._keep(tmp_path, text, "cbaa", prop, 7)
+    assert sorted(load(path).horizon for path in tmp_path.iterdir()) == [1.0, 2.0]
+
+
+@pytest.mark.whole
+def test_a_kept_case_that_ends_its_process_does_not_end_the_program(folder):
+    (folder / "rules.py").write_text("import os\n\ndef dies(me):\n    yield me.sleep(0.5)\n    os._exit(9)\n")
+    (folder / "own.toml").write_text(GAME.replace('"cbaa"', '"rules:dies"'))
+    (folder / "kept").mkdir()
+    (folder / "kept" / "case.toml").write_text((folder / "own.toml").read_text())
+    result = desim("break", "own.toml", "--allow-import", "--keep", "kept", "-j", 2)
+    assert result.exit_code == VIOLATED
+    assert result.stdout.startswith("kept: kept/case.toml: fails: ")
 
 
 def runs_in(lines):
@@ -127,10 +158,13 @@ def test_keys_of_the_grid_are_varied_however_they_are_spelled(folder, monkeypatc
 
 @pytest.mark.whole
 def test_losses_are_tried_one_by_one(folder):
-    result = desim("break", "short.toml", "--property", CROWDED, "--losses", 1, "--set", "seed=1", "-o", "found")
+    result = desim(
+        "break", "short.toml", "--property", CROWDED, "--losses", 1, "--set", "seed=1", "-o", "found", "--keep", "kept"
+    )
     assert "if these are lost:\n  message " in result.stdout
     assert result.exit_code == VIOLATED
     smallest = load(folder / "found" / "smallest.toml")
+    assert [load(kept) for kept in (folder / "kept").iterdir()] == [smallest]
     document = json.loads((folder / "found" / "break.json").read_text())
     margins = [fatal["verdict"]["margin"] for fatal in document["fatal"]]
     assert judge(smallest.properties[0], run(smallest)).margin == min(margins) < 0.0
@@ -197,7 +231,7 @@ def test_a_property_of_a_function_beside_the_file(folder):
     command = ("break", "game.toml", "-n", 2, "--feature", "latency", "-j", 1, "-o", "found", "--property")
     found = desim(*command, "quantities:late at most 1 in total", "--keep", "kept")
     assert "violated in case 1: seed 1000000, margin -" in found.stdout
-    assert "cbaa-quantities_late_at_most_1_in_total-1000000.toml" in {path.name for path in Path("kept").iterdir()}
+    assert [*Path("kept").glob("cbaa-quantities_late_at_most_1_in_total-1000000-*.toml")]
     for text, why in (
         ("quantities:none at most 1 in total", "property 'quantities:none at most 1 in total' cannot be judged: "),
         ("quantities:lat at most 1 in total", "did you mean 'late'"),
@@ -222,7 +256,7 @@ def test_a_rule_that_raises_is_told_without_a_replay(folder):
     assert f"# Look: {again}\n" in text
     assert "[network.transport]" not in text, "defaults are left out"
     again = desim("break", "own.toml", "--allow-import", "--keep", "kept", "-o", "found", "-n", 2)
-    assert again.stdout.startswith("kept: kept/raises-covered-1000000.toml: fails: KeyError: 'planted'")
+    assert re.match(r"kept: kept/raises-covered-1000000-\w{8}\.toml: fails: KeyError: 'planted'", again.stdout)
 
 
 def test_a_file_without_properties_needs_one(folder):
