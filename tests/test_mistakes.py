@@ -349,6 +349,25 @@ def test_a_wrong_line_of_a_protocol_says_what_to_write(line):
     assert LINES[line] in " ".join([str(refused.value), *getattr(refused.value, "__notes__", ())])
 
 
+class Base:
+    def __init__(self, value):
+        super().__init__(value)
+
+
+class Slotted:
+    def __new__(cls, value):
+        return super().__new__(cls, value)
+
+
+@pytest.mark.parametrize("line", ["Base(3)", "Slotted(3)"])
+def test_a_wrong_call_of_a_class_of_the_user_gets_no_advice_about_a_method_of_the_pursuer(line):
+    names: dict[str, Any] = {"Base": Base, "Slotted": Slotted}
+    exec(f"def mine(me):\n    yield me.sleep(0.001)\n    {line}", names)
+    with pytest.raises(TypeError) as refused:
+        desim.run(SHORT.with_({"protocol": names["mine"]}))
+    assert [note.partition(",")[0] for note in refused.value.__notes__] == ["(pursuer 0"]
+
+
 class Key:
     """A key of a dict, as people write it."""
 

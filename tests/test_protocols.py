@@ -14,7 +14,7 @@ import protocols
 from desim import Scenario, load, run
 from desim.kernel.core.trace_file import line_of
 from desim.kernel.core.units import SECOND
-from desim.kernel.models.faults import Partition
+from desim.kernel.models.faults import Crash, Partition
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Ended, Started
@@ -337,3 +337,35 @@ def test_errors_of_a_user_protocol_are_reported_with_pursuer_and_time(protocol, 
         run(Scenario(protocol=protocol), 0)
     (note,) = raised.value.__notes__
     assert re.fullmatch(r"\(pursuer \d+, at [\d.]+ s of its clock\)", note)
+
+
+def renames_itself(me):
+    yield me.sleep(0.1 * (1 + (me.id != 1)))
+    me.id = 0
+    raise KeyError("planted")
+
+
+def fails_at_its_end(me):
+    try:
+        yield me.sleep(9.0)
+    finally:
+        if me.id == 1:
+            raise KeyError("planted")
+
+
+def goes_on_at_its_end(me):
+    try:
+        yield me.sleep(9.0)
+    except GeneratorExit:
+        if me.id == 1:
+            yield me.sleep(9.0)
+
+
+@pytest.mark.parametrize(
+    ("protocol", "at"), [(renames_itself, 0.1), (fails_at_its_end, 0.3), (goes_on_at_its_end, 0.3)]
+)
+def test_an_error_has_the_number_of_its_pursuer_also_if_it_comes_with_a_crash(protocol, at):
+    crash = Crash(node=1, start=0.2, end=0.3, memory=False)
+    with pytest.raises((KeyError, RuntimeError)) as raised:
+        run(Scenario(protocol=protocol, fault=[crash], horizon=1.0), 0)
+    assert raised.value.__notes__ == [f"(pursuer 1, at {at} s of its clock)"]

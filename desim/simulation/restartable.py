@@ -49,7 +49,11 @@ class RestartableProcess(simpy.Process):
                 if remembers:
                     missed = awaited if missed is None and awaited.processed else missed
                 elif self.behaviour is not None:
-                    self.behaviour.close()
+                    try:
+                        self.behaviour.close()  # runs its `finally`
+                    except (Exception, SystemExit) as error:
+                        _add_notes(error, pursuer, agent)
+                        raise
                     self.behaviour = missed = None
                 if self.behaviour is None or awaited.processed:
                     awaited = agent.at(agent.now, phase)  # resume in its phase, after the arrivals of this instant
@@ -72,10 +76,15 @@ class RestartableProcess(simpy.Process):
                     raise _id_was_set(agent, pursuer) from None
                 return
             except (Exception, SystemExit) as error:
-                error.add_note(f"(pursuer {value_text(agent.id)}, at {agent.now:g} s of its clock)")
-                if isinstance(error, TypeError | AttributeError) and (advice := _advice(error)):
-                    error.add_note(advice)
+                _add_notes(error, pursuer, agent)
                 raise
+
+
+def _add_notes(error: BaseException, pursuer: int, agent: Agent) -> None:
+    """Add to an exception of a behaviour its pursuer and the time of its clock, and advice if there is any."""
+    error.add_note(f"(pursuer {pursuer}, at {agent.now:g} s of its clock)")
+    if isinstance(error, TypeError | AttributeError) and (advice := _advice(error)):
+        error.add_note(advice)
 
 
 def _id_was_set(agent: Agent, pursuer: int) -> AttributeError:
@@ -90,8 +99,8 @@ OF_METHOD = re.compile(r"'(?:method|function)' object|operand .*'(?:method|funct
 """Finds in a message of Python that a method was used like a value."""
 EVENTS = {"Event", "Instant"}
 NOT_ITERABLE = re.compile(r"'(\w+)' object is not iterable")
-OF_CALL = re.compile(r"(\w+)\.(\w+)\(\) ")
-"""Finds in a message of Python the class and the name of a method that was called with wrong arguments."""
+OF_CALL = re.compile(r"(\w+)\.([^\W_]\w*)\(\) ")
+"""Finds in a message of Python the class and the name of a public method that was called with wrong arguments."""
 
 
 def _advice(error: TypeError | AttributeError) -> str:
