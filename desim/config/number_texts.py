@@ -26,7 +26,7 @@ UNITS = MappingProxyType(
 """The unit in which a number is expected instead of another one, and how many of these it is."""
 
 
-def exact_text(number: float, digits: int = 15) -> str:
+def exact_text(number: float, digits: int) -> str:
     """Return a number as a text from which the same number is read, with up to so many digits if they are enough."""
     short = f"{number:.{digits}g}"
     return short if float(short) == number else repr(number)

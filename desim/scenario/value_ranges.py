@@ -62,7 +62,7 @@ class KeyRange:
         return abs(second - first) / (self.high - self.low)
 
     def __str__(self) -> str:
-        return f"{'log:' if self.is_log else ''}{exact_text(self.low)}:{exact_text(self.high)}"
+        return f"{'log:' if self.is_log else ''}{exact_text(self.low, 15)}:{exact_text(self.high, 15)}"
 
 
 def rounded(number: float) -> float:

@@ -394,7 +394,7 @@ MISFITS = {
     "places": (with_field("Sampled", pursuers=[["x", "y"]]), "pursuers.0.0: should be a number"),
     "too few places": (with_field("Sampled", pursuers=[[0.0, 1.0]]), "pursuers: Tuple should have at least"),
     "evaders": (with_field("Sampled", evaders=[[0.0, 1.0]] * 9), "evaders: Tuple should have at most"),
-    "arrivals": (with_field("Broadcast", arrival=[0.1] * 99), "has .* receivers and 99 arrivals"),
+    "arrivals": (with_field("Broadcast", arrival=[0.1] * 99), "has .* receivers? and 99 arrivals"),
     "transmission": (with_field("Lost", transmission=1 << 40), f"loses a message that was not sent: {1 << 40} to "),
     "order": (with_field("Ended", t=0.0), "is earlier than the line before"),
     "start": (twice("Started"), "is a second Started"),
