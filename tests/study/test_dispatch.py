@@ -153,9 +153,12 @@ def test_what_a_run_warns_of_is_told_if_it_is_repeated_alone_or_fails():
     def measured(seed):
         return 1 / seed if seed != 3 else 3
 
-    with pytest.warns(StateWarning, match=r"remembering\.calls: ") as caught:
+    def driven():
         outcomes = dict(drive(tasks, Mortal(3), measured, simulate))
-        outcomes |= dict(drive(tasks[:1], InProcess(), measured, simulate))
+        return outcomes | dict(drive(tasks[:1], InProcess(), measured, simulate))
+
+    with pytest.warns(StateWarning, match=r"remembering\.calls: ") as caught:
+        outcomes = driven()
     assert [outcomes[k].status for k in range(4)] == ["error", "ok", "ok", "crashed"]
     assert len(outcomes[0].warnings) == 1
     assert len(caught) == 2
