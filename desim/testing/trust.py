@@ -34,7 +34,7 @@ SITUATIONS: dict[str, dict[str, Any]] = {
     },
     "a run in which positions are announced": {"payload": "state"},
 }
-"""Scenarios of five pursuers that differ from the first in one or two keys."""
+"""What each scenario changes in that of an honest team of five."""
 
 
 class _Observer:
@@ -63,8 +63,8 @@ def check_trust(trust: Any, *, limit: float = 10.0) -> None:
     """Check a trust; if you are unsure whether yours is right, run this.
 
     It checks that each pursuer gets a judge of its own, with all methods; that a judge answers True or False about a
-    record, and ignores teammates that made a claim only; that it forgets when it is told to; and that two runs of
-    scenarios with honest teams, liars, slanderers, crashes and late messages are equal.
+    record, and ignores nobody but teammates that made a claim; that after forget() it answers as a new judge does; and
+    that two runs of scenarios with honest teams, liars, slanderers, crashes and late messages are equal.
 
     Args:
         trust: an object, a class that needs no parameters, a kind, or "module:name".
@@ -76,13 +76,14 @@ def check_trust(trust: Any, *, limit: float = 10.0) -> None:
     tested = subject(trust, TRUSTS, "trust")
     with tested.judged("judge(witness)", limit), tested.fresh() as model:
         judge, other = judge_of(model, _Observer()), judge_of(model, _Observer())
-    if judge is not None:
+    if judge is not None and other is not None:
         tested.require(
             judge is not other,
             "judge(witness) returns the same object for two pursuers, which would then know of each other without a"
             " message: create a judge at each call",
         )
         _check_judge(tested, judge, limit)
+        _check_forgets(tested, judge, other, limit)
     for where, parts in SITUATIONS.items():
 
         def scenario(parts: dict[str, Any] = parts) -> Scenario:
@@ -116,5 +117,25 @@ def _check_judge(tested: Subject, judge: Any, limit: float) -> None:
         tested.require(not strangers, f"{call} returns {ignored}, expected pursuers among {[*claims]}")
     with tested.judged("report()", limit):
         judge.report()
+
+
+def _check_forgets(tested: Subject, judge: Any, new: Any, limit: float) -> None:
+    """Check that a judge that has been called before answers after forget() as a new one.
+
+    Before, it meets the teammates in the order of their ids, and afterwards in the other one.
+    """
+
+    def believed(judge: Any, order: range) -> dict[int, bool]:
+        return {src: is_believed(judge, Record(src, 9, 2 * SECOND, Assignment(1))) for src in order}
+
+    with tested.judged("believes(record) of each teammate", limit):
+        believed(judge, range(1, 5))
     with tested.judged("forget()", limit):
         judge.forget()
+    with tested.judged("believes(record) after forget()", limit):
+        kept, expected = believed(judge, range(4, 0, -1)), believed(new, range(4, 0, -1))
+    tested.require(
+        kept == expected,
+        f"forget() should forget all evidence: believes(record) about teammates then answers {kept}, and that of a new"
+        f" judge {expected}",
+    )

@@ -92,6 +92,24 @@ def judge(**methods):
 SHARED = Judge()
 
 
+class FirstTwo(Judge):
+    """Believes the first two teammates that it hears, for ever."""
+
+    def __init__(self, *_):
+        self.known = []
+
+    def believes(self, record):
+        self.known += [record.src] * (len(self.known) < 2 and record.src not in self.known)
+        return record.src in self.known
+
+
+class FirstTwoAnew(FirstTwo):
+    """Forgets them when it is told to."""
+
+    def forget(self):
+        self.known = []
+
+
 TRUSTS = [
     (trust(lambda witness: SHARED), "returns the same object for two pursuers"),
     (trust(lambda witness: 3), "should return None, or an object with the methods"),
@@ -104,6 +122,7 @@ TRUSTS = [
     (trust(lambda witness: judge(ignored=lambda self, own, claims: 3)), "should return a collection of pursuers"),
     (trust(lambda witness: judge(ignored=lambda self, own, claims: [9])), "expected pursuers among"),
     (trust(lambda witness: judge(forget=lambda self: 1 / 0)), r"forget\(\) raises ZeroDivisionError"),
+    (trust(FirstTwo), r"answers \{4: False, 3: False, 2: True, 1: True\}, and that of a new judge \{4: True, 3: True"),
     (trust(lambda witness: judge(believes=lambda self, record: random.random() < 0.5)), "global generator"),
     (a_kind(object, judge=lambda self, witness: None, period=-1.0)(), "period"),
     (a_kind(object, judge=lambda self: None, period=None)(), r"should accept a call with \(witness\)"),
@@ -114,6 +133,11 @@ TRUSTS = [
 def test_a_wrong_trust_is_told_what_is_wrong(model, why):
     with pytest.raises(ContractError, match=why):
         check_trust(model, limit=60.0)
+
+
+@pytest.mark.whole
+def test_a_judge_that_forgets_passes():
+    check_trust(trust(FirstTwoAnew), limit=60.0)
 
 
 class Jet:
