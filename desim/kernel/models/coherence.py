@@ -57,7 +57,8 @@ class Coherence(Value):
 
     Its autocorrelation is exp(-|dx| / d) if one node of a link moves by dx (Gudmundson 1991), and
     exp(-(|dx| + |dy|) / d) if its nodes move by dx and dy (Wang, Tameh & Nix 2008, "Joint Shadowing Process in Urban
-    Peer-to-Peer Radio Channels").
+    Peer-to-Peer Radio Channels"). If both move, the simulated one is off by up to 0.02 in the mean over the seeds,
+    and by up to 0.14 with 8 `waves`.
 
     If in doubt, 5 indoors and 20 in the open.
     """
