@@ -28,8 +28,8 @@ OF_CASES = ("runs", "features", "guided", "budget", "grid")
 """The options that only a search among random cases has."""
 OF_LOSSES = ("fates", "delay", "seeds")
 """The options that only a search among lost messages has."""
-BEFORE = 0.1
-"""Begin of the space-time diagram before the moment of the violation, s."""
+LEAD = 0.1
+"""How long before the violation the space-time diagram begins, s."""
 
 
 @click.command("break")
@@ -106,9 +106,10 @@ def break_(
     as_json: bool,
     overrides: tuple[str, ...],
 ) -> None:
-    """Search for the smallest scenario in which a protocol violates a property. Resumes.
+    """Search for the smallest scenario in which a protocol violates a property.
 
-    Faults and other imperfections are added to the scenario at random; -g adds further keys.
+    Faults and other imperfections are added to the scenario at random; -g adds further keys. After an interruption the
+    same command goes on where it stopped (not with --losses).
     """
     from desim.study.breaking.case_log import FILE as CASES
     from desim.study.breaking.case_log import CaseLog
@@ -119,7 +120,7 @@ def break_(
     for option in options_given(OF_LOSSES if losses is None else OF_CASES).values():
         raise click.UsageError(f"{option} is only used {'with' if losses is None else 'without'} --losses")
     source, scenario = source_of(file, overrides, grid=grid)
-    added = [f"--grid {setting}" for setting in grid]
+    added = [f"--grid {setting}" for setting in grid]  # not the keys of [sweep.grid] in the file
     vary = {key: values for key, values in scenario.sweep.grid.items() if source.where(("sweep", "grid", key)) in added}
     folder = folder_for(scenario, None) / "break" if out is None else out
     make_folder(folder)
@@ -354,7 +355,7 @@ def _drawn(scenario: "Scenario", seed: int, folder: Path, at: float | None, comm
         from desim.analysis.drawing.plots import save
         from desim.view.pictures.spacetime import spacetime
 
-        pictures = save(spacetime(result, begin=max(at - BEFORE, 0.0)), folder / "smallest")
+        pictures = save(spacetime(result, begin=max(at - LEAD, 0.0)), folder / "smallest")
         texts += [f"picture:  {picture}" for picture in pictures[:1]]
     return "\n".join(texts)
 

@@ -38,7 +38,7 @@ class RestartableProcess(simpy.Process):
             Exception: any exception of the behaviour, with a note that names the pursuer and the time of its clock.
         """
         pursuer = agent.id
-        awaited: simpy.Event = agent.at(agent.now, phase)
+        awaited: simpy.Event = agent.at(agent.now, phase)  # of the behaviour, or the instant at which it continues
         missed: simpy.Event | None = None  # the awaited event, if it happened while the robot was down
         while True:
             try:
@@ -47,7 +47,8 @@ class RestartableProcess(simpy.Process):
                 # The cause of the interrupt is the recovery, an event whose value is whether the robot kept its memory.
                 remembers = yield cast("simpy.Event", crash.cause)
                 if remembers:
-                    missed = awaited if missed is None and awaited.processed else missed
+                    if missed is None and awaited.processed:
+                        missed = awaited
                 elif self.behaviour is not None:
                     try:
                         self.behaviour.close()  # runs its `finally`
@@ -69,11 +70,11 @@ class RestartableProcess(simpy.Process):
                     awaited = self.behaviour.send(value)
                 if not isinstance(awaited, simpy.Event):
                     raise wrong_answer(f"{PROCESS} should yield events such as me.sleep(0.1)", awaited, protocol)
-                if agent.id != pursuer:  # a property would make each of its many uses slower
-                    raise _id_was_set(agent, pursuer)
+                if agent.id != pursuer:  # checked here: a read-only `id` would slow down each use
+                    raise _restored_id_error(agent, pursuer)
             except StopIteration:
                 if agent.id != pursuer:
-                    raise _id_was_set(agent, pursuer) from None
+                    raise _restored_id_error(agent, pursuer) from None
                 return
             except (Exception, SystemExit) as error:
                 _add_notes(error, pursuer, agent)
@@ -87,7 +88,7 @@ def _add_notes(error: BaseException, pursuer: int, agent: Agent) -> None:
         error.add_note(advice)
 
 
-def _id_was_set(agent: Agent, pursuer: int) -> AttributeError:
+def _restored_id_error(agent: Agent, pursuer: int) -> AttributeError:
     """Give an agent its id again, and return the error of a protocol that has changed it."""
     agent.id, other = pursuer, agent.id
     return AttributeError(
@@ -108,7 +109,8 @@ def _advice(error: TypeError | AttributeError) -> str:
     message, owner, name = str(error), getattr(error, "obj", None), getattr(error, "name", None)
     if isinstance(owner, HintedItems) and isinstance(name, str) and not hasattr(type(owner), name):
         return str(missing_attribute(owner, name))
-    if owner is not None and is_ours(type(owner)) and not hasattr(type(owner), "_instead_of"):
+    has_advice = hasattr(type(owner), "_instead_of")  # such a class words its own advice
+    if owner is not None and is_ours(type(owner)) and not has_advice:
         names = sorted(name for name in set(dir(owner)) - set(dir(tuple)) if not name.startswith("_"))
         return f"{with_article(type(owner).__name__)} has {', '.join(names)}"
     if OF_METHOD.search(message):

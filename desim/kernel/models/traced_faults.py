@@ -16,14 +16,14 @@ from desim.kernel.models.graphs import Node
 class Misbehaviour(Window):
     """A node does not follow its protocol; the network carries what it sends like any other message.
 
-    It has no effect here: a model of a higher layer draws it, and acts on it.
+    It has no effect here: a model of a higher layer (a lie) creates it, and acts on it.
     """
 
     kind: Literal["misbehaviour"] = "misbehaviour"
     node: Node
     """The node that misbehaves."""
     model: str
-    """The kind of the model."""
+    """The kind of the lie, or of another model, by which the node misbehaves."""
     number: Annotated[int, Field(ge=0, strict=True)]
     """Number of the misbehaviour in the run, from 0 on."""
 
@@ -80,10 +80,10 @@ def as_built_in(fault: Fault, base: type[Fault]) -> Fault:
 def traced(fault: Fault) -> TracedFault:
     """Return the record of a fault in a trace.
 
-    A fault of a user's class that begins as a built-in one does, only with a cause of its own for instance, is
-    recorded as the built-in fault, and any other as a `CustomFault`.
+    A user's subclass of Crash, Partition or Jamming that overrides neither begin nor separates is recorded as its base
+    class, without its own label and sketch. Any other fault of a user is recorded as a `CustomFault`.
     """
-    for base in BUILT_IN:
+    for base in BUILT_IN:  # begin() of a Partition calls its separates()
         if all(inherits(fault, base, name) for name in ("begin", "separates") if hasattr(base, name)):
             return as_built_in(fault, base)  # type: ignore[return-value]
     nodes = tuple(node for named in nodes_of(fault).values() for node in named)

@@ -22,7 +22,7 @@ _new = tuple.__new__  # creates a named tuple in a third of the time
 
 
 class MessageFlow(NamedTuple):
-    """The messages of one node at one port that share their sequence numbers."""
+    """The messages of one node at one port that are numbered in one sequence."""
 
     src: int
     dst: int | None
@@ -47,7 +47,9 @@ class TransportLog:
         self._env, self._trace = env, trace
         self._wants_messages = trace is not None and trace.wants_messages
         self.submitted = self.attempts = self.acknowledgements = 0
-        self._delivered = self._expired = self._retransmissions = self._missed = self._lost = self._delay = 0
+        self._delivered = self._expired = self._retransmissions = self._deadlines_missed = self._liveliness_lost = (
+            self._delay
+        ) = 0
         self._given_up: Counter[GiveUp] = Counter()
 
     def delivered(self, flow: MessageFlow, node: int, seq: int, message: Message, attempt: int) -> None:
@@ -80,13 +82,13 @@ class TransportLog:
 
     def deadline_missed(self, src: int, node: int, port: str) -> None:
         """Record that a node has waited too long for a message of another."""
-        self._missed += 1
+        self._deadlines_missed += 1
         if self._trace is not None:
             self._trace.append(DeadlineMissed(self._env.now, src, node, str(port)))
 
     def liveliness_lost(self, src: int, node: int, port: str) -> None:
         """Record that a node has received nothing from another for the time of its lease."""
-        self._lost += 1
+        self._liveliness_lost += 1
         if self._trace is not None:
             self._trace.append(LivelinessLost(self._env.now, src, node, str(port)))
 
@@ -101,8 +103,8 @@ class TransportLog:
             self.attempts,
             self._retransmissions,
             self.acknowledgements,
-            self._missed,
-            self._lost,
+            self._deadlines_missed,
+            self._liveliness_lost,
             self._delay,
         )
 
