@@ -153,15 +153,14 @@ def test_what_a_run_warns_of_is_told_if_it_is_repeated_alone_or_fails():
     def measured(seed):
         return 1 / seed if seed != 3 else 3
 
-    def driven():
-        outcomes = dict(drive(tasks, Mortal(3), measured, simulate))
-        return outcomes | dict(drive(tasks[:1], InProcess(), measured, simulate))
-
-    with pytest.warns(StateWarning, match=r"remembering\.calls: ") as caught:
-        outcomes = driven()
-    assert [outcomes[k].status for k in range(4)] == ["error", "ok", "ok", "crashed"]
-    assert len(outcomes[0].warnings) == 1
-    assert len(caught) == 2
+    expected = partial(pytest.warns, StateWarning, match=r"^remembering\.calls: ")
+    with expected() as of_repeated:
+        repeated = dict(drive(tasks, Mortal(3), measured, simulate))
+    assert [repeated[k].status for k in range(4)] == ["error", "ok", "ok", "crashed"]
+    assert len(of_repeated) == 1
+    with expected():
+        ((_, failed),) = drive(tasks[:1], InProcess(), measured, simulate)
+    assert (failed.status, len(failed.warnings)) == ("error", 1)
 
 
 def test_a_warning_of_runs_has_the_place_where_their_outcomes_are_asked_for():
