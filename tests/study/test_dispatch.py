@@ -146,20 +146,20 @@ def test_what_runs_warn_of_in_workers_is_told_once_here():
 
 
 def test_what_a_run_warns_of_is_told_if_it_is_repeated_alone_or_fails():
-    """The first runs share the batch of one that ends its worker, so all of them are repeated."""
+    """The first run ends its worker while the others are under way, so all of them are repeated."""
     remembering.calls = 0
     tasks = [(None, seed) for seed in range(4)]
 
     def measured(seed):
-        return 1 / seed if seed != 3 else 3
+        return 1 / (seed - 1)
 
     expected = partial(pytest.warns, StateWarning, match=r"^remembering\.calls: ")
     with expected() as of_repeated:
-        repeated = dict(drive(tasks, Mortal(3), measured, simulate))
-    assert [repeated[k].status for k in range(4)] == ["error", "ok", "ok", "crashed"]
+        repeated = dict(drive(tasks, Mortal(0), measured, simulate))
+    assert [repeated[k].status for k in range(4)] == ["crashed", "error", "ok", "ok"]
     assert len(of_repeated) == 1
     with expected():
-        ((_, failed),) = drive(tasks[:1], InProcess(), measured, simulate)
+        ((_, failed),) = drive(tasks[1:2], InProcess(), measured, simulate)
     assert (failed.status, len(failed.warnings)) == ("error", 1)
 
 
