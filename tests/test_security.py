@@ -461,7 +461,7 @@ def test_a_graph_with_too_many_nodes_is_reported_in_one_line(written, tmp_path):
     nodes = [{"id": f"{k}{'x' * 100}"} for k in range(10_000)]
     (tmp_path / "g.json").write_text(json.dumps({"nodes": nodes, "edges": []}))
     said = refused("check", written('network.graph = { kind = "edges", file = "g.json" }'))
-    assert "the graph has 10000 nodes, the network 2" in said
+    assert "the graph has 10,000 nodes, the network 2" in said
     assert len(said) < 1000
 
 

@@ -13,7 +13,6 @@ from desim.cli.options import ALLOW_IMPORT, FILE, GRID, JOBS, JSON, SEED, SET, T
 from desim.cli.output import echo, fail, folder_for, make_folder, storing, write
 from desim.cli.sources import protocol_of, source_of
 from desim.cli.usage import options_given, problem
-from desim.config.data_files import content_hash
 from desim.config.whole_files import write_whole
 
 if TYPE_CHECKING:
@@ -225,6 +224,8 @@ def _run_kept(
 
 def _keep(keep: Path, text: str, protocol: str, prop: "Property", seed: int) -> None:
     """Write a found case to the folder of kept cases, under a name that no other case has."""
+    from desim.config.data_files import content_hash
+
     _, _, content = text.partition("\n\n")  # without the comment, which names the command
     name = f"{protocol}-{prop.label[:40]}-{seed}-{content_hash(content.encode())[:8]}.toml"
     write(text.encode(), keep / name.replace(":", "-"))

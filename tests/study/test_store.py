@@ -94,7 +94,7 @@ def test_a_file_that_is_not_a_store_is_named(tmp_path, file):
     text.mkdir()
     (text / "sweep.sqlite").write_text("all work and no play " * 99)
     told = refused("sweep", file, "--allow-import", "-o", folder)
-    assert told == f"{folder / 'sweep.sqlite'}: unable to open database file: give a path that can be written"
+    assert told == f"{folder / 'sweep.sqlite'}: is a folder, and a store is a file (.sqlite)"
     told = refused("sweep", file, "--allow-import", "-o", text)
     assert told.startswith(f"{text / 'sweep.sqlite'}: file is not a database, and is left as it is: give")
     assert (text / "sweep.sqlite").read_text().startswith("all work")
