@@ -112,7 +112,9 @@ class ReliableSender:
         self._acknowledged: dict[int, int] = {}
         """The time stamp, ns, of the newest acknowledgement of each receiver."""
         self._timer = Timer(endpoint.env, Phase.RELAY + flow.src, self.advance)
-        self._timeout = lru_cache(MAX_TIMEOUTS)(self._timeout_after)
+        # The true time of a time-out by a clock that wanders depends on when it begins.
+        is_kept = not endpoint.clock.wanders
+        self._timeout = lru_cache(MAX_TIMEOUTS)(self._timeout_after) if is_kept else self._timeout_after
 
     def send(self, message: Message, size: int, receivers: Iterable[int]) -> None:
         """Accept a message for some receivers, and transmit it if the window allows."""
@@ -201,7 +203,7 @@ class ReliableSender:
         if not entry.owed:
             del self._entries[entry.seq]
             return
-        due = self._end_of_timeout(entry, 0)
+        due = self._endpoint.env.now + self._timeout(entry.size, len(entry.owed), 0)
         for owed in entry.owed.values():
             owed.attempts, owed.due = 1, due
 
@@ -214,7 +216,7 @@ class ReliableSender:
             return
         first = self._first(node)
         assert first is not None
-        owed.due = self._end_of_timeout(entry, owed.attempts)
+        owed.due = self._endpoint.env.now + self._timeout(entry.size, len(entry.owed), owed.attempts)
         owed.attempts += 1
         if owed.is_held:
             skip = Skip(self._flow.port, self._flow.dst is None, self._endpoint.session, first.seq)
@@ -231,20 +233,15 @@ class ReliableSender:
         )
         self._endpoint.transmit(flow.src, dst, _new(Message, (flow.src, message.stamp, segment)), entry.size + FRAME)
 
-    def _end_of_timeout(self, entry: Entry, attempts: int) -> int:
-        """Return the end, ns, of the time-out of a message that is transmitted now after a number of attempts."""
-        endpoint = self._endpoint
-        return endpoint.env.now + endpoint.clock.span(self._timeout(entry.size, len(entry.owed), attempts))
-
-    def _timeout_after(self, size: int, receivers: int, attempts: int) -> float:
-        """Return the time-out of a message to some receivers after a number of attempts, s of the node's own clock."""
+    def _timeout_after(self, size: int, receivers: int, attempts: int) -> int:
+        """Return the time-out of a message to some receivers after a number of attempts, ns of true time from now."""
         model = self._model
         first = model.timeout
         if first == "auto":
             first = self._endpoint.auto_timeout(model, size + FRAME, receivers)
         # A bounded exponent: a float to a higher power raises OverflowError before `min` could bound it.
         grown = min(first * model.backoff ** min(attempts, MAX_GROWTH), model.max_timeout)
-        return max(first, grown)
+        return self._endpoint.clock.span(max(first, grown))
 
     def _drop(self, entry: Entry, cause: GiveUp) -> None:
         """Give up a message to all receivers that have not acknowledged it."""
