@@ -138,11 +138,9 @@ def _export_run(
     scenario = vars(result).get("scenario")  # a streamed result has one if the exporter has asked for it
     if is_recorded(source) and scenario is not None and scenario.record.messages is False:
         echo(f"warning: {source}: messages were not recorded, and are left out: set record.messages = true", err=True)
-    items = (
-        traits.items
-        if count != 1
-        else re.sub("(?<=x)es$|(?<=ss)es$|(?<=[cs]h)es$|s$", "", re.sub("ies$", "y", traits.items))
-    )
+    singular = re.sub("ies$", "y", traits.items)
+    singular = re.sub("(?<=x)es$|(?<=ss)es$|(?<=[cs]h)es$|s$", "", singular)
+    items = singular if count == 1 else traits.items
     written = "" if count is None else f"{count:,} {items} to "
     echo(f"wrote {written}{file}", err=True)
 

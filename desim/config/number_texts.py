@@ -1,4 +1,4 @@
-"""Numbers and times as texts: exact ones, what one such as "50 ms" says, and what to write instead of it."""
+"""Numbers and times as texts: how they are written, read with a unit, as "50 ms", and corrected in messages."""
 
 import re
 from collections.abc import Collection
@@ -27,7 +27,7 @@ UNITS = MappingProxyType(
 
 
 def exact_text(number: float, digits: int) -> str:
-    """Return a number as a text from which the same number is read, with up to so many digits if they are enough."""
+    """Return a number as a text from which the same number is read: with `digits` digits if they suffice, else all."""
     short = f"{number:.{digits}g}"
     return short if float(short) == number else repr(number)
 

@@ -20,9 +20,9 @@ class Lateness(NamedTuple):
 
     number: int
     median: float
-    """What half of them were late at most."""
+    """The lateness that half of them do not exceed."""
     p99: float
-    """What 99 % of them were late at most: of fewer than 100, the worst."""
+    """The lateness that 99 % of them do not exceed; of fewer than 100, the greatest."""
     worst: float
 
     def __str__(self) -> str:

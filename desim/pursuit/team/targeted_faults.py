@@ -128,8 +128,8 @@ def _told_action(src: int, body: Any) -> int | None:
     message = carried(body)
     if not isinstance(message, Forwarded):
         return announced_action(message)
-    own = [record for record in message.records if record.src == src]
-    return announced_action(max(own, key=attrgetter("seq")).body) if own else None
+    of_sender = [record for record in message.records if record.src == src]
+    return announced_action(max(of_sender, key=attrgetter("seq")).body) if of_sender else None
 
 
 TARGETED: tuple[type[Fault], ...] = (ChaserCrash, ChaserCut, NewsFault)

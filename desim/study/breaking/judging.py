@@ -21,7 +21,7 @@ from desim.study.workers.dispatch import Measurement, Outcome, Task, drive
 from desim.study.workers.workers import Workers
 
 TOO_LONG = "TimedOut"
-"""How the failure of a run begins that takes longer than the limit, which `within` tells next."""
+"""How the failure of a run that exceeds the time limit begins; the sentence of `within`, with the limit, follows."""
 
 
 class Planned(NamedTuple):
