@@ -1,6 +1,7 @@
 """Fault injection: apply faults to a network at their start and end times."""
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, cast
 
@@ -53,7 +54,7 @@ def inject(
     faults, size = list(faults), network.topology.size
     if faults and network.fault_state.is_planned and network.message_counts().sent:
         raise ValueError("faults should be injected before the first message is sent")
-    sites = [_Site(env, network, trace, fault, crashed, recovered, targets) for fault in faults]
+    sites = [_Site(fault, env, network, trace, crashed, recovered, targets) for fault in faults]
     for fault in faults:
         _require_named_nodes(fault, size)
 
@@ -79,37 +80,23 @@ def inject(
         schedule(site.fault.start, partial(begin, site))
 
 
+@dataclass(eq=False)
 class _Site:
-    """What a fault can do to a network; see `desim.kernel.models.faults.FaultSite`.
+    """What a fault can do to a network; see `desim.kernel.models.faults.FaultSite`. Most fields are as in `inject`."""
 
-    Args:
-        env: the clock of the simulation.
-        network: the network on which it acts.
-        trace: receives the events of the fault; None: nobody does.
-        fault: the fault.
-        crashed: called with each crash when it starts.
-        recovered: called with each crash when it ends.
-        targets: returns the nodes that matter most now.
-        inherited_cause: the stated cause of the fault that began this one as its part; None: no fault did, or its
-            cause is not stated.
-    """
+    fault: Fault
+    _env: Clock
+    _network: Network
+    _trace: Trace | None
+    _crashed: Hook
+    _recovered: Hook
+    targets: Targets
+    _inherited_cause: Cause | None = None
+    """The stated cause of the fault that began this one as its part; None: no fault did, or its cause is not stated."""
 
-    def __init__(
-        self,
-        env: Clock,
-        network: Network,
-        trace: Trace | None,
-        fault: Fault,
-        crashed: Hook,
-        recovered: Hook,
-        targets: Targets,
-        inherited_cause: Cause | None = None,
-    ):
-        self.fault, self.targets = fault, targets
-        self._env, self._network, self._trace = env, network, trace
-        self._crashed, self._recovered = crashed, recovered
-        self._stated_cause = FaultTraits.of(fault).cause or inherited_cause
-        self._record, self._cause = traced(fault), self._stated_cause or cause_of(fault)
+    def __post_init__(self) -> None:
+        self._stated_cause = FaultTraits.of(self.fault).cause or self._inherited_cause
+        self._record, self._cause = traced(self.fault), self._stated_cause or cause_of(self.fault)
 
     @property
     def size(self) -> int:
@@ -140,8 +127,7 @@ class _Site:
                 f"begin(fault) should be given a fault, such as Crash(start=1.0, node=0) (got {value_text(fault)})"
             )
         _require_named_nodes(fault, self.size)
-        hooks = self._crashed, self._recovered, self.targets
-        part = _Site(self._env, self._network, self._trace, fault, *hooks, self._stated_cause)
+        part = replace(self, fault=fault, _inherited_cause=self._stated_cause)
         part.record(FaultStarted)
         undo = part.apply()
 
@@ -181,31 +167,29 @@ class _Site:
             raise ValueError(
                 f"partition(groups) should be given lists of nodes, {example} (got {value_text(groups)})"
             ) from None
-        state, partition = self._network.fault_state, Partition(start=0.0, groups=parts)  # checks the arguments
+        partition = Partition(start=0.0, groups=parts)  # checks the arguments
         _require_nodes(partition.named()["groups"], self.size, "partition: ")
-        return partial(state.rejoin, state.partition(partition.groups, self._cause))
+        return self._network.fault_state.partition(partition.groups, self._cause)
 
     def block(self, is_blocked: Callable[[int, int], bool]) -> Undo:
-        state = self._network.fault_state
         if not callable(is_blocked):
             raise ValueError(
                 f"block(is_blocked) should be given a function of two nodes (got {value_text(is_blocked)})"
             )
         check_call(is_blocked, ("src", "dst"), is_blocked)
-        return partial(state.rejoin, state.block(is_blocked, self._cause))
+        return self._network.fault_state.block(is_blocked, self._cause)
 
     def intercept(self, delays: Delays) -> Undo:
-        state, given = self._network.fault_state, cast("Any", delays)
+        given = cast("Any", delays)
         if not callable(given):
             expected = "a function of sender, receivers and body"
             raise ValueError(f"intercept(delays) should be given {expected} (got {value_text(given)})")
         check_call(given, ("src", "receivers", "body"), given)
-        return partial(state.release, state.intercept(delays, self._cause))
+        return self._network.fault_state.intercept(delays, self._cause)
 
     def jam(self, centre: tuple[float, float], radius: float) -> Undo:
-        # Creating a fault checks the arguments.
-        state, jamming = self._network.fault_state, Jamming(start=0.0, centre=centre, radius=radius)
-        return partial(state.clear, state.jam((jamming.centre, jamming.radius), self._cause))
+        jamming = Jamming(start=0.0, centre=centre, radius=radius)  # checks the arguments
+        return self._network.fault_state.jam((jamming.centre, jamming.radius), self._cause)
 
 
 def _require_named_nodes(fault: Fault, size: int) -> None:

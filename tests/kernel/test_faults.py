@@ -24,7 +24,7 @@ from desim.kernel.models.links import Links
 from desim.kernel.models.medium import Bitrate
 from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
 from desim.kernel.network import Network
-from desim.kernel.state.fault_state import FaultState, Jam
+from desim.kernel.state.fault_state import FaultState
 from desim.scenario.players import Team
 
 PERIOD = SECOND // 10
@@ -416,10 +416,10 @@ def test_the_last_crash_that_has_not_ended_is_the_cause_of_losses():
 
 def test_the_first_jam_that_has_not_ended_is_the_cause_of_losses():
     state, disc = FaultState(lambda: np.zeros((1, 2))), ((0.0, 0.0), 1.0)
-    jams = [state.jam(disc, cause) for cause in ("storm", "sparks", "storm")]
-    state.clear(jams[2])
+    ends = [state.jam(disc, cause) for cause in ("storm", "sparks", "storm")]
+    ends[2]()
     assert state.jammed([0], 0) == ["storm"]
-    state.clear(jams[0])
+    ends[0]()
     assert state.jammed([0], 0) == ["sparks"]
 
 
@@ -463,17 +463,14 @@ def test_a_clock_of_no_node_is_refused():
 def test_a_change_that_is_not_planned_is_refused_among_planned_ones():
     """Messages that arrive before the next planned fault have been delivered already."""
     clock = Clock()
-    network = Network(clock, nx.complete_graph(2), fault_state=FaultState())
+    network = Network(clock, nx.complete_graph(2), fault_state=FaultState(lambda: np.zeros((2, 2))))
     network.crash(0)
     network.recover(0)
-    inject([Crash(node=1, start=1.0)], clock, network)
     state = network.fault_state
+    unblock = state.block(lambda src, dst: False, "fog")
+    inject([Crash(node=1, start=1.0)], clock, network)
     changes = [partial(network.crash, 0), partial(network.recover, 1, memory=False), partial(state.partition, [[0]])]
-    changes += [
-        partial(state.rejoin, {}),
-        partial(state.jam, ((0.0, 0.0), 1.0)),
-        partial(state.clear, Jam(((0.0, 0.0), 1.0), "jamming")),
-    ]
+    changes += [partial(state.jam, ((0.0, 0.0), 1.0)), unblock]
     for end in (0.0, 2.0):  # before and after a planned change
         clock.run(until=Instant(clock, round(end * SECOND), Phase.DECISION))
         for change in changes:

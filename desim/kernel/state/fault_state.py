@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from itertools import compress
 from math import inf
 from operator import index
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -17,16 +17,9 @@ from desim.kernel.core.events import Cause
 from desim.kernel.core.positions import PositionFunction, as_position_source
 from desim.kernel.core.records import Arrival, per_receiver
 from desim.kernel.core.units import nanoseconds
-from desim.kernel.models.faults import Delays
+from desim.kernel.models.faults import Delays, Undo
 
-
-class Cut(NamedTuple):
-    """A partition, or another set of blocked links."""
-
-    blocked: Callable[[list[int], list[int]], list[bool]]
-    """Returns, for (k,) senders and (k,) receivers, whether messages between them are lost."""
-    cause: Cause = "partition"
-    """The cause of its losses."""
+Fault = TypeVar("Fault")
 
 
 class Outage(NamedTuple):
@@ -36,28 +29,16 @@ class Outage(NamedTuple):
     cause: Cause
 
 
-class Interception(NamedTuple):
-    """A rule by which messages are lost, delayed or copied."""
-
-    delays: Delays
-    """Returns, for a sender, receivers and a body, the extra delay, s, at each receiver concerned, and those of copies;
-    inf: lost."""
-    cause: Cause
-
-
+Blocked = Callable[[list[int], list[int]], list[bool]]
+"""Returns, for (k,) senders and (k,) receivers, whether messages between them are lost."""
 Disc = tuple[tuple[float, float], float]
 """Centre (x, y) and radius, m."""
 
 
-class Jam(NamedTuple):
-    """A disc in which reception is blocked."""
-
-    disc: Disc
-    cause: Cause
-
-
 class FaultState:
     """The active faults of a network. Faults may overlap; each lasts until the caller ends it.
+
+    A crash ends with `recover`. All other methods that begin a fault return the function that ends it.
 
     Changes can be planned: their times are announced in advance (`plan`, `desim.kernel.fault_injection`). The network
     then stores at transmission those arrivals that no planned change can prevent. Once a change has been announced, the
@@ -75,9 +56,9 @@ class FaultState:
         self._planned: list[int] | None = None
         self._surprises = surprises
         self._is_changing = False
-        self._cuts: list[Cut] = []
-        self._jams: list[Jam] = []
-        self._interceptions: list[Interception] = []
+        self._cuts: list[tuple[Blocked, Cause]] = []
+        self._jams: list[tuple[Disc, Cause]] = []
+        self._interceptions: list[tuple[Delays, Cause]] = []
         self._intercepted: dict[int, dict[int, tuple[float, Cause]]] = {}
         """By number of a transmission whose arrivals are not scheduled yet: the extra delay, s, and the cause at each
         receiver that is concerned."""
@@ -172,9 +153,9 @@ class FaultState:
         receivers = np.asarray(nodes).tolist()
         senders = [src] * len(receivers) if isinstance(src, int) else src.tolist()
         causes: list[Cause | None] = [None] * len(receivers)
-        for cut in reversed(self._cuts):
-            for k in compress(range(len(receivers)), cut.blocked(senders, receivers)):
-                causes[k] = cut.cause
+        for blocked, cause in reversed(self._cuts):
+            for k in compress(range(len(receivers)), blocked(senders, receivers)):
+                causes[k] = cause
         return causes
 
     def jammed(self, nodes: list[int] | Integers, times: int | Integers) -> list[Cause | None] | None:
@@ -220,18 +201,17 @@ class FaultState:
         if not self._down[node]:
             del self._down[node]
 
-    def partition(self, groups: Iterable[Iterable[int]], cause: Cause = "partition") -> Cut:
-        """Separate groups of nodes from each other and from all other nodes; return the cut, which `rejoin` ends."""
+    def partition(self, groups: Iterable[Iterable[int]], cause: Cause = "partition") -> Undo:
+        """Separate groups of nodes from each other and from all other nodes."""
         number_of = {node: number for number, group in enumerate(groups) for node in group}.get
-        return self._cut(
-            lambda senders, nodes: [
-                number_of(sender, -1) != number_of(node, -1) for sender, node in zip(senders, nodes, strict=True)
-            ],
-            cause,
-        )
 
-    def block(self, is_blocked: Callable[[int, int], bool], cause: Cause) -> Cut:
-        """Block the links from a sender to a receiver where a function says so; return the cut, which `rejoin` ends.
+        def blocked(senders: list[int], nodes: list[int]) -> list[bool]:
+            return [number_of(sender, -1) != number_of(node, -1) for sender, node in zip(senders, nodes, strict=True)]
+
+        return self._begin(self._cuts, (blocked, cause))
+
+    def block(self, is_blocked: Callable[[int, int], bool], cause: Cause) -> Undo:
+        """Block the links from a sender to a receiver where a function says so.
 
         Raises:
             ValueError: at a transmission, if the function returns no boolean.
@@ -244,48 +224,32 @@ class FaultState:
                     raise wrong_answer("is_blocked(src, dst) should return True or False", answer, is_blocked)
             return [bool(answer) for answer in answers]
 
-        return self._cut(blocked, cause)
+        return self._begin(self._cuts, (blocked, cause))
 
-    def _cut(self, blocked: Callable[[list[int], list[int]], list[bool]], cause: Cause) -> Cut:
-        self._require_change()
-        cut = Cut(blocked, cause)
-        self._cuts.append(cut)
-        return cut
-
-    def rejoin(self, cut: Cut) -> None:
-        """End a cut, given what `partition` or `block` returned."""
-        self._require_change()
-        self._cuts = [active for active in self._cuts if active is not cut]
-
-    def jam(self, disc: Disc, cause: Cause = "jamming") -> Jam:
-        """Block reception at all nodes within a disc; return the jam, which `clear` ends.
+    def jam(self, disc: Disc, cause: Cause = "jamming") -> Undo:
+        """Block reception at all nodes within a disc.
 
         Raises:
             ValueError: if the nodes have no positions.
         """
-        self._require_change()
         if self._positions is None:
             raise ValueError(f"a jamming disc needs positions (got {disc})")
-        jam = Jam(disc, cause)
-        self._jams.append(jam)
-        return jam
+        return self._begin(self._jams, (disc, cause))
 
-    def clear(self, jam: Jam) -> None:
-        """End the jamming of a disc, given what `jam` returned."""
-        self._require_change()
-        self._jams = [active for active in self._jams if active is not jam]
+    def intercept(self, delays: Delays, cause: Cause) -> Undo:
+        """Lose, delay or copy messages as a function says; messages that it has delayed stay so after its end."""
+        return self._begin(self._interceptions, (delays, cause))
 
-    def intercept(self, delays: Delays, cause: Cause) -> Interception:
-        """Lose, delay or copy messages as a function says; return the interception, which `release` ends."""
+    def _begin(self, active: list[Fault], fault: Fault) -> Undo:
+        """Put a fault among the active ones of its kind; return the function that ends it."""
         self._require_change()
-        interception = Interception(delays, cause)
-        self._interceptions.append(interception)
-        return interception
+        active.append(fault)
 
-    def release(self, interception: Interception) -> None:
-        """End an interception, given what `intercept` returned; messages that it has delayed stay so."""
-        self._require_change()
-        self._interceptions = [active for active in self._interceptions if active is not interception]
+        def end() -> None:
+            self._require_change()
+            active[:] = [other for other in active if other is not fault]  # an equal one may go on
+
+        return end
 
     def note_sent(self, number: int, src: int, receivers: list[int], body: Any) -> None:
         """Let the interceptions decide about a transmission that was given to its sender's host.
@@ -293,7 +257,7 @@ class FaultState:
         Raises:
             ValueError: if the function of an interception returns anything else than delays by receiver.
         """
-        for delays, cause in self._interceptions:
+        for delays, cause in [*self._interceptions]:  # one may end itself
             answer: Any = delays(src, tuple(receivers), body)
             for node, (delay, *copies) in _checked_delays(answer, receivers, delays).items():
                 before, _ = self._intercepted.setdefault(number, {}).get(node, (0.0, cause))
