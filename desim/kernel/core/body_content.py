@@ -233,16 +233,26 @@ def check_depth(depth: int) -> None:
         raise ValueError(f"it is nested more than {MAX_DEPTH} levels deep, or contains itself")
 
 
-def _same(value: Any) -> Any:
-    return value
-
-
-content.register(type(None), _same)
-content.register(bool, _same)
+content.register(type(None), lambda value: value)
+content.register(bool, lambda value: value)
 content.register(int, int)
 content.register(float, float)
 content.register(str, lambda text: str.__str__(text))
-content.register(UserString, str)
+content.register(complex, lambda number: [number.real, number.imag])
+content.register(bytes, lambda octets: octets.hex())
+content.register(bytearray, lambda octets: octets.hex())
+content.register(memoryview, lambda octets: octets.tobytes().hex())
+content.register(array.array, lambda items: items.tolist())
+content.register(Enum, lambda member: member.value)
+content.register(datetime.date, lambda date: date.isoformat())
+content.register(datetime.time, lambda time: time.isoformat())
+content.register(datetime.timedelta, lambda duration: duration.total_seconds())
+content.register(PurePath, lambda path: path.as_posix())
+content.register(types.ModuleType, lambda module: str(module.__name__))
+for _text in (UserString, Decimal, Fraction, uuid.UUID, datetime.tzinfo):
+    content.register(_text, str)
+for _code in (type, types.MethodType):
+    content.register(_code, lambda code: str(code.__qualname__))
 
 
 @content.register(list)
@@ -277,51 +287,6 @@ def _order(value: Any) -> tuple[Any, ...]:
     if isinstance(value, list):
         return 4, list(map(_order, value))
     return (0,) if value is None else (5, [(name, _order(item)) for name, item in value.items()])
-
-
-@content.register(Enum)
-def _value_of(member: Enum) -> Any:
-    return member.value
-
-
-@content.register(complex)
-def _parts(number: complex) -> list[float]:
-    return [number.real, number.imag]
-
-
-@content.register(bytes)
-@content.register(bytearray)
-def _digits(octets: bytes | bytearray) -> str:
-    return octets.hex()
-
-
-@content.register
-def _memory(octets: memoryview) -> str:
-    return octets.tobytes().hex()
-
-
-@content.register
-def _typed(items: array.array) -> list[Any]:  # type: ignore[type-arg]
-    return items.tolist()
-
-
-content.register(Decimal, str)
-content.register(Fraction, str)
-content.register(uuid.UUID, str)
-content.register(PurePath, lambda path: path.as_posix())
-content.register(datetime.date, lambda date: date.isoformat())
-content.register(datetime.time, lambda time: time.isoformat())
-content.register(datetime.tzinfo, str)
-content.register(datetime.timedelta, lambda duration: duration.total_seconds())
-
-
-content.register(types.ModuleType, lambda module: str(module.__name__))
-
-
-@content.register(type)
-@content.register(types.MethodType)
-def _name(code: Any) -> str:
-    return str(code.__qualname__)
 
 
 @content.register

@@ -138,48 +138,17 @@ def _no_size(body: Any) -> int:
 size.register(types.ModuleType, lambda _: 0)
 
 
-@size.register(int)
-@size.register(float)
-@size.register(np.generic)
-@size.register(Decimal)
-@size.register(Fraction)
-@size.register(datetime.date)
-@size.register(datetime.time)
-@size.register(datetime.timedelta)
-def _number(_: Any) -> int:
-    return NUMBER
-
-
-@size.register(complex)
-@size.register(np.complexfloating)
-@size.register(uuid.UUID)
-def _two_numbers(_: Any) -> int:
-    return 2 * NUMBER
-
-
-@size.register
-def _text(text: str) -> int:
-    return len(text.encode("utf-8", "surrogatepass"))
-
-
-@size.register
-def _octets(octets: bytes | bytearray) -> int:
-    return len(octets)
-
-
-@size.register
-def _memory(octets: memoryview) -> int:
-    return octets.nbytes
-
-
-@size.register
-def _typed(items: array.array) -> int:  # type: ignore[type-arg]
-    return len(items) * items.itemsize
-
-
-@size.register
-def _range(numbers: range) -> int:
-    return NUMBER * len(numbers)
+for _scalar in (int, float, np.generic, Decimal, Fraction, datetime.date, datetime.time, datetime.timedelta):
+    size.register(_scalar, lambda _: NUMBER)
+for _pair in (complex, np.complexfloating, uuid.UUID):
+    size.register(_pair, lambda _: 2 * NUMBER)
+size.register(str, lambda text: len(text.encode("utf-8", "surrogatepass")))
+size.register(bytes, len)
+size.register(bytearray, len)
+size.register(memoryview, lambda octets: octets.nbytes)
+size.register(array.array, lambda items: len(items) * items.itemsize)
+size.register(range, lambda numbers: NUMBER * len(numbers))
+size.register(Enum, lambda member: _size(member.value))
 
 
 @size.register(Set)
@@ -209,8 +178,3 @@ def _void(scalar: np.void) -> int:
         if scalar.dtype.names is None
         else portable_sum(_size(scalar[name]) for name in scalar.dtype.names)
     )
-
-
-@size.register
-def _value(member: Enum) -> int:
-    return _size(member.value)

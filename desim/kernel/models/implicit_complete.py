@@ -6,10 +6,12 @@ Kept equal to a complete graph of networkx by
 
 from collections.abc import Iterator, Mapping
 from itertools import chain
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 if TYPE_CHECKING:
     import networkx as nx
+
+Graph = TypeVar("Graph")
 
 
 class _NoAttributes(dict[str, Any]):
@@ -64,28 +66,26 @@ def complete_graph(size: int) -> "nx.Graph[int]":
     """Return the read-only complete graph of the nodes 0 .. size - 1; O(1) in time and memory."""
     import networkx as nx
 
-    graph: nx.Graph[int] = nx.Graph()
-    _make_implicit(graph, size)
-    return graph
+    return _implicit(nx.Graph(), size)
 
 
 def complete_digraph(size: int) -> "nx.DiGraph[int]":
     """Return the read-only complete directed graph of the nodes 0 .. size - 1; O(1) in time and memory."""
     import networkx as nx
 
-    graph: nx.DiGraph[int] = nx.DiGraph()
-    _make_implicit(graph, size)
-    return graph
+    return _implicit(nx.DiGraph(), size)
 
 
-def _make_implicit(graph: Any, size: int) -> None:
-    """Replace the node and adjacency dictionaries of a graph by computed, read-only mappings."""
+def _implicit(graph: Graph, size: int) -> Graph:
+    """Return a graph whose node and adjacency dictionaries are replaced by computed, read-only mappings."""
     import networkx as nx
 
-    graph._node, graph._adj = _NodeRange(size), _CompleteAdjacency(size)
-    if graph.is_directed():
-        graph._pred = graph._adj
-    nx.freeze(graph)
+    emptied: Any = graph
+    emptied._node, emptied._adj = _NodeRange(size), _CompleteAdjacency(size)
+    if emptied.is_directed():
+        emptied._pred = emptied._adj
+    nx.freeze(emptied)
+    return graph
 
 
 def is_implicit(graph: "nx.Graph[int]") -> bool:
