@@ -35,7 +35,6 @@ class Event(Protocol):
     @property
     def t(self) -> int:
         """The time of the event, ns."""
-        ...
 
     def __iter__(self) -> Iterator[Any]: ...
 

@@ -37,7 +37,6 @@ class FaultPlan(Protocol):
 
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterable[Fault]:
         """Draw and return the faults of `size` nodes up to the horizon, s."""
-        ...
 
 
 class RandomCrashes(Value):

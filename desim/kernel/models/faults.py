@@ -45,14 +45,12 @@ class FaultSite(Protocol):
     @property
     def size(self) -> int:
         """The number of nodes."""
-        ...
 
     def targets(self) -> Sequence[int]:
         """Return the nodes that matter most now, the first one most; a network alone has none.
 
         In a pursuit they are the pursuers that chase, those that would capture first first.
         """
-        ...
 
     def begin(self, fault: "Fault") -> Undo:
         """Begin another fault as a part of this one; the trace records both.
@@ -62,7 +60,6 @@ class FaultSite(Protocol):
         Raises:
             ValueError: if it names a node that does not exist.
         """
-        ...
 
     def crash(self, crash: "Crash") -> Undo:
         """Take a node down; the trace records the crash, so that metrics and pages know who is down.
@@ -73,15 +70,12 @@ class FaultSite(Protocol):
         Raises:
             ValueError: if the node does not exist.
         """
-        ...
 
     def partition(self, groups: Iterable[Iterable[int]]) -> Undo:
         """Separate groups of nodes from each other and from all other nodes."""
-        ...
 
     def jam(self, centre: tuple[float, float], radius: float) -> Undo:
         """Block reception at all nodes within a disc, m."""
-        ...
 
     def block(self, is_blocked: Callable[[int, int], bool]) -> Undo:
         """Lose each message from a sender to a receiver for which `is_blocked(src, dst)` is true.
@@ -89,7 +83,6 @@ class FaultSite(Protocol):
         The answer must depend on the two nodes only, not on the time: while no fault begins or ends, the network
         decides arrivals in advance.
         """
-        ...
 
     def intercept(self, delays: "Delays") -> Undo:
         """Lose, delay or copy messages that are sent from now on, as `delays(src, receivers, body)` says.
@@ -98,7 +91,6 @@ class FaultSite(Protocol):
         concerned; inf: the message is lost there. Several delays, such as (0.0, 0.5), are those of the message and of
         its copies: each arrives by so much later than the message would have. A message that is lost has no copies.
         """
-        ...
 
 
 class RandomDraw(NamedTuple):

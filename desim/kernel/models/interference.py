@@ -134,7 +134,6 @@ class Interference(Protocol):
     @property
     def has_noise(self) -> bool:
         """Whether a frame may be lost although no other overlaps it."""
-        ...
 
     def __call__(self, overlap: Overlap) -> Bools: ...  # noqa: D102
 

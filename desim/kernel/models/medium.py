@@ -36,17 +36,14 @@ class Medium(Protocol):
     @property
     def shared(self) -> bool:
         """Whether all nodes share one channel."""
-        ...
 
     @property
     def half_duplex(self) -> bool:
         """Whether a node cannot receive while it transmits."""
-        ...
 
     @property
     def queue_limit(self) -> float:
         """Maximum number of waiting messages per node."""
-        ...
 
     def __call__(self, size: int) -> float: ...  # noqa: D102
 
