@@ -3,7 +3,7 @@
 `AECPursuit` asks one pursuer at a time, in the order of any schedule. `ParallelPursuit` asks all in rounds.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 from pettingzoo import AECEnv, ParallelEnv
@@ -12,7 +12,7 @@ from pettingzoo.utils.env import AECIterable
 
 from desim.learning.episode import rule_of, with_protocol
 from desim.learning.pursuit import NO_EPISODE, RENDER_MODES, Pursuit
-from desim.learning.steps import without_unasked
+from desim.pursuit.team.agent import Agent
 from desim.scenario.scenario import Scenario
 from protocols.schedules.periodic import Rounds
 
@@ -75,13 +75,14 @@ class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
             return
         chosen = self._checked(agent, action)
         self._cumulative_rewards[agent] = 0.0
-        step = self._begun({self._ids[agent]: chosen})
+        start, profile = self._begun(), [*self._world.profile]
         self._turns[agent] += 1
-        if episode.turn is not None:
+        if (me := episode.turn) is not None:
+            profile[me.id] = effect_of(chosen, me)
             episode.act(chosen)
         self._select()
         self.rewards = dict.fromkeys(self.agents, 0.0)
-        for i, reward in self._rewards(step).items():
+        for i, reward in self._rewards(start, profile).items():
             name = self.possible_agents[i]
             if name in self.rewards:
                 self.rewards[name] = reward
@@ -95,7 +96,7 @@ class AECPursuit(Pursuit, AECEnv[str, Any, Any]):
         Raises:
             RuntimeError: if there is no episode; without `reset`, there would be no turn.
         """
-        self._check_episode()
+        _ = self._running
         return super().agent_iter(max_iter)
 
     def _select(self) -> None:
@@ -164,7 +165,7 @@ class ParallelPursuit(Pursuit, ParallelEnv[str, Any, Any]):
             ValueError: if an agent has no action, or one that does not exist.
             RuntimeError: if the episode is over, its run has failed, or another thread began it.
         """
-        episode = self._ready()
+        self._ready()
         if not isinstance(actions, Mapping):
             raise TypeError(f"a step takes a dict of the actions of all agents, not a {type(actions).__name__}")
         for name in actions:
@@ -172,20 +173,27 @@ class ParallelPursuit(Pursuit, ParallelEnv[str, Any, Any]):
         if missing := [name for name in self.agents if name not in actions]:
             raise ValueError(f"{missing[0]} has no action: a step takes the actions of all agents")
         chosen = {self._number_of(name): self._checked(name, actions[name]) for name in self.agents}
+        return self.step_by(lambda me: chosen[me.id])
+
+    def step_by(
+        self, choose: Callable[[Agent], int]
+    ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        """Let a function choose the action of each pursuer that a run asks now, at its turn; see `step`.
+
+        A pursuer that has left the episode keeps its action.
+        """
+        episode = self._ready()
         self._rounds += 1
-        instant, before = self._world.now, self._world.profile
-        asked: set[int] = set()
-        step = self._begun(chosen if episode.turn is not None else {}, may_keep=True)
-        while episode.turn is not None and self._world.now == instant:
+        start, profile = self._begun(), [*self._world.profile]
+        while episode.turn is not None and self._world.now == start.now:
             me = episode.turn
-            asked.add(me.id)
-            episode.act(chosen.get(me.id, me.action))
-        if len(asked) < len(before):  # the clocks of others show another time
-            step = without_unasked(step, asked, before)
+            action = choose(me) if self.possible_agents[me.id] in self.agents else me.action
+            profile[me.id] = effect_of(action, me)
+            episode.act(action)
         is_late = episode.turn is not None and self.max_cycles is not None and self._rounds >= self.max_cycles
         if is_late:
             episode.close()
-        rewards = self._rewards(step)
+        rewards = self._rewards(start, profile)
         is_over, leavers = episode.turn is None and not is_late, self._leavers()
         observations, infos = self._shown()
         present = self.agents
@@ -203,6 +211,11 @@ class ParallelPursuit(Pursuit, ParallelEnv[str, Any, Any]):
     def _shown(self) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Return the observations and infos of all agents."""
         return {name: self.observe(name) for name in self.agents}, self._infos()
+
+
+def effect_of(action: int, me: Agent) -> int:
+    """Return the action that a pursuer has after it has chosen one: one that is not among its options becomes 0."""
+    return action if action and action in me.options() else 0
 
 
 def in_rounds(scenario: Scenario) -> Scenario:

@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 from desim.learning.environments import AECPursuit, ParallelPursuit
+from desim.pursuit.team.agent import Agent
 from desim.simulation.run import Result
 from protocols.rule import Rule
 
@@ -13,10 +14,8 @@ if TYPE_CHECKING:
 def play(env: AECPursuit | ParallelPursuit, rule: Rule, seed: int | None = None) -> Result:
     """Let a rule decide for all pursuers of an environment, and return the run.
 
-    The rule gets the agents themselves, so the run is that of a scenario with this rule. A pursuer that restarts
-    without memory restarts the rule. In a parallel environment the rule decides in each step for all that are up, also
-    for those that a run would not ask then: a pursuer whose clock is wrong, or that recovers between two rounds,
-    decides in a step of its own.
+    The rule gets the agents themselves, and each decides when a run would ask it. So the run is that of the scenario of
+    the environment with this rule. A pursuer that restarts without memory restarts the rule.
 
     Args:
         env: the environment; it is reset.
@@ -25,8 +24,7 @@ def play(env: AECPursuit | ParallelPursuit, rule: Rule, seed: int | None = None)
     """
     memories: dict[tuple[int, int], Iterator[int]] = {}
 
-    def decide(agent: str) -> int:
-        me = env.pursuer(agent)
+    def choose(me: Agent) -> int:
         if me.global_state.broken()[me.id] or not (rule.asks_without_choice or me.has_choice()):
             return 0  # a run does not ask the rule, either
         memory = memories.get((me.id, me.restarts))
@@ -37,9 +35,9 @@ def play(env: AECPursuit | ParallelPursuit, rule: Rule, seed: int | None = None)
     env.reset(seed=seed)
     if isinstance(env, ParallelPursuit):
         while env.agents:
-            env.step({agent: decide(agent) for agent in env.agents})
+            env.step_by(choose)
         return env.result
     for agent in env.agent_iter():
         is_over = env.terminations[agent] or env.truncations[agent]
-        env.step(None if is_over else decide(agent))
+        env.step(None if is_over else choose(env.pursuer(agent)))
     return env.result

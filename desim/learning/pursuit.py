@@ -1,6 +1,6 @@
 """What the environments have in common: the game of a scenario, its spaces, and the episode that is played."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from secrets import randbits
 from typing import Any, Self
@@ -156,10 +156,6 @@ class Pursuit:
             raise RuntimeError(NO_EPISODE)
         return self._episode
 
-    def _check_episode(self) -> None:
-        """Raise `RuntimeError` if there is no episode."""
-        _ = self._running
-
     def _ready(self) -> Episode:
         """Return the episode, which can go on.
 
@@ -224,20 +220,23 @@ class Pursuit:
             )
         return int(number)
 
-    def _begun(self, actions: Mapping[int, int], *, may_keep: bool = False) -> StepStart:
-        """Return the start of the step that begins now with some actions, by pursuer; see `step_begun`."""
-        of_all = not self._is_of_game
-        start = step_begun(self._running.simulation, actions, self._start, of_all=of_all, may_keep=may_keep)
-        self._start = start
-        return start
+    def _begun(self) -> StepStart:
+        """Return the start of the step that begins now."""
+        self._start = step_begun(self._world, self._start)
+        return self._start
 
-    def _rewards(self, start: StepStart) -> Mapping[int, float]:
-        """Return the rewards by pursuer of a step that ends now; a pursuer that is not among them gets 0."""
+    def _rewards(self, start: StepStart, profile: Sequence[int]) -> Mapping[int, float]:
+        """Return the rewards by pursuer of a step that ends now; a pursuer that is not among them gets 0.
+
+        Args:
+            start: the start of the step.
+            profile: the actions after its decisions.
+        """
         world = self._world
-        if self._is_of_game and (start.now == world.now or not any(start.profile)):
+        if self._is_of_game and (start.now == world.now or not any(profile)):
             return {}  # utilities are integrated over the step, and that of a team in which nobody chases is 0
         is_last = self._running.turn is None
-        return rewards_of(self._reward, step_ended(start, world, self.scenario.horizon, is_last=is_last))
+        return rewards_of(self._reward, step_ended(start, profile, world, self.scenario.horizon, is_last=is_last))
 
     def _leavers(self) -> list[str]:
         """Return the agents that leave now, because their robots are down."""

@@ -34,8 +34,7 @@ class Step(NamedTuple):
     profile: tuple[int, ...]
     """(N,) the action of each pursuer after the decision at the start."""
     capture_times: tuple[tuple[float, ...], ...]
-    """(M, N) true capture times at the start, s; inf if an evader is captured. A reward of a user gets those of all
-    pursuers; those of the game get only those that chase the evader, and inf for others."""
+    """(M, N) true capture times at the start, s; inf if an evader is captured."""
     time_left: float
     """The time left r at the start, s."""
     horizon: float

@@ -88,9 +88,16 @@ def test_a_rule_played_in_parallel_leaves_the_native_trace(changes):
 
 
 @pytest.mark.parametrize("kind", ["binary_log_linear", "sap"])
-def test_a_rule_is_not_asked_in_parallel_for_a_pursuer_that_is_down_or_has_no_choice(kind):
-    """The rule draws, so a choice that a run does not ask for would change all later ones."""
-    changes = {"fault": (Crash(node=1, start=0.5, end=0.9, memory=False),), "team.speeds": [2.0, 2.0, 0.5]}
+@pytest.mark.parametrize("memory", [False, True])
+@pytest.mark.parametrize("offset", [0.0, 0.03])
+def test_a_rule_is_asked_in_parallel_as_a_run_asks_it(kind, memory, offset):
+    """The rule draws, so a choice that a run does not ask for would change all later ones.
+
+    A pursuer is not asked while it is down or has no choice. One that remembers its round decides when it is up again,
+    between two rounds, and one whose clock is wrong in rounds of its own.
+    """
+    skew = {"kind": "clock_skew", "node": 0, "offset": offset}
+    changes = {"fault": [Crash(node=1, start=0.5, end=0.95, memory=memory), skew], "team.speeds": [2.0, 2.0, 0.5]}
     rule = {"kind": kind, "schedule": Rounds(period=0.2), "tau": {"kind": "constant", "value": 100.0}}
     scenario = small(**{"team.count": 3, "protocol": rule, **changes})
     played = play(desim.parallel_env(scenario, 4), scenario.protocol)
