@@ -10,14 +10,12 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import count
-from typing import Generic, TypeVar
 
 import numpy as np
 
 from desim.kernel.channel.access_methods import Contenders, access_method
 from desim.kernel.channel.air import Air
 from desim.kernel.channel.carrier_sense import CarrierSense
-from desim.kernel.channel.transmitter import Transmittable
 from desim.kernel.core.clock import NEVER, Instant, Phase
 from desim.kernel.core.events import Cause
 from desim.kernel.core.seeds import stream
@@ -26,8 +24,8 @@ from desim.kernel.models.access import CsmaCa
 from desim.kernel.models.interference import Frame
 from desim.kernel.models.medium import Radio, airtimes
 from desim.kernel.state.network_state import NetworkState
+from desim.kernel.state.transmission import Transmission
 
-Item = TypeVar("Item", bound=Transmittable)
 ACKNOWLEDGEMENT = -1
 """The number of the frames of acknowledgements, which no node receives as a message."""
 FIRST_DRAW = 1 << 40
@@ -35,43 +33,43 @@ FIRST_DRAW = 1 << 40
 
 
 @dataclass(frozen=True)
-class Callbacks(Generic[Item]):
+class Callbacks:
     """The functions that a channel calls at the steps of a transmission."""
 
-    start: Callable[[Item], None]
+    start: Callable[[Transmission], None]
     """Called when a frame of the transmission starts."""
-    leave: Callable[[Item, int], None]
+    leave: Callable[[Transmission, int], None]
     """Called after `start` with a transmission that needs no acknowledgement, and its airtime, ns."""
-    land: Callable[[Item, dict[int, Cause]], None]
+    land: Callable[[Transmission, dict[int, Cause]], None]
     """Called with a transmission that needs no acknowledgement when its frame ends, and the causes of its losses on the
     air, by receiver."""
-    attempt: Callable[[Item, int], Cause | None]
+    attempt: Callable[[Transmission, int], Cause | None]
     """Called with a transmission that needs an acknowledgement at the end of each attempt, and the number of the draws
     of the attempt; draws the losses, and returns the cause, or None."""
-    succeed: Callable[[Item], None]
+    succeed: Callable[[Transmission], None]
     """Called with a transmission that needs an acknowledgement at the end of the first attempt that succeeds."""
-    acknowledge: Callable[[Item, int], Cause | None]
+    acknowledge: Callable[[Transmission, int], Cause | None]
     """Called with a transmission at the end of an acknowledgement that can be lost, and the number of the draws of the
     acknowledgement; draws its losses, and returns the cause, or None."""
-    wait: Callable[[Item], None]
+    wait: Callable[[Transmission], None]
     """Called with each transmission, because it may have to wait."""
-    lose: Callable[[Item, Cause], None]
+    lose: Callable[[Transmission, Cause], None]
     """Called with a transmission that is given up, and the cause."""
 
 
 @dataclass
-class _Awaited(Generic[Item]):
+class _Awaited:
     """An acknowledgement for which a sender waits."""
 
     frame: Frame
     """The frame to be acknowledged."""
-    item: Item | None
+    item: Transmission | None
     """The transmission; None: its sender has crashed, so it has no outcome."""
     cause: Cause
     """The cause of the failure if no acknowledgement comes."""
 
 
-class Contention(Generic[Item]):
+class Contention:
     """The channel for which all nodes of a network contend.
 
     Args:
@@ -87,7 +85,7 @@ class Contention(Generic[Item]):
 
     channels = 1
 
-    def __init__(self, state: NetworkState, medium: Radio, seed: int, callbacks: Callbacks[Item]):
+    def __init__(self, state: NetworkState, medium: Radio, seed: int, callbacks: Callbacks):
         env, topology, positions = state.env, state.topology, state.positions
         access = medium.access
         self._env, self._medium, self._callbacks = env, medium, callbacks
@@ -101,8 +99,8 @@ class Contention(Generic[Item]):
         csma_ca = access if isinstance(access, CsmaCa) else None
         self._acknowledges = csma_ca is not None
         self._draws = count(FIRST_DRAW)
-        self._queues: list[deque[Item]] = [deque() for _ in range(topology.size)]
-        self._sending: dict[int, Item | None] = {}
+        self._queues: list[deque[Transmission]] = [deque() for _ in range(topology.size)]
+        self._sending: dict[int, Transmission | None] = {}
         """The transmission that each node has on the air; None: its sender has crashed, so it has no outcome."""
         self._repeated: set[int] = set()
         """The numbers of the transmissions of which an attempt has failed."""
@@ -113,9 +111,9 @@ class Contention(Generic[Item]):
         """The space before an acknowledgement and its airtime, ns."""
         self._notes = timeout is not None or eifs is not None
         """Whether it matters which nodes that sense a frame receive it."""
-        self._awaiting: dict[int, _Awaited[Item]] = {}
+        self._awaiting: dict[int, _Awaited] = {}
         """The acknowledgement for which each node waits."""
-        self._acknowledged: dict[int, Item] = {}
+        self._acknowledged: dict[int, Transmission] = {}
         """By the number of its draws: the transmission of each acknowledgement that is on the air and can be lost."""
         self._received: set[int] = set()
         """The numbers of the transmissions that were received, and whose sender does not know it."""
@@ -123,7 +121,7 @@ class Contention(Generic[Item]):
         """The time until which each node does not transmit because of the duty cycle, ns."""
         self._wake: int = NEVER
 
-    def enqueue(self, item: Item) -> None:
+    def enqueue(self, item: Transmission) -> None:
         """Let a transmission contend for the channel, after those of its node that wait."""
         queue = self._queues[item.src]
         self._callbacks.wait(item)
@@ -139,7 +137,7 @@ class Contention(Generic[Item]):
             self._callbacks.lose(queue[kept], "queue")
             del queue[kept]
 
-    def flush(self, src: int) -> list[Item]:
+    def flush(self, src: int) -> list[Transmission]:
         """Remove and return all transmissions of a node whose radio goes down now, also that on the air.
 
         The frame on the air stays there until its end, as interference and as a busy channel, but has no outcome.
@@ -162,7 +160,7 @@ class Contention(Generic[Item]):
         self._received -= numbers
         return taken
 
-    def waiting(self) -> Iterator[Item]:
+    def waiting(self) -> Iterator[Transmission]:
         """Yield the transmissions that wait, and those on the air that are to be acknowledged and not yet received."""
         items = [item for queue in self._queues for item in queue]
         items += [item for item in self._sending.values() if item is not None and self._needs_ack(item)]
@@ -173,10 +171,10 @@ class Contention(Generic[Item]):
         """Return the total time, ns, for which there have been frames on the air."""
         return self._air.busy_time()
 
-    def _airtime(self, item: Item) -> int:
+    def _airtime(self, item: Transmission) -> int:
         return nanoseconds(self._airtime_of(item.size, item.src))
 
-    def _needs_ack(self, item: Item) -> bool:
+    def _needs_ack(self, item: Transmission) -> bool:
         return self._acknowledges and item.to_one
 
     def _prepare(self, node: int, *, arrived: bool = False) -> None:
@@ -300,7 +298,7 @@ class Contention(Generic[Item]):
         self._carrier.hold(silent)
         Instant(self._env, end, Phase.DELIVERY).callbacks.append(lambda _: self._carrier.release(silent))
 
-    def _await(self, frame: Frame, item: Item, cause: Cause | None) -> None:
+    def _await(self, frame: Frame, item: Transmission, cause: Cause | None) -> None:
         """Let a sender wait for the acknowledgement of its frame, which ends now and was lost by a cause, or received.
 
         Until then it takes the channel as busy.

@@ -9,11 +9,9 @@ Kept equal to draws of a constant delay by
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Generic, TypeVar
 
 import numpy as np
 
-from desim.kernel.channel.transmitter import Transmittable
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.core.seeds import stream
@@ -21,11 +19,10 @@ from desim.kernel.core.units import SECOND, nanoseconds
 from desim.kernel.models.latency import Constant, Latency
 from desim.kernel.models.link_draws import as_nanoseconds, buffered, times_of
 from desim.kernel.models.traits import model_of_run
+from desim.kernel.state.transmission import Transmission
 
-Item = TypeVar("Item", bound=Transmittable)
 
-
-class Hosts(Generic[Item]):
+class Hosts:
     """Passes each transmission on to the queue of its sender after a processing delay, in the order of a sender.
 
     Args:
@@ -36,17 +33,17 @@ class Hosts(Generic[Item]):
         pass_on: called with each transmission after its delay.
     """
 
-    def __init__(self, env: Clock, delay: Latency, size: int, seed: int, pass_on: Callable[[Item], object]):
+    def __init__(self, env: Clock, delay: Latency, size: int, seed: int, pass_on: Callable[[Transmission], object]):
         self._env, self._pass_on = env, pass_on
         self._draw = _delays(env, delay, size, seed)
-        self._held: list[deque[Item]] = [deque() for _ in range(size)]
+        self._held: list[deque[Transmission]] = [deque() for _ in range(size)]
         """The transmissions of each node that are not passed on yet, in the order sent."""
         self._last = [0] * size
         """The time at which each node passes on its newest transmission, ns."""
         self._restarts = [0] * size
         """Number of times that each node was flushed."""
 
-    def process(self, item: Item) -> None:
+    def process(self, item: Transmission) -> None:
         """Pass a transmission on after its delay, and not before an earlier one of its sender."""
         src = item.src
         self._last[src] = when = max(self._env.now + self._draw(src), self._last[src])
@@ -54,7 +51,7 @@ class Hosts(Generic[Item]):
         restarts = self._restarts[src]
         Instant(self._env, when, Phase.DELIVERY).callbacks.append(lambda _: self._release(src, restarts))
 
-    def flush(self, src: int) -> list[Item]:
+    def flush(self, src: int) -> list[Transmission]:
         """Remove and return the transmissions of a node that are not passed on yet."""
         taken = list(self._held[src])
         self._held[src].clear()
@@ -62,7 +59,7 @@ class Hosts(Generic[Item]):
         self._last[src] = 0
         return taken
 
-    def waiting(self) -> Iterator[Item]:
+    def waiting(self) -> Iterator[Transmission]:
         """Yield the transmissions that are not passed on yet."""
         for held in self._held:
             yield from held

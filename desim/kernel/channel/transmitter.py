@@ -8,47 +8,15 @@ from bisect import bisect_left
 from collections import OrderedDict, deque
 from collections.abc import Callable, Collection, Iterator
 from itertools import islice
-from typing import Generic, Protocol, TypeVar
 
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.medium import Medium, airtimes
+from desim.kernel.state.transmission import Transmission
 
 
-class Transmittable(Protocol):
-    """An item that can be transmitted."""
-
-    @property
-    def src(self) -> int:
-        """The node that transmits."""
-        ...
-
-    @property
-    def size(self) -> int:
-        """Size, bytes."""
-        ...
-
-    @property
-    def number(self) -> int:
-        """The number of the transmission."""
-        ...
-
-    @property
-    def receivers(self) -> list[int]:
-        """The nodes that it is meant for."""
-        ...
-
-    @property
-    def to_one(self) -> bool:
-        """Whether it is addressed to one node."""
-        ...
-
-
-Item = TypeVar("Item", bound=Transmittable)
-
-
-class Transmitter(Generic[Item]):
+class Transmitter:
     """The transmitters of all nodes, or the shared channel of all nodes.
 
     A transmission waits while its channel is busy, and then occupies the channel for its airtime. If a node has more
@@ -76,9 +44,9 @@ class Transmitter(Generic[Item]):
         env: Clock,
         medium: Medium,
         size: int,
-        leave: Callable[[Item, int], None],
-        wait: Callable[[Item], None],
-        drop: Callable[[Item], None],
+        leave: Callable[[Transmission, int], None],
+        wait: Callable[[Transmission], None],
+        drop: Callable[[Transmission], None],
         lag: int = 0,
     ):
         self._env, self._medium = env, medium
@@ -87,16 +55,16 @@ class Transmitter(Generic[Item]):
         self.channels = 1 if medium.shared else size
         # A shared channel serves the transmissions of all nodes in order, and a full node drops its own oldest. As each
         # waiting transmission is in the queue of its channel and in that of its node, both take constant time.
-        self._waiting: list[OrderedDict[int, Item]] = [OrderedDict() for _ in range(self.channels)]
+        self._waiting: list[OrderedDict[int, Transmission]] = [OrderedDict() for _ in range(self.channels)]
         """The waiting transmissions of each channel, by number."""
-        self._of_node: list[deque[Item]] = [deque() for _ in range(size)]
+        self._of_node: list[deque[Transmission]] = [deque() for _ in range(size)]
         """The waiting transmissions of each node."""
         self._free_at = [0] * self.channels
         self._busy = 0
         self.recent: list[tuple[int, int, int]] = []
         self._lag, self._longest = lag, 0
 
-    def enqueue(self, item: Item) -> None:
+    def enqueue(self, item: Transmission) -> None:
         """Start a transmission now, or when the channel is free."""
         channel = self._channel(item.src)
         waiting = self._waiting[channel]
@@ -114,7 +82,7 @@ class Transmitter(Generic[Item]):
             del waiting[oldest.number]
             self._drop(oldest)
 
-    def flush(self, src: int) -> list[Item]:
+    def flush(self, src: int) -> list[Transmission]:
         """Remove and return all waiting transmissions of a node."""
         taken = list(self._of_node[src])
         self._of_node[src].clear()
@@ -123,7 +91,7 @@ class Transmitter(Generic[Item]):
             del waiting[item.number]
         return taken
 
-    def waiting(self) -> Iterator[Item]:
+    def waiting(self) -> Iterator[Transmission]:
         """Yield the waiting transmissions."""
         return (item for waiting in self._waiting for item in waiting.values())
 
@@ -157,7 +125,7 @@ class Transmitter(Generic[Item]):
         """Return the number of the channel on which a node transmits."""
         return 0 if self._medium.shared else node
 
-    def _begin(self, channel: int, item: Item) -> None:
+    def _begin(self, channel: int, item: Transmission) -> None:
         now, duration = self._env.now, nanoseconds(self._airtime_of(item.size, item.src))
         self._free_at[channel] = now + duration
         self._busy += duration

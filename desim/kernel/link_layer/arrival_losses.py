@@ -12,7 +12,7 @@ from desim.config.arrays import Integers
 from desim.kernel.channel.transmitter import Transmitter
 from desim.kernel.core.events import Cause
 from desim.kernel.state.network_state import NetworkState
-from desim.kernel.state.transmission import Flight, Transmission
+from desim.kernel.state.transmission import Flight
 
 
 class ArrivalLosses:
@@ -28,7 +28,7 @@ class ArrivalLosses:
     def __init__(
         self,
         state: NetworkState,
-        transmitter: Transmitter[Transmission] | None,
+        transmitter: Transmitter | None,
         *,
         processing: int,
         checks_range: bool,

@@ -114,7 +114,7 @@ class Arrivals:
     def __init__(
         self,
         state: NetworkState,
-        transmitter: Transmitter[Transmission] | None,
+        transmitter: Transmitter | None,
         *,
         processing: int,
         checks_range: bool,

@@ -50,7 +50,7 @@ class MessageDelivery:
         self,
         state: NetworkState,
         links: Links,
-        transmitter: Transmitter[Transmission] | Contention[Transmission] | None,
+        transmitter: Transmitter | Contention | None,
         *,
         processing: int,
         at_once: bool,

@@ -55,7 +55,7 @@ class LinkLayer:
         self._departure = Departure(state, sampler, checks_range=checks_range)
         medium = links.medium
         wait: Callable[[Transmission], None] = _is_waiting_already if links.delays_start else self._log.queue
-        self._transmitter: Transmitter[Transmission] | Contention[Transmission] | None = None
+        self._transmitter: Transmitter | Contention | None = None
         if contends(medium):
             callbacks = Callbacks(
                 start=self._log.start,
@@ -99,7 +99,7 @@ class LinkLayer:
             self._leave if self._transmitter is None else self._transmitter.enqueue
         )
         """Starts a transmission, or queues it if the transmitter is busy; after a delay if its sender needs time."""
-        self._hosts: Hosts[Transmission] | None = None
+        self._hosts: Hosts | None = None
         if links.delays_start:
             self._hosts = Hosts(env, links.processing.sender, state.topology.size, seed, self._enqueue)
             self._enqueue = self._process
