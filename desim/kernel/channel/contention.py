@@ -61,10 +61,8 @@ class Callbacks:
 class _Awaited:
     """An acknowledgement for which a sender waits."""
 
-    frame: Frame
-    """The frame to be acknowledged."""
     item: Transmission | None
-    """The transmission; None: its sender has crashed, so it has no outcome."""
+    """The transmission to be acknowledged; None: its sender has crashed, so it has no outcome."""
     cause: Cause
     """The cause of the failure if no acknowledgement comes."""
 
@@ -250,16 +248,23 @@ class Contention:
                 return
             if cause is None:
                 self._acknowledge(item.receivers[0])
-        is_repeated = self._access.transmitted(frame.src, acknowledged=cause is None)
-        if item is not None and cause is not None:
-            if is_repeated:
-                self._queues[frame.src].appendleft(item)
-                self._repeated.add(item.number)
-            else:
-                self._callbacks.lose(item, cause)
+        self._conclude(frame.src, item, cause)
         self._carrier.sense(frame, -1)
         self._rest(frame)
         self._prepare(frame.src)
+
+    def _conclude(self, src: int, item: Transmission | None, cause: Cause | None) -> None:
+        """End an attempt of a node, which has failed by a cause, or not (None): repeat, give up or finish its item."""
+        is_repeated = self._access.transmitted(src, acknowledged=item is None or cause is None)
+        if item is None:
+            return
+        if is_repeated:
+            self._queues[src].appendleft(item)
+            self._repeated.add(item.number)
+            return
+        if cause is not None and item.number not in self._received:
+            self._callbacks.lose(item, cause)
+        self._received.discard(item.number)
 
     def _rest(self, frame: Frame) -> None:
         """Let the sender of a frame be silent after it, if there is a duty cycle; a silence that lasts is prolonged."""
@@ -305,7 +310,7 @@ class Contention:
         """
         assert self._timeout is not None
         src = frame.src
-        self._awaiting[src] = awaited = _Awaited(frame, item, cause or "loss")
+        self._awaiting[src] = awaited = _Awaited(item, cause or "loss")
         self._carrier.hold(np.array([src]))
         if cause is None:
             self._received.add(item.number)
@@ -315,7 +320,7 @@ class Contention:
 
         def time_out(_: object) -> None:
             if self._awaiting.get(src) is awaited:
-                self._settle(src, acknowledged=False)
+                self._settle(src, awaited.cause)
 
         Instant(self._env, self._env.now + self._timeout, Phase.DELIVERY).callbacks.append(time_out)
 
@@ -329,20 +334,12 @@ class Contention:
             return
         cause = causes.get(item.src) or self._callbacks.acknowledge(item, frame.draw)
         if cause is None:
-            self._settle(item.src, acknowledged=True)
+            self._settle(item.src, None)
         else:
             awaited.cause = cause
 
-    def _settle(self, src: int, *, acknowledged: bool) -> None:
-        """End the wait of a sender for an acknowledgement: its transmission is done, repeated or given up."""
-        awaited = self._awaiting.pop(src)
-        item, is_repeated = awaited.item, self._access.transmitted(src, acknowledged=acknowledged)
-        if item is not None and is_repeated:
-            self._queues[src].appendleft(item)
-            self._repeated.add(item.number)
-        elif item is not None:
-            if item.number not in self._received:
-                self._callbacks.lose(item, awaited.cause)
-            self._received.discard(item.number)
+    def _settle(self, src: int, cause: Cause | None) -> None:
+        """End the wait of a sender for an acknowledgement, which has not come for a cause, or has (None)."""
+        self._conclude(src, self._awaiting.pop(src).item, cause)
         self._carrier.release(np.array([src]))
         self._prepare(src)
