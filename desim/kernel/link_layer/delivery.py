@@ -17,7 +17,6 @@ Kept equal to decisions on arrival by
 
 from collections.abc import Callable, Collection, Mapping
 from itertools import compress
-from typing import NamedTuple
 
 from desim.kernel.channel.contention import Contention
 from desim.kernel.channel.transmitter import Transmitter
@@ -25,7 +24,6 @@ from desim.kernel.core.events import Cause
 from desim.kernel.core.records import Arrival, Record, per_receiver
 from desim.kernel.link_layer.arrivals import Arrivals
 from desim.kernel.models.links import Links
-from desim.kernel.state.fault_state import FaultState
 from desim.kernel.state.network_state import NetworkState
 from desim.kernel.state.transmission import Lose, Transmission
 
@@ -143,47 +141,20 @@ class MessageDelivery:
     ) -> tuple[list[int], Arrival, list[int]]:
         """Return the receivers that certainly get a transmission, its arrival times (ns), and those that are down.
 
-        Other arrivals are scheduled, and decided when they are due.
+        Up to the next change of the faults, an arrival succeeds if and only if the radio of the receiver is up now.
+        Later arrivals are scheduled, and decided when they are due.
         """
         assert self._fault_state is not None
-        reached, arrival, unsure, later, down, when_lost = certain(self._fault_state, reached, arrival)
-        if unsure:
-            self.arrivals.schedule(transmission, unsure, later, airtime)
-        self.arrivals.lose_at(transmission, down, when_lost)
-        return reached, arrival, down
-
-
-class Certain(NamedTuple):
-    """The receivers of a transmission, by what is certain about its arrival; arrival times in ns."""
-
-    reached: list[int]
-    """Receivers that certainly get it."""
-    arrival: Arrival
-    """The arrival times at `reached`."""
-    open: list[int]
-    """Receivers at which a fault can begin or end before it arrives."""
-    open_arrival: Arrival
-    down: list[int]
-    """Receivers that are down, and will still be down when it arrives."""
-    down_arrival: Arrival
-
-
-def certain(faults: FaultState, reached: list[int], arrival: Arrival) -> Certain:
-    """Divide the receivers that no loss has excluded by what is certain about the arrival (ns) of a transmission.
-
-    Up to the next change of the faults, an arrival succeeds if and only if the radio of the receiver is up now.
-    """
-    until, down = faults.constant_until, faults.down_nodes
-    last = arrival if isinstance(arrival, int) else max(arrival, default=0)
-    unsure: list[int] = []
-    lost: list[int] = []
-    later = when_lost = arrival
-    # The late arrivals are set apart first: a receiver that is down now may be up when they are due.
-    if last >= until:
-        reached, arrival, unsure, later = _split(reached, arrival, lambda _, when: when < until)
-    if down:
-        reached, arrival, lost, when_lost = _split(reached, arrival, lambda node, _: node not in down)
-    return Certain(reached, arrival, unsure, later, lost, when_lost)
+        until, down = self._fault_state.constant_until, self._fault_state.down_nodes
+        # The late arrivals are set apart first: a receiver that is down now may be up when they are due.
+        if (arrival if isinstance(arrival, int) else max(arrival, default=0)) >= until:
+            reached, arrival, late, later = _split(reached, arrival, lambda _, when: when < until)
+            self.arrivals.schedule(transmission, late, later, airtime)
+        lost: list[int] = []
+        if down:
+            reached, arrival, lost, when_lost = _split(reached, arrival, lambda node, _: node not in down)
+            self.arrivals.lose_at(transmission, lost, when_lost)
+        return reached, arrival, lost
 
 
 def _split(

@@ -54,7 +54,8 @@ class LinkLayer:
         checks_range = links.range_check != "delivery"
         self._departure = Departure(state, sampler, checks_range=checks_range)
         medium = links.medium
-        wait: Callable[[Transmission], None] = _is_waiting_already if links.delays_start else self._log.queue
+        # A transmission whose start is delayed has waited since its host began to process it.
+        wait: Callable[[Transmission], None] = (lambda _: None) if links.delays_start else self._log.queue
         self._transmitter: Transmitter | Contention | None = None
         if contends(medium):
             callbacks = Callbacks(
@@ -62,7 +63,7 @@ class LinkLayer:
                 leave=self._leave,
                 land=self._land,
                 attempt=self._departure.attempt,
-                succeed=self._succeed,
+                succeed=lambda transmission: self._leave(transmission, draws=False),
                 acknowledge=self._departure.acknowledgement,
                 wait=wait,
                 lose=self._give_up,
@@ -87,12 +88,10 @@ class LinkLayer:
         )
         self._is_certain = self.delivery.is_certain and not (self._contends or sampler.keeps_order) and trace is None
         """Whether the outcomes that are drawn at transmission are final, and no trace needs them."""
-        self._may_lose = (
-            state.fault_state is not None or not sampler.lossless or self._transmitter is not None or links.delays_start
-        )
+        waits = self._transmitter is not None or links.delays_start
+        self._may_lose = waits or state.fault_state is not None or not sampler.lossless
         """Whether losses are possible at transmission, besides those of messages to nodes that are not reachable."""
         self._inboxes = state.inboxes
-        waits = self._transmitter is not None or links.delays_start
         self._is_plain = self.delivery.is_certain and not (waits or sampler.keeps_order)
         """Whether a transmission starts when it is created, and arrives for certain where it is not lost then."""
         self._enqueue: Callable[[Transmission], None] = (
@@ -200,9 +199,6 @@ class LinkLayer:
             self._fault_state.forget(transmission.number)
         self._log.lose(transmission, causes)
 
-    def _succeed(self, transmission: Transmission) -> None:
-        self._leave(transmission, draws=False)
-
     def _leave(self, transmission: Transmission, airtime: int = 0, *, draws: bool = True) -> None:
         """Start a transmission with an airtime (ns): schedule its arrivals, and draw its losses if `draws`.
 
@@ -306,10 +302,6 @@ class LinkLayer:
             if self._is_traced:
                 self._log.leave(copied, {}, when)
             self.delivery.schedule(copied, [node], when, {}, 0)
-
-
-def _is_waiting_already(_: Transmission) -> None:
-    """Record nothing: the transmission has waited since its host began to process it."""
 
 
 def _without(lost: Collection[int], nodes: list[int], arrival: Arrival) -> tuple[list[int], Arrival]:
