@@ -7,7 +7,7 @@ Kept equal to draws link by link by
 `tests/kernel/test_propagation.py::test_losses_are_those_of_a_plain_model_that_draws_link_by_link`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import compress
 from math import inf
 from operator import or_
@@ -131,9 +131,10 @@ class LinkSampler:
             lost = [self._bursts.to_one(src, dst[0], now / SECOND, self._loss_rng)]
         else:
             lost = booleans_of(self._loss(self._context(src, dst, now, size), self._loss_rng), len(dst), self._loss)
-        for k, model, context in self._own_links(self._loss_overrides, src, dst, now, size):
+        if src in self._loss_overrides:
             lost = lost or [False] * len(dst)
-            (lost[k],) = booleans_of(model(context, self._override_loss_rng), 1, model)
+            for k, model, context in self._own_links(self._loss_overrides[src], src, dst, now, size):
+                (lost[k],) = booleans_of(model(context, self._override_loss_rng), 1, model)
         if not self._latency_loses:
             return lost
         without_latency = self._without_latency(src, dst, now, size)
@@ -149,7 +150,7 @@ class LinkSampler:
         lost = [False] * len(dst)
         if self._is_lost is not None:
             lost = booleans_of(self._is_lost(self._context(src, dst, now, size)), len(dst), self._is_lost)
-        for k, is_lost, context in self._own_links(self._is_lost_overrides, src, dst, now, size):
+        for k, is_lost, context in self._own_links(self._is_lost_overrides.get(src, {}), src, dst, now, size):
             lost[k] = is_lost is not None and booleans_of(is_lost(context), 1, is_lost)[0]
         return lost
 
@@ -174,18 +175,18 @@ class LinkSampler:
         start = now + airtime + self.processing
         if self._constant is not None:
             return start + self._constant
-        has_own = src in self._latency_overrides
+        overrides = self._latency_overrides.get(src)
         if self._latency_buffer is not None:
-            if len(dst) == 1 and not has_own:
+            if len(dst) == 1 and not overrides:
                 return [start + self._latency_buffer.one()]
             delays = self._latency_buffer.take(len(dst))
         else:
             drawn = self._latency(self._context(src, dst, now, size), self._latency_rng)
             delays = times_of(drawn, len(dst), self._latency)
-        if has_own:
+        if overrides:
             # A copy: the buffer hands out a view of its block, and one number may stand for all receivers.
             delays = np.array(np.broadcast_to(delays, len(dst)))
-            for k, model, context in self._own_links(self._latency_overrides, src, dst, now, size):
+            for k, model, context in self._own_links(overrides, src, dst, now, size):
                 delays[k] = times_of(model(context, self._override_latency_rng), 1, model).item()
         arrivals: Arrival = (delays + start).tolist()  # takes less memory than sums of integers of Python, by a third
         return arrivals
@@ -237,13 +238,12 @@ class LinkSampler:
         return arrivals
 
     def _own_links(
-        self, models: dict[int, dict[int, _Model]], src: int, dst: list[int], now: int, size: int
+        self, models: Mapping[int, _Model], src: int, dst: list[int], now: int, size: int
     ) -> Iterator[tuple[int, _Model, LinkContext]]:
         """Yield the index, the model and the context of each receiver whose link has a model of its own."""
-        overrides = models.get(src, {})
-        for k, node in enumerate(dst) if overrides else ():
-            if node in overrides:
-                yield k, overrides[node], self._context(src, [node], now, size)
+        for k, node in enumerate(dst):
+            if node in models:
+                yield k, models[node], self._context(src, [node], now, size)
 
     def _context(self, src: int, dst: list[int], now: int, size: int) -> LinkContext:
         if len(dst) == 1:
