@@ -71,14 +71,8 @@ class Kinematics:
 
     def distances(self, player: int, others: Iterable[int]) -> list[float]:
         """Return the present distances of other players from one player, m."""
-        now, start, velocity = self._env.now, self._origins.item, self._velocities.item
-        if self._cached_at == now or self._static:
-            place = self._positions.item
-            here = place(player)
-            return [abs(here - place(other)) for other in others]
-        passed = (now - self._since) / SECOND
-        here = start(player) + velocity(player) * passed
-        return [abs(here - (start(other) + velocity(other) * passed)) for other in others]
+        here = self.position(player)
+        return [abs(here - self.position(other)) for other in others]
 
     def positions_of(self, players: Sequence[int] | NDArray[np.intp]) -> Points:
         """Return the (k,) positions of some players now, m."""
