@@ -124,7 +124,7 @@ def full_rows(matrix: Upper) -> Sequence[Sequence[float]]:
 
 
 def _with_entries(state: StateVector, covariance: Upper, entries: Sequence[Entry]) -> tuple[StateVector, Upper]:
-    """Return a state and its covariance after measured numbers, of which the first is an entry of the state.
+    """Return a state and its covariance after measured numbers.
 
     The ten numbers of the covariance are variables, and no vector is a list: a number costs a ninth of the time.
 
@@ -136,22 +136,7 @@ def _with_entries(state: StateVector, covariance: Upper, entries: Sequence[Entry
     before = xx, yy, uu, vv
     # A rounding error is at most half of this times the square of h, by the inequality of Cauchy and Schwarz.
     least = 2.0 * ROUNDING * (abs(xx) + abs(yy) + abs(uu) + abs(vv))
-    (row, number, variance), *others = entries
-    k = row.index(1.0)
-    spread, off = before[k], number - state[k]
-    total = spread + variance
-    if total > least or total > _rounding_error(row, before):
-        sx, sy, su, sv = ((xx, xy, xu, xv), (xy, yy, yu, yv), (xu, yu, uu, uv), (xv, yv, uv, vv))[k]
-        gx, gy, gu, gv = sx / total, sy / total, su / total, sv / total  # the gain K
-        x, y, vx, vy = x + gx * off, y + gy * off, vx + gu * off, vy + gv * off
-        kx, ky, ku, kv = sx - gx * spread, sy - gy * spread, su - gu * spread, sv - gv * spread
-        rx, ry, ru, rv = variance * gx, variance * gy, variance * gu, variance * gv
-        xx, xy = xx - gx * sx - kx * gx + rx * gx, xy - gx * sy - kx * gy + rx * gy
-        xu, xv = xu - gx * su - kx * gu + rx * gu, xv - gx * sv - kx * gv + rx * gv
-        yy, yu = yy - gy * sy - ky * gy + ry * gy, yu - gy * su - ky * gu + ry * gu
-        yv, uu = yv - gy * sv - ky * gv + ry * gv, uu - gu * su - ku * gu + ru * gu
-        uv, vv = uv - gu * sv - ku * gv + ru * gv, vv - gv * sv - kv * gv + rv * gv
-    for row, number, variance in others:
+    for row, number, variance in entries:
         a, b, c, d = row
         sx, sy = xx * a + xy * b + xu * c + xv * d, xy * a + yy * b + yu * c + yv * d
         su, sv = xu * a + yu * b + uu * c + uv * d, xv * a + yv * b + uv * c + vv * d
