@@ -22,11 +22,9 @@ class Falsifiable(Protocol):
 
     def falsified(self, pursuer: int, action: int, phi: float) -> Any:
         """Return the announcement with which a pursuer pretends to act so, and to have the capture time phi, s."""
-        ...
 
     def phi(self, pursuer: int) -> float:
         """Return the capture time, s, that it states for the chase of a pursuer; inf if it states none."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,6 @@ class Utility(Protocol):
     @property
     def scope(self) -> Scope:
         """The teammates whose actions count; see `Scope`."""
-        ...
 
     def __call__(self, own_time: float, other_times: Sequence[float], reward: float) -> float: ...  # noqa: D102
 

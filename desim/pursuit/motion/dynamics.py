@@ -142,12 +142,10 @@ class Limited(Protocol):
     @property
     def limits(self) -> Literal["acceleration", "turn rate"]:
         """What is limited: the acceleration, or the turn rate."""
-        ...
 
     @property
     def limit(self) -> float:
         """The limit, m/s^2 or rad/s."""
-        ...
 
 
 class Courses(NamedTuple):

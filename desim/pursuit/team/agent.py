@@ -38,11 +38,9 @@ class Voice(Protocol):
 
     def publish(self, src: int, body: Any, size: int | None = None, stamp: int | None = None) -> None:
         """Broadcast the state of a pursuer as a record."""
-        ...
 
     def next_record(self, src: int, body: Any, stamp: int | None = None) -> Record:
         """Return a new record of a pursuer."""
-        ...
 
     def send(
         self,
@@ -55,7 +53,6 @@ class Voice(Protocol):
         transport: Transport | None = None,
     ) -> None:
         """Send a message to a pursuer, or to all neighbours."""
-        ...
 
 
 MEANT = MappingProxyType(

@@ -31,23 +31,18 @@ class Observer(Protocol):
     @property
     def now(self) -> int:
         """The local time, ns."""
-        ...
 
     def refutes(self, record: Record, radius: float) -> bool:
         """Return whether a record contradicts what the pursuer observes up to a distance, m."""
-        ...
 
     def note(self, suspect: int, *, distrusted: bool) -> None:
         """Record that the pursuer begins or stops to distrust a teammate."""
-        ...
 
     def mail(self, port: str) -> list[Message]:
         """Remove and return the unread messages of a port."""
-        ...
 
     def send(self, body: Any, port: str) -> None:
         """Send a message to all neighbours."""
-        ...
 
 
 class Judge:

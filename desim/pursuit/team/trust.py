@@ -27,11 +27,9 @@ class Trust(Protocol):
     @property
     def period(self) -> float | None:
         """Time between two reports of a judge, s; None: judges do not report."""
-        ...
 
     def judge(self, witness: Observer) -> Judge | None:
         """Create the judge of a pursuer, given what it observes; None: it believes everything."""
-        ...
 
 
 class TrustTraits(Traits):
