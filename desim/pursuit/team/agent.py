@@ -17,7 +17,6 @@ import simpy
 from desim.config.arguments import HintedItems, value_text
 from desim.kernel.core.clock import Clock, NodeClock, Phase
 from desim.kernel.core.message_body import as_sent, differs
-from desim.kernel.core.ports import check_port
 from desim.kernel.core.records import Record
 from desim.kernel.core.seeds import stream
 from desim.kernel.models.transport import Transport
@@ -321,14 +320,10 @@ class Agent(Beliefs, Timing, HintedItems):
                 0, the body has no size or cannot be copied, the port is no text, the transport is none, or messages at
                 the port have another transport.
         """
-        if not isinstance(port, str):
-            check_port(port, f"pursuer {self.id}: send")  # type: ignore[unreachable]
         self._voice.send(self.id, dst, body, port=port, size=size, transport=transport)
 
     def mail(self, port: str = "") -> list[Message]:
         """Remove and return the unread messages of a port, without waiting."""
-        if not isinstance(port, str):
-            check_port(port, f"pursuer {self.id}: mail")  # type: ignore[unreachable]
         return self._network.inbox(self.id, port).drain()
 
 

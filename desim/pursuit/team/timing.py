@@ -10,7 +10,6 @@ from desim.config.calls import check_argument, check_at_once
 from desim.config.python_numbers import real
 from desim.config.traits import OURS, module_of
 from desim.kernel.core.clock import Clock, Instant, NodeClock, Phase
-from desim.kernel.core.ports import check_port
 from desim.kernel.network import Network
 from desim.kernel.state.inbox import Inbox, Message
 
@@ -154,8 +153,6 @@ class Timing:
         Raises:
             ValueError: if the port is no text.
         """
-        if not isinstance(port, str):
-            check_port(port, f"pursuer {self.id}: arrival")  # type: ignore[unreachable]
         self._check_phase(phase)
         return self._network.inbox(self.id, port).arrival(phase + self.id)
 
@@ -184,8 +181,6 @@ class Timing:
         Raises:
             ValueError: if the port is no text, or `act` or `ignores` is no function.
         """
-        if not isinstance(port, str):
-            check_port(port, f"pursuer {self.id}: listen")  # type: ignore[unreachable]
         self._check_phase(phase)
         if not callable(act):
             raise ValueError(f"pursuer {self.id}: listen: act should be a function of messages (got {value_text(act)})")
