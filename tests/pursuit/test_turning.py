@@ -10,16 +10,21 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from desim.pursuit.motion.capture import RadialTime
-from desim.pursuit.motion.turning import shortest_paths, turning_capture_times
+from desim.pursuit.motion.turning import shortest_path, turning_capture_times
 
 seeds = st.integers(0, 2**32 - 1)
 ANGLES = np.linspace(0.0, 2.0 * pi, 1_441)
 
 
+def paths_to(targets, radius=1.0):
+    """Return the lengths and the final headings of the shortest paths to targets, all with one radius."""
+    lengths, headings = zip(*(shortest_path(complex(target), radius) for target in targets), strict=True)
+    return np.array(lengths), np.array(headings)
+
+
 def lengths_of(targets, radius):
     """Return the lengths of the shortest paths to targets, all with one radius."""
-    targets = np.array(targets, dtype=complex)
-    return shortest_paths(targets, np.full(len(targets), radius))[0]
+    return paths_to(targets, radius)[0]
 
 
 def moved(targets, side, length, radius):
@@ -79,7 +84,7 @@ def test_lengths_by_numbers(target, length):
 def test_along_the_final_heading_the_length_grows_by_the_distance(target):
     """By differences, within and beyond the turning circle, on the left and on the right."""
     targets = np.array([target, target.conjugate()])
-    _, headings = shortest_paths(targets, np.ones(2))
+    _, headings = paths_to(targets)
     grown = lengths_of(targets + 1e-6 * headings, 1.0) - lengths_of(targets - 1e-6 * headings, 1.0)
     assert grown == pytest.approx([2e-6, 2e-6], rel=1e-6)
 
@@ -131,7 +136,7 @@ def test_beyond_the_turning_circles_the_gradient_of_the_length_is_the_final_head
     """The eikonal equation, by differences, a little off the line behind, where both sides are equally short."""
     rng = np.random.default_rng(seed)
     targets = rng.normal(size=200) * 2.0 + 2.0j * rng.normal(size=200)
-    _, headings = shortest_paths(targets, np.ones(200))
+    _, headings = paths_to(targets)
     smooth = (np.abs(targets - 1j * np.sign(targets.imag)) > 1.02) & (np.abs(targets.imag) > 1e-3)
     for step in (1e-6, 1e-6j):
         slopes = (lengths_of(targets + step, 1.0) - lengths_of(targets - step, 1.0)) / 2e-6
@@ -156,7 +161,7 @@ def test_lengths_are_symmetric_and_scale(seed):
     """Mirrored targets have mirrored paths; twice the radius and twice the distance make twice the length."""
     rng = np.random.default_rng(seed)
     targets = rng.normal(size=100) * 2.0 + 2.0j * rng.normal(size=100)
-    (left, ahead), (right, mirrored) = (shortest_paths(z, np.ones(100)) for z in (targets, targets.conj()))
+    (left, ahead), (right, mirrored) = (paths_to(z) for z in (targets, targets.conj()))
     assert (left == right).all()
     assert (ahead == mirrored.conj()).all()
     assert lengths_of(2.0 * targets, 2.0) == pytest.approx(2.0 * left, rel=1e-9)

@@ -23,17 +23,6 @@ ANGLE_ROUNDING = 1e-9
 """An angle less than a full turn by at most this value, rad, is 0."""
 
 
-def shortest_paths(targets: Points, radii: Floats) -> tuple[Floats, Points]:
-    """Return the (k,) lengths, m, and the (k,) final headings of the shortest paths to targets; see `shortest_path`.
-
-    Args:
-        targets: (k,) positions relative to the pursuer, which heads along the x axis, m.
-        radii: (k,) least radii rho, greater than 0, m.
-    """
-    paths = list(map(shortest_path, targets.tolist(), radii.tolist()))
-    return np.array([length for length, _ in paths]), np.array([heading for _, heading in paths], dtype=complex)
-
-
 def shortest_path(target: complex, rho: float) -> tuple[float, complex]:
     """Return the length, m, and the final heading of the shortest path to a target.
 
