@@ -8,7 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.kernel.core.units import SECOND
-from desim.pursuit.sensing.correction import corrected, corrected_by_position, corrected_by_state
+from desim.pursuit.sensing.correction import (
+    _rounding_error,
+    corrected_by_position,
+    corrected_by_state,
+    decorrelated,
+)
 from desim.pursuit.sensing.fusion import determinant_of, fused, fused_by_corrections, informed, inverse
 from desim.pursuit.sensing.noise import Covariance, PositionNoise, RangeBearingNoise
 from desim.pursuit.sensing.tracking import (
@@ -65,7 +70,33 @@ def spread(rng, size):
     return root @ root.T + 1e-3 * np.eye(size)
 
 
-@given(st.integers(0, 2**32), st.sampled_from([(2, 2), (4, 2), (4, 4)]))
+def dot(a, b):
+    """Return the product of two vectors, summed from the first entry on."""
+    total = 0.0
+    for x, y in zip(a, b, strict=True):
+        total += x * y
+    return total
+
+
+def corrected(state, covariance, seen, errors):
+    """Return a state and its covariance after a measurement of its first entries, with matrices that are lists."""
+    before = [line[i] for i, line in enumerate(covariance)]
+    for row, entry, variance in decorrelated(seen, errors):
+        spread = [dot(line, row) for line in covariance]
+        total = dot(spread, row) + variance
+        if total <= _rounding_error(row, before):  # the state is as exact as the number, up to rounding
+            continue
+        gain = [entry / total for entry in spread]
+        off, n = entry - dot(row, state), range(4)
+        left = [[covariance[i][j] - gain[i] * spread[j] for j in n] for i in n]
+        kept = [dot(line, row) for line in left]
+        above = {(i, j): left[i][j] - kept[i] * gain[j] + variance * gain[i] * gain[j] for i in n for j in n[i:]}
+        state = [x + k * off for x, k in zip(state, gain, strict=True)]
+        covariance = [[above[min(i, j), max(i, j)] for j in n] for i in n]
+    return state, covariance
+
+
+@given(st.integers(0, 2**32), st.sampled_from([(4, 2), (4, 4)]))
 def test_a_measurement_corrects_a_state_by_the_textbook(seed, sizes):
     """x + K (z - H x) and P - K H P with K = P H' (H P H' + R)^-1, by numpy (Bar-Shalom et al. 2001, 5.2.3)."""
     rng, (n, k) = np.random.default_rng(seed), sizes

@@ -11,8 +11,6 @@ from math import sqrt
 
 ROUNDING = 1e-14
 """A difference of variances that is at most this share of them is 0 with rounding errors."""
-Matrix = list[list[float]]
-"""The rows of a matrix."""
 StateVector = tuple[float, float, float, float]
 """(x, y, vx, vy), m and m/s."""
 Upper = tuple[float, float, float, float, float, float, float, float, float, float]
@@ -21,32 +19,7 @@ Entry = tuple[Sequence[float], float, float]
 """A measured number: the vector h whose product with the state it is, its value, and the variance of its error."""
 
 
-def corrected(state: list[float], covariance: Matrix, seen: list[float], errors: Matrix) -> tuple[list[float], Matrix]:
-    """Return a state and its covariance after a measurement of its first k entries.
-
-    Args:
-        state: (n,) the state.
-        covariance: (n, n) its covariance.
-        seen: (k,) the measured entries.
-        errors: (k, k) the covariance of their errors.
-    """
-    before = [line[i] for i, line in enumerate(covariance)]
-    for row, entry, variance in decorrelated(seen, errors, len(state)):
-        spread = [_dot(line, row) for line in covariance]
-        total = _dot(spread, row) + variance
-        if total <= _rounding_error(row, before):  # the state is as exact as the number, up to rounding
-            continue
-        gain = [entry / total for entry in spread]
-        off, n = entry - _dot(row, state), range(len(state))
-        left = [[covariance[i][j] - gain[i] * spread[j] for j in n] for i in n]
-        kept = [_dot(line, row) for line in left]
-        upper = {(i, j): left[i][j] - kept[i] * gain[j] + variance * gain[i] * gain[j] for i in n for j in n[i:]}
-        state = [x + k * off for x, k in zip(state, gain, strict=True)]
-        covariance = [[upper[min(i, j), max(i, j)] for j in n] for i in n]
-    return state, covariance
-
-
-def decorrelated(seen: Sequence[float], errors: Sequence[Sequence[float]], size: int) -> list[Entry]:
+def decorrelated(seen: Sequence[float], errors: Sequence[Sequence[float]]) -> list[Entry]:
     """Return numbers with independent errors that tell as much as a measurement of the first k entries of a state.
 
     The greatest variance comes first, as in a Cholesky factorisation with pivots: no share exceeds 1, and a variance of
@@ -55,9 +28,8 @@ def decorrelated(seen: Sequence[float], errors: Sequence[Sequence[float]], size:
     Args:
         seen: (k,) the measured entries.
         errors: (k, k) the covariance of their errors.
-        size: the number of entries of the state.
     """
-    rows = [[float(i == j) for j in range(size)] for i in range(len(seen))]
+    rows = [[float(i == j) for j in range(4)] for i in range(len(seen))]
     numbers, left, pending = list(seen), [list(line) for line in errors], list(range(len(seen)))
     entries: list[Entry] = []
     while pending:
@@ -76,16 +48,9 @@ def decorrelated(seen: Sequence[float], errors: Sequence[Sequence[float]], size:
 
 def _rounding_error(row: Sequence[float], variances: Sequence[float]) -> float:
     """Return the rounding error of the variance of a product with a state, given the variances of the state."""
-    most = _dot([abs(h) for h in row], [sqrt(max(variance, 0.0)) for variance in variances])
+    (a, b, c, d), (x, y, u, v) = row, (sqrt(max(variance, 0.0)) for variance in variances)
+    most = abs(a) * x + abs(b) * y + abs(c) * u + abs(d) * v
     return ROUNDING * most * most
-
-
-def _dot(a: Sequence[float], b: Sequence[float]) -> float:
-    """Return the product of two vectors, summed from the first entry on."""
-    total = 0.0
-    for x, y in zip(a, b, strict=True):
-        total += x * y
-    return total
 
 
 def corrected_by_position(
@@ -100,7 +65,7 @@ def corrected_by_position(
         errors: the covariance xx, xy, yy of its errors, m^2.
     """
     xx, xy, yy = errors
-    return _with_entries(state, covariance, decorrelated(place, ((xx, xy), (xy, yy)), 4))
+    return _with_entries(state, covariance, decorrelated(place, ((xx, xy), (xy, yy))))
 
 
 def corrected_by_state(
@@ -114,7 +79,7 @@ def corrected_by_state(
         seen: the measured state.
         errors: the covariance of its errors.
     """
-    return _with_entries(state, covariance, decorrelated(seen, full_rows(errors), 4))
+    return _with_entries(state, covariance, decorrelated(seen, full_rows(errors)))
 
 
 def full_rows(matrix: Upper) -> Sequence[Sequence[float]]:

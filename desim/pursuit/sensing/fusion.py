@@ -154,7 +154,7 @@ def fused_by_corrections(tracks: Sequence[Track], how: Fusion) -> Track:
 
 def determinant_of(covariance: Upper) -> float:
     """Return the determinant of a covariance, 0 if it is singular up to rounding errors."""
-    return prod(variance for _, _, variance in decorrelated((0.0,) * 4, full_rows(covariance), 4))
+    return prod(variance for _, _, variance in decorrelated((0.0,) * 4, full_rows(covariance)))
 
 
 def _scaled(matrix: Upper, factor: float) -> Upper:

@@ -18,7 +18,7 @@ from pydantic import Field
 from desim.config.choice import OneOf
 from desim.config.model import Value
 from desim.kernel.core.units import SECOND
-from desim.pursuit.sensing.correction import StateVector, Upper, corrected, corrected_by_position
+from desim.pursuit.sensing.correction import StateVector, Upper, corrected_by_position
 from desim.pursuit.sensing.noise import LEAST, Covariance
 
 _new = tuple.__new__  # creates a named tuple in a third of the time
@@ -93,14 +93,11 @@ def _points(mean: complex, covariance: Covariance) -> tuple[complex, complex, co
 
 def merged(sighting: Measurement, other: Measurement) -> Measurement:
     """Return the sighting that two of the same time amount to, weighted by their inverse covariances."""
-    first, second = _matrix(sighting.covariance), _matrix(other.covariance)
-    (x, y), ((xx, xy), (_, yy)) = corrected([sighting.x, sighting.y], first, [other.x, other.y], second)
+    xx, xy, yy = sighting.covariance
+    state, covariance = (sighting.x, sighting.y, 0.0, 0.0), (xx, xy, 0.0, 0.0, yy, 0.0, 0.0, 0.0, 0.0, 0.0)
+    (x, y, *_), covariance = corrected_by_position(state, covariance, (other.x, other.y), other.covariance)
+    xx, xy, _, _, yy, *_ = covariance
     return Measurement(sighting.stamp, sighting.observer, x, y, Covariance(xx, xy, yy))
-
-
-def _matrix(covariance: Covariance) -> list[list[float]]:
-    xx, xy, yy = covariance
-    return [[xx, xy], [xy, yy]]
 
 
 class Track(NamedTuple):
@@ -282,7 +279,9 @@ class Filter:
     def add(self, seen: Measurement) -> None:
         """Process a sighting."""
         place = bisect_right(self._seen, seen[:2], key=lambda kept: kept[:2])
-        if (place and self._seen[place - 1][:2] == seen[:2]) or self._is_too_old(seen):
+        if place and self._seen[place - 1][:2] == seen[:2]:
+            return
+        if self._seen and seen.stamp < self._seen[-1].stamp - self._window:
             return
         self._seen.insert(place, seen)
         del self._merged[place:], self._tracks[place:]
@@ -304,10 +303,6 @@ class Filter:
             seen = merged(self._merged[-1], seen)
         self._merged.append(seen)
         self._tracks.append(self._model.update(last, seen) if last else self._model.start(seen, self._speed))
-
-    def _is_too_old(self, seen: Measurement) -> bool:
-        """Return whether a sighting is older than the newest one by more than the window."""
-        return bool(self._seen) and seen.stamp < self._seen[-1].stamp - self._window
 
     def _forget_old(self) -> None:
         """Keep the sightings of the window, and one before it."""
