@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence, Set, Sized
 from functools import cache, cached_property
 from pathlib import PurePath
 from types import FunctionType, MappingProxyType, UnionType
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -140,20 +140,7 @@ Flag = Annotated[bool, Field(strict=True)]
 
 
 DEPRECATED = frozenset(
-    {
-        "construct",
-        "copy",
-        "dict",
-        "from_orm",
-        "json",
-        "parse_file",
-        "parse_obj",
-        "parse_raw",
-        "schema",
-        "schema_json",
-        "update_forward_refs",
-        "validate",
-    }
+    name for name, method in vars(BaseModel).items() if hasattr(getattr(method, "__func__", method), "__deprecated__")
 )
 """The methods of pydantic that it keeps for programs of its first version, and that warn."""
 
@@ -221,9 +208,6 @@ class Value(BaseModel, metaclass=_ValueType):
         ser_json_bytes="hex",
         defer_build=True,  # a run uses few models, and building all of them takes longer than a short run
     )
-
-    _replaced: ClassVar[Mapping[str, str]] = MappingProxyType({})
-    """For keys of older versions: the part of the error message that says what replaces them."""
 
     @property
     def unused_fields(self) -> Mapping[str, str]:
