@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from base64 import b64decode
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from desim import Scenario, load, run
 from desim.analysis.age import belief_error
 from desim.analysis.trace_index import ended, messages, started
 from desim.cli import main
-from desim.kernel.core.events import LOST, Broadcast, Lost, Queued, Sent
+from desim.kernel.core.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.access import Tdma
 from desim.kernel.models.faults import Crash, Jamming, Partition
@@ -932,6 +933,22 @@ def test_the_page_has_the_message_counts_of_the_trace(shown, result_of):
         opened.until("(replay.draw(), replay.scale > 1)")  # laid out
         found = opened.value("(replay.seek(1e9), replay.draw(), [replay.sent, replay.lost, replay.drawn.flying])")
         assert found == [tally.sent, tally.lost, tally.in_flight]
+
+
+@in_chromium
+@pytest.mark.slow
+@pytest.mark.parametrize(("arrived", "said"), [(0, "250 (100 %)"), (1, "249 (99.6 %)"), (2, "248 (99 %)")])
+def test_only_if_all_messages_are_lost_the_page_says_100_percent(arrived, said, shown):
+    """Of 250 messages that are sent at once, some arrive."""
+    sent = [Sent(k, k, 0, 1, LOST if k >= arrived else MS, k, 24, None) for k in range(250)]
+    losses = [Lost(k, k, 0, 1, "loss") for k in range(arrived, 250)]
+    events = [*chase(2, 1000).trace.events]
+    events[1:1] = sorted([*sent, *losses], key=lambda event: event.t)
+    events[-2] = MessageCounts(1000 * MS, 250, arrived, 250 - arrived, 0, {"loss": 250 - arrived}, 250, 6000, 0.0)
+    trace = Trace()
+    trace.events += events
+    opened = shown(replace(chase(2, 1000), trace=trace))
+    assert opened.value("(replay.seek(1), lost.textContent)") == said
 
 
 @in_chromium

@@ -2,6 +2,11 @@
 
 const plural = (n, word) => `${n.toLocaleString("en")} ${word}${n === 1 ? "" : "s"}`;
 const clock = t => (t * TICK).toFixed(3);
+/** A share in % with two digits, or as many as tell it apart from 100 %. */
+function percent(share, digits = 2) {
+  const shown = +(100 * share).toPrecision(digits);
+  return shown >= 100 && share < 1 ? percent(share, digits + 1) : `${shown} %`;
+}
 function put(id, text) { if ($(id).textContent !== text) $(id).textContent = text; }
 const does = action => !action ? "is inactive" : M > 1 ? `chases ${action}` : "is active";
 const who = chasers => chasers.length > 8 ? plural(chasers.length, "pursuer") : chasers.length ? chasers.join(", ") : "none";
@@ -12,7 +17,7 @@ function describe() {
   put("flying", said ? drawn.flying.toLocaleString("en") : "not recorded");
   const sent = sentBy(time), lost = lostBy(time);
   put("sent", said ? sent.toLocaleString("en") : "not recorded");
-  put("lost", said ? lost.toLocaleString("en") + (sent ? ` (${+(100 * lost / sent).toPrecision(2)} %)` : "") : "not recorded");
+  put("lost", said ? lost.toLocaleString("en") + (sent ? ` (${percent(lost / sent)})` : "") : "not recorded");
   put("wrong", belief ? `${wrong} of ${(N * (N - 1)).toLocaleString("en")}` : "not recorded");
   $("clock").firstChild.data = clock(time);
   put("event", lastEvent());
