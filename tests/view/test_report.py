@@ -192,6 +192,17 @@ def test_no_key_is_named_if_no_difference_can_be_told_from_0(tmp_path):
     ]
 
 
+def test_the_only_paired_difference_is_not_called_the_greatest_of_one(tmp_path):
+    (said,) = found_in(tmp_path, [[1.0, 2.0, 3.0], [2.0, 2.0, 2.3]], {"prune": ["none", "inf"]})
+    assert said.startswith("No paired difference in active time is distinguishable from 0; the greatest is +0.100 +-")
+
+
+def test_runs_are_counted_in_the_plural_if_there_should_be_several(tmp_path):
+    study = replace(Study.read(swept(tmp_path, made=MADE | {"runs": 30})), commands=[COMMAND])
+    (said,) = re.findall(r"<p>(1 configuration,.*?);", report(study), re.DOTALL)
+    assert " ".join(said.split()) == "1 configuration, 1 of 30 runs"
+
+
 def test_nothing_is_said_where_nothing_can_be_compared(tmp_path):
     (tmp_path / "one").mkdir()
     assert found_in(tmp_path / "one", [[1.0, 2.0]], {"prune": ["none"]}) == []

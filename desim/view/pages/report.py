@@ -19,6 +19,7 @@ from desim.analysis.statistics import Estimate
 from desim.analysis.tables import with_half_width
 from desim.config.file_names import STORE
 from desim.config.key_index import unit_of_key
+from desim.config.number_texts import counted
 from desim.config.trust import regular_or_missing
 from desim.results import provenance
 from desim.scenario.scenario import Scenario
@@ -131,7 +132,7 @@ def report(study: Study) -> str:
     shown = [*SHOWN, *result.units]
     template = files("desim.view.pages").joinpath("report.html").read_text(encoding="utf-8")
     environment = Environment(autoescape=True, keep_trailing_newline=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {"signs": _signs, "unit": lambda key: unit_of_key(key, Scenario)}
+    environment.filters |= {"signs": _signs, "counted": counted, "unit": lambda key: unit_of_key(key, Scenario)}
     failures = list(_failures(result))
     made = study.made
     key = legend(result) if panels and not drawn else None
@@ -205,7 +206,7 @@ def _greatest_cost(explanation: Explanation) -> Iterator[str]:
     else:
         yield (
             f"No imperfection has an effect on the {cost.label} that is distinguishable from 0"
-            f"{_corrected(len(parts))}; the greatest{f' of {len(parts)}' if len(parts) > 1 else ''} is that of {name},"
+            f"{_corrected(len(parts))}; the greatest{f' of {len(parts)}' * (len(parts) > 1)} is that of {name},"
             f" {_size(estimate, cost.unit, len(parts))}."
         )
 
@@ -239,8 +240,8 @@ def _greatest_difference(study: Study) -> Iterator[str]:
         yield f"{key} matters most: {change} changes the {words(metric)} by {size}.{among}"
     else:
         yield (
-            f"No paired difference in {words(metric)} is distinguishable from 0{_corrected(count)}; the greatest of"
-            f" {count} is {size}, for {key} = {change}."
+            f"No paired difference in {words(metric)} is distinguishable from 0{_corrected(count)}; the greatest"
+            f"{f' of {count}' * (count > 1)} is {size}, for {key} = {change}."
         )
 
 
