@@ -25,7 +25,6 @@ from desim.scenario.overrides import ScenarioError
 from desim.scenario.toml import read_source
 from desim.simulation.run import run
 from desim.study.ablation.explain import explain
-from desim.study.results.waterfalls import waterfall
 from desim.study.sweeps.sweep import sweep
 from tests.command import accepted, refused
 from tests.command import desim as call
@@ -644,7 +643,7 @@ def test_the_name_of_a_part_is_drawn_as_it_is(tmp_path):
     document = found.document()
     for cost in document["costs"].values():
         cost["parts"] = {"$\\frac{$\x1b_": next(iter(cost["parts"].values()))}
-    for path in save(waterfall(type(found).of(document | {"name": WORST[:30]})), tmp_path / "explain"):
+    for path in save(type(found).of(document | {"name": WORST[:30]}).plot(), tmp_path / "explain"):
         assert path.stat().st_size
     ElementTree.parse(tmp_path / "explain.svg")
 

@@ -77,7 +77,7 @@ class Tally:
 
     def value(self, name: str, evader: int | None, now: int) -> float:
         """Return the value of one of `WATCHED` now, a time in ns."""
-        return float(_WATCHED[name](self, evader, now))
+        return float(getattr(self, name)(evader, now))
 
     def active(self, evader: int | None, _: int) -> int:
         """Return the number of pursuers that chase an evader, or any (None)."""
@@ -107,17 +107,7 @@ class Tally:
         return self._at_large if evader is None else self._at_large & {evader}
 
 
-_WATCHED: Mapping[str, Callable[[Tally, int | None, int], float]] = MappingProxyType(
-    {
-        "active": Tally.active,
-        "idle": Tally.idle,
-        "crowded": Tally.crowded,
-        "captured": Tally.captured,
-        "down": Tally.down,
-        "waiting": Tally.waiting,
-    }
-)
-WATCHED = frozenset(_WATCHED)
+WATCHED = frozenset({"active", "idle", "crowded", "captured", "down", "waiting"})
 """The quantities that are known while a run lasts; the others need its whole trace."""
 
 

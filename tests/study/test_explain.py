@@ -41,7 +41,7 @@ from desim.study.ablation.explain import Variants
 from desim.study.ablation.imperfections import IMPERFECTIONS
 from desim.study.results.costs import AS_IT_IS, IDEAL, INTERACTION_RISK, PERFECT, SILENT, Cost, Saving
 from desim.study.results.explanation import EXPLAINED, Explanation
-from desim.study.results.waterfalls import draw_waterfall, waterfall
+from desim.study.results.waterfalls import draw_waterfall
 from desim.study.store.file import StoreError
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
@@ -259,7 +259,7 @@ def test_small_costs_are_written_with_two_digits_above_their_bars():
     found = explanation_of(
         as_it_is=[0.008, 0.008], latency=[0.004, 0.004], loss=[0.0075, 0.0075], ideal=[0.0035, 0.0035]
     )
-    texts = {text.get_text() for axes in waterfall(found).axes for text in axes.texts}
+    texts = {text.get_text() for axes in found.plot().axes for text in axes.texts}
     assert {"0.01", "+0.0040", "+0.00050", "0.0035"} <= texts
 
 
@@ -759,7 +759,7 @@ def test_the_picture_has_a_bar_per_part_between_the_two_ends():
     found = explanation_of(
         as_it_is=[9.0, 10.0], latency=[7.0, 6.0], loss=[8.0, 7.0], ideal=[6.0, 3.0], silent=[19.0, 21.0]
     )
-    axes, _ = waterfall(found).axes
+    axes, _ = found.plot().axes
     assert [label.get_text() for label in axes.get_xticklabels()] == [
         "ideal", "latency", "loss", "interaction", "as it is", "perfect network", "no messages at all"
     ]  # fmt: skip
@@ -783,7 +783,7 @@ def test_what_makes_a_metric_worse_is_red_in_a_picture():
 
 @pytest.mark.slow
 def test_the_last_step_of_a_picture_ends_where_the_scenario_is(whole):
-    figure = waterfall(whole)
+    figure = whole.plot()
     assert len(figure.axes) == len(EXPLAINED)
     for axes in figure.axes:
         names = [label.get_text() for label in axes.get_xticklabels()]

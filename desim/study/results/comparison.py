@@ -4,8 +4,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
-import numpy as np
-
 from desim.analysis.measuring import check_numeric
 from desim.analysis.metrics import title, unit_of, words
 from desim.analysis.statistics import Estimate, Share, independent, paired
@@ -27,6 +25,11 @@ class MetricDifference:
     """The mean in the second sweep."""
     difference: Estimate
     """The second minus the first: over pairs of runs with equal seeds, or between independent runs."""
+
+    @property
+    def estimates(self) -> tuple[Estimate, Estimate, Estimate]:
+        """The two means and their difference."""
+        return self.first, self.second, self.difference
 
 
 @dataclass(frozen=True)
@@ -165,7 +168,7 @@ class Comparison(TabularResult):
             estimate.count not in {0, of}
             for compared in self.configurations
             for cell in compared.metrics.values()
-            for estimate, of in zip((cell.first, cell.second, cell.difference), compared.counts, strict=True)
+            for estimate, of in zip(cell.estimates, compared.counts, strict=True)
         )
         lacks = "; (n): over n runs, and so perhaps other seeds" if some_lack else ""
         heading = f"A: {first}; B: {second}; B - A: {how}; +- is half a 95 % t interval{shares}{lacks}"
@@ -173,22 +176,14 @@ class Comparison(TabularResult):
         rows: list[tuple[str, ...]] = [(*self.keys, "pairs", *heads)]
         columns: list[list[str]] = []
         for metric in self.metrics:
-            cells = [compared.metrics[metric] for compared in self.configurations]
-            digits = digits_of([estimate for cell in cells for estimate in (cell.first, cell.second, cell.difference)])
-            counts = [compared.counts for compared in self.configurations]
+            cells = [compared.metrics[metric].estimates for compared in self.configurations]
+            digits = digits_of([estimate for estimates in cells for estimate in estimates])
             columns += [
                 [
-                    with_half_width(cell.first, of, digits=digits)
-                    for cell, (of, _, _) in zip(cells, counts, strict=True)
-                ],
-                [
-                    with_half_width(cell.second, of, digits=digits)
-                    for cell, (_, of, _) in zip(cells, counts, strict=True)
-                ],
-                [
-                    with_half_width(cell.difference, of, "+", digits=digits)
-                    for cell, (_, _, of) in zip(cells, counts, strict=True)
-                ],
+                    with_half_width(estimates[k], compared.counts[k], sign, digits=digits)
+                    for estimates, compared in zip(cells, self.configurations, strict=True)
+                ]
+                for k, sign in enumerate(("", "", "+"))
             ]
         for compared, *texts in zip(self.configurations, *columns, strict=True):
             rows.append((*map(text, compared.settings.values()), str(compared.pairs or "-"), *texts))
@@ -211,11 +206,7 @@ class Comparison(TabularResult):
                     "pairs": compared.pairs,
                     "runs": list(compared.runs),
                     "metrics": {
-                        name: {
-                            "first": as_json(cell.first),
-                            "second": as_json(cell.second),
-                            "difference": as_json(cell.difference),
-                        }
+                        name: dict(zip(("first", "second", "difference"), map(as_json, cell.estimates), strict=True))
                         for name, cell in compared.metrics.items()
                     },
                 }
@@ -265,14 +256,9 @@ def _compared(first: Group, second: Group, keys: Sequence[str], metrics: Sequenc
     is_paired = len(shared) > 1
     differences = {}
     for metric in metrics:
-        values = [group.numbers(metric) for group in (first, second)]
         if is_paired:
-            by_seed = [
-                dict(zip(seed_list, numbers.tolist(), strict=True))
-                for seed_list, numbers in zip(seeds, values, strict=True)
-            ]
-            aligned = [np.array([numbers[seed] for seed in shared]) for numbers in by_seed]
-            difference = paired(aligned[1], aligned[0])
+            of_second, of_first = (group.by_seed(metric) for group in (second, first))
+            difference = paired([of_second[seed] for seed in shared], [of_first[seed] for seed in shared])
         else:
             difference = independent(second.present(metric), first.present(metric))
         differences[metric] = MetricDifference(first.estimate(metric), second.estimate(metric), difference)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, Self
+from typing import Any, Literal, Self
 
 from desim.analysis.statistics import Estimate, mean, mean_or_share
 from desim.analysis.tables import as_json, digits_of, from_json, with_half_width
@@ -154,19 +154,3 @@ class Cost:
     def unchanging(self) -> tuple[str, ...]:
         """The parts that are 0 in every run."""
         return tuple(name for name, part in self.parts.items() if part.mean.count and not part.differing)
-
-
-class CostByMetric(Protocol):
-    """What a waterfall chart shows: an explanation."""
-
-    @property
-    def name(self) -> str:
-        """The name of the scenario."""
-
-    @property
-    def runs(self) -> int:
-        """The number of runs."""
-
-    @property
-    def costs(self) -> Mapping[str, Cost]:
-        """The cost in each metric."""

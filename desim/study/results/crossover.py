@@ -255,10 +255,7 @@ def curve(result: SweepRuns, key: str, chosen: Mapping[str, Any]) -> dict[float,
 
 def paired_values(groups: Sequence[Group], metric: str) -> Floats:
     """Return the (seeds, groups) values of a metric for the seeds that have a value in every group."""
-    by_seed = [
-        dict(zip((row.seed for row in group.rows if row.ok), group.numbers(metric).tolist(), strict=True))
-        for group in groups
-    ]
+    by_seed = [group.by_seed(metric) for group in groups]
     shared = sorted(set.intersection(*map(set, by_seed)))
     table = np.array([[numbers[seed] for numbers in by_seed] for seed in shared]).reshape(len(shared), len(groups))
     complete: Floats = table[np.isfinite(table).all(axis=1)]

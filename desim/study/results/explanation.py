@@ -5,7 +5,7 @@ Imperfections interact if their costs do not add up to the cost of all of them t
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -104,8 +104,8 @@ class Explanation(TabularResult):
         if metric is not None and metric not in self.costs:
             name = without_addresses(str(metric))
             raise ValueError(f"there are no costs in {name}: the metrics are {', '.join(self.costs)}")
-        chosen = self if metric is None else replace(self, costs={metric: self.costs[metric]})
-        return waterfall(chosen, size=size, style=style, ax=ax)
+        chosen = self.costs if metric is None else {metric: self.costs[metric]}
+        return waterfall(self.name, self.runs, chosen, size=size, style=style, ax=ax)
 
     def __repr__(self) -> str:
         return f"<Explanation of {self.name}: {counted(self.runs, 'run')}, {', '.join(map(words, self.costs))}>"

@@ -1,5 +1,6 @@
 """Waterfall charts of explanations: what each imperfection costs."""
 
+from collections.abc import Mapping
 from math import isnan
 
 from desim.analysis.drawing.palette import BLUE, GREEN, GREY, ORANGE, SKY, VERMILION
@@ -9,7 +10,7 @@ from desim.analysis.tables import decimals_of
 from desim.config.escaping import escaped
 from desim.config.number_texts import counted
 from desim.kernel.core.portable_math import portable_sum
-from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT, Cost, CostByMetric
+from desim.study.results.costs import AS_IT_IS, IDEAL, PERFECT, SILENT, Cost
 from desim.study.results.figure_labels import literal
 
 BAR = 0.42
@@ -17,32 +18,42 @@ BAR = 0.42
 
 
 def waterfall(
-    explanation: CostByMetric, *, size: str | None = None, style: Style = None, ax: Axes | None = None
+    name: str,
+    runs: int,
+    costs: Mapping[str, Cost],
+    *,
+    size: str | None = None,
+    style: Style = None,
+    ax: Axes | None = None,
 ) -> Figure:
-    """Draw the cost of each imperfection in each metric as a waterfall chart, with 95 % intervals.
+    """Draw the cost of each imperfection as a waterfall chart with 95 % intervals, with a panel for each metric.
 
-    For the arguments see `means`; each metric has a panel.
+    Args:
+        name: the name of the scenario.
+        runs: the number of its runs.
+        costs: the costs by metric.
+        size: as in `SweepResult.plot`.
+        style: as in `SweepResult.plot`.
+        ax: as in `SweepResult.plot`.
 
     Raises:
         ValueError: if the size or the style is invalid, or several metrics do not fit into `ax`.
         TypeError: if `ax` is not one pair of axes of matplotlib.
     """
     if ax is not None:
-        figure = figure_of(ax, panels=list(explanation.costs), size=size)
+        figure = figure_of(ax, panels=list(costs), size=size)
         with in_style(style):
-            (cost,) = explanation.costs.values()
+            (cost,) = costs.values()
             draw_waterfall(ax, cost)
         return figure
-    usual = portable_sum(max(4.4, BAR * _bars(cost)) for cost in explanation.costs.values())
+    usual = portable_sum(max(4.4, BAR * _bars(cost)) for cost in costs.values())
     width, height = (usual, None) if size is None else size_of(size)
     with styled((width, height or 4.0), style=style) as figure:
-        for axes, cost in zip(
-            figure.subplots(1, len(explanation.costs), squeeze=False)[0], explanation.costs.values(), strict=True
-        ):
+        panels = figure.subplots(1, len(costs), squeeze=False)[0]
+        for axes, cost in zip(panels, costs.values(), strict=True):
             draw_waterfall(axes, cost)
-        runs = counted(explanation.runs, "run")
-        title = f"{escaped(explanation.name)}: what imperfections cost, {runs} of equal seeds"
         if size is None:
+            title = f"{escaped(name)}: what imperfections cost, {counted(runs, 'run')} of equal seeds"
             figure.suptitle(title, fontsize=9, parse_math=False)
     return figure
 

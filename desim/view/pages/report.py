@@ -6,7 +6,7 @@ The page has no script and requests no resources. Its figures are inline SVG in 
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
@@ -125,7 +125,7 @@ def report(study: Study) -> str:
     from desim.study.results.figures import legend, multiples
     from desim.study.results.heat_maps import phase
 
-    result, measured = study.result, study.measured
+    result, measured, explanation = study.result, study.measured, study.explanation
     panels = [metric for metric in (*PANELS, *result.units) if metric in measured]
     drawn = result.drawn_keys
     has_map = (len(drawn) == 2 if drawn else len(swept_numbers(result)) > 1) and MAPPED in measured
@@ -163,16 +163,12 @@ def report(study: Study) -> str:
         phase=_inline((contour if drawn else phase)(result, MAPPED), "phase", f"{words(MAPPED)}, heat map")
         if has_map
         else None,
-        waterfalls=list(_waterfalls(study.explanation)) if study.explanation else [],
+        waterfalls=[
+            _inline(explanation.plot(name), f"waterfall-{name}", f"{words(name)}, costs") for name in explanation.costs
+        ]
+        if explanation
+        else [],
     )
-
-
-def _waterfalls(explanation: Explanation) -> Iterator["Markup"]:
-    """Yield a figure for each metric of an explanation: the cost of each imperfection in this metric."""
-    from desim.study.results.waterfalls import waterfall
-
-    for name, cost in explanation.costs.items():
-        yield _inline(waterfall(replace(explanation, costs={name: cost})), f"waterfall-{name}", f"{words(name)}, costs")
 
 
 def findings(study: Study) -> Iterator[str]:
