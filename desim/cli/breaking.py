@@ -3,6 +3,7 @@
 import json
 import shlex
 import sys
+from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -13,13 +14,14 @@ from desim.cli.options import ALLOW_IMPORT, FILE, GRID, JOBS, JSON, SEED, SET, T
 from desim.cli.output import echo, fail, folder_for, make_folder, storing, write
 from desim.cli.sources import protocol_of, source_of
 from desim.cli.usage import options_given, problem
+from desim.config.file_names import PICTURE_SUFFIXES
 from desim.config.whole_files import write_whole
 
 if TYPE_CHECKING:
     from desim.scenario.properties import Property
     from desim.scenario.scenario import Scenario
-    from desim.study.breaking.loss_table import LossTable, MessageFate
-    from desim.study.breaking.search import Search
+    from desim.study.breaking.loss_table import FatalLosses, LossTable, MessageFate
+    from desim.study.breaking.search import Search, Violation
 
 VIOLATED = 4
 """Exit code if a violation was found."""
@@ -128,9 +130,10 @@ def break_(
         if protocol is not None:
             scenario = scenario.with_({"protocol": protocol_of(protocol, "--protocol")})
         prop = checked_property(_stated(text, scenario, file.parent), scenario)
+        results = _Results(prop, file, folder, keep, jobs, timeout, as_json)
         with storing(folder):
             if keep is not None:
-                _run_kept(keep, file.parent, scenario, prop, folder, jobs, timeout, as_json=as_json)
+                results.run_kept(keep, scenario.protocol_name)
             if losses is not None:
                 table = fatal_losses(
                     scenario,
@@ -142,7 +145,7 @@ def break_(
                     jobs=jobs,
                     timeout=timeout,
                 )
-                _end_with_losses(table, scenario, prop, file, folder, keep, as_json=as_json)
+                results.end_losses(table, scenario)
             search = find_violation(
                 scenario,
                 prop,
@@ -156,7 +159,7 @@ def break_(
                 budget=inf if budget is None else budget,
                 log=CaseLog(folder / CASES, prop),
             )
-            _end_with_search(search, prop, file, folder, keep, jobs, timeout, as_json=as_json)
+            results.end_search(search)
     except ValueError as error:
         fail(problem(error, vary="grid", **({} if text is None else {"property": "text"})))
 
@@ -180,198 +183,174 @@ def _stated(text: str | None, scenario: "Scenario", folder: Path) -> "Property":
     return named[text] if text in named else property_of(text, folder=folder)
 
 
-def _run_kept(
-    keep: Path,
-    code: Path,
-    scenario: "Scenario",
-    prop: "Property",
-    folder: Path,
-    jobs: int,
-    timeout: float | None,
-    *,
-    as_json: bool,
-) -> None:
-    """Run the kept cases of a protocol and a property, and end the program if one is still violated.
+@dataclass(frozen=True)
+class _Results:
+    """Tells what a search has found: prints it, and writes it to a folder."""
 
-    The code that they name is looked up in the folder `code`, as that of the scenario. With several jobs, they run in
-    worker processes, so that a case that ends its process does not end the program.
-    """
-    from desim.study.breaking.found import told_text
-    from desim.study.breaking.judging import CaseJudge
-    from desim.study.workers.executors import workers_for
+    prop: "Property"
+    file: Path
+    """The file of the scenario, beside which the code that it names is found."""
+    folder: Path
+    keep: Path | None
+    """The folder of kept cases."""
+    jobs: int
+    timeout: float | None
+    as_json: bool
 
-    lines: list[str] = []
-    for file in sorted(keep.glob("*.toml")):
-        _, case = source_of(file, (), folder=code)
-        if case.protocol_name != scenario.protocol_name or prop.text not in [one.text for one in case.properties]:
-            continue
-        with workers_for(jobs, timeout=timeout) as workers:
-            case_run = CaseJudge(prop, workers)(case, case.seed)
-        verb = "fails" if case_run.failure else "holds" if case_run.verdict.holds else "violates"
-        lines.append(f"kept: {file}: {verb}: {told_text(case_run.verdict, case_run.failure, prop)}")
-        echo(lines[-1], err=as_json)
-        if not case_run.verdict.holds:
-            lines.append("nothing else was searched: mend it, or move the file away")
-            echo(lines[-1], err=as_json)
-            verdict = case_run.verdict._asdict()
-            violation = {"seed": case.seed, "verdict": verdict, "failure": case_run.failure, "file": str(file)}
-            document = {"property": prop.text, "unit": prop.unit, "runs": 0, "violation": violation}
-            as_text = _write_result(document, "\n".join(lines), folder)
-            if as_json:
-                echo(as_text)
-            sys.exit(VIOLATED)
+    @property
+    def smallest(self) -> Path:
+        """The scenario of the smallest violation; its replay and its picture have the same name."""
+        return self.folder / "smallest.toml"
 
+    def run_kept(self, keep: Path, protocol: str) -> None:
+        """Run the kept cases of a protocol and of the property, and end the program if one still violates it.
 
-def _keep(keep: Path, text: str, protocol: str, prop: "Property", seed: int) -> None:
-    """Write a found case to the folder of kept cases, under a name that no other case has."""
-    from desim.config.data_files import content_hash
+        With several jobs, they run in worker processes, so that a case that ends its process does not end the program.
+        """
+        from desim.study.breaking.found import told_text
+        from desim.study.breaking.judging import CaseJudge
+        from desim.study.workers.executors import workers_for
 
-    _, _, content = text.partition("\n\n")  # without the comment, which names the command
-    name = f"{protocol}-{prop.label[:40]}-{seed}-{content_hash(content.encode())[:8]}.toml"
-    write(text.encode(), keep / name.replace(":", "-"))
+        lines: list[str] = []
+        for file in sorted(keep.glob("*.toml")):
+            _, case = source_of(file, (), folder=self.file.parent)
+            if case.protocol_name != protocol or self.prop.text not in [prop.text for prop in case.properties]:
+                continue
+            with workers_for(self.jobs, timeout=self.timeout) as workers:
+                case_run = CaseJudge(self.prop, workers)(case, case.seed)
+            verdict, failure = case_run.verdict, case_run.failure
+            verb = "fails" if failure else "holds" if verdict.holds else "violates"
+            lines.append(f"kept: {file}: {verb}: {told_text(verdict, failure, self.prop)}")
+            echo(lines[-1], err=self.as_json)
+            if not verdict.holds:
+                lines.append("nothing else was searched: mend it, or move the file away")
+                echo(lines[-1], err=self.as_json)
+                violation = {"seed": case.seed, "verdict": verdict._asdict(), "failure": failure, "file": str(file)}
+                self._remove_earlier()
+                as_text = self._write({"runs": 0, "violation": violation}, lines)
+                if self.as_json:
+                    echo(as_text)
+                sys.exit(VIOLATED)
 
+    def end_search(self, search: "Search") -> NoReturn:
+        """Tell what a search among random cases has found, and end the program."""
+        from desim.study.breaking.found import protocols_text, scenario_text, search_text
 
-def _end_with_search(
-    search: "Search",
-    prop: "Property",
-    file: Path,
-    folder: Path,
-    keep: Path | None,
-    jobs: int,
-    timeout: float | None,
-    *,
-    as_json: bool,
-) -> NoReturn:
-    """Print and write what a search has found, and end the program."""
-    from desim.study.breaking.found import command_for, protocols_text, scenario_text, search_text
-
-    violation = search.violation
-    texts = [search_text(search, prop)]
-    document: dict[str, Any] = {"property": prop.text, "unit": prop.unit}
-    document |= {"runs": search.runs, "seen": search.seen, "violation": None}
-    if violation is not None:
-        smallest = folder / "smallest.toml"
-        command = shlex.join(["desim", *sys.argv[1:]])
-        text = scenario_text(violation, str(smallest), command, file.parent.absolute())
-        write(text.encode(), smallest)
-        if keep is not None:
-            _keep(keep, text, violation.scenario.protocol_name, prop, violation.seed)
-        verdicts = violation.protocols(jobs, timeout=timeout)
-        at = None if violation.failure else violation.verdict.at
-        again = command_for("run", str(smallest), violation.scenario, file.parent.absolute())
-        texts += ["", protocols_text(verdicts, prop), ""]
-        texts.append(_drawn(violation.scenario, violation.seed, folder, at, again))
-        document["violation"] = {
-            "seed": violation.seed,
-            "case": violation.case,
-            "first": violation.first,
-            "searched": violation.searched,
-            "shrunk": violation.shrunk,
-            "verdict": violation.verdict._asdict(),
-            "failure": violation.failure,
-            "protocols": {k: v if isinstance(v, str) else v._asdict() for k, v in verdicts.items()},
-            "file": str(smallest),
-        }
-    _finish(document, "\n".join(texts), folder, as_json=as_json)
-    sys.exit(0 if violation is None else VIOLATED)
-
-
-def _end_with_losses(
-    table: "LossTable",
-    scenario: "Scenario",
-    prop: "Property",
-    file: Path,
-    folder: Path,
-    keep: Path | None,
-    *,
-    as_json: bool,
-) -> NoReturn:
-    """Print and write which lost, late or repeated messages are fatal, and end the program."""
-    from desim.study.breaking.found import command_for, told_text, with_comment
-
-    texts = [table.text()]
-    if table.fatal:
-        worst = min(table.fatal, key=lambda fatal: fatal.verdict.margin)
-        broken = scenario.with_({"fault": [*scenario.fault, *worst.faults]})
-        lines = [
-            f'{scenario.protocol_name} breaks "{prop.text}" because of these messages:',
-            *(f"  {fate}: {copy}" for copy, fate in zip(worst.messages, worst.fates, strict=True)),
-            told_text(worst.verdict, worst.failure, prop),
-        ]
-        smallest, code = folder / "smallest.toml", file.parent.absolute()
-        text = with_comment(broken, prop, worst.seed, lines, code)
-        write(text.encode(), smallest)
-        if keep is not None:
-            _keep(keep, text, broken.protocol_name, prop, worst.seed)
-        at = None if worst.failure else worst.verdict.at
-        texts += ["", _drawn(broken, worst.seed, folder, at, command_for("run", str(smallest), broken, code))]
-    document = {
-        "property": prop.text,
-        "unit": prop.unit,
-        "most": table.most,
-        "fates": table.fates,
-        "delay": table.delay,
-        "seeds": table.seeds,
-        "runs": table.runs,
-        "skipped": table.skipped,
-        "symmetric": table.symmetric,
-        "messages": table.messages,
-        "violated_without_losses": table.broken,
-        "fatal": [
-            {
-                "seed": fatal.seed,
-                "messages": [
-                    {"fate": fate, **copy._asdict()} for copy, fate in zip(fatal.messages, fatal.fates, strict=True)
-                ],
-                "verdict": fatal.verdict._asdict(),
-                "failure": fatal.failure,
+        texts = [search_text(search, self.prop)]
+        document: dict[str, Any] = {"runs": search.runs, "seen": search.seen, "violation": None}
+        self._remove_earlier()
+        if (violation := search.violation) is not None:
+            command = shlex.join(["desim", *sys.argv[1:]])
+            text = scenario_text(violation, str(self.smallest), command, self.file.parent.absolute())
+            self._write_smallest(text, violation.scenario.protocol_name, violation.seed)
+            verdicts = violation.protocols(self.jobs, timeout=self.timeout)
+            texts += ["", protocols_text(verdicts, self.prop), "", self._drawn(violation.scenario, violation)]
+            document["violation"] = {
+                "seed": violation.seed,
+                "case": violation.case,
+                "first": violation.first,
+                "searched": violation.searched,
+                "shrunk": violation.shrunk,
+                "verdict": violation.verdict._asdict(),
+                "failure": violation.failure,
+                "protocols": {k: v if isinstance(v, str) else v._asdict() for k, v in verdicts.items()},
+                "file": str(self.smallest),
             }
-            for fatal in table.fatal
-        ],
-    }
-    _finish(document, "\n".join(texts), folder, as_json=as_json)
-    sys.exit(VIOLATED if table.fatal or table.broken else 0)
+        self._end(document, texts, is_violated=violation is not None)
 
+    def end_losses(self, table: "LossTable", scenario: "Scenario") -> NoReturn:
+        """Tell which lost, late or repeated messages are fatal, and end the program."""
+        from desim.study.breaking.found import told_text, with_comment
 
-def _drawn(scenario: "Scenario", seed: int, folder: Path, at: float | None, command: str) -> str:
-    """Write the replay and the space-time diagram of a run; return where they are, as text.
+        texts = [table.text()]
+        self._remove_earlier()
+        if table.fatal:
+            worst = min(table.fatal, key=lambda fatal: fatal.verdict.margin)
+            broken = scenario.with_({"fault": [*scenario.fault, *worst.faults]})
+            lines = [
+                f'{scenario.protocol_name} breaks "{self.prop.text}" because of these messages:',
+                *(f"  {fate}: {copy}" for copy, fate in zip(worst.messages, worst.fates, strict=True)),
+                told_text(worst.verdict, worst.failure, self.prop),
+            ]
+            text = with_comment(broken, self.prop, worst.seed, lines, self.file.parent.absolute())
+            self._write_smallest(text, broken.protocol_name, worst.seed)
+            texts += ["", self._drawn(broken, worst)]
+        document = {
+            "most": table.most,
+            "fates": table.fates,
+            "delay": table.delay,
+            "seeds": table.seeds,
+            "runs": table.runs,
+            "skipped": table.skipped,
+            "symmetric": table.symmetric,
+            "messages": table.messages,
+            "violated_without_losses": table.broken,
+            "fatal": [
+                {
+                    "seed": fatal.seed,
+                    "messages": [
+                        {"fate": fate, **copy._asdict()} for copy, fate in zip(fatal.messages, fatal.fates, strict=True)
+                    ],
+                    "verdict": fatal.verdict._asdict(),
+                    "failure": fatal.failure,
+                }
+                for fatal in table.fatal
+            ],
+        }
+        self._end(document, texts, is_violated=bool(table.fatal or table.broken))
 
-    Args:
-        scenario: the scenario, which is in the folder.
-        seed: the seed.
-        folder: the folder.
-        at: the moment to be shown, s; None: the run fails, so there is nothing to show.
-        command: the command that repeats the run.
-    """
-    if at is None:
-        return f"scenario: {folder / 'smallest.toml'}\nno replay, as the run fails: {command}"
-    from desim.results.run_folder import can_plot
-    from desim.simulation.run import run
-    from desim.view.pages.replay import replay_page
+    def _remove_earlier(self) -> None:
+        """Remove the smallest violation of an earlier search, unless it is the scenario of this one."""
+        for suffix in (".toml", ".html", *PICTURE_SUFFIXES):
+            if self.smallest.resolve() != self.file.resolve():
+                self.smallest.with_suffix(suffix).unlink(missing_ok=True)
 
-    result = run(scenario.with_({"record.messages": True}), seed)
-    write(replay_page(result).encode(), folder / "smallest.html")
-    texts = [f"scenario: {folder / 'smallest.toml'}", f"replay:   {folder / 'smallest.html'}#t={at:g}"]
-    if can_plot():
-        from desim.analysis.drawing.plots import save
-        from desim.view.pictures.spacetime import spacetime
+    def _write_smallest(self, text: str, protocol: str, seed: int) -> None:
+        """Write the scenario of the smallest violation, and add it to the kept cases under a name of its own."""
+        from desim.config.data_files import content_hash
 
-        pictures = save(spacetime(result, begin=max(at - LEAD, 0.0)), folder / "smallest")
-        texts += [f"picture:  {picture}" for picture in pictures[:1]]
-    return "\n".join(texts)
+        write(text.encode(), self.smallest)
+        if self.keep is not None:
+            _, _, content = text.partition("\n\n")  # without the comment, which names the command
+            name = f"{protocol}-{self.prop.label[:40]}-{seed}-{content_hash(content.encode())[:8]}.toml"
+            write(text.encode(), self.keep / name.replace(":", "-"))
 
+    def _drawn(self, scenario: "Scenario", violation: "Violation | FatalLosses") -> str:
+        """Write the replay and the space-time diagram of a violation in a scenario; return where all is, as text."""
+        from desim.study.breaking.found import command_for
 
-def _finish(document: "dict[str, Any]", text: str, folder: Path, *, as_json: bool) -> None:
-    """Print the result, and write it to the folder."""
-    as_text = _write_result(document, text, folder)
-    echo(as_text if as_json else text)
+        where = f"scenario: {self.smallest}"
+        if violation.failure:
+            command = command_for("run", str(self.smallest), scenario, self.file.parent.absolute())
+            return f"{where}\nno replay, as the run fails: {command}"
+        from desim.results.run_folder import can_plot
+        from desim.simulation.run import run
+        from desim.view.pages.replay import replay_page
 
+        result, at = run(scenario.with_({"record.messages": True}), violation.seed), violation.verdict.at
+        page = self.smallest.with_suffix(".html")
+        write(replay_page(result).encode(), page)
+        texts = [where, f"replay:   {page}#t={at:g}"]
+        if can_plot():
+            from desim.analysis.drawing.plots import save
+            from desim.view.pictures.spacetime import spacetime
 
-def _write_result(document: "dict[str, Any]", text: str, folder: Path) -> str:
-    """Write the result to the folder; return its document as JSON."""
-    from desim.config.json_numbers import to_json
+            pictures = save(spacetime(result, begin=max(at - LEAD, 0.0)), self.smallest.with_suffix(""))
+            texts += [f"picture:  {picture}" for picture in pictures[:1]]
+        return "\n".join(texts)
 
-    as_text = json.dumps(to_json(document), indent=2)
-    write_whole(folder / "break.json", f"{as_text}\n".encode())
-    write_whole(folder / "break.txt", f"{text}\n".encode())
-    return as_text
+    def _end(self, document: dict[str, Any], texts: list[str], *, is_violated: bool) -> NoReturn:
+        """Print the result, write it to the folder, and end the program."""
+        as_text = self._write(document, texts)
+        echo(as_text if self.as_json else "\n".join(texts))
+        sys.exit(VIOLATED if is_violated else 0)
+
+    def _write(self, document: dict[str, Any], texts: list[str]) -> str:
+        """Write the result to the folder; return its document as JSON."""
+        from desim.config.json_numbers import to_json
+
+        document = {"property": self.prop.text, "unit": self.prop.unit} | document
+        as_text = json.dumps(to_json(document), indent=2)
+        write_whole(self.folder / "break.json", f"{as_text}\n".encode())
+        write_whole(self.folder / "break.txt", ("\n".join(texts) + "\n").encode())
+        return as_text

@@ -97,10 +97,25 @@ def test_a_violation_is_written_and_kept_with_all_that_repeats_it(folder):
 def test_a_kept_case_takes_the_place_of_no_other(tmp_path):
     """A case that is found again, by another command, is kept once."""
     prop = property_of("idle at most 2 in total")
+    results = breaking._Results(prop, Path("game.toml"), tmp_path / "found", tmp_path / "kept", 1, None, as_json=False)
     for command, horizon in (("a", 1.0), ("b", 1.0), ("a", 2.0)):
-        text = with_comment(Scenario(horizon=horizon), prop, 7, [command])
-        breaking._keep(tmp_path, text, "cbaa", prop, 7)
-    assert sorted(load(path).horizon for path in tmp_path.iterdir()) == [1.0, 2.0]
+        results._write_smallest(with_comment(Scenario(horizon=horizon), prop, 7, [command]), "cbaa", 7)
+    assert sorted(load(path).horizon for path in (tmp_path / "kept").iterdir()) == [1.0, 2.0]
+
+
+def test_without_a_violation_no_earlier_one_stays(folder):
+    """Beside "no violation", the replay of an earlier one would mislead; the scenario that is searched stays."""
+    Path("found").mkdir()
+    names = ["smallest.toml", "smallest.html", "smallest.svg", "smallest.png", "notes.toml"]
+    for name in names:
+        (folder / "found" / name).write_text(SHORT)
+    command = ("--property", "idle at most 1.5 in total", "-n", 1, "-o", "found")
+    assert desim("break", "found/smallest.toml", *command).exit_code == 0
+    assert (folder / "found" / "smallest.toml").exists()
+    assert desim("break", "found/notes.toml", *command).exit_code == 0
+    assert sorted(path.name for path in (folder / "found").iterdir()) == [
+        *("break.json", "break.txt", "cases.jsonl", "notes.toml")
+    ]
 
 
 @pytest.mark.whole
