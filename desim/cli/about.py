@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from desim.cli import completion
-from desim.cli.options import ALLOW_IMPORT, FILE, SET, is_import_allowed, limited
+from desim.cli.options import ALLOW_IMPORT, FILE, is_import_allowed, limited, out_to, overriding
 from desim.cli.output import echo, fail, making
 from desim.cli.plot import picture_paths, write_picture
 from desim.cli.sources import source_of
@@ -19,15 +19,9 @@ if TYPE_CHECKING:
 @click.command()
 @FILE
 @click.option("--plot", "draws", is_flag=True, help="Also draw the measured links: latency, loss or signal over time.")
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Output file of --plot: .svg, .png or .pdf. Default: FILE.links as SVG and PNG in the working directory.",
-)
+@out_to("Output file of --plot: .svg, .png or .pdf. Default: FILE.links as SVG and PNG in the working directory.")
 @limited
-@ALLOW_IMPORT
-@SET
+@overriding
 def check(file: Path, draws: bool, out: Path | None, overrides: tuple[str, ...]) -> None:
     """Validate a scenario, and its grid if it has one, and print it with every default filled in."""
     from desim.scenario.toml import dump

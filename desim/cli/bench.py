@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from desim.cli.execution import Execution, executing, failures_told
-from desim.cli.options import ALLOW_IMPORT, JSON
+from desim.cli.options import ALLOW_IMPORT, JSON, out_to
 from desim.cli.output import echo, fail, make_folder, storing
 from desim.cli.result_files import present, show
 from desim.cli.sources import protocol_of
@@ -31,9 +31,7 @@ if TYPE_CHECKING:
 @click.option("--version", metavar="N", default="1", show_default=True, help="The version of the benchmark.")
 @click.option("--again", is_flag=True, help="Perform the runs of the built-in protocols, too; minutes of computation.")
 @executing
-@click.option(
-    "-o", "--out", type=click.Path(path_type=Path), help="Folder of the stores and the table; default: out/bench/vN."
-)
+@out_to("Folder of the stores and the table; default: out/bench/vN.")
 @JSON
 @ALLOW_IMPORT
 def bench(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from desim.cli.options import ALLOW_IMPORT, FILE, GRID, JOBS, JSON, SEED, SET, TIMEOUT
+from desim.cli.options import FILE, GRID, JOBS, JSON, PATH, SEED, TIMEOUT, out_to, overriding
 from desim.cli.output import echo, fail, folder_for, make_folder, storing, write
 from desim.cli.sources import protocol_of, source_of
 from desim.cli.usage import options_given, problem
@@ -74,18 +74,17 @@ LEAD = 0.1
 )
 @click.option(
     "--keep",
-    type=click.Path(path_type=Path),
+    type=PATH,
     metavar="DIR",
     help="A folder of found cases: they are run first, and what is found is added.",
 )
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder of the results; default: out/NAME/break.")
+@out_to("Folder of the results; default: out/NAME/break.")
 @GRID
 @SEED
 @JOBS
 @TIMEOUT
 @JSON
-@ALLOW_IMPORT
-@SET
+@overriding
 def break_(
     file: Path,
     text: str | None,

@@ -2,11 +2,11 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from desim.cli.options import JSON, Pair
+from desim.cli.options import JSON, PATH, Parsed, pair
 from desim.cli.output import echo, fail, of_option, storing
 from desim.cli.usage import problem
 
@@ -15,34 +15,16 @@ if TYPE_CHECKING:
     from desim.study.results.threshold import Threshold
 
 
-class Percent(click.ParamType[float]):
-    """A parameter type: a share in percent, such as 10%."""
-
-    name = "N%"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the share: 0.1 for 10%."""
-        number, sign, rest = str(value).partition("%")
-        try:
-            if not sign or rest:
-                raise ValueError
-            return float(number) / 100.0
-        except ValueError:
-            self.fail(f"{value!r} should be a share in percent, 10% for instance", param, ctx)
-
-
-FORMAT = click.option(
-    "--format",
-    "table_format",
-    type=click.Choice(["text", "latex", "markdown"]),
-    default="text",
-    show_default=True,
-    help="The format of the table; latex needs the package booktabs.",
-)
+def _share(text: str) -> float:
+    """Return a share in percent, 0.1 for 10%; raise ValueError if the text has another form."""
+    number, sign, rest = text.partition("%")
+    if not sign or rest:
+        raise ValueError
+    return float(number) / 100.0
 
 
 @click.command()
-@click.argument("folder", metavar="[DIR]", default="out", type=click.Path(path_type=Path))
+@click.argument("folder", metavar="[DIR]", default="out", type=PATH)
 @JSON
 def ls(folder: Path, as_json: bool) -> None:
     """List the runs, sweeps and explanations in a folder and its subfolders; default: out."""
@@ -56,10 +38,17 @@ def ls(folder: Path, as_json: bool) -> None:
 
 
 @click.command()
-@click.argument("first", metavar="A", type=click.Path(path_type=Path))
-@click.argument("second", metavar="B", type=click.Path(path_type=Path))
+@click.argument("first", metavar="A", type=PATH)
+@click.argument("second", metavar="B", type=PATH)
 @click.option("-y", "--y", "metrics", multiple=True, metavar="METRIC", help="A metric to compare; can be repeated.")
-@FORMAT
+@click.option(
+    "--format",
+    "table_format",
+    type=click.Choice(["text", "latex", "markdown"]),
+    default="text",
+    show_default=True,
+    help="The format of the table; latex needs the package booktabs.",
+)
 @JSON
 def compare(first: Path, second: Path, metrics: tuple[str, ...], table_format: str, as_json: bool) -> None:
     """Compare two sweeps: B minus A for each configuration that both have.
@@ -84,13 +73,13 @@ def compare(first: Path, second: Path, metrics: tuple[str, ...], table_format: s
 
 
 @click.command()
-@click.argument("source", metavar="DIR", type=click.Path(path_type=Path))
+@click.argument("source", metavar="DIR", type=PATH)
 @click.argument("key", metavar="KEY")
-@click.argument("a", metavar="[A]", type=Pair(), required=False)
-@click.argument("b", metavar="[B]", type=Pair(), required=False)
+@click.argument("a", metavar="[A]", type=pair(), required=False)
+@click.argument("b", metavar="[B]", type=pair(), required=False)
 @click.option(
     "--over",
-    type=Percent(),
+    type=Parsed("N%", _share, "a share in percent, 10% for instance"),
     help="Without A and B: from which value of KEY on the metric is this share over its mean at the baseline, e.g. 10%"
     " (-10%: under it).",
 )
@@ -99,8 +88,7 @@ def compare(first: Path, second: Path, metrics: tuple[str, ...], table_format: s
 @click.option(
     "--where",
     multiple=True,
-    type=Pair(),
-    metavar="KEY=VALUE",
+    type=pair(),
     help="The value of another key that takes several; can be repeated.",
 )
 @JSON

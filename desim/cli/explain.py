@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from desim.cli.execution import Execution, executing
-from desim.cli.options import ALLOW_IMPORT, COUNT, FILE, JSON, METRIC, SEED, SET
+from desim.cli.options import COUNT, FILE, JSON, METRIC, SEED, out_to, overriding
 from desim.cli.output import FAILED, echo, fail, folder_for, storing
 from desim.cli.result_files import present, record_command
 from desim.cli.sources import shown_metrics, source_of
@@ -19,11 +19,10 @@ from desim.config.number_texts import counted
 @click.option("-n", "--runs", type=click.IntRange(2, COUNT.max), help="Runs of each variant; default: 100.")
 @SEED
 @executing
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder of the results; default: out/NAME/explain.")
+@out_to("Folder of the results; default: out/NAME/explain.")
 @METRIC
 @JSON
-@ALLOW_IMPORT
-@SET
+@overriding
 def explain(
     file: Path,
     runs: int | None,

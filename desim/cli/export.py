@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from desim.cli.merge import store_files
-from desim.cli.options import ALLOW_IMPORT, LABEL, SEED, SET, is_import_allowed, limited
+from desim.cli.options import LABEL, PATH, SEED, is_import_allowed, limited, overriding
 from desim.cli.output import echo, fail, storing
 from desim.cli.recorded import check_recorded_options, is_recorded, labels_of, result_of
 from desim.cli.usage import problem
@@ -22,8 +22,8 @@ KINDS = (
 
 
 @click.command()
-@click.argument("source", metavar="STORE|DIR|FILE", type=click.Path(path_type=Path))
-@click.argument("file", metavar="TO", type=click.Path(path_type=Path))
+@click.argument("source", metavar="STORE|DIR|FILE", type=PATH)
+@click.argument("file", metavar="TO", type=PATH)
 @click.option(
     "--event",
     "kinds",
@@ -56,8 +56,7 @@ KINDS = (
 )
 @SEED
 @limited
-@ALLOW_IMPORT
-@SET
+@overriding
 def export(
     source: Path,
     file: Path,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from desim.cli.options import ALLOW_IMPORT, FILE, SEED, SET, limited
+from desim.cli.options import FILE, PATH, SEED, limited, out_to, overriding
 from desim.cli.output import echo, fail, write
 from desim.cli.sources import source_of
 from desim.config.escaping import escaped
@@ -20,12 +20,11 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("log", type=click.Path(path_type=Path))
+@click.argument("log", type=PATH)
 @FILE
 @SEED
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="CSV file of the fates; default: stdout.")
-@ALLOW_IMPORT
-@SET
+@out_to("CSV file of the fates; default: stdout.")
+@overriding
 @limited
 def fates(log: Path, file: Path, seed: int | None, out: Path | None, overrides: tuple[str, ...]) -> None:
     """Send the messages of a LOG over the network of a scenario FILE, and write what happens to each as CSV.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from desim.cli.options import ALLOW_IMPORT, COUNT, FILE, JSON, METRIC, SEED, SET
+from desim.cli.options import COUNT, FILE, JSON, METRIC, PATH, SEED, out_to, overriding
 from desim.cli.output import FAILED, RAISED, echo, fail, folder_for, make_folder, making
 from desim.cli.result_files import show
 from desim.cli.sources import shown_metrics, source_of
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 @FILE
 @SEED
 @click.option("-n", "--runs", type=COUNT, default=1, help="Number of runs, one after another; default: 1.")
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for the trace, the metrics and pictures.")
+@out_to("Folder for the trace, the metrics and pictures.")
 @click.option(
     "--hosts",
     "hosts_file",
-    type=click.Path(path_type=Path),
+    type=PATH,
     metavar="FILE",
     help="A file with a host for each pursuer, one a line; default: the loopback. The command to start on another host"
     " is printed.",
@@ -44,8 +44,7 @@ if TYPE_CHECKING:
 @click.option("--join", "invitation", metavar="WORD", help="Be one pursuer of a run on another host (see --hosts).")
 @METRIC
 @JSON
-@ALLOW_IMPORT
-@SET
+@overriding
 def live(
     file: Path,
     seed: int | None,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from desim.cli.options import MIX_VERSIONS
+from desim.cli.options import MIX_VERSIONS, PATH, out_to
 from desim.cli.output import echo, fail, storing
 from desim.cli.result_files import record_command
 from desim.config.file_names import STORE, STORES, TRACE
@@ -13,8 +13,8 @@ from desim.config.number_texts import counted
 
 
 @click.command()
-@click.argument("stores", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder of the merged store.")
+@click.argument("stores", nargs=-1, required=True, type=PATH)
+@out_to("Folder of the merged store.", required=True)
 @MIX_VERSIONS
 def merge(stores: tuple[Path, ...], out: Path, mix_versions: bool) -> None:
     """Merge the runs of several stores (files or folders) of one sweep into one store."""

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from desim.cli.options import ALLOW_IMPORT, SET
+from desim.cli.options import PATH, overriding
 from desim.cli.output import echo, fail, write
 from desim.cli.sources import source_of
 from desim.cli.usage import problem
@@ -12,13 +12,13 @@ from desim.config.number_files import text_of_file
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path), required=False)
+@click.argument("file", type=PATH, required=False)
 @click.option("--dev", "device", default="eth0", help="Network device of each node; default: eth0.")
 @click.option(
     "--table",
     "folder",
     metavar="DIR",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Folder of distribution tables NAME.dist: those that the commands need are written there, and those that"
     " --parse and --from name are read there; default: none is written, read from the working directory.",
 )
@@ -27,11 +27,10 @@ from desim.config.number_files import text_of_file
     "--from",
     "commands",
     metavar="FILE",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Instead of a FILE: a file of commands of tc to read.",
 )
-@ALLOW_IMPORT
-@SET
+@overriding
 def netem(
     file: Path | None,
     device: str,

@@ -15,7 +15,45 @@ from desim.simulation.watchdog import checked_limit, within
 COUNT = click.IntRange(1, 1_000_000)
 """The number of runs, with the bounds of `sweep.reps`, which is slow to import."""
 
-FILE = click.argument("file", type=click.Path(path_type=Path))
+PATH = click.Path(path_type=Path)
+FILE = click.argument("file", type=PATH)
+
+
+class Parsed(click.ParamType[Any]):
+    """A parameter type: a text of some form.
+
+    Args:
+        name: the form, for the help.
+        parse: returns what a text stands for; raises ValueError if it has another form.
+        wanted: what it should be, for the message about any other text.
+    """
+
+    def __init__(self, name: str, parse: Callable[[str], Any], wanted: str):
+        self.name, self._parse, self._wanted = name, parse, wanted
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return what a text stands for."""
+        try:
+            return self._parse(str(value))
+        except ValueError:
+            self.fail(f"{value!r} should be {self._wanted}", param, ctx)
+
+
+def pair(form: str = "KEY=VALUE", example: str = "protocol.kind=sap") -> Parsed:
+    """Return the type of two texts with an equals sign between them, the first one in the value."""
+
+    def parse(text: str) -> tuple[str, str]:
+        first, equals, second = text.partition("=")
+        if not (first and equals):
+            raise ValueError
+        return first, second
+
+    return Parsed(form, parse, f"{form}, {example} for instance")
+
+
+def out_to(text: str, *, required: bool = False) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return the option --out, whose help is a text."""
+    return click.option("-o", "--out", type=PATH, required=required, help=text)
 
 
 def _one_word_each(ctx: click.Context, param: click.Parameter, settings: tuple[str, ...]) -> tuple[str, ...]:
@@ -86,6 +124,11 @@ ALLOW_IMPORT = click.option(
 )
 
 
+def overriding(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command that reads a scenario file the options --allow-import and --set."""
+    return ALLOW_IMPORT(SET(command))
+
+
 METRIC = click.option(
     "--metric",
     "metrics",
@@ -107,41 +150,17 @@ ONE_METRIC = click.option(
 )
 
 
-class Pair(click.ParamType[tuple[str, str]]):
-    """A parameter type: two texts, KEY=VALUE.
-
-    Args:
-        example: an example, for the message about a value that has another form.
-    """
-
-    name = "KEY=VALUE"
-
-    def __init__(self, example: str = "protocol.kind=sap"):
-        self._example = example
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, str]:
-        """Return the texts before and after the first equals sign."""
-        first, equals, second = str(value).partition("=")
-        if not (first and equals):
-            form = self.name if param is None or ctx is None else param.make_metavar(ctx)
-            form = form if "=" in form else self.name
-            self.fail(f"{value!r} should be {form}, {self._example} for instance", param, ctx)
-        return first, second
-
-
 LABEL = click.option(
     "--label",
     "labels",
     multiple=True,
-    type=Pair('sap="SAP (ours)"'),
-    metavar="VALUE=TEXT",
+    type=pair("VALUE=TEXT", 'sap="SAP (ours)"'),
     help='The text for a value of a key, e.g. sap="SAP (ours)", or for a key; can be repeated.',
 )
 AGAINST = click.option(
     "--against",
     multiple=True,
-    type=Pair(),
-    metavar="KEY=VALUE",
+    type=pair(),
     help="Show paired differences from the configurations with this value, all else equal; can be repeated.",
 )
 
@@ -171,28 +190,21 @@ def _limit(_ctx: click.Context, _param: click.Parameter, limit: float | None) ->
         raise click.BadParameter(str(error)) from error
 
 
+def _timeout(text: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return the option --timeout, whose help is a text."""
+    return click.option("--timeout", type=float, metavar="SECONDS", callback=_limit, help=text)
+
+
 MIX_VERSIONS = click.option(
     "--mix-versions", is_flag=True, help="Mix runs of different versions of Python, numpy, scipy, SimPy or networkx."
 )
-TIMEOUT = click.option(
-    "--timeout",
-    type=float,
-    metavar="SECONDS",
-    callback=_limit,
-    help="End a run after this wall time, and print what each pursuer is waiting for.",
-)
+TIMEOUT = _timeout("End a run after this wall time, and print what each pursuer is waiting for.")
 
 
 def limited(command: Callable[..., None]) -> Callable[..., None]:
     """Give a command the option --timeout, which limits it as a whole."""
 
-    @click.option(
-        "--timeout",
-        type=float,
-        metavar="SECONDS",
-        callback=_limit,
-        help="End the command after this wall time; if a run is under way, print what each pursuer is waiting for.",
-    )
+    @_timeout("End the command after this wall time; if a run is under way, print what each pursuer is waiting for.")
     @wraps(command)
     def within_limit(*args: Any, timeout: float | None, **options: Any) -> None:
         with nullcontext() if timeout is None else within(timeout):

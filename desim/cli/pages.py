@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from desim.cli.options import AGAINST, ALLOW_IMPORT, SEED, SET, limited
+from desim.cli.options import AGAINST, PATH, SEED, limited, out_to, overriding
 from desim.cli.output import echo, fail, making, of_option, page_at, storing, write
 from desim.cli.recorded import SOURCES, check_no_run, is_recorded, result_of
 from desim.cli.sources import source_of
@@ -19,17 +19,13 @@ if TYPE_CHECKING:
 
 @click.command()
 @SOURCES
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    help="The page; default: DIR/replay.html for a DIR, ./NAME.html for a FILE named NAME.toml, ./A-B.html for two"
-    " sources named A and B.",
+@out_to(
+    "The page; default: DIR/replay.html for a DIR, ./NAME.html for a FILE named NAME.toml, ./A-B.html for two"
+    " sources named A and B."
 )
 @SEED
 @limited
-@ALLOW_IMPORT
-@SET
+@overriding
 def replay(sources: tuple[Path, ...], out: Path | None, seed: int | None, overrides: tuple[str, ...]) -> None:
     """Make a page that plays a run: a DIR written by `desim run -o DIR`, or a scenario FILE, which is run first.
 
@@ -85,8 +81,8 @@ def _size(result: "Result") -> str:
 
 
 @click.command()
-@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="The page; default: report.html in DIR.")
+@click.argument("folder", metavar="DIR", type=PATH)
+@out_to("The page; default: report.html in DIR.")
 @AGAINST
 @limited
 def report(folder: Path, out: Path | None, against: tuple[tuple[str, str], ...]) -> None:

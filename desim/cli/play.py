@@ -8,17 +8,16 @@ from threading import Thread
 
 import click
 
-from desim.cli.options import ALLOW_IMPORT, SET, TIMEOUT, is_import_allowed
+from desim.cli.options import PATH, TIMEOUT, is_import_allowed, overriding
 from desim.cli.output import echo, making
 from desim.cli.sources import source_of
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path), required=False)
+@click.argument("file", type=PATH, required=False)
 @click.option("--no-browser", is_flag=True, help="Print the address only; do not open a browser.")
 @TIMEOUT
-@ALLOW_IMPORT
-@SET
+@overriding
 def play(file: Path | None, no_browser: bool, timeout: float | None, overrides: tuple[str, ...]) -> None:
     """Change the keys of a scenario FILE on a page, and compare each run with a run that you have pinned.
 

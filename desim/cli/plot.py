@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from desim.cli.options import AGAINST, ALLOW_IMPORT, LABEL, SEED, SET, limited
+from desim.cli.options import AGAINST, LABEL, SEED, Parsed, limited, out_to, overriding
 from desim.cli.output import echo, fail, making, of_option
 from desim.cli.recorded import SOURCE, is_recorded, labels_of, results_of
 from desim.cli.usage import options_given
@@ -38,17 +38,9 @@ NAMES = {"perfetto": "trace.perfetto"}
 """File names (without suffix) that differ from the name of the kind."""
 
 
-class Ids(click.ParamType[tuple[int, ...]]):
-    """A parameter type: ids of pursuers, such as 0,3,17."""
-
-    name = "i,j,..."
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
-        """Return the ids."""
-        try:
-            return tuple(int(pursuer) for pursuer in str(value).split(","))
-        except ValueError:
-            self.fail(f"{value!r} should be pursuer ids separated by commas, e.g. 0,3,17", param, ctx)
+def _ids(text: str) -> tuple[int, ...]:
+    """Return the ids in a text; raise ValueError if it has another form."""
+    return tuple(map(int, text.split(",")))
 
 
 @click.command()
@@ -61,13 +53,10 @@ class Ids(click.ParamType[tuple[int, ...]]):
     " metric over a key; phase, a heat map of a metric over two keys; scatter (default of a design), a metric at each"
     " point over each key; contour, bands of a metric over two keys.",
 )
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Output file; its suffix sets the format: .svg, .png or .pdf for diagrams, .gif or .mp4 (the extra `film`) for"
+@out_to(
+    "Output file; its suffix sets the format: .svg, .png or .pdf for diagrams, .gif or .mp4 (the extra `film`) for"
     " films. Default: a file in DIR, or in the"
-    " working directory for a FILE; diagrams as SVG and PNG. Names include the kind and the metric.",
+    " working directory for a FILE; diagrams as SVG and PNG. Names include the kind and the metric."
 )
 @click.option(
     "--size",
@@ -102,7 +91,7 @@ class Ids(click.ParamType[tuple[int, ...]]):
 )
 @click.option(
     "--pursuers",
-    type=Ids(),
+    type=Parsed("i,j,...", _ids, "pursuer ids separated by commas, e.g. 0,3,17"),
     help="Ids of the pursuers of a space-time diagram, from top to bottom; default: all, or the six with the most"
     " changes of action in a team of more than ten.",
 )
@@ -116,8 +105,7 @@ class Ids(click.ParamType[tuple[int, ...]]):
 @click.option("--fps", type=click.IntRange(1, 50), default=20, show_default=True, help="Frames per second of a film.")
 @SEED
 @limited
-@ALLOW_IMPORT
-@SET
+@overriding
 def plot(
     source: Path,
     kind: str | None,

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from desim.cli.execution import Execution, executing
-from desim.cli.options import ALLOW_IMPORT, DESIGN, FILE, GRID, JSON, ONE_METRIC, SEED, SET
+from desim.cli.options import DESIGN, FILE, GRID, JSON, ONE_METRIC, SEED, out_to, overriding
 from desim.cli.output import fail, folder_for
 from desim.cli.result_files import adding_to, present
 from desim.cli.sources import added_metrics, source_of
@@ -38,10 +38,9 @@ from desim.cli.usage import problem
 )
 @SEED
 @executing
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder of the store; default: out/NAME.")
+@out_to("Folder of the store; default: out/NAME.")
 @JSON
-@ALLOW_IMPORT
-@SET
+@overriding
 def race(
     file: Path,
     grid: tuple[str, ...],

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from desim.cli.options import is_import_allowed
+from desim.cli.options import PATH, is_import_allowed
 from desim.cli.output import fail
 from desim.cli.sources import source_of
 from desim.config.file_names import STORE, TRACE
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from desim.simulation.run import Result
     from desim.study.results.result import SweepResult
 
-SOURCE = click.argument("source", metavar="DIR|FILE", type=click.Path(path_type=Path))
+SOURCE = click.argument("source", metavar="DIR|FILE", type=PATH)
 MAX_REPLAYED = 2
 """Maximum number of runs that a page plays."""
 
@@ -35,7 +35,7 @@ SOURCES = click.argument(
     metavar="DIR|FILE [DIR|FILE]",
     nargs=-1,
     required=True,
-    type=click.Path(path_type=Path),
+    type=PATH,
     callback=_one_or_two,
 )
 

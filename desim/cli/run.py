@@ -9,7 +9,19 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from desim.cli.options import ALLOW_IMPORT, COUNT, JOBS, JSON, METRIC, SEED, SET, TIMEOUT, as_words, is_import_allowed
+from desim.cli.options import (
+    COUNT,
+    JOBS,
+    JSON,
+    METRIC,
+    PATH,
+    SEED,
+    TIMEOUT,
+    as_words,
+    is_import_allowed,
+    out_to,
+    overriding,
+)
 from desim.cli.output import echo, fail, make_folder
 from desim.cli.sources import add_metrics, shown_metrics, source_of, valid
 
@@ -22,10 +34,8 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path), required=False)
-@click.option(
-    "--from", "repeated", type=click.Path(path_type=Path), metavar="RUN.JSON", help="Repeat the runs of a run.json."
-)
+@click.argument("file", type=PATH, required=False)
+@click.option("--from", "repeated", type=PATH, metavar="RUN.JSON", help="Repeat the runs of a run.json.")
 @SEED
 @click.option(
     "-n",
@@ -35,17 +45,11 @@ if TYPE_CHECKING:
     " --from the recorded number.",
 )
 @JOBS
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Folder for the trace, the metrics and a picture of the trajectories.",
-)
+@out_to("Folder for the trace, the metrics and a picture of the trajectories.")
 @METRIC
 @JSON
 @TIMEOUT
-@ALLOW_IMPORT
-@SET
+@overriding
 def run(
     file: Path | None,
     repeated: Path | None,

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from desim.cli.execution import Execution, executing
-from desim.cli.options import ALLOW_IMPORT, COUNT, FILE, GRID, JSON, ONE_METRIC, SEED, SET
+from desim.cli.options import COUNT, FILE, GRID, JSON, ONE_METRIC, SEED, out_to, overriding
 from desim.cli.output import fail, folder_for
 from desim.cli.result_files import adding_to, present, record_command
 from desim.cli.sources import added_metrics, source_of
@@ -33,12 +33,9 @@ from desim.cli.usage import problem
 @click.option("-n", "--runs", type=COUNT, default=4, show_default=True, help="Runs at a point.")
 @SEED
 @executing
-@click.option(
-    "-o", "--out", type=click.Path(path_type=Path), help="Folder of the store; default: out/NAME/sensitivity."
-)
+@out_to("Folder of the store; default: out/NAME/sensitivity.")
 @JSON
-@ALLOW_IMPORT
-@SET
+@overriding
 def sensitivity(
     file: Path,
     grid: tuple[str, ...],

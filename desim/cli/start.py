@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from desim.cli import completion
+from desim.cli.options import PATH
 from desim.cli.output import echo, fail
 from desim.config.whole_files import write_new
 from desim.scenario.templates import TEMPLATES, starting_files
@@ -15,7 +16,7 @@ from desim.scenario.templates import TEMPLATES, starting_files
 
 @click.command()
 @click.argument("name", required=False, shell_complete=completion.examples)
-@click.argument("target", metavar="[FILE|DIR]", type=click.Path(path_type=Path), default=Path())
+@click.argument("target", metavar="[FILE|DIR]", type=PATH, default=Path())
 def examples(name: str | None, target: Path) -> None:
     """List the example scenarios, or copy the one called NAME, with the files that it names, to FILE or into DIR.
 

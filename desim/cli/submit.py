@@ -6,23 +6,25 @@ import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from desim.cli.options import (
-    ALLOW_IMPORT,
     COUNT,
     FILE,
     GRID,
     JSON,
     METRIC,
     MIX_VERSIONS,
+    PATH,
     SEED,
-    SET,
     TIMEOUT,
+    Parsed,
     as_words,
     is_import_allowed,
+    out_to,
+    overriding,
 )
 from desim.cli.output import echo, fail, folder_for, storing
 from desim.cli.sources import shown_metrics, source_of
@@ -36,33 +38,23 @@ DESIM = (sys.executable, "-P", "-m", "desim")
 """The words that call desim on another machine, which has the same environment under the same path."""
 
 
-class SlurmText(click.ParamType[str]):
-    """A parameter type: a text of a form that Slurm reads, which it would otherwise refuse after the sweep is prepared.
+def _slurm_text(form: str, pattern: str, wanted: str) -> Parsed:
+    """Return the type of a text that Slurm reads: it would refuse one of another form after the sweep is prepared."""
 
-    Args:
-        name: what the text is, for the help.
-        pattern: the regular expression of the form.
-        examples: the forms, for the message about a text that has none.
-    """
+    def parse(text: str) -> str:
+        if not re.fullmatch(pattern, text, re.ASCII):
+            raise ValueError
+        return text
 
-    def __init__(self, name: str, pattern: str, examples: str):
-        self.name = name
-        self._pattern = re.compile(pattern, re.ASCII)
-        self._examples = examples
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Return the text if it has the form."""
-        if not self._pattern.fullmatch(str(value)):
-            self.fail(f"should be {self._examples} (got {value!r})", param, ctx)
-        return str(value)
+    return Parsed(form, parse, wanted)
 
 
-LIMIT = SlurmText(
+LIMIT = _slurm_text(
     "TIME",
     r"\d+(:\d+(:\d+)?)?|\d+-\d+(:\d+){0,2}|UNLIMITED|INFINITE",
     "minutes, HOURS:MINUTES:SECONDS or DAYS-HOURS, for instance 90, 01:30:00 or 1-12",
 )
-SIZE = SlurmText("SIZE", r"\d+[KMGT]?", "a whole number with K, M, G or T, 500M or 2G for instance")
+SIZE = _slurm_text("SIZE", r"\d+[KMGT]?", "a whole number with K, M, G or T, 500M or 2G for instance")
 
 
 @click.command()
@@ -71,7 +63,7 @@ SIZE = SlurmText("SIZE", r"\d+[KMGT]?", "a whole number with K, M, G or T, 500M 
 @GRID
 @click.option("-n", "--runs", type=COUNT, help="Runs of each configuration; default: sweep.reps.")
 @SEED
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder that all machines see; default: out/NAME.")
+@out_to("Folder that all machines see; default: out/NAME.")
 @click.option("--claim", is_flag=True, help="Let parts claim small lots of runs, so that a slow one delays nobody.")
 @click.option("--run", "is_run", is_flag=True, help="Submit the scripts; otherwise they are only written.")
 @click.option(
@@ -83,8 +75,7 @@ SIZE = SlurmText("SIZE", r"\d+[KMGT]?", "a whole number with K, M, G or T, 500M 
 @METRIC
 @MIX_VERSIONS
 @TIMEOUT
-@ALLOW_IMPORT
-@SET
+@overriding
 def submit(
     file: Path,
     parts: int,
@@ -252,7 +243,7 @@ def _tell_nothing_to_do(is_live: bool, folder: Path, merge: Sequence[str]) -> No
 
 
 @click.command()
-@click.argument("folder", type=click.Path(path_type=Path))
+@click.argument("folder", type=PATH)
 @JSON
 def status(folder: Path, as_json: bool) -> None:
     """Say how far a sweep is: runs that are done and failed, from its stores, and what runs, from squeue."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from desim.cli.execution import Execution, executing
-from desim.cli.options import AGAINST, ALLOW_IMPORT, COUNT, DESIGN, FILE, GRID, JSON, METRIC, SEED, SET
+from desim.cli.options import AGAINST, COUNT, DESIGN, FILE, GRID, JSON, METRIC, PATH, SEED, Parsed, out_to, overriding
 from desim.cli.output import FAILED, echo, fail, folder_for, storing
 from desim.cli.result_files import record_command
 from desim.cli.sources import protocol_of, shown_metrics, source_of
@@ -28,34 +28,21 @@ if TYPE_CHECKING:
     from desim.study.sweeps.sweep_plan import Job, SweepPlan
 
 
-PRECISION = "should be METRIC:HALFWIDTH, active_time:0.1 for instance"
+PRECISION = "METRIC:HALFWIDTH, active_time:0.1 for instance"
 
 
-class Shard(click.ParamType[tuple[int, int]]):
-    """The type of an option K/N: part K of N."""
-
-    name = "K/N"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        """Return the part and the number of parts."""
-        part, slash, parts = str(value).partition("/")
-        if not (slash and part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
-            self.fail(f"should be 1/N to N/N, 3/20 for instance, got {value!r}", param, ctx)
-        return int(part), int(parts)
+def _part(text: str) -> tuple[int, int]:
+    """Return the part and the number of parts of a text K/N; raise ValueError if it has another form."""
+    part, _, parts = text.partition("/")
+    if not (part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
+        raise ValueError
+    return int(part), int(parts)
 
 
-class Precision(click.ParamType[tuple[str, float]]):
-    """The type of an option METRIC:HALFWIDTH."""
-
-    name = "METRIC:HALFWIDTH"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, float]:
-        """Return the metric and the half width; `sweep` checks both once the scenario is loaded."""
-        metric, _, width = str(value).rpartition(":")
-        try:
-            return metric, float(width)
-        except ValueError:
-            self.fail(f"{PRECISION} (got {value!r})", param, ctx)
+def _precision(text: str) -> tuple[str, float]:
+    """Return the metric and the half width; `sweep` checks both once the scenario is loaded."""
+    metric, _, width = text.rpartition(":")
+    return metric, float(width)
 
 
 @click.command()
@@ -70,19 +57,21 @@ class Precision(click.ParamType[tuple[str, float]]):
 )
 @SEED
 @executing
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder of the store; default: out/NAME.")
+@out_to("Folder of the store; default: out/NAME.")
 @click.option(
     "--until",
-    type=Precision(),
+    type=Parsed("METRIC:HALFWIDTH", _precision, PRECISION),
     help="Run until the 95 % interval of a metric has this half width; at least 100 runs. MODULE:FUNCTION:HALFWIDTH"
     " implies --metric MODULE:FUNCTION.",
 )
 @click.option(
-    "--shard", type=Shard(), default=None, help="Do only every N-th run, starting with the K-th; see `desim merge`."
+    "--shard",
+    type=Parsed("K/N", _part, "1/N to N/N, 3/20 for instance"),
+    help="Do only every N-th run, starting with the K-th; see `desim merge`.",
 )
 @click.option(
     "--claim",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Do lots of runs that are claimed in this folder, which several commands share; see `desim merge`.",
 )
 @click.option("--dry-run", is_flag=True, help="Print the planned runs without running them.")
@@ -97,8 +86,7 @@ class Precision(click.ParamType[tuple[str, float]]):
 @click.option("--control-runs", type=COUNT, help="Runs of the control; default: ten times those of a configuration.")
 @METRIC
 @JSON
-@ALLOW_IMPORT
-@SET
+@overriding
 def sweep(
     file: Path,
     grid: tuple[str, ...],
@@ -210,7 +198,7 @@ def _planned(
         try:
             check_target(*until, plan.metrics)
         except ValueError as error:
-            raise click.BadParameter(f"{PRECISION}: {error}", param_hint="'--until'") from error
+            raise click.BadParameter(f"should be {PRECISION}: {error}", param_hint="'--until'") from error
     try:
         plan.check_reference(reference)
     except ValueError as error:

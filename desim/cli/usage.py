@@ -101,7 +101,7 @@ def advised(
     """
     context = error.ctx or _context_of(words, of_program)
     if isinstance(error, click.NoSuchOption):
-        return _about_option(error, words)
+        return _about_to(error, words)
     if isinstance(error, click.MissingParameter) and error.param is not None and context is not None:
         return click.UsageError(f"needs {_described(error.param, context)}", context)
     if isinstance(error, click.BadOptionUsage) and context is not None:
@@ -184,7 +184,7 @@ def _taken(context: click.Context, message: str) -> str:
     return f"{taken}; a value with spaces, braces or brackets is in quotes: --set 'fault=[{{kind = \"crash\", ...}}]'"
 
 
-def _about_option(error: click.NoSuchOption, words: Sequence[str]) -> click.NoSuchOption:
+def _about_to(error: click.NoSuchOption, words: Sequence[str]) -> click.NoSuchOption:
     """Return the error with the option, or the key of a scenario, that a wrong option means."""
     params = [] if error.ctx is None else error.ctx.command.params
     options = {name: param.opts for param in params if isinstance(param, click.Option) for name in param.opts}
