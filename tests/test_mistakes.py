@@ -611,7 +611,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "run f.toml -o f.toml": ("--out f.toml: cannot be written: is a file, and should be a folder",),
     "sweep f.toml -g team.count=2,3 -o f.toml": ("f.toml: File exists: a file, where --out should name a folder",),
     "sweep f.toml -g team.count= --dry-run": ("values are separated by commas, 0,0.1 for instance",),
-    "sweep f.toml -g team.count=2,3 --until regret": ("'regret' should be METRIC:HALFWIDTH, active_time:0.1 for instance",),
+    "sweep f.toml -g team.count=2,3 --until regret": ("'regret' should be METRIC:HALFWIDTH, active_time:0.1 for",),
     "check": ("needs FILE: a scenario file; `desim examples relay` writes relay.toml",),
     "compare out": ("needs B: the folder of a sweep",),
     "merge out": ("needs -o PATH: Folder of the merged store.",),

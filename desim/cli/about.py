@@ -2,15 +2,15 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from desim.cli import completion
-from desim.cli.options import ALLOW_IMPORT, FILE, is_import_allowed, limited, out_to, overriding
+from desim.cli.options import ALLOW_IMPORT, FILE, limited, out_to, overriding
 from desim.cli.output import echo, fail, making
 from desim.cli.plot import picture_paths, write_picture
-from desim.cli.sources import source_of
+from desim.cli.sources import protocol_of, source_of
 
 if TYPE_CHECKING:
     from desim.scenario.scenario import Scenario
@@ -148,23 +148,7 @@ def protocols(only: str | None) -> None:
     if only not in choices and ":" not in only:
         allowed = f"allowed: {', '.join(choices)}, and module:name"
         fail(f"there is no protocol {only!r}{suggestion(only, [*choices])}; {allowed}")
-    protocol = choices[only].model_construct() if only in choices else _imported(only)
+    protocol = choices[only].model_construct() if only in choices else protocol_of(only, "desim protocols")
     is_model = isinstance(protocol, BaseModel)
     lines = described(type(protocol), only) if is_model else [f"{only}: {summary(definition_of(protocol))}"]
     echo("\n".join([*lines, *described_traits(PROTOCOLS.traits.of(protocol))]) + "\n")
-
-
-def _imported(kind: str) -> Any:
-    """Return the protocol that a kind "module:name" selects; end the program if it is invalid.
-
-    The module is an installed one, or lies in the working folder.
-    """
-    from desim.scenario.overrides import ScenarioError, Source
-    from desim.scenario.scenario import Scenario
-    from desim.scenario.toml import validate
-
-    tables = {"protocol": {"kind": kind}}
-    try:
-        return validate(Source(kind, tables, Scenario, folder=Path(), allow_import=is_import_allowed())).protocol
-    except ScenarioError as error:
-        fail(str(error))

@@ -24,11 +24,7 @@ FAILED = 3
 WRONG_INPUT = 2
 """Exit code if a file or an option is invalid."""
 RAISED = 1
-"""Exit code if a metric of a user raises an exception, or a metric or a model of a user returns a wrong value."""
-OUT_OF_TIME = 1
-"""Exit code if a run or a command exceeds its time limit."""
-NO_MEMORY = 1
-"""Exit code if the memory is full."""
+"""Exit code if code of a user fails or returns a wrong value, a time limit is exceeded, or the memory is full."""
 
 
 def make_folder(folder: Path) -> None:

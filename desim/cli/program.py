@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from desim.cli.output import NO_MEMORY, OUT_OF_TIME, RAISED, echo, fail
+from desim.cli.output import RAISED, echo, fail
 from desim.cli.usage import WORDS, advised, check_empty, check_hyphens
 from desim.config.errors import AnswerError, MetricError
 from desim.config.interrupts import exit_code, raising
@@ -57,11 +57,11 @@ class Program(click.Command):
                 ctx.exit(exit_code(error))
         except TimedOut as error:
             echo(f"--timeout: {error}", err=True)
-            ctx.exit(OUT_OF_TIME)
+            ctx.exit(RAISED)
         except MemoryError as error:
             released(error)
             echo(OUT_OF_MEMORY, err=True)
-            ctx.exit(NO_MEMORY)
+            ctx.exit(RAISED)
         except HiddenPackageError as error:
             fail(str(error))
         except AnswerError as error:

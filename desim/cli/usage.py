@@ -12,51 +12,28 @@ from click.core import ParameterSource
 from desim.config.errors import ArgumentError, KeyedError, NoMetricError
 from desim.config.suggestion import close_to
 
-OPTIONS: Mapping[str, str] = MappingProxyType(
-    {
-        "cores": "--jobs",
-        "count": "--runs",
-        "cpus": "--jobs",
-        "dir": "--out",
-        "folder": "--out",
-        "metric": "--y",
-        "n-runs": "--runs",
-        "num-runs": "--runs",
-        "outdir": "--out",
-        "output": "--out",
-        "parallel": "--jobs",
-        "processes": "--jobs",
-        "repetitions": "--runs",
-        "reps": "--runs",
-        "seeds": "--runs",
-        "threads": "--jobs",
-        "workers": "--jobs",
-        "y": "--metric",
-    }
-)
+_OTHERS = {
+    "--jobs": "cores cpus parallel processes threads workers",
+    "--metric": "y",
+    "--out": "dir folder outdir output",
+    "--runs": "count n-runs num-runs repetitions reps seeds",
+    "--y": "metric",
+}
+OPTIONS: Mapping[str, str] = {word: option for option, words in _OTHERS.items() for word in words.split()}
 """Options that other programs have, without their hyphens, and the option of desim."""
-COMMANDS: Mapping[str, str] = MappingProxyType(
-    {
-        "animate": "plot FILE --kind film",
-        "create": "new",
-        "diff": "compare",
-        "draw": "plot",
-        "film": "plot FILE --kind film",
-        "gif": "plot FILE --kind film",
-        "gui": "play",
-        "help": "--help",
-        "init": "new",
-        "list": "ls",
-        "movie": "plot FILE --kind film",
-        "show": "play",
-        "simulate": "run",
-        "start": "run",
-        "validate": "check",
-        "version": "--version",
-        "video": "plot FILE --kind film",
-        "web": "play",
-    }
-)
+_TRIED = {
+    "check": "validate",
+    "compare": "diff",
+    "ls": "list",
+    "new": "create init",
+    "play": "gui show web",
+    "plot": "draw",
+    "plot FILE --kind film": "animate film gif movie video",
+    "run": "simulate start",
+    "--help": "help",
+    "--version": "version",
+}
+COMMANDS: Mapping[str, str] = {word: command for command, words in _TRIED.items() for word in words.split()}
 """Names that users try, each with the command that they mean."""
 NEEDED: Mapping[str, str] = MappingProxyType(
     {
