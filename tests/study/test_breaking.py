@@ -720,18 +720,26 @@ def test_a_run_is_in_the_log_as_soon_as_it_has_ended(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(("limit", "is_kept"), [(0.001, True), (0.0015, False), (None, False)])
 def test_a_run_that_took_too_long_is_made_again_if_the_limit_is_another(tmp_path, monkeypatch, limit, is_kept):
-    """Another failure is that of the run."""
-    log, kept = log_of(tmp_path / "cases.jsonl"), CaseRun(Judgement(1.0, 0.9, 0.0), [])
+    """Another failure is that of the run, whatever its text."""
     with pytest.raises(TimedOut) as late, within(0.001):
         time.sleep(0.5)
-    too_long = failure_of(Outcome("error", error=late.value), 0.001)
-    for seed, failure in ((1, too_long), (2, "ValueError: no")):
-        log.add(SMALL, seed, CaseRun(FAILED, [], 1.0, failure))
-    monkeypatch.setattr(judging, "drive", lambda tasks, *_: ((k, Outcome("ok", kept)) for k in range(len(tasks))))
-    workers = InProcess()
-    workers.timeout = limit
-    judge_run = CaseJudge(property_of(SHORT), workers, log)
-    assert [judge_run(SMALL, seed).failure for seed in (1, 2)] == [too_long if is_kept else "", "ValueError: no"]
+    own = type("TimedOut", (RuntimeError,), {})("took longer than the rule allows")
+    outcomes = [Outcome("error", error=late.value), Outcome("error", error=own)]
+
+    def judged(timeout):
+        def drive(tasks, *_):
+            return ((k, outcomes[tasks[k][1] - 1]) for k in range(len(tasks)))
+
+        monkeypatch.setattr(judging, "drive", drive)
+        workers = InProcess()
+        workers.timeout = timeout
+        judge_run = CaseJudge(property_of(SHORT), workers, log_of(tmp_path / "cases.jsonl"))
+        return [judge_run(SMALL, seed).failure for seed in (1, 2)]
+
+    too_long, failed = judged(0.001)
+    assert too_long.startswith("TimedOut: took longer than 0.001 s")
+    outcomes[:] = [Outcome("ok", CaseRun(Judgement(1.0, 0.9, 0.0), []))] * 2
+    assert judged(limit) == [too_long if is_kept else "", failed]
 
 
 @pytest.mark.parametrize(("module", "function"), [(judging, "seen_in"), (losses, "copies")])

@@ -15,8 +15,6 @@ from desim.scenario.scenario import Scenario
 from desim.study.breaking.features import Case
 from desim.study.plan.config_hash import identify, object_hash
 
-FIELDS = {"search", "scenario", "seed", "verdict", "seen", "seconds", "failure"}
-"""The names of what a line has, beside the case."""
 FILE = "cases.jsonl"
 """The name of the file in the folder of a search."""
 
@@ -35,6 +33,12 @@ class CaseRun(NamedTuple):
     """The wall time, s, from the end of the run before: several workers share the time in which they run."""
     failure: str = ""
     """The exception that it raised, as text; the judgement is then `FAILED`."""
+    limit: float | None = None
+    """The limit of wall time that it exceeded, s; None: it ended by itself."""
+
+
+FIELDS = {"search", "scenario", "seed", *CaseRun._fields}
+"""The names of what a line has, beside the case."""
 
 
 class CaseLog:
@@ -64,8 +68,8 @@ class CaseLog:
         for line in text.splitlines():
             entry = _read(line)
             if entry is not None and entry["search"] == self._search:
-                told = entry["seen"], entry["seconds"], entry["failure"]
-                self._runs[entry["scenario"], entry["seed"]] = CaseRun(Judgement(*entry["verdict"]), *told)
+                told = {name: entry[name] for name in CaseRun._fields} | {"verdict": Judgement(*entry["verdict"])}
+                self._runs[entry["scenario"], entry["seed"]] = CaseRun(**told)
 
     def __len__(self) -> int:
         return len(self._runs)

@@ -20,9 +20,6 @@ from desim.study.store.run_table import Row
 from desim.study.workers.dispatch import Measurement, Outcome, Task, drive
 from desim.study.workers.workers import Workers
 
-TOO_LONG = "TimedOut"
-"""How the failure of a run that exceeds the time limit begins; the sentence of `within`, with the limit, follows."""
-
 
 class Planned(NamedTuple):
     """A case that is to be run."""
@@ -35,7 +32,7 @@ class Planned(NamedTuple):
 class CaseJudge:
     """Judges runs by a property. Runs that a log has are not made again; the log receives the others.
 
-    A run that took too long is made again if the limit is another one now.
+    A run that took too long is made again if the limit is another one.
 
     Args:
         prop: the property.
@@ -60,19 +57,13 @@ class CaseJudge:
         by_case: dict[int, CaseRun] = {}
         if self._log is not None:
             logged = ((k, self._log.find(planned.scenario, planned.seed)) for k, planned in enumerate(cases))
-            by_case = {k: case_run for k, case_run in logged if case_run and self._holds(case_run)}
+            limits = (None, self._workers.timeout)
+            by_case = {k: case_run for k, case_run in logged if case_run is not None and case_run.limit in limits}
         missing = [k for k in range(len(cases)) if k not in by_case]
         if missing:
             by_case |= dict(zip(missing, self._run_all([cases[k] for k in missing]), strict=True))
         self.seconds += portable_sum(case_run.seconds for case_run in by_case.values())
         return [by_case[k] for k in range(len(cases))]
-
-    def _holds(self, case_run: CaseRun) -> bool:
-        """Return whether a judgement of the log holds: that of a run that took too long does under the same limit."""
-        if not case_run.failure.startswith(TOO_LONG):
-            return True
-        limit = self._workers.timeout
-        return limit is not None and case_run.failure.startswith(f"{TOO_LONG}: took longer than {limit:g} s")
 
     def _run_all(self, cases: Sequence[Planned]) -> list[CaseRun]:
         """Make the run of each case, and append it to the log as soon as it has ended."""
@@ -81,9 +72,10 @@ class CaseJudge:
         before = time.perf_counter()
         with closing(drive(tasks, self._workers, partial(_case_run, self._prop))) as outcomes:
             for place, outcome in outcomes:
-                failure = failure_of(outcome, self._workers.timeout)
+                timeout = self._workers.timeout
+                failure, limit = failure_of(outcome, timeout), timeout if isinstance(outcome.error, TimedOut) else None
                 now = time.perf_counter()
-                case_run = CaseRun(FAILED, [], failure=failure) if failure else outcome.value
+                case_run = CaseRun(FAILED, [], failure=failure, limit=limit) if failure else outcome.value
                 runs[place] = case_run._replace(seconds=round(now - before, 4))
                 before = now
                 if self._log is not None:
@@ -115,7 +107,8 @@ def failure_of(outcome: Outcome, timeout: float | None) -> str:
     is_too_long = timeout is not None and isinstance(error, TimedOut)
     if isinstance(error, JudgementError) or not (isinstance(error, Exception) or is_too_long):
         raise error
-    return ": ".join([TOO_LONG if is_too_long else type(error).__name__, *str(error).strip().splitlines()[:1]])
+    kind = "TimedOut" if is_too_long else type(error).__name__  # `within` raises a class that it makes
+    return ": ".join([kind, *str(error).strip().splitlines()[:1]])
 
 
 def _case_run(prop: Property, result: Result) -> CaseRun:
