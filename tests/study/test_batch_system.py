@@ -74,9 +74,9 @@ def test_the_runs_of_a_killed_job_are_repeated_and_a_run_that_kills_its_job_has_
 def test_an_executor_of_jobs_is_recognised_and_its_number_of_jobs_is_the_callers():
     assert workers_for(Jobs()).count >= 1
     workers = JobWorkers(Jobs(), 7)
-    assert workers_for(workers, timeout=2.0) is workers
-    assert (workers.count, workers.timeout) == (7, 2.0)
-    assert workers_for(workers).timeout is None
+    limited, free = workers_for(workers, timeout=2.0), workers_for(workers)
+    assert (limited.timeout, limited.count, limited.executor) == (2.0, 7, workers.executor)
+    assert free.timeout is workers.timeout is None
     with pytest.raises(ValueError, match="executor should be a number of processes"):
         workers_for(object())
     with pytest.raises(ValueError, match=r"executor should be an executor, not its class: Jobs\(...\)"):

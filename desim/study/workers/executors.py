@@ -2,6 +2,7 @@
 
 import os
 from concurrent.futures import Executor
+from copy import copy
 
 from desim.config.arguments import value_text
 from desim.config.python_numbers import whole
@@ -21,7 +22,7 @@ def workers_for(
     An executor whose `submit` returns jobs instead of futures is one of a batch system, such as submitit's. The number
     0 stands for the number of cores. There are no more processes than `calls`, the largest number of calls, if it is
     known. With the number 1, calls are made in this process. A run that takes longer than `timeout` s of wall time
-    counts as failed.
+    counts as failed; workers of the user's keep their own limit, as several sweeps may share them.
 
     Raises:
         ConnectionError: if Dask is not installed, or a scheduler does not answer or has no workers.
@@ -29,7 +30,7 @@ def workers_for(
     """
     if timeout is not None:
         timeout = checked_limit(timeout)
-    workers = executor if isinstance(executor, Workers) else _new_workers(executor, calls)
+    workers = copy(executor) if isinstance(executor, Workers) else _new_workers(executor, calls)
     workers.timeout = timeout
     return workers
 

@@ -37,7 +37,7 @@ class Workers:
     shares = 2
     """How many batches each worker still gets when the runs run out; more balance unequal runs, fewer cost less."""
     timeout: float | None = None
-    """The wall time of a run, s, after which it counts as failed; None: no limit. Each sweep or study sets its own."""
+    """The wall time of a run, s, after which it counts as failed; None: no limit; see `workers_for`."""
 
     def __init__(self, executor: Executor, count: int | None = None, name: str = ""):
         self.executor = executor
