@@ -248,20 +248,10 @@ def controlled(
 
         print(controlled(scenario, {"network.latency": [0.0, 0.2, 0.5]}, reps=50))
 
-    Args:
-        scenario: as in `sweep`.
-        grid: as in `sweep`.
-        reps: as in `sweep`; at least 4.
-        executor: as in `sweep`.
-        control: the protocol of the control: a kind, a table, or an object.
-        control_runs: the number of its runs in each configuration that differs for it; None = ten times `reps`.
-        seed: as in `sweep`.
-        store: as in `sweep`.
-        control_store: the file to which the runs of the control are added; None = no file.
-        timeout: as in `sweep`.
-        metrics: as in `sweep`.
-        shown: the metrics that are corrected.
-        mix_versions: as in `sweep`.
+    `control` is the protocol of the control: a kind, a table, or an object. `control_runs` is the number of its runs in
+    each configuration that differs for it (None = ten times `reps`), and `control_store` the file to which they are
+    added (None = no file). `shown` names the metrics that are corrected. The other arguments are as in `sweep`; `reps`
+    is at least 4.
 
     Raises:
         TypeError: if it is not a scenario, or the grid is not a mapping.

@@ -28,8 +28,8 @@ def score_figure(
         totals: score and quality of each protocol, from top to bottom.
         scores: its scores by scenario, in the order of `scenarios`.
         scenarios: the names of the scenarios.
-        size: as in `SweepResult.plot`.
-        style: as in `SweepResult.plot`.
+        size: the width and perhaps the height; see `Benchmark.plot`.
+        style: a style of matplotlib.
 
     Raises:
         ValueError: if the size or the style is invalid.

@@ -38,19 +38,9 @@ def draw_race(
     style: Style = None,
     ax: Axes | None = None,
 ) -> Figure:
-    """Draw a race; for size, style and axes see `RaceResult.plot`.
+    """Draw a race: the fields of a `RaceResult`, whose `plot` says what size, style and axes are.
 
-    Args:
-        selection: what the procedure selected, and the samples.
-        order: the numbers of the configurations, the best first.
-        names: their names in this order.
-        title: the name of the scenario.
-        metric: the name of the metric.
-        unit: its unit.
-        first: the number of first runs of each configuration.
-        size: see `RaceResult.plot`.
-        style: see `RaceResult.plot`.
-        ax: see `RaceResult.plot`.
+    `order` and `names` are the positions and the names of the configurations, the best first.
 
     Raises:
         ValueError: if the size or the style is invalid.

@@ -29,16 +29,7 @@ def draw_sensitivity(
 ) -> Figure:
     """Draw the effects and the indices, if any, a panel each; keys are in the order of the grid.
 
-    Args:
-        keys: the keys.
-        effects: their effects, if they were screened.
-        indices: the indices of the kept keys, if any were kept.
-        kept: the numbers of the kept keys.
-        title: the name of the scenario.
-        metric: the name of the metric.
-        unit: its unit.
-        size: see `SensitivityResult.plot`.
-        style: see `SensitivityResult.plot`.
+    The arguments are the fields of a `SensitivityResult`, whose `plot` says what size and style are.
 
     Raises:
         ValueError: if the size or the style is invalid.

@@ -13,35 +13,24 @@ from pathlib import Path
 MOUNTS = Path("/proc/mounts")
 """The table of mounts of Linux; where there is none, no file system is recognised."""
 NETWORK = {
-    "NFS": ("nfs", "nfs4"),
-    "SMB": ("cifs", "smb2", "smb3", "smbfs", "ncpfs"),
-    "Lustre": ("lustre",),
-    "GPFS": ("gpfs",),
-    "BeeGFS": ("beegfs", "fhgfs"),
-    "Ceph": ("ceph",),
-    "AFS": ("afs", "auristorfs"),
-    "9P": ("9p",),
-    "virtiofs": ("virtiofs",),
-    "a cluster file system": (
-        "gfs2",
-        "ocfs2",
-        "panfs",
-        "orangefs",
-        "pvfs2",
-        "wekafs",
-        "glusterfs",
-        "coda",
-        "dvs",
-        "cvfs",
-    ),
-    "a folder of the host": ("drvfs", "vboxsf", "vmhgfs", "prl_fs"),
-    "FUSE": ("fuse", "fuseblk"),
+    "NFS": "nfs nfs4",
+    "SMB": "cifs smb2 smb3 smbfs ncpfs",
+    "Lustre": "lustre",
+    "GPFS": "gpfs",
+    "BeeGFS": "beegfs fhgfs",
+    "Ceph": "ceph",
+    "AFS": "afs auristorfs",
+    "9P": "9p",
+    "virtiofs": "virtiofs",
+    "a cluster file system": "gfs2 ocfs2 panfs orangefs pvfs2 wekafs glusterfs coda dvs cvfs",
+    "a folder of the host": "drvfs vboxsf vmhgfs prl_fs",
+    "FUSE": "fuse fuseblk",
 }
 """The types of network file systems in `MOUNTS`, by the name that users know; any `fuse.NAME` is FUSE, too.
 
 FUSE are sshfs, GlusterFS, JuiceFS, drives in the cloud and others: their files may be on another host, which the table
 does not say. A virtual machine does not share its memory with its host (WSL, VirtualBox, VMware, Parallels)."""
-NAMES = {kind: name for name, kinds in NETWORK.items() for kind in kinds}
+NAMES = {kind: name for name, kinds in NETWORK.items() for kind in kinds.split()}
 ESCAPE = re.compile(r"\\([0-7]{3})")
 
 
