@@ -6,7 +6,7 @@ last digits of the C library differ only on processors without fused multiply-ad
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
 import numpy as np
@@ -16,31 +16,15 @@ from desim.config.arrays import Floats
 Number = TypeVar("Number", int, float, complex)
 
 
-def exp(exponents: Floats) -> Floats:
-    """Return e^x for each of (k,) exponents."""
-    return np.fromiter(map(math.exp, exponents.tolist()), float, len(exponents))
+def _of_each(function: Callable[[float], float]) -> Callable[[Floats], Floats]:
+    """Return the function of (k,) numbers that returns (k,) results of a function of one number."""
+    return lambda numbers: np.fromiter(map(function, numbers.tolist()), float, len(numbers))
 
 
-def log(values: Floats) -> Floats:
-    """Return the natural logarithm of each of (k,) positive values."""
-    return np.fromiter(map(math.log, values.tolist()), float, len(values))
-
-
-def log1p(values: Floats) -> Floats:
-    """Return the natural logarithm of 1 + x for each of (k,) values x > -1."""
-    return np.fromiter(map(math.log1p, values.tolist()), float, len(values))
-
-
-def sin(angles: Floats) -> Floats:
-    """Return the sine of each of (k,) angles, rad."""
-    return np.fromiter(map(math.sin, angles.tolist()), float, len(angles))
-
-
-def cos(angles: Floats) -> Floats:
-    """Return the cosine of each of (k,) angles, rad."""
-    return np.fromiter(map(math.cos, angles.tolist()), float, len(angles))
-
-
+exp, log, log1p = _of_each(math.exp), _of_each(math.log), _of_each(math.log1p)
+"""e^x, the natural logarithm of x, and that of 1 + x, which keeps the digits of a small x."""
+sin, cos = _of_each(math.sin), _of_each(math.cos)
+"""The sine and the cosine of angles, rad."""
 TURN = [(-1) ** k * (2.0 * math.pi) ** (2 * k + 1) / math.factorial(2 * k + 1) for k in range(7)]
 """The coefficients of the Taylor series of sin(2 pi x): of x, x^3, ..., x^13."""
 

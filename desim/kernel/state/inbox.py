@@ -227,33 +227,17 @@ class Inboxes:
         of a mutable body.
         """
         boxes, copies, now = self.at(port), self.has_mutable and not is_immutable(message.body), self._env.now
-        ignored = self._ignored
-        if isinstance(arrival, int) and not copies:
-            letter = arrival, number, message
-            for node in receivers:
-                box = boxes[node]
-                if box._ignores is not None and box._ignores(message):
-                    ignored.append(arrival)
-                    continue
-                box._letters.append(letter)
-                if box._waited_for is not None:
-                    box._expect(arrival) if arrival > now else box._look()
-                elif box._timer is not None:
-                    box._timer.set(arrival)
-            if len(ignored) > self._prune_at:
-                self._prune()
-            return
         for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
             box = boxes[node]
             if box._ignores is not None and box._ignores(message):
-                ignored.append(when)
+                self._ignored.append(when)
                 continue
             box._letters.append((when, number, message._replace(body=own_copy(message.body)) if copies else message))
             if box._waited_for is not None:
                 box._expect(when) if when > now else box._look()
             elif box._timer is not None:
                 box._timer.set(when)
-        if len(ignored) > self._prune_at:
+        if len(self._ignored) > self._prune_at:
             self._prune()
 
     def _prune(self) -> None:
