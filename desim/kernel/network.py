@@ -68,38 +68,28 @@ class ReceivingNodes:
 
         `body` and `stamp` are as in `Network.publish`.
         """
-        if not 0 <= src < self._size:
-            raise self._unknown(src)
         stamp = self._env.now if stamp is None else stamp
-        self._records.set_initial_belief(Record(src, 0, stamp, self._own(body)))
+        self._records.set_initial_belief(Record(self._node(src), 0, stamp, self._own(body)))
 
     def insert(self, node: int, record: Record) -> None:
         """Insert a record received by other means than `Network.publish` into the table of a node.
 
         The record is ignored if the node is its source, or has this or a newer record of the same source.
         """
-        if not 0 <= node < self._size:
-            raise self._unknown(node)
+        node = self._node(node)
         if record.src != node and self._records.is_news(node, record):  # most copies of what is flooded are not
             body = self._own(record.body)
             self._records.relay(node, record if body is record.body else record._replace(body=body))
 
     def latest_records(self, node: int) -> Table:
         """Return the newest received record of each other node, by source; cost O(new records + sources)."""
-        if not 0 <= node < self._size:
-            raise self._unknown(node)
-        if self._first_kept[node] <= self._env.now:
-            self._arrivals.settle_for_reader(node)
-        records = self._records.latest_records(node)
+        records = self._records.latest_records(self._settled(node))
         return _with_own_bodies(records) if self._has_mutable else records
 
     def stamps(self, node: int) -> dict[int, int]:
         """Return the time stamp, ns, of the newest received record of each other node, by source."""
-        if not 0 <= node < self._size:
-            raise self._unknown(node)
-        if self._first_kept[node] <= self._env.now:
-            self._arrivals.settle_for_reader(node)
-        return {src: record.stamp for src, (_, record) in self._records.latest_records(node).items()}
+        records = self._records.latest_records(self._settled(node))
+        return {src: record.stamp for src, (_, record) in records.items()}
 
     def settle(self) -> None:
         """Decide and count the outcomes of all arrivals up to and including this instant."""
@@ -108,20 +98,21 @@ class ReceivingNodes:
 
     def matching(self, node: int) -> Table:
         """Return the latest records whose body satisfies the predicate; cost O(new records + matches)."""
-        if not 0 <= node < self._size:
-            raise self._unknown(node)
-        if self._first_kept[node] <= self._env.now:
-            self._arrivals.settle_for_reader(node)
-        records = self._records.matching(node)
+        records = self._records.matching(self._settled(node))
         return _with_own_bodies(records) if self._has_mutable else records
 
     def inbox(self, node: int, port: str = "") -> Inbox:
         """Return the inbox of a node at a port."""
-        if not 0 <= node < self._size:
-            raise self._unknown(node)
-        if not isinstance(port, str):
-            check_port(port, "inbox")  # type: ignore[unreachable]
+        node = self._node(node)
+        check_port(port, "inbox")
         return self._inboxes.at(port)[node]
+
+    def _settled(self, node: int) -> int:
+        """Return the id of a node, see `_node`, after all that has arrived at it up to now is decided."""
+        node = self._node(node)
+        if self._first_kept[node] <= self._env.now:
+            self._arrivals.settle_for_reader(node)
+        return node
 
     def _own(self, body: Any) -> Any:
         """Return the body of a record as it is kept: nothing outside changes it later."""
@@ -142,12 +133,8 @@ class ReceivingNodes:
         """
         number = node if type(node) is int else whole(node, "a node")
         if not 0 <= number < self._size:
-            raise self._unknown(number)
+            raise ValueError(f"there is no node {number}: the nodes are 0 .. {self._size - 1}")
         return number
-
-    def _unknown(self, node: int) -> ValueError:
-        """Return the error about a node that does not exist."""
-        return ValueError(f"there is no node {node}: the nodes are 0 .. {self._size - 1}")
 
 
 def _with_own_bodies(records: Table) -> Table:

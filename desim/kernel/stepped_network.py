@@ -66,6 +66,8 @@ SHOWN = 10
 CALLED = "a call is under way: a network belongs to one thread, and its watchers and models cannot call it"
 FAILED = "a call has failed: call reset(seed)"
 CLOSED = "the network is closed: create another one"
+CONFIGURATION = ("_nodes", "_numbers", "_links", "_faults", "_horizon", "_can_leave", "_walls")
+"""The attributes that all episodes of a network share."""
 _new = tuple.__new__  # creates a named tuple in a third of the time
 Result = TypeVar("Result")
 
@@ -234,15 +236,7 @@ class SteppedNetwork:
             src, dst = self._number(src), None if dst is None else self._number(dst)
         if size is None and self._is_unlimited:
             size = _size_of(body)
-        network = self._network
-        accepted = network.accepted
-        self._problem = CALLED
-        try:
-            network.send(src, dst, body, port=port, size=size, transport=transport)  # type: ignore[arg-type]
-        except BaseException:
-            self._problem = FAILED if network.accepted > accepted else ""
-            raise
-        self._problem, self._is_unused = "", False
+        self._submit(partial(self._network.send, port=port, size=size, transport=transport), src, dst, body)
 
     def publish(self, src: Hashable, body: Any, *, size: int | None = None) -> None:
         """Broadcast the state of a node now: each neighbour has it as `latest` from its arrival on.
@@ -254,14 +248,16 @@ class SteppedNetwork:
             self._positions()
         if size is None and self._is_unlimited:
             size = _size_of(body)
-        number: Any = src if self._numbers is None else self._number(src)
-        network = self._network
-        accepted = network.accepted
+        self._submit(self._network.publish, src if self._numbers is None else self._number(src), body, size)
+
+    def _submit(self, call: Callable[..., None], *arguments: Any) -> None:
+        """Hand a message to the network; the episode fails if the network accepts it and raises an exception."""
+        accepted = self._network.accepted
         self._problem = CALLED
         try:
-            network.publish(number, body, size)
+            call(*arguments)
         except BaseException:
-            self._problem = FAILED if network.accepted > accepted else ""
+            self._problem = FAILED if self._network.accepted > accepted else ""
             raise
         self._problem, self._is_unused = "", False
 
@@ -529,23 +525,15 @@ class SteppedNetwork:
                 " flight are part of a running simulation. Copy it after reset(seed), or repeat its calls"
             )
         return _again, (
-            (self._nodes, self._numbers, self._links, self._faults, self._horizon, self._can_leave, self._walls),
+            {name: getattr(self, name) for name in CONFIGURATION},
             (self._seed, self._positions.array, self._trace),
         )
 
 
-def _again(configuration: tuple[Any, ...], start: tuple[Any, ...]) -> SteppedNetwork:
+def _again(configuration: dict[str, Any], start: tuple[Any, ...]) -> SteppedNetwork:
     """Return a network at time 0, given what `SteppedNetwork.__reduce__` returns."""
     network = SteppedNetwork.__new__(SteppedNetwork)
-    (
-        network._nodes,
-        network._numbers,
-        network._links,
-        network._faults,
-        network._horizon,
-        network._can_leave,
-        network._walls,
-    ) = configuration
+    vars(network).update(configuration)
     seed, positions, trace = deepcopy(start)  # also in a shallow copy: each network has a trace of its own
     if trace is not None:
         trace.is_taken = False
