@@ -86,8 +86,7 @@ class CommonBursts:
         bad: Bools = of_links | of_nodes[:-1] | of_nodes[-1]
         if self._losses == (0.0, 1.0):
             return bad
-        lost: Bools = rng.random(len(bad)) < np.where(bad, self._losses[1], self._losses[0])
-        return lost
+        return rng.random(len(bad)) < np.where(bad, self._losses[1], self._losses[0])
 
     def _advance(self, nodes: "np.typing.NDArray[np.intp]", now: float, rng: np.random.Generator) -> Bools:
         """Return (k,) whether nodes are bad now."""
@@ -109,5 +108,4 @@ def max_common(share: float) -> float:
 
 def _chances(last: Floats, share: float, rate: float, times: Floats, now: float) -> Floats:
     """Return the (k,) probabilities of being bad now of what was in (k,) states at (k,) times, s."""
-    chances: Floats = share + (last - share) * exp(rate * (times - now))
-    return chances
+    return share + (last - share) * exp(rate * (times - now))

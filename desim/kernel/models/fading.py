@@ -29,8 +29,7 @@ def nakagami_survival(m: float, ratios: Floats) -> Floats:
     """
     from scipy.special import gammaincc
 
-    survival: Floats = gammaincc(m, m * ratios)
-    return survival
+    return np.asarray(gammaincc(m, m * ratios))
 
 
 def rice_survival(k: float, ratios: Floats) -> Floats:
@@ -69,16 +68,14 @@ def nakagami_quantiles(m: float, survival: Floats) -> Floats:
     """Return (k,) powers, in units of their mean, that are exceeded with (k,) probabilities."""
     from scipy.special import gammainccinv
 
-    quantiles: Floats = gammainccinv(m, survival) / m
-    return quantiles
+    return np.asarray(gammainccinv(m, survival) / m)
 
 
 def rice_quantiles(k: float, u: Floats) -> Floats:
     """Return the (k,) u-quantiles of the power, in units of its mean."""
     from scipy.special import chndtrix
 
-    quantiles: Floats = chndtrix(u, 2.0, 2.0 * k) / (2.0 * (k + 1.0))
-    return quantiles
+    return np.asarray(chndtrix(u, 2.0, 2.0 * k) / (2.0 * (k + 1.0)))
 
 
 MAX_NORMALS = 16
@@ -114,5 +111,4 @@ def rice_powers(k: float, normals: Callable[[int], Floats]) -> Floats:
     Wave Plus Random Noise").
     """
     x, y = normals(2)
-    powers: Floats = ((x + math.sqrt(2.0 * k)) ** 2 + y**2) / (2.0 * k + 2.0)
-    return powers
+    return np.asarray(((x + math.sqrt(2.0 * k)) ** 2 + y**2) / (2.0 * k + 2.0))

@@ -340,8 +340,7 @@ def _relative_power(distances: Floats, exponent: float) -> Floats:
 
 def _at_least_nearest(distances: Floats) -> Floats:
     """Return distances of at least `NEAREST`."""
-    apart: Floats = np.maximum(distances, NEAREST)
-    return apart
+    return np.maximum(distances, NEAREST)
 
 
 INTERFERENCES = OneOf(

@@ -159,8 +159,7 @@ class Bursts:
         row.value[bad] = self._after_bad
         if self._loses_all:
             return bad
-        lost: Bools = rng.random(len(bad)) < np.where(bad, self._loss_bad, self._loss_good)
-        return lost
+        return rng.random(len(bad)) < np.where(bad, self._loss_bad, self._loss_good)
 
     def to_one(self, src: int, node: int, now: float, rng: np.random.Generator) -> bool:
         """Advance the state of one link and return whether it loses a message now, s."""

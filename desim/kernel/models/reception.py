@@ -128,8 +128,7 @@ class LogDistance(Value):
     def received(self, distances: Floats, range: float, channel: ChannelState) -> Bools:  # noqa: A002
         """Return where the shadowing takes no more than the margin 10 n log10(R / d), dB."""
         hidden = self.shadowing * channel.shadowing()
-        received: Bools = hidden <= self._margin(distances, range)
-        return received
+        return hidden <= self._margin(distances, range)
 
     def _margin(self, distances: Floats, range: float) -> Floats:  # noqa: A002
         from scipy.special import xlogy

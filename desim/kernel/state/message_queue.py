@@ -1,7 +1,6 @@
 """A queue of the messages of all nodes, for a caller that reads them together."""
 
 from bisect import bisect_left
-from collections.abc import Iterable
 from itertools import repeat
 from operator import itemgetter
 
@@ -37,7 +36,7 @@ class MessageQueue(Inboxes):
         times = per_receiver(arrival, len(receivers))
         self._is_in_order &= number > self._newest
         self._newest = max(number, self._newest)
-        messages: Iterable[Message] = repeat(message)
+        messages: repeat[Message] | list[Message] = repeat(message)
         if self.has_mutable and not is_immutable(message.body):
             messages = [message._replace(body=own_copy(message.body)) for _ in receivers]
         self._queue += zip(times, repeat(number), receivers, messages, repeat(port))

@@ -101,8 +101,7 @@ class CorrelatedChannel:
             raise _missing(coherence.lacks("fading"))
         phase = _phase(directions, rows, phases.waves)
         parts = _sum(np.stack([phase, phase - 0.25], axis=2))  # sin(2 pi x) = cos(2 pi (x - 1/4))
-        normals: Floats = parts.reshape(2 * pairs, -1)[:count]
-        return normals
+        return parts.reshape(2 * pairs, -1)[:count]
 
     @cached_property
     def _directions(self) -> Floats:
@@ -124,8 +123,7 @@ class CorrelatedChannel:
         nodes, at = np.append(ends.dst, ends.src), np.concatenate((ends.dst_at, np.atleast_2d(ends.src_at)))
         of_nodes = self._of_nodes(nodes, at)
         of_ends = of_nodes[: len(ends.dst)] + of_nodes[len(ends.dst) :]
-        total: Floats = math.sqrt(1.0 - shared) * of_pair + math.sqrt(shared / 2.0) * of_ends
-        return total
+        return math.sqrt(1.0 - shared) * of_pair + math.sqrt(shared / 2.0) * of_ends
 
     def _of_nodes(self, nodes: Nodes, at: Floats) -> Floats:
         """Return (k,) the shadowing by what surrounds nodes at their positions, with variance 1."""

@@ -69,8 +69,7 @@ class RangeCheck:
         probability = self._reception(apart, self._range)
         if not self._is_ours:
             probability = _probabilities(probability, len(apart), self._reception)
-        received: Bools = self._draws(src, dst, message) <= probability
-        return received
+        return self._draws(src, dst, message) <= probability
 
     def through(self, channel: ChannelState, apart: Floats) -> Bools:
         """Return (k,) which messages are received in the present states of their channels, at (k,) distances, m."""
