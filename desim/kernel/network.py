@@ -34,7 +34,7 @@ from desim.kernel.state.inbox import Inbox, Inboxes, Message
 from desim.kernel.state.network_state import NetworkState
 from desim.kernel.state.received_records import Records
 from desim.kernel.state.transmission import Lose
-from desim.kernel.topology.correlated_channel import correlated_channel
+from desim.kernel.topology.correlated_channel import CorrelatedChannel
 from desim.kernel.topology.topology import Topology
 from desim.kernel.transport.layer import TransportLayer
 from desim.kernel.walls.wall import Wall
@@ -200,7 +200,7 @@ class Network(ReceivingNodes):
             links.reception,
             per_link=links.fading == "per_link",
             seed=seed,
-            channel=correlated_channel(links, seed, len(graph)),
+            channel=CorrelatedChannel(links.coherence, seed, len(graph)) if links.fading == "correlated" else None,
             now=lambda: env.now / SECOND,
             walls=walls,
         )

@@ -181,7 +181,7 @@ class Faded(Value):
 
     def _level(self, overlap: "Overlap", frame: Frame, exponent: float) -> Floats:
         """Return (k,) the power of a frame at the receivers, dB, relative to that at 1 m without fading."""
-        level = _relative_power(overlap.distances(frame), exponent)
+        level = _log(overlap.distances(frame)) * (-10.0 * exponent / LN_10)
         if self.shadowing:
             level = level - self.shadowing * overlap.channel(frame).shadowing()
         return level if self.fading == "none" else level + log(self._faded(overlap, frame)) * (10.0 / LN_10)
@@ -285,7 +285,7 @@ class Sinr(Faded):
         return enough
 
     def _power(self, overlap: Overlap, frame: Frame) -> Floats:
-        power: Floats = self.power * exp(-self.exponent * log(_at_least_nearest(overlap.distances(frame))))
+        power: Floats = self.power * exp(-self.exponent * _log(overlap.distances(frame)))
         if self.shadowing:
             power = power * exp(overlap.channel(frame).shadowing() * (-self.shadowing * LN_10 / 10.0))
         return power if self.fading == "none" else power * self._faded(overlap, frame)
@@ -333,14 +333,9 @@ class LoRaInterference(Faded):
         return received
 
 
-def _relative_power(distances: Floats, exponent: float) -> Floats:
-    """Return the power, dB, at some distances, m, relative to the power at 1 m."""
-    return log(_at_least_nearest(distances)) * (-10.0 * exponent / LN_10)
-
-
-def _at_least_nearest(distances: Floats) -> Floats:
-    """Return distances of at least `NEAREST`."""
-    return np.maximum(distances, NEAREST)
+def _log(distances: Floats) -> Floats:
+    """Return the natural logarithms of distances, m, of at least `NEAREST`."""
+    return log(np.maximum(distances, NEAREST))
 
 
 INTERFERENCES = OneOf(

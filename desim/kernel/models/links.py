@@ -1,11 +1,11 @@
 """The link models of a network as one immutable object: graph, range, reception, latency, loss, medium."""
 
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Iterable, Iterator, Set
 from contextlib import suppress
 from math import inf
 from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import ValidationInfo, field_validator, model_validator
+from pydantic import BaseModel, ValidationInfo, field_validator, model_validator
 
 from desim.config.errors import KeyedError, Problem
 from desim.config.fresh import fresh_copy
@@ -17,7 +17,6 @@ from desim.kernel.models.coherence import Coherence
 from desim.kernel.models.graphs import (
     GRAPHS,
     Complete,
-    Edge,
     Edges,
     GraphModel,
     Link,
@@ -37,7 +36,10 @@ from desim.kernel.models.transport import TRANSPORTS, BestEffort, Transport
 
 HAVE_POWER = 'with fading = "correlated" it should be disk, log_distance, nakagami or rice, or have a method `received`'
 """Which models of reception follow a channel."""
-EdgeLike = TypeVar("EdgeLike", bound=Edge)
+LoRaPreset = Literal["lora_sf7", "lora_sf8", "lora_sf9", "lora_sf10", "lora_sf11", "lora_sf12"]
+Owner = TypeVar("Owner", bound=Value)
+Place = tuple[str | int, ...]
+"""The keys of a value, below `network`."""
 
 
 class Processing(Value):
@@ -71,31 +73,21 @@ def _tables_completed(fields: dict[str, Any], preset: dict[str, Any]) -> dict[st
     }
 
 
-def _with(owner: EdgeLike, tables: Mapping[tuple[str | int, ...], Any], place: tuple[str | int, ...]) -> EdgeLike:
-    """Return an edge or a link with other tables of measurements, by their keys; `place` is its own."""
-    models = {name: tables[*place, name] for name in ("latency", "loss") if (*place, name) in tables}
-    return owner.model_copy(update=models) if models else owner
+def _numbered(owner: Owner, names: tuple[str, ...], keys: Iterable[str] = ("latency", "loss")) -> Owner:
+    """Return an edge or links whose tables of measurements give the nodes of these names their numbers, if they can."""
+    numbered: dict[str, NamedTable] = {}
+    for key in keys:
+        if isinstance(table := getattr(owner, key), NamedTable):
+            with suppress(ValueError):
+                numbered[key] = table.numbered(names)
+    changed = {key: table for key, table in numbered.items() if table is not getattr(owner, key)}
+    return BaseModel.model_copy(owner, update=changed) if changed else owner
 
 
 class Links(Value):
     """The models of the links of a network; the default is an ideal network: complete, no latency, no loss."""
 
-    preset: (
-        Literal[
-            "wifi",
-            "lte",
-            "5g",
-            "satellite",
-            "acoustic",
-            "lora_sf7",
-            "lora_sf8",
-            "lora_sf9",
-            "lora_sf10",
-            "lora_sf11",
-            "lora_sf12",
-        ]
-        | None
-    ) = None
+    preset: Literal["wifi", "lte", "5g", "satellite", "acoustic", LoRaPreset] | None = None
     """Name of a set of illustrative values that replace the defaults of this table: wifi, lte, 5g, satellite, acoustic,
     lora_sf7 to lora_sf12."""
     graph: Annotated[GraphModel, GRAPHS] = Complete()
@@ -155,10 +147,10 @@ class Links(Value):
         orders = (table.node_order for _, table in self.measured_tables())
         return next((order for order in orders if order), ())
 
-    def measured_tables(self) -> Iterator[tuple[tuple[str | int, ...], NamedTable]]:
+    def measured_tables(self) -> Iterator[tuple[Place, NamedTable]]:
         """Yield the key and the model of each table of measurements, over time or between all nodes."""
         edges = self.graph.edges if isinstance(self.graph, Edges) else ()
-        owners: list[tuple[tuple[str | int, ...], Any]] = [((), self)]
+        owners: list[tuple[Place, Any]] = [((), self)]
         owners += ((("link", k), link) for k, link in enumerate(self.link))
         owners += ((("graph", "edges", k), edge) for k, edge in enumerate(edges))
         for place, owner in owners:
@@ -171,23 +163,14 @@ class Links(Value):
 
         A table that has other names is unchanged; see `desim.kernel.models.own_links`.
         """
-        changed: dict[tuple[str | int, ...], NamedTable] = {}
-        for place, table in self.measured_tables():
-            with suppress(ValueError):
-                if (numbered := table.numbered(names)) is not table:
-                    changed[place] = numbered
-        if not changed:
-            return self
-        copy = self.model_copy()
-        of_network = {str(place[0]): table for place, table in changed.items() if len(place) == 1}
-        links = [_with(link, changed, ("link", k)) for k, link in enumerate(self.link)]
-        copy.__dict__.update(of_network, link=tuple(links))
-        if isinstance(self.graph, Edges):
-            graph = self.graph.model_copy()
-            edges = [_with(edge, changed, ("graph", "edges", k)) for k, edge in enumerate(graph.edges)]
-            graph.__dict__["edges"] = tuple(edges)
-            copy.__dict__["graph"] = graph
-        return copy
+        numbered, changed = _numbered(self, names, ("latency", "loss", "duplicate")), dict[str, Any]()
+        if (links := tuple(_numbered(link, names) for link in self.link)) != self.link:
+            changed["link"] = links
+        if isinstance(graph := self.graph, Edges):
+            edges = tuple(_numbered(edge, names) for edge in graph.edges)
+            if edges != graph.edges:
+                changed["graph"] = BaseModel.model_copy(graph, update={"edges": edges})
+        return BaseModel.model_copy(numbered, update=changed) if changed else numbered
 
     @model_validator(mode="after")
     def _check_coherence(self) -> Self:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from desim.config.traits import name_of
 from desim.kernel.graph_files.node_names import shortened
 from desim.kernel.models.graphs import edge_model, links_with_attributes
-from desim.kernel.models.links import Links
+from desim.kernel.models.links import Links, Place
 from desim.kernel.models.traits import link_trait, model_of_run
 
 if TYPE_CHECKING:
@@ -41,7 +41,6 @@ def overrides_of_run(overrides: Overrides, size: int) -> Overrides:
 
 Way = tuple[int, int]
 """A link: sender and receiver."""
-Place = tuple[str | int, ...]
 
 
 def link_misfits(links: Links, graph: "nx.Graph[int]") -> Iterator[tuple[Place, str]]:

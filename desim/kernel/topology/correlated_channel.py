@@ -26,7 +26,6 @@ from desim.kernel.core.portable_math import cos_of_turns
 from desim.kernel.core.positions import Nodes
 from desim.kernel.core.seeds import ROOM, pair_draw, pair_uniform
 from desim.kernel.models.coherence import LIGHT, ChannelState, Coherence
-from desim.kernel.models.links import Links
 
 STEPS = (0.0, 0.6180339887498949, 0.7548776662466927, 0.5698402909980532)
 """Steps of the lattice per point, by axis (Roberts 2018).
@@ -252,8 +251,3 @@ def uncorrelated(seed: int, src: int, dst: Nodes, number: int, *, per_link: bool
 def unknown_fading(_: int) -> Floats:
     """Raise ValueError: only correlated fading has Gaussian processes."""
     raise ValueError('the fading has no processes unless network.fading = "correlated"')
-
-
-def correlated_channel(links: Links, seed: int, size: int) -> CorrelatedChannel | None:
-    """Return the channels of the links of a network; None if random reception is not correlated."""
-    return CorrelatedChannel(links.coherence, seed, size) if links.fading == "correlated" else None
