@@ -328,8 +328,9 @@ class UnclearNamesError(ValueError):
 def names_beside(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
     """Return the names in the first line and the first column of a square matrix; none if it has none.
 
-    The cell above the names of the lines is empty or a text. Names that are numbers are different integers, and the
-    matrix does not lack its diagonal: without names, its first cell is empty, too.
+    The cell above the names of the lines is empty or a text. Names that are numbers are different integers. A matrix
+    that lacks its diagonal has an empty first cell without names, too; its numbers are names only if they are 0 .. n-1,
+    which as values would have a 0 beside the diagonal.
 
     Raises:
         UnclearNamesError: if both may be numbers of a symmetric matrix.
@@ -347,11 +348,11 @@ def names_beside(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
             return ()
         numbers, counts = [*map(int, names)], counts_of(len(names))
         lacks_diagonal = all(len(row) > k and row[k].lower() in MISSING for k, row in enumerate(rows))
-        if lacks_diagonal and (numbers in counts or sorted(numbers) not in counts):
+        if lacks_diagonal and (numbers == counts[1] or sorted(numbers) not in counts):
             return ()
         inner = [row[1:] for row in rows[1:]]
         is_symmetric = [*map(list, zip(*inner, strict=False))] == inner
-        if lacks_diagonal or (rows[0][0].lower() in MISSING and is_symmetric and numbers not in counts):
+        if numbers not in counts and (lacks_diagonal or (rows[0][0].lower() in MISSING and is_symmetric)):
             raise UnclearNamesError(
                 f"{', '.join(names)[:40]} may be the names of the nodes, or numbers of a matrix whose first cell is"
                 " empty: write a text into it if they are names, and 0 if not"
