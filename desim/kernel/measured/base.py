@@ -64,6 +64,8 @@ class LinkTrace(NamedTable):
 
     NOUN: ClassVar[str] = "a value"
     """A value of the table, for error messages."""
+    LIMITS: ClassVar[tuple[float, float]] = (-np.inf, np.inf)
+    """The smallest and the largest value that the table may have, unless they depend on the model."""
 
     kind: str = "trace"
     file: str | None = None
@@ -163,7 +165,7 @@ class LinkTrace(NamedTable):
     @property
     def limits(self) -> tuple[float, float]:
         """The smallest and the largest value that the table may have."""
-        raise NotImplementedError
+        return self.LIMITS
 
     @property
     def measurements(self) -> Measurements:

@@ -109,8 +109,8 @@ class _LossTrace(LinkTrace):
         return PlayedLosses(self)
 
     def loss(self, values: Any) -> Any:
-        """Return the probabilities of loss at values of the table, or booleans if the losses are certain."""
-        raise NotImplementedError
+        """Return the probabilities of loss at values in the unit of the model, or booleans if losses are certain."""
+        return values
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools:
         """Draw the (k,) losses; return one for all receivers if it is certain."""
@@ -121,6 +121,7 @@ class LossTrace(_LossTrace):
     """A message is lost with the probability that was measured on its link at that time, which may be 0 or 1."""
 
     NOUN: ClassVar[str] = "a probability of loss"
+    LIMITS: ClassVar[tuple[float, float]] = (0.0, 1.0)
 
     kind: Literal["trace"] = "trace"
     received: Flag = False
@@ -139,18 +140,9 @@ class LossTrace(_LossTrace):
             return "received", f"column {self.value!r} seems to have losses: leave out received"
         return None
 
-    @property
-    def limits(self) -> tuple[float, float]:
-        """The smallest and the largest value that the table may have."""
-        return 0.0, 1.0
-
     def scaled(self, values: Floats) -> Floats:
         """Return values of the table as probabilities of loss."""
         return 1.0 - values if self.received else values
-
-    def loss(self, values: Any) -> Any:
-        """Return the values."""
-        return values
 
 
 class SignalTrace(_LossTrace):
@@ -160,6 +152,7 @@ class SignalTrace(_LossTrace):
     """
 
     NOUN: ClassVar[str] = "a signal strength in dB"
+    LIMITS: ClassVar[tuple[float, float]] = (-MAX_SIGNAL, MAX_SIGNAL)
 
     kind: Literal["signal_trace"] = "signal_trace"
     threshold: Annotated[float, Field(ge=-MAX_SIGNAL, le=MAX_SIGNAL, strict=True)] = -90.0
@@ -175,11 +168,6 @@ class SignalTrace(_LossTrace):
         if words & IN_DBM and most >= 0.0:
             return "value", f"no radio receives {most:g} dBm: if it stands for no signal, leave its cells empty"
         return None
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """The smallest and the largest value that the table may have."""
-        return -MAX_SIGNAL, MAX_SIGNAL
 
     def loss(self, values: Any) -> Any:
         """Return the probabilities of loss, or booleans if the width is 0."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from desim.config.arrays import Bools, Floats, Integers
+from desim.config.arrays import Bools, Floats
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.core.seeds import stream
 from desim.kernel.core.units import SECOND
@@ -46,8 +46,6 @@ class Playback:
         """Seed, time and sender of the last transmission, its receivers, and the answer of `_rows`."""
         self._starts: dict[int, int] = {}
         """By seed, the time in the trace at which the simulation starts, ns."""
-        self._kept: dict[int, tuple[NDArray[np.intp], Integers]] = {}
-        """By sender, receivers that do not change, and the keys of the links to them."""
         first, last = measured.first[:-1], measured.first[1:] - 1
         links, counts = np.arange(len(first)), last - first + 1
         values, is_missing = trace.scaled(measured.values), measured.is_missing
@@ -145,18 +143,12 @@ class Playback:
         if self._codes is None:
             return 0
         src, dst = context.src, context.dst
-        kept = self._kept.get(src)
-        if kept is not None and kept[0] is dst:
-            return kept[1]
         codes = _code(src, dst)
         links = self._codes.searchsorted(codes)
         is_known = self._codes.take(links, mode="clip") == codes
         if not is_known.all():
             raise ValueError(f"{self._trace.name} has no row for the link from {src} to {dst[~is_known][0]}")
-        keys = links * self._width
-        if not dst.flags.writeable:
-            self._kept[src] = dst, keys
-        return keys
+        return links * self._width
 
 
 def _code(src: Any, dst: Any) -> Any:
