@@ -314,7 +314,7 @@ NO_GRAPHS = {
     "nodes.json": ('{"nodes": []}', r"it should have nodes, and edges or links \(node-link\), adjacency, or elements"),
     "texts.json": ('{"nodes": ["a"], "links": []}', "its nodes should be a list of objects"),
     "ends.json": ('{"nodes": [{"id": 0}], "links": [{"source": 0}]}', "there is no 'target'"),
-    "twice.json": ('{"nodes": [{"id": 0}, {"id": 0}], "links": []}', "node 0 is declared twice"),
+    "twice.json": ('{"nodes": [{"id": 0}, {"id": 0}], "links": []}', "its list of nodes has 0 twice"),
     "cut.graphml": ("<graphml>", "is not a graph in GraphML or GEXF: it is not valid XML"),
     "page.graphml": ('<?xml version="1.0"?><html/>', "its first element is <html>"),
     "json.graphml": ("nodes", "is not a graph in graphml: it does not begin like one"),

@@ -78,7 +78,7 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
     if delimiter in {";", "\t"}:  # then numbers may have decimal commas
         points = with_points(((row.line, row.cells) for row in rows), list, str(file))
         rows = [row._replace(cells=cells) for row, (_, cells) in zip(rows, points, strict=True)]
-    if not (header and _names_ends(header)):
+    if not _ends_in(header):
         _check_names(file, rows)
         long = {name.strip() for row in rows for name in row.cells[:2] if len(name.split()) > 1}
         quoted = {match[1].replace('""', '"').strip() for match in QUOTED.finditer(text)} if long else set()
@@ -269,7 +269,7 @@ def _rows(file: Path, text: str, delimiter: str) -> list[EdgeRow]:
         bare = line.strip(" \r" if delimiter == "\t" else None)  # a row of a table may end in empty cells
         if bare and bare[0] in "#%":
             names = split(bare.lstrip("#% "))
-            if not rows and _names_ends(names):
+            if not rows and _ends_in(names):
                 rows.append(EdgeRow(number, names, {}))
         elif match := None if delimiter else WITH_DICT.fullmatch(bare):
             rows.append(EdgeRow(number, [match[1], match[2]], _dict(match[3], f"{file}, line {number}")))
@@ -312,10 +312,6 @@ def _ends_in(names: Sequence[str]) -> tuple[int, int] | None:
     return next(((lower.index(a), lower.index(b)) for a, b in ENDS if a in lower and b in lower), None)
 
 
-def _names_ends(cells: Sequence[str]) -> bool:
-    return _ends_in(cells) is not None
-
-
 def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow]]:
     """Return the names of the columns, empty if they are not named, and the other rows.
 
@@ -330,7 +326,7 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
     nodes = {cell for row in below for cell in row.cells[:2]}
     has_numbers = bool(nodes) and all(map(str.isdecimal, nodes))
     is_header = has_numbers and not any(cell.isdecimal() for cell in first[:2])
-    if not _names_ends(first):
+    if not _ends_in(first):
         of = "of nodes" if first[0].lower() in OF_NODES else "over time" if first[0].lower() in OVER_TIME else ""
         if of and nodes and nodes.isdisjoint(first[:2]) and not any(map(is_number_text, first)):
             raise ValueError(
@@ -343,7 +339,7 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
     if any(map(is_number_text, first)) or (not has_numbers and not nodes.isdisjoint(first[:2])):
         return [], rows
     is_plain = (first[0].lower(), first[1].lower()) in {*ENDS, *WAYS}
-    if not has_numbers and not is_plain and (not below or any(_names_ends(row.cells[:2]) for row in below)):  # tx1,rx1
+    if not has_numbers and not is_plain and (not below or any(_ends_in(row.cells[:2]) for row in below)):  # tx1,rx1
         return [], rows
     if len(first) == 2 and nodes and max(map(len, nodes)) == 1 == max(map(len, first)) and not has_numbers:
         why = f"{first[0]} {first[1]} may be an edge or the names of the columns: write source and target above"

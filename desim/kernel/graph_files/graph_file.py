@@ -96,6 +96,7 @@ def _not_read(file: Path, form: str, function: str) -> str:
 
 
 Reader = Callable[[], "nx.Graph[Any]"]
+NODES = "its list of nodes"
 
 
 def _text_reader(file: Path, ending: str, text: str, directed: bool | None) -> tuple[str, Reader]:
@@ -159,7 +160,7 @@ def _from_json(text: str) -> "nx.Graph[Any]":
     if "elements" in data:
         return _from_cytoscape(data)
     if "adjacency" in data and "nodes" in data:
-        _check_nodes(node["id"] for node in data["nodes"])
+        check_once((node["id"] for node in data["nodes"]), NODES)
         _check_ends({node["id"] for node in data["nodes"]}, (edge["id"] for row in data["adjacency"] for edge in row))
         adjacency: nx.Graph[Any] = nx.adjacency_graph(data)
         return adjacency
@@ -175,7 +176,7 @@ def _from_json(text: str) -> "nx.Graph[Any]":
         data = _of_graphology(data)
         key = "edges"
     names = [_hashable(node.get("id", k)) for k, node in enumerate(data["nodes"])]
-    _check_nodes(names)
+    check_once(names, NODES)
     _check_ends(set(names), (_hashable(edge[end]) for edge in data[key] for end in ("source", "target")))
     graph: nx.Graph[Any] = nx.node_link_graph({**data, "multigraph": True}, edges=key)  # keeps parallel edges
     return graph
@@ -204,7 +205,7 @@ def _from_cytoscape(data: dict[str, Any]) -> "nx.Graph[Any]":
         elements = {"nodes": [element for element in elements if element not in edges], "edges": edges}
     nodes = [node["data"] for node in elements.get("nodes", ())]
     names = {str(node["id"]): _hashable(node.get("value", node["id"])) for node in nodes}
-    _check_nodes(str(node["id"]) for node in nodes)
+    check_once((str(node["id"]) for node in nodes), NODES)
     graph: nx.Graph[Any] = nx.MultiDiGraph() if data.get("directed") else nx.MultiGraph()
     for node in nodes:
         attributes = {key: value for key, value in node.items() if key not in {"id", "value"}}
@@ -220,15 +221,6 @@ def _from_cytoscape(data: dict[str, Any]) -> "nx.Graph[Any]":
 def _hashable(name: Any) -> Any:
     """Return the name of a node as networkx reads it: a list becomes a tuple."""
     return tuple(map(_hashable, name)) if isinstance(name, list) else name
-
-
-def _check_nodes(names: Any) -> None:
-    """Raise ValueError if a node is declared twice."""
-    seen = set[Any]()
-    for name in names:
-        if name in seen:
-            raise ValueError(f"node {name!r} is declared twice")
-        seen.add(name)
 
 
 def _check_ends(nodes: Collection[Any], ends: Any) -> None:
@@ -317,7 +309,7 @@ def _like(root: "Element", tag: str) -> str:
 def _check_elements(root: "Element", graph: "Element") -> None:
     """Raise ValueError if a node is declared twice, or an edge ends at a node that is not declared."""
     nodes = [node.get("id") for node in graph.iter(_like(root, "node"))]
-    _check_nodes(nodes)
+    check_once(nodes, NODES)
     edges = graph.iter(_like(root, "edge"))
     _check_ends(set(nodes), (edge.get(end) for edge in edges for end in ("source", "target")))
 
