@@ -1,4 +1,4 @@
-"""Graphs as text: edge lists, adjacency lists and files of Pajek and METIS, as networkx graphs whose nodes are texts.
+"""Graphs as text: edge lists and adjacency lists, as networkx graphs whose nodes are texts.
 
 Edge lists and adjacency lists do not say whether edges are one-way. A line of an edge list is an edge: its ends, and
 possibly attributes, named in a header or as Python writes a dict. A line with one name is a node without edges.
@@ -67,6 +67,32 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
     Raises:
         ValueError: if a line is no edge; the message names the file and the line.
     """
+    header, rows = _table_of(file, text)
+    src, dst = _ends_in(header) or (0, 1)
+    kinds, nodes, edges = set[str](), list[str](), list[NamedEdge]()
+    for line, cells, attributes in rows:
+        if len(cells) == 1:
+            nodes.append(cells[0])
+            continue
+        if len(cells) != len(header):
+            raise ValueError(f"{file}, line {line}: should have {counted(len(header), 'column')}, has {len(cells)}")
+        place = f"{file}, line {line}"
+        if not (cells[src] and cells[dst]):
+            raise ValueError(f"{place}: should have two nodes; a node without edges is a line with its name only")
+        named = {name: cells[k] for k, name in enumerate(header) if name and k not in {src, dst} and cells[k]}
+        kinds |= {value.lower() for name, value in named.items() if name.lower() == "type"}
+        read = {name: attribute_of(name, value, place) for name, value in named.items() if name.lower() != "type"}
+        edges.append((cells[src], cells[dst], read | attributes))
+    comment = next((line for line in text.split("\n", 9)[:9] if ONE_WAY.match(line.strip())), "")
+    return listed_graph(file, nodes, edges, _directed_by(file, kinds, directed), comment.strip())
+
+
+def _table_of(file: Path, text: str) -> tuple[list[str], list[EdgeRow]]:
+    """Return the names of the columns of an edge list, and its rows.
+
+    Raises:
+        ValueError: if a row is probably no edge, or has attributes without a name.
+    """
     delimiter = _delimiter(text)
     lines = _rows(file, text, delimiter)
     if not lines:
@@ -93,155 +119,25 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
                 " columns, such as source,target,latency,loss; an adjacency list needs the ending .adjlist"
             )
     check_once(filter(None, header), f"{file}, line {lines[0].line}:")
-    src, dst = _ends_in(header) or (0, 1)
-    kinds, nodes, edges = set[str](), list[str](), list[NamedEdge]()
-    for line, cells, attributes in rows:
-        if len(cells) == 1:
-            nodes.append(cells[0])
-            continue
-        if len(cells) != len(header):
-            raise ValueError(f"{file}, line {line}: should have {counted(len(header), 'column')}, has {len(cells)}")
-        place = f"{file}, line {line}"
-        if not (cells[src] and cells[dst]):
-            raise ValueError(f"{place}: should have two nodes; a node without edges is a line with its name only")
-        named = {name: cells[k] for k, name in enumerate(header) if name and k not in {src, dst} and cells[k]}
-        kinds |= {value.lower() for name, value in named.items() if name.lower() == "type"}
-        read = {name: _attribute(name, value, place) for name, value in named.items() if name.lower() != "type"}
-        edges.append((cells[src], cells[dst], read | attributes))
-    if kinds & {"directed", "undirected"}:
-        if len(kinds) > 1:
-            raise ValueError(f"{file} has directed and undirected edges: all should be of one type")
-        if directed is not None and directed != ("directed" in kinds):
-            raise ValueError(
-                f"{file} has a column Type, which says {'un' if directed else ''}directed: leave out directed"
-            )
-        directed = "directed" in kinds
-    comment = next((line for line in text.split("\n", 9)[:9] if ONE_WAY.match(line.strip())), "")
-    return _graph(file, nodes, edges, directed, comment.strip())
+    return header, rows
+
+
+def _directed_by(file: Path, types: set[str], directed: bool | None) -> bool | None:
+    """Return whether edges are one-way, given the values in the column Type; see `read_edge_list`."""
+    if not types & {"directed", "undirected"}:
+        return directed
+    if len(types) > 1:
+        raise ValueError(f"{file} has directed and undirected edges: all should be of one type")
+    if directed is not None and directed != ("directed" in types):
+        raise ValueError(f"{file} has a column Type, which says {'un' if directed else ''}directed: leave out directed")
+    return "directed" in types
 
 
 def read_adjacency_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any]":
     """Return the graph in an adjacency list: each line is a node and its neighbours; see `read_edge_list`."""
     rows = _rows(file, text, "")
     edges: list[NamedEdge] = [(row.cells[0], neighbour, {}) for row in rows for neighbour in row.cells[1:]]
-    return _graph(file, [row.cells[0] for row in rows], edges, directed)
-
-
-def read_metis(file: Path, text: str) -> "nx.Graph[Any] | None":
-    """Return the graph in the format of METIS; None if the text does not have as many lines as its first one says.
-
-    The first line has the numbers of nodes and edges and perhaps a code for weights. Line i of the others has the
-    neighbours of node i, from 1, so that each edge is there twice. Weights and sizes of nodes are not read.
-
-    Raises:
-        ValueError: if the lines are no such graph.
-    """
-    import networkx as nx
-
-    lines = [entry for entry in enumerate(text.split("\n"), 1) if not entry[1].lstrip().startswith("%")]
-    while lines and not lines[0][1].strip():
-        del lines[0]
-    head = lines[0][1].split() if lines else []
-    if not 2 <= len(head) <= 4 or not all(map(str.isdecimal, head)):
-        return None
-    size, number, code = int(head[0]), int(head[1]), (head[2] if len(head) > 2 else "").zfill(3)
-    rows = lines[1:]
-    while len(rows) > size and not rows[-1][1].strip():
-        rows.pop()
-    if len(rows) != size or not set(code) <= {"0", "1"} or len(code) > 3:
-        return None
-    before = int(code[0]) + (int(head[3]) if len(head) > 3 else 1) * int(code[1])
-    step = 2 if code[2] == "1" else 1
-    weights: dict[tuple[int, int], str] = {}
-    for node, (line, row) in enumerate(rows, 1):
-        cells = row.split()[before:]
-        if not all(map(str.isdecimal, cells[::step])) or len(cells) % step:
-            raise ValueError(f"{file}, line {line}: should have the numbers of the neighbours of node {node}")
-        for neighbour, weight in zip(map(int, cells[::step]), cells[step - 1 :: step], strict=True):
-            if not 1 <= neighbour <= size or neighbour == node or (node, neighbour) in weights:
-                why = f"{neighbour} is no other node from 1 to {size}, or is there twice"
-                raise ValueError(f"{file}, line {line}: {why}")
-            weights[node, neighbour] = weight if step == 2 else ""
-    if one_way := next((ends for ends in weights if weights.get(ends[::-1]) != weights[ends]), None):
-        raise ValueError(f"{file}: the edge between the nodes {one_way[0]} and {one_way[1]} should be in both lines")
-    if len(weights) != 2 * number:
-        raise ValueError(f"{file}, line {lines[0][0]}: says {counted(number, 'edge')}, but has {len(weights) // 2}")
-    graph: nx.Graph[Any] = nx.MultiGraph()
-    graph.add_nodes_from(map(str, range(1, size + 1)))
-    for (node, neighbour), weight in weights.items():
-        if node < neighbour:
-            graph.add_edge(str(node), str(neighbour), **({"weight": number_of(weight)} if weight else {}))
-    return graph
-
-
-def read_trivial(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any]":
-    """Return the graph in the Trivial Graph Format: nodes with labels, a line #, and edges with labels.
-
-    Raises:
-        ValueError: if it has no line #, or a line is no edge.
-    """
-    lines = [line.split(maxsplit=2) for line in text.split("\n")]
-    if ["#"] not in lines:
-        raise ValueError(f"{file}: should have a line # between nodes and edges")
-    between = lines.index(["#"])
-    nodes = [cells[0] for cells in lines[:between] if cells]
-    check_once(nodes, f"{file}: the list of nodes")
-    edges: list[NamedEdge] = []
-    for number, cells in enumerate(lines[between + 1 :], between + 2):
-        if cells and not (len(cells) > 1 and {*cells[:2]} <= {*nodes}):
-            raise ValueError(f"{file}, line {number}: should be two of the nodes above the line #")
-        if cells:
-            edges.append((cells[0], cells[1], {"label": cells[2]} if len(cells) > 2 else {}))
-    return _graph(file, nodes, edges, directed)
-
-
-def read_pajek(file: Path, text: str) -> "nx.Graph[Any]":
-    """Return the graph in a file of Pajek with a list of edges or of arcs.
-
-    Raises:
-        ValueError: if the file has other parts, edges as well as arcs, or an invalid line.
-    """
-    import networkx as nx
-
-    labels, edges, parts, part = dict[str, str](), list[NamedEdge](), list[str](), ""
-    vertices = list[str]()
-    for number, line in enumerate(text.split("\n"), 1):
-        place = f"{file}, line {number}"
-        word = r"(?<=\s)\S+|[^\s%]+" if part == "*vertices" else r"[^\s%]+"  # a name may have %, as networkx writes it
-        cells = [cell.strip('"') for cell in re.findall(rf'"[^"]*"|%.*|{word}', line) if cell[0] != "%"]
-        if not cells:
-            continue
-        if cells[0].startswith("*"):
-            part = cells[0].lower()
-            if part not in {"*network", "*vertices", "*edges", "*arcs"}:
-                raise ValueError(f"{place}: {cells[0]} is not read; allowed: *Network, *Vertices, *Edges, *Arcs")
-            if part == "*vertices":
-                if len(cells) < 2 or not cells[1].isdecimal():
-                    raise ValueError(f"{place}: *Vertices should be followed by their number")
-                labels = {str(k): str(k) for k in range(1, int(cells[1]) + 1)}
-        elif part == "*vertices":
-            if cells[0] not in labels:
-                raise ValueError(f"{place}: there is no vertex {cells[0]}: they are 1 .. {len(labels)}")
-            labels[cells[0]] = cells[1] if len(cells) > 1 else cells[0]
-            vertices.append(cells[0])
-        elif part in {"*edges", "*arcs"}:
-            if len(cells) < 2 or not {*cells[:2]} <= labels.keys():
-                raise ValueError(f"{place}: should be two vertices from 1 to {len(labels)}")
-            named = [*zip(cells[3::2], cells[4::2], strict=False)]
-            check_once((name for name, _ in named), f"{place}:")
-            attributes = {name: _attribute(name, value, place) for name, value in named}
-            weight = {"weight": _attribute("weight", cells[2], place)} if len(cells) > 2 else {}
-            parts.append(part)
-            edges.append((cells[0], cells[1], weight | attributes))
-        else:
-            raise ValueError(f"{place}: should begin with *Vertices")
-    check_once(vertices, f"{file}: the list of vertices")
-    if len(set(parts)) > 1:
-        raise ValueError(f"{file} has edges and arcs: all should be of one type")
-    graph: nx.Graph[Any] = nx.MultiDiGraph() if parts[:1] == ["*arcs"] else nx.MultiGraph()
-    graph.add_nodes_from((vertex, {"label": label}) for vertex, label in labels.items())
-    graph.add_edges_from(edges)
-    return graph
+    return listed_graph(file, [row.cells[0] for row in rows], edges, directed)
 
 
 def _delimiter(text: str) -> str:
@@ -298,7 +194,7 @@ def _dict(text: str, place: str) -> dict[str, Any]:
         raise ValueError(f"{place}: the attributes should be like {{'latency': 0.1}} (got {text[:40]})")
     entries = [(pair[2], pair[4], pair[5]) for pair in pairs if pair is not None]
     check_once((name for name, *_ in entries), f"{place}:")
-    return {name: _attribute("", word, place) if quoted is None else quoted for name, quoted, word in entries}
+    return {name: attribute_of("", word, place) if quoted is None else quoted for name, quoted, word in entries}
 
 
 def _ends_in(names: Sequence[str]) -> tuple[int, int] | None:
@@ -394,7 +290,7 @@ def _check_form(file: Path, rows: Sequence[EdgeRow]) -> None:
     )
 
 
-def _attribute(name: str, cell: str, place: str) -> Any:
+def attribute_of(name: str, cell: str, place: str) -> Any:
     """Return an attribute: a number if it looks like one.
 
     A loss should be a number, and a latency a number or a time with its unit.
@@ -407,7 +303,7 @@ def _attribute(name: str, cell: str, place: str) -> Any:
         return cell
 
 
-def _graph(
+def listed_graph(
     file: Path, nodes: Sequence[str], edges: Sequence[NamedEdge], directed: bool | None, comment: str = ""
 ) -> "nx.Graph[Any]":
     """Return the graph of a list; an undirected edge may be listed in both directions.

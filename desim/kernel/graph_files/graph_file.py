@@ -15,13 +15,8 @@ from typing import TYPE_CHECKING, Any
 from desim.config.number_files import check_comments, content_of, text_of_file
 from desim.config.tables import check_once, object_once
 from desim.kernel.graph_files.adjacency_matrix import read_matrix
-from desim.kernel.graph_files.edge_lists import (
-    read_adjacency_list,
-    read_edge_list,
-    read_metis,
-    read_pajek,
-    read_trivial,
-)
+from desim.kernel.graph_files.edge_lists import read_adjacency_list, read_edge_list
+from desim.kernel.graph_files.program_formats import read_metis, read_pajek, read_trivial
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
