@@ -805,6 +805,16 @@ def test_a_matrix_on_one_side_of_the_diagonal_may_be_either_and_a_table_of_edges
     assert [(edge.src, edge.dst) for edge in read(tmp_path / "w.txt").edges] == [(0, 1), (0, 2), (1, 2)]
 
 
+@pytest.mark.parametrize(
+    "text", ["# source target\na b c\nb c\n", "a,b,c\nb,c,\n", "a: b c\nb: c\nc:\n", 'a; "b"; c\nb; c\n']
+)
+def test_an_adjacency_list_may_have_commas_colons_and_comments(tmp_path, text):
+    (tmp_path / "net.adjlist").write_text(text)
+    made = read(tmp_path / "net.adjlist")
+    assert made.names == ("a", "b", "c")
+    assert [(edge.src, edge.dst) for edge in made.edges] == [(0, 1), (0, 2), (1, 2)]
+
+
 def test_whole_floats_are_numbers_of_nodes(tmp_path):
     file = tmp_path / "g.txt"
     file.write_text("1.0 0.0\n")

@@ -134,10 +134,18 @@ def _directed_by(file: Path, types: set[str], directed: bool | None) -> bool | N
 
 
 def read_adjacency_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any]":
-    """Return the graph in an adjacency list: each line is a node and its neighbours; see `read_edge_list`."""
-    rows = _rows(file, text, "")
-    edges: list[NamedEdge] = [(row.cells[0], neighbour, {}) for row in rows for neighbour in row.cells[1:]]
-    return listed_graph(file, [row.cells[0] for row in rows], edges, directed)
+    """Return the graph in an adjacency list, a node and its neighbours in each line; see `read_edge_list`.
+
+    Spaces, commas or semicolons separate names. A colon may follow the first one, if it does in all lines.
+    """
+    text = re.sub(r"(?m)^[ \t]*[#%].*", "", text)
+    text = re.sub(r'("[^"\n]*")|[,;]', lambda part: part[1] or " ", text)
+    rows = [row.cells for row in _rows(file, text, "")]
+    nodes = [cells[0] for cells in rows]
+    if all(node.endswith(":") for node in nodes):
+        nodes = [node.removesuffix(":") for node in nodes]
+    edges = [(node, end, dict[str, Any]()) for node, cells in zip(nodes, rows, strict=True) for end in cells[1:]]
+    return listed_graph(file, nodes, edges, directed)
 
 
 def _delimiter(text: str) -> str:
