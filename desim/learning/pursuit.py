@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from secrets import randbits
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete, Space
@@ -17,10 +17,10 @@ from desim.config.python_numbers import as_python, whole
 from desim.config.shared_state import StateWarning
 from desim.kernel.core.events import Trace
 from desim.kernel.core.seeds import run_seed, seed_of
+from desim.kernel.core.units import seconds
 from desim.learning.episode import Episode, rule_of
-from desim.learning.rewards import Reward, reward_named, rewards_of
+from desim.learning.rewards import Reward, Step, reward_named, rewards_of
 from desim.learning.spaces import Spaces, Vector
-from desim.learning.steps import StepStart, step_begun, step_ended
 from desim.pursuit.core.events import Ended, Sampled
 from desim.pursuit.core.state import coordinates
 from desim.pursuit.sensing.world_state import WorldState
@@ -33,6 +33,17 @@ RENDER_MODES = ("rgb_array", "replay")
 FORMS = ("vector", "dict")
 """The forms of observations."""
 NO_EPISODE = "there is no episode: call reset() first"
+
+
+class StepStart(NamedTuple):
+    """The start of a step, of which the end is still open."""
+
+    now: int
+    """ns"""
+    capture_times: tuple[tuple[float, ...], ...]
+    """(M, N) s; see `Step`."""
+    at_large: Sequence[int]
+    """The evaders that are not captured."""
 
 
 class Pursuit:
@@ -221,9 +232,12 @@ class Pursuit:
         return int(number)
 
     def _begun(self) -> StepStart:
-        """Return the start of the step that begins now."""
-        self._start = step_begun(self._world, self._start)
-        return self._start
+        """Return the start of the step that begins now: the last one, if it began at this instant, too."""
+        world, start = self._world, self._start
+        if start is None or start.now != world.now or start.at_large is not world.at_large:
+            times = tuple(body.capture_times(world.now) for body in world.bodies)
+            start = self._start = StepStart(world.now, times, world.at_large)
+        return start
 
     def _rewards(self, start: StepStart, profile: Sequence[int]) -> Mapping[int, float]:
         """Return the rewards by pursuer of a step that ends now; a pursuer that is not among them gets 0.
@@ -232,11 +246,12 @@ class Pursuit:
             start: the start of the step.
             profile: the actions after its decisions.
         """
-        world = self._world
-        if self._is_of_game and (start.now == world.now or not any(profile)):
+        (now, times, before), world, is_last = start, self._world, self._running.turn is None
+        if self._is_of_game and (now == world.now or not any(profile)):
             return {}  # utilities are integrated over the step, and that of a team in which nobody chases is 0
-        is_last = self._running.turn is None
-        return rewards_of(self._reward, step_ended(start, profile, world, self.scenario.horizon, is_last=is_last))
+        captured = tuple(sorted(set(before).difference(world.at_large)))
+        span, left, horizon = (seconds(now), seconds(world.now)), world.time_left(now), self.scenario.horizon
+        return rewards_of(self._reward, Step(*span, tuple(profile), times, left, horizon, captured, is_last))
 
     def _leavers(self) -> list[str]:
         """Return the agents that leave now, because their robots are down."""

@@ -93,19 +93,12 @@ def _within(space: Box, numbers: list[float]) -> Vector:
 def reach_of(scenario: Scenario) -> tuple[complex, float]:
     """Return a point, m, and the greatest distance of a coordinate of any player from it during a run, m."""
     team, evaders = scenario.team, scenario.evaders
-    xs, ys = list(team.box), list(team.box)
-    places = team.positions if isinstance(team.positions, tuple) else ()
-    for x, y in places:
-        xs, ys = [*xs, x], [*ys, y]
-    motions = list(team.relays.values())
-    for evader in evaders:
-        xs, ys = [*xs, *evader.box], [*ys, *evader.box]
-        if evader.position is not None:
-            xs, ys = [*xs, evader.position[0]], [*ys, evader.position[1]]
-        if evader.record is not None:
-            motions.append(evader.record)
-    for motion in motions:
-        xs, ys = [*xs, motion.start.real], [*ys, motion.start.imag]
+    motions = [*team.relays.values(), *(evader.record for evader in evaders if evader.record is not None)]
+    places = [*(team.positions if isinstance(team.positions, tuple) else ())]
+    places += [evader.position for evader in evaders if evader.position is not None]
+    places += [(motion.start.real, motion.start.imag) for motion in motions]
+    in_boxes = [*team.box, *(number for evader in evaders for number in evader.box)]
+    xs, ys = ([*in_boxes, *(place[k] for place in places)] for k in (0, 1))
     centre = complex((min(xs) + max(xs)) / 2.0, (min(ys) + max(ys)) / 2.0)
     speeds = [team.top_speed, *(evader.speed for evader in evaders), *(motion.top_speed for motion in motions)]
     path = (max(speeds) + scenario.environment.top_speed) * scenario.horizon
