@@ -212,10 +212,10 @@ def test_without_a_course_a_teammate_is_reckoned_as_if_its_motion_were_simple():
     assert parts.view.idle(MotionState(3.0 + 1j), SECOND) == MotionState(3.0 + 1j)
     (simple,) = capture_time([0.0, 0.0], [[3.0, 4.0]], [1.0], 0.9, 0.1)
     evader = parts.state.body(1).position
-    found = parts.view.capture_time_from(0, MotionState(evader - (3.0 + 4.0j)), 1)
+    found = parts.view.capture_times_from([0], [MotionState(evader - (3.0 + 4.0j))], 1)[0]
     assert found == pytest.approx(simple)
     away = MotionState(evader - (3.0 + 4.0j), Course(0j, -0.6 - 0.8j))
-    assert parts.view.capture_time_from(0, away, 1) > simple + 10.0
+    assert parts.view.capture_times_from([0], [away], 1)[0] > simple + 10.0
 
 
 # Every protocol, every strategy.

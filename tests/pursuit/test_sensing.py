@@ -495,9 +495,11 @@ def test_the_bound_is_of_any_position():
     """Reported 10 m away 2 s ago: (|10 - 4| + 0.9 x 2 - 0.1) / 0.1 s from 4 m on, (10 + 1.8 - 0.1) / 0.1 s from 0."""
     rig = Rig(Sensing(radius=3.0, estimate="worst_case"), evader=HIDDEN).until(2.0)
     rig.broadcast(sighting(10.0, 0.0))
-    assert rig.one.capture_time_from(0, MotionState(4.0 + 0j), 1) == pytest.approx(77.0)
-    assert rig.one.capture_time_from(0, MotionState(0j), 1) == rig.one.capture_times(1)[0] == pytest.approx(117.0)
-    assert rig.other.capture_time_from(0, MotionState(0j), 1) == inf
+    assert rig.one.capture_times_from([0], [MotionState(4.0 + 0j)], 1)[0] == pytest.approx(77.0)
+    assert (
+        rig.one.capture_times_from([0], [MotionState(0j)], 1)[0] == rig.one.capture_times(1)[0] == pytest.approx(117.0)
+    )
+    assert rig.other.capture_times_from([0], [MotionState(0j)], 1)[0] == inf
 
 
 def test_a_chasing_teammate_is_dead_reckoned_towards_the_believed_position_of_the_evader():

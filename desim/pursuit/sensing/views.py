@@ -152,15 +152,11 @@ class View:
         times = self.capture_times(evader)
         return [times[pursuer] for pursuer in pursuers]
 
-    def capture_time_from(self, pursuer: int, motion: MotionState, evader: int) -> float:
-        """Return the capture time, s, of a pursuer for an evader, given a hypothetical motion of the pursuer.
-
-        It is inf if the evader has been captured or is unknown.
-        """
-        return self.capture_times_from([pursuer], [motion], evader)[0]
-
     def capture_times_from(self, pursuers: Sequence[int], motions: Sequence[MotionState], evader: int) -> list[float]:
-        """Return the capture times of k pursuers, s, given a hypothetical motion of each; see `capture_time_from`."""
+        """Return the capture times, s, of k pursuers for an evader, given a hypothetical motion of each.
+
+        They are inf if the evader has been captured or is unknown.
+        """
         body, space = self.state.body(evader), self.state.space
         if body.captured is not None:
             return [inf] * len(pursuers)
