@@ -1,5 +1,6 @@
 """The observation that an evader has of the pursuit, from which its strategy chooses a heading."""
 
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -63,11 +64,7 @@ class EvaderObservation(State):
             )
         offsets = space.arrivals(self.evader, self.pursuers)
         reaches = np.isfinite(offsets)
-        seen = self.only(reaches)
-        if seen is self:
-            seen = EvaderObservation(
-                self, self.speeds, self.speed, self.radius, self.heading, self.elapsed, self.handover
-            )
+        seen = copy(self.only(reaches))
         seen._set_paths(space, offsets[reaches])
         return seen
 
@@ -89,15 +86,7 @@ class EvaderObservation(State):
             raise ValueError(f"only(who) takes an array of {len(self.speeds)} booleans (got {value_text(mask)})")
         if who.all():
             return self
-        seen = EvaderObservation(
-            State(self.stamp, self.pursuers[who], self.evader, self.active[who]),
-            self.speeds[who],
-            self.speed,
-            self.radius,
-            self.heading,
-            self.elapsed,
-            self.handover,
-        )
-        if self.space is not PLANE:
-            seen._set_paths(self.space, self.offsets[who])
+        seen = copy(self)
+        seen.pursuers, seen.active, seen.speeds = self.pursuers[who], self.active[who], self.speeds[who]
+        seen._set_paths(self.space, self.offsets[who])
         return seen
