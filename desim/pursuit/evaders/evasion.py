@@ -17,11 +17,11 @@ from desim.config.choice import OneOf
 from desim.config.model import Coordinate, Length, Limit, Period, Unsigned, Value
 from desim.kernel.core.portable_math import power
 from desim.pursuit.core.geometry import SMALLEST
-from desim.pursuit.core.state import State, coordinates, lengths
+from desim.pursuit.core.state import State, lengths
 from desim.pursuit.core.traits import StrategyTraits
 from desim.pursuit.evaders.observation import EvaderObservation
 from desim.pursuit.evaders.recorded import RecordedMotion
-from desim.pursuit.motion.capture import intercept_time
+from desim.pursuit.motion.capture import intercept_times
 
 
 def _with_area(bounds: tuple[float, float]) -> tuple[float, float]:
@@ -343,9 +343,8 @@ def away(state: State) -> complex:
 
 def first_captures(state: EvaderObservation, headings: Points) -> Floats:
     """Return for each of (K,) constant headings the least intercept time, s, over all pursuers; (K,)."""
-    evader, pursuers = coordinates(np.array([state.evader]))[0], coordinates(state.pursuers)
-    velocities = state.speed * coordinates(headings)
-    times: Floats = intercept_time(evader, velocities, pursuers, state.speeds, state.radius).min(axis=1)
+    velocities = state.speed * headings[:, np.newaxis]
+    times: Floats = intercept_times(state.offsets, velocities, state.speeds, state.radius).min(axis=1)
     return times
 
 

@@ -32,8 +32,12 @@ def capture_time(
     Raises:
         ValueError: if shapes disagree or radius <= 0.
     """
-    offsets, v = _checked(evader, pursuers, speeds, radius)
-    return RadialTime(v, evader_speed, radius)(np.hypot(offsets[:, 0], offsets[:, 1]))
+    e, p, v = (np.asarray(values, dtype=float) for values in (evader, pursuers, speeds))
+    if e.shape != (2,) or p.shape != (len(p), 2) or v.shape != (len(p),):
+        raise ValueError(f"shapes should be (2,), (N, 2) and (N,), got {e.shape}, {p.shape} and {v.shape}")
+    if not radius > 0.0:
+        raise ValueError(f"the capture radius should be greater than 0 m, got {radius}")
+    return RadialTime(v, evader_speed, radius)(np.hypot(*(e - p).T))
 
 
 NO_SPEED = 1e-12
@@ -127,34 +131,12 @@ def least_capture_time(distance: float, radius: float, top_speed: float, evader_
     return 0.0 if gap <= 0.0 else inf if closing <= NO_SPEED else gap / closing
 
 
-def intercept_time(
-    evader: ArrayLike, evader_velocity: ArrayLike, pursuers: ArrayLike, speeds: ArrayLike, radius: float
-) -> Floats:
-    """Return the (N,) or (K, N) least times, s, in which each pursuer can capture an evader of constant velocity.
+def intercept_times(offsets: Points, velocities: Points, speeds: Floats, radius: float) -> Floats:
+    """Return the (N,) or (K, N) least times, s, in which each pursuer can capture a target of constant velocity.
 
     This is the smallest t >= 0 with |x_e + w t - x_i| <= v_i t + eps, or inf if there is no such t (Lee & Bakolas,
     section "Time-of-Capture", for any constant velocity of the evader). The formula is numerically stable for any sign
     of |w| - v_i.
-
-    Args:
-        evader: (2,) position, m.
-        evader_velocity: (2,) velocity w, or (K, 2) of them, m/s.
-        pursuers: (N, 2) positions, m.
-        speeds: (N,) speeds of the pursuers, m/s.
-        radius: capture radius eps, m.
-
-    Raises:
-        ValueError: if shapes disagree or radius <= 0.
-    """
-    offsets, v = _checked(evader, pursuers, speeds, radius)
-    w = np.asarray(evader_velocity, dtype=float)
-    return intercept_times(offsets[:, 0] + 1j * offsets[:, 1], w[..., :1] + 1j * w[..., 1:], v, radius)
-
-
-def intercept_times(offsets: Points, velocities: Points, speeds: Floats, radius: float) -> Floats:
-    """Return the (N,) or (K, N) least times, s, in which each pursuer can capture a target of constant velocity.
-
-    See `intercept_time`.
 
     Args:
         offsets: (N,) vectors from each pursuer to its target, m.
@@ -174,12 +156,3 @@ def intercept_times(offsets: Points, velocities: Points, speeds: Floats, radius:
     np.divide(c, denominator, out=time, where=meets)
     time[..., c <= 0.0] = 0.0
     return time
-
-
-def _checked(evader: ArrayLike, pursuers: ArrayLike, speeds: ArrayLike, radius: float) -> tuple[Floats, Floats]:
-    e, p, v = (np.asarray(values, dtype=float) for values in (evader, pursuers, speeds))
-    if e.shape != (2,) or p.shape != (len(p), 2) or v.shape != (len(p),):
-        raise ValueError(f"shapes should be (2,), (N, 2) and (N,), got {e.shape}, {p.shape} and {v.shape}")
-    if not radius > 0.0:
-        raise ValueError(f"the capture radius should be greater than 0 m, got {radius}")
-    return e - p, v
