@@ -522,7 +522,7 @@ REFUSED = {
     ),
     "velocities out of order": (
         lambda: RecordedFlow(velocities=[(1.0, 0.0, 0.0), (1.0, 1.0, 0.0)]),
-        "the times of velocities should increase; after 1 s comes 1 s",
+        "velocities.1: t should increase; after 1 s comes 1 s",
     ),
     "a behaviour that awaits": (lambda: _start_behaviour(coroutine, None), "should have `def` and `yield` in place of"),
     "an unknown property": (

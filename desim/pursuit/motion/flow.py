@@ -7,11 +7,10 @@ velocity and its course are relative to the flow. Points and velocities are comp
 
 from bisect import bisect_right
 from cmath import isfinite
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache, cached_property
 from itertools import accumulate, pairwise
 from math import inf, pi, sin
-from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal, Protocol, Self, TypeGuard, cast
 
@@ -194,19 +193,15 @@ class RecordedFlow(UniformFlow):
         unit = data.get("time_unit", "s")
         if not isinstance(unit, str) or unit not in PER_SECOND:
             return make(data)  # which raises the error
-        rows = _measurements(resolve_path(data["file"], info), cast("Unit", unit))
+        rows, places = timed_rows(resolve_path(data["file"], info), ("t", "x", "y"), cast("Unit", unit))
+        _check_measurements(rows, places)
         return make(data | {"file": None, "time_unit": "s", "velocities": rows})
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
         if not self.velocities:
             raise ValueError("should have velocities, or a file of velocities")
-        for (before, _, _), (t, _, _) in pairwise(self.velocities):
-            if not before < t:
-                raise ValueError(f"the times of velocities should increase; after {before:g} s comes {t:g} s")
-        for k, (_, *components) in enumerate(self.velocities):
-            if (fill := next(filter(is_fill, components), None)) is not None:
-                raise ValueError(f"velocities.{k}: {_missing(fill)}")
+        _check_measurements(self.velocities, [f"velocities.{k}" for k in range(len(self.velocities))])
         return self
 
     def velocity_at(self, t: float) -> complex:
@@ -262,21 +257,16 @@ class RecordedFlow(UniformFlow):
         return [*accumulate(((v + w) * ((t - s) / 2.0) for (s, t), (v, w) in pieces), initial=0j)]
 
 
-def _measurements(file: Path, unit: Unit) -> list[tuple[float, ...]]:
-    """Return the rows (t, x, y) of a CSV file, in order of time."""
-    rows, places = timed_rows(file, ("t", "x", "y"), unit)
+def _check_measurements(rows: Sequence[Sequence[float]], places: Sequence[str]) -> None:
+    """Raise ValueError unless measurements (t, x, y) are in order of time, and none is missing."""
     for (before, *_), (t, *_), place in zip(rows, rows[1:], places[1:], strict=False):
         if not before < t:
             raise ValueError(f"{place}: t should increase; after {before:g} s comes {t:g} s")
     for (_, *components), place in zip(rows, places, strict=True):
         for component in components:
             if is_fill(component) or abs(component) > MAX_COORDINATE:
-                raise ValueError(f"{place}: {_missing(component)}")
-    return rows
-
-
-def _missing(component: float) -> str:
-    return f"{component:g} m/s probably stands for a missing value: leave the measurement out"
+                text = f"{component:g} m/s probably stands for a missing value: leave the measurement out"
+                raise ValueError(f"{place}: {text}")
 
 
 class AffineFlow(Value):
