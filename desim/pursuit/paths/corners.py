@@ -140,7 +140,7 @@ class Arrangement:
         for (begin, end), solid in self.pieces.items():
             along = complex(self.places[end] - self.places[begin])
             rays[begin].append(Ray(atan2(along.imag, along.real), end, solid))
-            rays[end].append(Ray(atan2(-along.imag, -along.real), begin, _mirrored(solid)))
+            rays[end].append(Ray(atan2(-along.imag, -along.real), begin, mirrored(solid)))
         self.corners = [
             WallCorner(begins, inside=within) for begins, within in zip(rays, enclosed.tolist(), strict=True)
         ]
@@ -149,7 +149,7 @@ class Arrangement:
         """Return the sides on which one can go along a piece from one corner to another; None if there is no piece."""
         solid = self.pieces.get((begin, end))
         if solid is None and (solid := self.pieces.get((end, begin))) is not None:
-            solid = _mirrored(solid)
+            solid = mirrored(solid)
         return None if solid is None else BOTH - solid
 
     def _numbers(self, shape: WallShape) -> list[int]:
@@ -183,7 +183,7 @@ class Arrangement:
         for begin, end in pairwise(chain):
             solid: frozenset[Side] = frozenset(() if inside is None else (inside,))
             key = (begin, end) if begin < end else (end, begin)
-            self.pieces[key] = self.pieces.get(key, frozenset()) | (solid if begin < end else _mirrored(solid))
+            self.pieces[key] = self.pieces.get(key, frozenset()) | (solid if begin < end else mirrored(solid))
 
 
 def is_within(places: Floats, wall: Sequence[WallShape]) -> Bools:
@@ -191,7 +191,7 @@ def is_within(places: Floats, wall: Sequence[WallShape]) -> Bools:
     return are_inside(places, wall) if any(shape.closed for shape in wall) else np.zeros(len(places), dtype=bool)
 
 
-def _mirrored(sides: frozenset[Side]) -> frozenset[Side]:
+def mirrored(sides: frozenset[Side]) -> frozenset[Side]:
     """Return the sides as seen from the other end."""
     return frozenset({"left": "right", "right": "left"}[side] for side in sides)  # type: ignore[misc]
 

@@ -13,7 +13,7 @@ from desim.config.arrays import Bools, Floats, Points
 from desim.kernel.walls.crossings import WallShape, segments_of
 from desim.pursuit.core.geometry import SMALLEST
 from desim.pursuit.core.state import lengths
-from desim.pursuit.paths.corners import BOTH, Arrangement, Side
+from desim.pursuit.paths.corners import BOTH, Arrangement, Side, mirrored
 
 SLIDES = 3
 """Number of walls along which a player slides in one motion step before it stops."""
@@ -199,12 +199,12 @@ class Obstacles:
         crossed = (source_sides * sides < 0) & (turns[:, self._begin] * turns[:, self._end] < 0)
         clear: Bools = ~crossed.any(axis=1)
         if not source_sides.all():
-            clear &= ~self._enters(source, source_sides, sides)
+            clear &= ~self._comes_from_inside(np.array([source]), source_sides, sides)
         on = (turns == 0) & (length > self._touch)[:, None]
         if at is not None:
             on[np.arange(len(at)), at] = False
         elif not sides.all():
-            clear &= ~self._leaves(targets, source_sides, sides)
+            clear &= ~self._comes_from_inside(targets, sides, source_sides)
         if on.any():
             along = x[:, None] * corner_x + y[:, None] * corner_y
             reach = self._touch * length[:, None]
@@ -213,23 +213,23 @@ class Obstacles:
                 passed = on[k].nonzero()[0]
                 order = passed[along[k, passed].argsort(kind="stable")].tolist()
                 clear[k] = self._passes(source, complex(targets[k]), order, None if at is None else int(at[k]))
-        if at is not None and (neighbours := self._neighbours_of(source, corner_x, corner_y)):
+        if at is not None and (neighbours := self._neighbours_of(corner_x, corner_y)):
             for k in clear.nonzero()[0].tolist():
                 if int(at[k]) in neighbours and not on[k].any():
                     clear[k] = self._passes(source, complex(targets[k]), [], int(at[k]))
         return clear
 
-    def _enters(self, source: complex, source_sides: np.ndarray, sides: np.ndarray) -> Bools:
-        """Return which lines from a source on the side of a solid wall go into the wall, (k,)."""
-        on = (source_sides == 0) & self._beside(np.array([source]))[0]
-        into = (sides > 0) & self._solid[1] | (sides < 0) & self._solid[0]
-        return np.asarray((into & on).any(axis=1))
+    def _comes_from_inside(self, end: Points, sides_of_end: np.ndarray, sides_of_other: np.ndarray) -> Bools:
+        """Return which lines with an end on the side of a solid wall come to it through the wall, (k,).
 
-    def _leaves(self, targets: Points, source_sides: np.ndarray, sides: np.ndarray) -> Bools:
-        """Return which lines come out of a solid wall at a target on its side, (k,)."""
-        on = (sides == 0) & self._beside(targets)
-        out = (source_sides > 0) & self._solid[1] | (source_sides < 0) & self._solid[0]
-        return np.asarray((on & out).any(axis=1))
+        Args:
+            end: the place of this end, (1,) or (k,) m.
+            sides_of_end: its sides, (E,) or (k, E), see `_sides`.
+            sides_of_other: those of the other end.
+        """
+        on = (sides_of_end == 0) & self._beside(end)
+        inside = (sides_of_other > 0) & self._solid[1] | (sides_of_other < 0) & self._solid[0]
+        return np.asarray((on & inside).any(axis=1))
 
     def _beside(self, places: Points) -> Bools:
         """Return between the ends of which pieces (k,) places are, (k, E)."""
@@ -237,15 +237,10 @@ class Obstacles:
         along = x * self._along_x + y * self._along_y
         return np.asarray((along > self._touch) & (along < self._size - self._touch))
 
-    def _neighbours_of(self, source: complex, x: Floats, y: Floats) -> set[int]:
-        """Return the corners at the other ends of the pieces that begin at a source."""
-        here = self._corner_at(x, y)
-        return set() if here is None else {ray.end for ray in self._plan.corners[here].rays}
-
-    def _corner_at(self, x: Floats, y: Floats) -> int | None:
-        """Return the corner with an offset (x, y) of 0, or None."""
+    def _neighbours_of(self, x: Floats, y: Floats) -> set[int]:
+        """Return the corners at the other ends of the pieces that begin at the corner with an offset (x, y) of 0."""
         at = ((abs(x) <= self._touch) & (abs(y) <= self._touch)).nonzero()[0]
-        return int(at[0]) if len(at) else None
+        return {ray.end for ray in self._plan.corners[int(at[0])].rays} if len(at) else set()
 
     def _passes(self, source: complex, target: complex, passed: list[int], end: int | None) -> bool:
         """Return whether a line that touches corners, and crosses no wall elsewhere, is free.
@@ -268,16 +263,13 @@ class Obstacles:
             if abs(place - source) <= self._touch:
                 sides &= corners[corner].sides_along(direction)
             elif abs(place - target) <= self._touch:
-                sides &= {_OPPOSITE[side] for side in corners[corner].sides_along(direction + np.pi)}
+                sides &= mirrored(corners[corner].sides_along(direction + np.pi))
             else:
                 sides &= corners[corner].sides_past(direction)
             if not sides:
                 return False
             before = corner
         return True
-
-
-_OPPOSITE: dict[Side, Side] = {"left": "right", "right": "left"}
 
 
 def _signs(values: Floats, touch: float | Floats) -> np.ndarray:
