@@ -229,5 +229,19 @@ def test_times_of_capture_are_a_matrix_or_numbers_and_for_the_gibbs_law_finite()
         gibbs([[1.0, inf]], 25.0, 1.0)
     with pytest.raises(ValueError, match=r"\(N, M\) matrix"):
         welfare([[[1.0]], [[2.0]]], (0, 1), 25.0)
-    with pytest.raises(ValueError):
-        welfare([[1.0], [2.0]], (0,), 25.0)
+
+
+@pytest.mark.parametrize("actions", [(0,), (0, 3), (-1, 0), (0, 0, 0)])
+def test_actions_are_those_of_the_game(actions):
+    phi = [[1.0, 2.0], [3.0, 4.0]]
+    for function in (welfare, is_equilibrium, lambda *game: wonderful_life_utility(*game, 0)):
+        with pytest.raises(ValueError, match="actions should be 2 numbers from 0 to 2, one for each pursuer"):
+            function(phi, actions, 25.0)
+
+
+@pytest.mark.parametrize("phi", [[], np.zeros((0, 2))])
+def test_a_game_without_pursuers_has_one_profile(phi):
+    assert equilibria(phi, 25.0) == [()]
+    assert gibbs(phi, 25.0, 1.0).tolist() == [1.0]
+    assert welfare(phi, (), 25.0) == optimum(phi, 25.0) == 0.0
+    assert relay_pursuer([], 25.0) is None

@@ -22,7 +22,7 @@ chases it, (w_i - u_m) / 2 <= u_i, or w_i <= 2 u_i + u_m. Each m occurs for one 
 optimal global utility, is therefore at most 3 times the sum of all u_i.
 
 Capture times `phi` are an (N, M) matrix or, with one evader, N numbers; then an action may also be a truth value.
-Functions raise ValueError if they are neither.
+Functions raise ValueError if they are neither, or if actions are not one of 0 .. M for each pursuer.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -47,15 +47,17 @@ def welfare(phi: ArrayLike, actions: Sequence[int], reward: float) -> float:
         actions: (N,) action of each pursuer.
         reward: the time left, r, s.
     """
-    teams = ([t for t, a in zip(times, actions, strict=True) if a == j] for j, times in enumerate(_columns(phi), 1))
+    columns = enumerate(_columns(phi, actions), start=1)
+    teams = ([t for t, a in zip(times, actions, strict=True) if a == j] for j, times in columns)
     return portable_sum(_term(team, reward) for team in teams)
 
 
 def wonderful_life_utility(phi: ArrayLike, actions: Sequence[int], reward: float, i: int) -> float:
     """Return the marginal contribution of pursuer i to the global utility, s; only the term of its evader changes."""
+    columns = _columns(phi, actions)
     if not actions[i]:
         return 0.0
-    times = _columns(phi)[actions[i] - 1]
+    times = columns[actions[i] - 1]
     team = [j for j, action in enumerate(actions) if action == actions[i]]
     return _term([times[j] for j in team], reward) - _term([times[j] for j in team if j != i], reward)
 
@@ -100,13 +102,7 @@ def is_equilibrium(
         gain: gain from being active; `desim.pursuit.game.utility` has alternatives to the paper's.
         hearing: the pursuers whose actions count for each pursuer; all if None.
     """
-    return _is_equilibrium(_columns(phi), actions, reward, gain, hearing)
-
-
-def _is_equilibrium(
-    columns: list[list[float]], actions: Sequence[int], reward: float, gain: Gain, hearing: Hearing | None
-) -> bool:
-    """Do as `is_equilibrium`, given the capture times of all pursuers for each evader."""
+    columns = _columns(phi, actions)
     for i, action in enumerate(actions):
         heard = range(len(actions)) if hearing is None else hearing[i]
         gains = [0.0]
@@ -120,15 +116,14 @@ def _is_equilibrium(
 
 def equilibria(phi: ArrayLike, reward: float, gain: Gain = gain, hearing: Hearing | None = None) -> list[Profile]:
     """Return all pure Nash equilibria by enumeration of the (M + 1)^N profiles, for small N; see `is_equilibrium`."""
-    columns = _columns(phi)
-    every = profiles(len(columns[0]), len(columns))
-    return [profile for profile in every if _is_equilibrium(columns, profile, reward, gain, hearing)]
+    times = _times(phi)
+    return [profile for profile in profiles(*times.shape) if is_equilibrium(times, profile, reward, gain, hearing)]
 
 
 def relay_pursuer(phi: Sequence[float], reward: float) -> int | None:
     """Return the pursuer of least capture time phi (ties: the lowest index), or None if its phi >= reward."""
-    least = min(phi)
-    return phi.index(least) if least < reward else None
+    relay = min(range(len(phi)), key=phi.__getitem__, default=None)
+    return relay if relay is not None and phi[relay] < reward else None
 
 
 def relay_profile(phi: Sequence[float], reward: float) -> Profile:
@@ -154,10 +149,10 @@ def gibbs(phi: ArrayLike, reward: float, tau: float) -> Floats:
     Raises:
         ValueError: if not all capture times are finite.
     """
-    columns = _columns(phi)
-    if not np.isfinite(columns).all():
+    times = _times(phi)
+    if not np.isfinite(times).all():
         raise ValueError(f"all capture times should be finite, got {np.asarray(phi).tolist()}")
-    heights = [welfare(phi, actions, reward) for actions in profiles(len(columns[0]), len(columns))]
+    heights = [welfare(times, actions, reward) for actions in profiles(*times.shape)]
     return np.array(logit(heights, 1.0 / tau))
 
 
@@ -233,12 +228,17 @@ def _times(phi: ArrayLike) -> Floats:
     times = np.asarray(phi, dtype=float)
     if times.ndim not in {1, 2}:
         raise ValueError(f"capture times should be an (N, M) matrix, or N numbers, got shape {times.shape}")
-    return times.reshape(len(times), -1)
+    return times if times.ndim == 2 else times[:, np.newaxis]
 
 
-def _columns(phi: ArrayLike) -> list[list[float]]:
-    """Return the capture times of all pursuers for each evader, s."""
-    columns: list[list[float]] = _times(phi).T.tolist()
+def _columns(phi: ArrayLike, actions: Sequence[int]) -> list[list[float]]:
+    """Return the capture times of all pursuers for each evader, s; ValueError if actions do not fit them."""
+    times = _times(phi)
+    pursuers, evaders = times.shape
+    if len(actions) != pursuers or not all(0 <= action <= evaders for action in actions):
+        expected = f"{pursuers} numbers from 0 to {evaders}, one for each pursuer"
+        raise ValueError(f"actions should be {expected}, got {list(actions)}")
+    columns: list[list[float]] = times.T.tolist()
     return columns
 
 
