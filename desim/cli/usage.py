@@ -200,11 +200,11 @@ def _having(option: str, context: click.Context) -> list[str]:
 def _keys(option: str) -> list[str]:
     """Return the outermost keys of scenarios, at most three, whose last part is the name of an option."""
     from desim.config.key_index import homes_of
-    from desim.config.key_suggestions import RENAMED
+    from desim.config.key_suggestions import WORDS_FOR_KEYS
     from desim.scenario.scenario import Scenario
 
     word = option.replace("-", "_")
-    names = dict.fromkeys([RENAMED.get(word, word), word])
+    names = dict.fromkeys([WORDS_FOR_KEYS.get(word, word), word])
     homes = [key for name in names for key in homes_of(name, Scenario) if key.place[-1] == name]
     return list(dict.fromkeys(key.dotted for key in homes))[:3]
 
