@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, cached_property
+from functools import cached_property
 from importlib.metadata import EntryPoint
 from inspect import signature
 from types import FunctionType, MappingProxyType
@@ -170,8 +170,10 @@ class OneOf:
             raise PydanticCustomError("union_tag_not_found", text)
         kind = table.get("kind") if isinstance(table, dict) else None
         model = self.choice(kind) if isinstance(kind, str) else None
-        validator = SchemaValidator(_union(self.choices())) if model is None else _validator(kind, model)
-        made = validator.validate_python(table, context=info.context)
+        if model is None:  # the error names all kinds, or the table is a model
+            made = SchemaValidator(_union(self.choices())).validate_python(table, context=info.context)
+        else:
+            made = model.model_validate(table, context=info.context)
         self.traits.check(made)
         return made
 
@@ -304,12 +306,6 @@ def _union(models: Mapping[Any, type[BaseModel]]) -> CoreSchema:
         model.model_rebuild()
     schemas = {kind: model.__pydantic_core_schema__ for kind, model in models.items()}
     return core_schema.tagged_union_schema(schemas, discriminator="kind")
-
-
-@cache
-def _validator(kind: Any, model: type[BaseModel]) -> SchemaValidator:
-    """Return the validator of the tables of one kind."""
-    return SchemaValidator(_union({kind: model}))
 
 
 def _constructed(model: type, kind: str, parameters: dict[str, Any], context: Any) -> Any:

@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from desim.config.arguments import abridged, with_article, without_addresses
-from desim.config.choice import FILE_NAME, OneOf, choices_of
+from desim.config.choice import FILE_NAME, choices_of
 from desim.config.error_texts import OF_EXCEPTIONS, text_of
 from desim.config.errors import KeyedError, KeyPath, Problem
 from desim.config.field_docs import fields_of
@@ -80,7 +80,7 @@ class Wording:
     def _locate(self, error: ErrorDetails) -> tuple[KeyPath, type[BaseModel] | None, FieldInfo | None]:
         """Return the place of the key with an error, the model of the table that contains it, and its field.
 
-        The path in a pydantic error also contains the kind of each table that has one; the place does not.
+        The path in a pydantic error also contains the tags of unions; the place does not.
         """
         model = self.model or self.whole
         place, node = self.above, value_at(self.tables, self.above)
@@ -120,10 +120,6 @@ class Wording:
                 what = f"a kind, {kinds[0]!r} for instance, a built-in model or an object that can be called"
                 return f"should be {what}; allowed: {', '.join(kinds)}"
             return f'should be a table with a kind, {{ kind = "{kinds[0]}" }} for instance; allowed: {", ".join(kinds)}'
-        if error_type == "import_refused":
-            return str(error["msg"])
-        if error_type == "literal_error":
-            return f"should be {context['expected']}"
         if error_type == "missing":
             return "is missing"
         if error_type in NOT_A_TABLE:
@@ -233,10 +229,5 @@ def model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:
 
 
 def _tags(info: FieldInfo) -> set[str]:
-    """Return the kinds and the union tags of a field.
-
-    In the path of an error, pydantic inserts them after the name of the field or the index of an item.
-    """
-    markers = markers_of(info)
-    kinds = {kind for marker in markers if isinstance(marker, OneOf) for kind in marker.choices()}
-    return kinds | {marker.tag for marker in markers if isinstance(marker, Tag)}
+    """Return the union tags of a field: pydantic inserts them in the path of an error, after a name or an index."""
+    return {marker.tag for marker in markers_of(info) if isinstance(marker, Tag)}
