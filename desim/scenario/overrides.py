@@ -265,7 +265,7 @@ class Source:
         nested = [*within, *key.split(".")]
         if within != ["sweep", "grid"] or not parts[2:]:
             return parts
-        return nested if _contains(self.tables, nested) else [*within, key]
+        return [*within, key] if self.at(nested) is None else nested
 
 
 def _field_at(whole: type[BaseModel], tables: dict[str, Any], place: KeyPath) -> FieldInfo | None:
@@ -280,15 +280,6 @@ def _field_at(whole: type[BaseModel], tables: dict[str, Any], place: KeyPath) ->
             info = fields_of(model).get(key) if model is not None else None
         model = model_of(info, value_at(tables, place[:end])) if info is not None else None
     return info
-
-
-def _contains(tables: Any, parts: list[str]) -> bool:
-    """Return whether nested tables contain a dotted key."""
-    for part in parts:
-        if not isinstance(tables, dict) or part not in tables:
-            return False
-        tables = tables[part]
-    return True
 
 
 def _tables(model: Value) -> dict[str, Any]:

@@ -104,7 +104,6 @@ def _with_bases(file: Path, allow_import: bool) -> Iterator[Source]:
         OSError: if the first file cannot be read.
     """
     source = _parsed(file, allow_import)
-    source = replace(source, tables=_in_folder(source.tables, file.parent))  # a grid is validated later, elsewhere
     seen = {file.resolve()}
     while BASE in source.tables:
         where, base_path = f"{source.where((BASE,))}: {BASE}", source.tables.pop(BASE)
@@ -114,7 +113,6 @@ def _with_bases(file: Path, allow_import: bool) -> Iterator[Source]:
         try:
             base = path_in(file.parent, base_path, is_trusted=allow_import)
             source = _parsed(base, allow_import)
-            source = replace(source, tables=_in_folder(source.tables, base.parent))
         except OSError as error:
             raise ScenarioError(Problem(f"{error.filename} cannot be read: {error.strerror}", where=where)) from error
         except ScenarioError:
@@ -207,6 +205,7 @@ def _parsed(file: Path, allow_import: bool) -> Source:
         if how := CONVERSIONS.get(file.suffix.lower()):
             raise ScenarioError(f"{file}: scenario files are TOML; convert it: python -c '{how}' {file}") from None
         raise ScenarioError(_syntax_error(file, str(error), text)) from error
+    tables = _in_folder(tables, file.parent)  # a grid is validated later, elsewhere
     return Source(str(file), tables, Scenario, key_lines(text), allow_import=allow_import)
 
 
