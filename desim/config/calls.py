@@ -16,19 +16,17 @@ def check_method(value: Any, name: str, takes: Sequence[str]) -> None:
     if not callable(method):
         answer = f"{value_text(method)} of {name_and_place(value)}"
         raise ValueError(f"{name} should be a method {name}({', '.join(takes)}) (got {answer})")
-    try:
-        check_call(method, takes, value)
-    except AnswerError as error:
-        raise AnswerError(f"{name} {error}") from error
+    check_call(method, takes, value, whose=f"{name} ")
 
 
-def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *first: Any) -> None:
+def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *first: Any, whose: str = "") -> None:
     """Raise AnswerError if a function cannot be called with the arguments `first`, and then those named in `takes`.
 
-    The message names `value`: the function, object or class that the user gave.
+    The message names `value`: the function, object or class that the user gave. It begins with `whose`.
     """
     if any(map(iscoroutinefunction, _codes(function))) or any(map(isasyncgenfunction, _codes(function))):
-        raise AnswerError(f"should have `def` in place of `async def`, and `yield` to wait: {name_and_place(value)}")
+        what = "should have `def` in place of `async def`, and `yield` to wait"
+        raise AnswerError(f"{whose}{what}: {name_and_place(value)}")
     called: Any = function
     if isinstance(getattr_static(type(function), "__call__", None), staticmethod | classmethod):
         called = called.__call__  # else `signature` takes an argument for self
@@ -40,7 +38,7 @@ def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *
         parameters.bind(*first, *takes)
     except TypeError as error:
         call = f"a call with ({', '.join(takes)})" if takes else "a call without arguments"
-        raise AnswerError(f"should accept {call}; {name_and_place(value)} does not: {error}") from error
+        raise AnswerError(f"{whose}should accept {call}; {name_and_place(value)} does not: {error}") from error
 
 
 def own_signature(function: Callable[..., Any]) -> Signature:
@@ -61,10 +59,7 @@ def check_argument(function: Any, takes: Sequence[str], name: str) -> None:
     """Raise ValueError if an argument is no function that can be called with the arguments named in `takes`."""
     if not callable(function):
         raise ValueError(f"{name} should be a function (got {value_text(function)})")
-    try:
-        check_call(function, takes, function)
-    except AnswerError as error:
-        raise ValueError(f"{name} {error}") from error
+    check_call(function, takes, function, whose=f"{name} ")
 
 
 def check_at_once(function: Callable[..., Any], whose: str = "") -> None:

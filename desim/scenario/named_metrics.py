@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, PlainSerializer, PlainValidator, ValidationInfo, WithJsonSchema
 
 from desim.config.arguments import value_text
-from desim.config.calls import own_signature
+from desim.config.calls import check_argument
 from desim.config.named_code import import_name, load_named, named_in_file
 from desim.config.packages import MARGINS
 from desim.config.suggestion import did_you_mean
@@ -88,14 +88,9 @@ def _named(value: Any, info: ValidationInfo) -> NamedMetric:
 
 def _check_called(name: str, of: Any) -> None:
     """Raise ValueError if an object cannot be called with one argument, or is a class."""
-    if not callable(of) or isinstance(of, type):
+    if isinstance(of, type):
         raise ValueError(f"{name!r} should be a function of a result (got {value_text(of)})")
-    try:
-        own_signature(of).bind("result")
-    except TypeError as error:
-        raise ValueError(f"{name!r} should accept one argument, the result of a run: {error}") from error
-    except ValueError:  # some functions in C have no signature
-        return
+    check_argument(of, ("result",), repr(name))
 
 
 MetricName = Annotated[

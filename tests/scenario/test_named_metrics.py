@@ -56,7 +56,7 @@ def test_a_module_is_imported_only_if_it_is_trusted(file, tmp_path):
         ("no_such_module:gap", "cannot be imported: No module named 'no_such_module'"),
         (
             "tests.analysis.of_users:of_two",
-            r"should accept one argument, the result of a run: missing a required argument: 'more'",
+            r"should accept a call with \(result\); of_two \(.*of_users\.py, line \d+\) does not: missing .* 'more'",
         ),
         ("desim:Scenario", r"should be a function of a result \(got <class"),
         (
@@ -98,7 +98,7 @@ def test_a_scenario_of_a_script_has_functions_and_says_how_a_file_would_name_the
     for unnamed in (of_users.speed, partial(of_users.half)):
         with pytest.raises(ValueError, match=f"{allowed}; `sweep` and `summary` take any callable as metrics="):
             Recording(metrics=(unnamed,))
-    with pytest.raises(ValueError, match="'of_two' should accept one argument, the result of a run"):
+    with pytest.raises(ValueError, match=r"'of_two' should accept a call with \(result\)"):
         Recording(metrics=(of_users.of_two,))
 
 
