@@ -14,6 +14,7 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import PlainSerializer, PlainValidator, ValidationInfo, WithJsonSchema
 
 from desim.config.arguments import value_text
+from desim.config.calls import check_argument
 from desim.config.named_code import import_name, named_in_file
 from desim.config.suggestion import did_you_mean
 
@@ -151,6 +152,7 @@ def _condition(value: Any, info: ValidationInfo) -> Condition:
         return value
     if isinstance(value, FunctionType):  # in Python, a function alone: it is positive
         name = import_name(value)
+        check_argument(value, ("result",), repr(name))
         return Condition(name, (QuantityComparison(name, None, ">", 0.0, value),))
     if not isinstance(value, str):
         raise ValueError(f"should be {CONDITION_FORM} (got {value_text(value)})")
@@ -169,8 +171,7 @@ def _comparison(text: str, info: ValidationInfo) -> QuantityComparison:
     of = None
     if ":" in name:
         of = named_in_file(name, info)
-        if not callable(of):
-            raise ValueError(f"{name!r} should be a function of a result (got {value_text(of)})")
+        check_argument(of, ("result",), repr(name))
     elif name not in QUANTITIES:
         raise ValueError(
             f"there is no quantity {name!r}{did_you_mean(name, QUANTITIES)}; there are {', '.join(QUANTITIES)},"

@@ -348,6 +348,15 @@ def test_a_property_that_cannot_fail_is_a_warning(text):
     assert not any("properties" in key for key, _ in warnings(SMALL.with_({"properties": ["always active <= 3"]})))
 
 
+def test_a_function_that_cannot_be_called_with_a_result_is_refused_before_the_run():
+    def of_two(result, other):
+        return [(0.0, 1.0)]
+
+    for condition in (of_two, "tests.analysis.of_users:of_two == 0"):
+        with pytest.raises(ValueError, match=r"of_two' should accept a call with \(result\)"):
+            property_of({"kind": "always", "condition": condition})
+
+
 def test_every_quantity_has_a_step_function():
     result = lossy(1)
     for name in QUANTITIES:
