@@ -27,16 +27,14 @@ from desim.config.error_texts import text_of
 from desim.config.model import markers_of
 from desim.config.named_code import (
     IMPORTED,
-    definition_of,
     entry_points_of,
-    import_name,
     imported,
     is_unlisted_import,
     load_named,
     refusal,
 )
 from desim.config.number_texts import why_no_number
-from desim.config.parameters import dumped, parameters_of, sorted_sets
+from desim.config.parameters import table_of
 from desim.config.python_numbers import as_python
 from desim.config.traits import Traits, attributes, is_ours, name_of, positions
 from desim.config.trust import is_trusted
@@ -152,12 +150,7 @@ class OneOf:
     def _serialize(self, value: Any, write: Callable[[Any], Any], info: SerializationInfo) -> Any:
         if self.holds(value):
             return write(value)
-        if isinstance(value, BaseModel):
-            parameters = dumped(value, exclude_none=info.exclude_none)
-        else:
-            parameters = parameters_of(value) or {}
-            parameters = {key: entry for key, entry in parameters.items() if not (info.exclude_none and entry is None)}
-        return sorted_sets(parameters) | {"kind": import_name(definition_of(value))}
+        return table_of(value, exclude_none=bool(info.exclude_none))
 
     def _from_table(self, table: Any, info: ValidationInfo) -> Any:
         """Return the model that a table describes, or validate and return a value that already is a model.

@@ -95,6 +95,16 @@ def dumped(model: BaseModel, *, exclude_none: bool = False) -> dict[str, Any]:
         return {name: member for name, member in model if not (exclude_none and member is None)}
 
 
+def table_of(model: Any, *, exclude_none: bool = False) -> dict[str, Any]:
+    """Return the table that selects a model of a user or a function: what it was made from, and "module:name"."""
+    if isinstance(model, BaseModel):
+        parameters = dumped(model, exclude_none=exclude_none)
+    else:
+        made_from = parameters_of(model) or {}
+        parameters = {key: entry for key, entry in made_from.items() if not (exclude_none and entry is None)}
+    return sorted_sets(parameters) | {"kind": import_name(definition_of(model))}
+
+
 def sorted_sets(value: Any) -> Any:
     """Return a value in which sets are sorted lists: their own order differs from process to process.
 

@@ -1,15 +1,27 @@
 """The table `sweep` of a scenario: a grid over keys of the scenario, and the number and the seeds of the runs."""
 
 from collections.abc import Iterator, Mapping
+from functools import partial
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, ValidationInfo, field_serializer, field_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    Field,
+    FieldSerializationInfo,
+    GetJsonSchemaHandler,
+    ValidationInfo,
+    field_serializer,
+    field_validator,
+)
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError
 
 from desim.config.model import Value
-from desim.config.named_code import definition_of, import_name, is_unlisted_import, refusal
+from desim.config.named_code import is_unlisted_import, refusal
+from desim.config.parameters import table_of
 from desim.config.tables import nested
+from desim.config.traits import is_ours
 from desim.config.trust import is_trusted
 from desim.scenario.value_ranges import KeyRange, interval_of, is_range, range_of
 
@@ -126,8 +138,9 @@ class Sweep(Value):
         return grid
 
     @field_serializer("grid")
-    def _serialized(self, grid: dict[str, tuple[Any, ...]]) -> dict[str, list[Any] | str]:
-        return {key: str(values[0]) if is_range(values) else _as_json(values) for key, values in grid.items()}
+    def _serialized(self, grid: dict[str, tuple[Any, ...]], info: FieldSerializationInfo) -> dict[str, Any]:
+        tables = partial(_with_tables, exclude_none=bool(info.exclude_none))
+        return {key: str(values[0]) if is_range(values) else tables(values) for key, values in grid.items()}
 
     def __hash__(self) -> int:  # the values of a key may be tables, which have no hash
         return hash((self.reps, self.seeds, tuple(self.grid), self.design))
@@ -140,16 +153,13 @@ def _kinds_in(grid: dict[str, tuple[Any, ...]]) -> Iterator[tuple[str, Any]]:
         yield from ((key, kind) for kind in (values if key.split(".")[-1].strip("\"'") == "kind" else ()))
 
 
-def _as_json(value: Any) -> Any:
-    """Return a value in a form that JSON can represent; of a function or an object, only the import name is kept."""
-    if isinstance(value, Value):
-        return value.model_dump()
-    if callable(value):
-        return {"kind": import_name(definition_of(value))}
+def _with_tables(value: Any, *, exclude_none: bool) -> Any:
+    """Return a value of a key with tables in place of models and functions, also of those inside."""
+    if isinstance(value, Value) and is_ours(type(value)):
+        return value.model_dump(exclude_none=exclude_none)
+    if isinstance(value, BaseModel) or callable(value):
+        return table_of(value, exclude_none=exclude_none)
+    inner = partial(_with_tables, exclude_none=exclude_none)
     if isinstance(value, dict):
-        return {key: _as_json(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_as_json(entry) for entry in value]
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
-    return {"kind": import_name(definition_of(value))}
+        return {key: inner(entry) for key, entry in value.items()}
+    return [*map(inner, value)] if isinstance(value, list | tuple) else value

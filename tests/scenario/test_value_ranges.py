@@ -1,12 +1,18 @@
 """Ranges in grids: exact decimals, the last number included, and refused if they have no end."""
 
+from dataclasses import dataclass
+
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim import Scenario, sweep
+from desim import Scenario, load, sweep
+from desim.kernel.models.latency import Uniform
+from desim.kernel.models.medium import LoRa
 from desim.scenario.override_texts import key_and_values
 from desim.scenario.sweep_table import Sweep
+from desim.scenario.toml import dump
 from desim.scenario.value_ranges import MAX_VALUES, KeyRange, interval_of, range_of
 
 
@@ -143,6 +149,29 @@ def test_a_range_without_steps_is_one_in_an_option_a_file_and_a_script():
         written = sweep_table.model_dump(mode="json")
         assert written["grid"] == {"network.loss.p": "log:0.1:0.5"}
         assert Sweep(**written) == sweep_table
+
+
+@dataclass(frozen=True)
+class Slow:
+    """A latency of a user, with a parameter that may be absent."""
+
+    mean: float | None = None
+
+    def __call__(self, context, rng):
+        return np.full(context.dst.shape, self.mean or 0.0)
+
+
+def test_models_in_a_grid_are_written_as_tables_from_which_the_same_models_are_made(tmp_path):
+    """Also what a user's model was made from; TOML has no None, so what is absent is left out."""
+    models = {"network.medium": (LoRa(),), "network.latency": (Slow(0.1), Slow(), Uniform(high=0.3))}
+    scenario = Scenario(sweep=Sweep(grid=models))
+    file = tmp_path / "swept.toml"
+    file.write_text(dump(scenario))
+    of_file = load(file, allow_import=True).sweep.grid
+    for key, values in models.items():
+        for value, table in zip(values, of_file[key], strict=True):
+            assert scenario.with_({key: table}) == scenario.with_({key: value})
+    assert scenario.sweep.plain()["grid"]["network.latency"][0]["mean"] == 0.1
 
 
 @given(low=st.floats(1e-9, 1e9), ratio=st.floats(1.001, 1e6), is_log=st.booleans())
