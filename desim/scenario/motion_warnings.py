@@ -104,7 +104,7 @@ def _record_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     records: list[tuple[str, Any]] = [
         *((f"{_dotted(place)}.strategy", table.record) for place, table in scenario.evader_tables),
         *((f"team.relay.{k}.motion", relay.motion) for k, relay in enumerate(scenario.team.relay)),
-        ("team.positions", scenario.team),
+        ("team.positions", scenario.team.record),
     ]
     for key, record in records:
         if getattr(record, "has_heights", False):

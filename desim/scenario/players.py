@@ -24,7 +24,7 @@ from desim.pursuit.core.state import complex_points
 from desim.pursuit.core.traits import StrategyTraits
 from desim.pursuit.evaders.evader import EvaderController
 from desim.pursuit.evaders.evasion import STRATEGIES, PureEvasion, Strategy
-from desim.pursuit.evaders.recorded import Point, RecordedMotion, RecordedPositions, RelayNode
+from desim.pursuit.evaders.recorded import Point, RecordedMotion, RecordedPositions, RelayNode, Starts
 from desim.pursuit.motion.dynamics import DYNAMICS, Dynamics, Simple, headings_with
 from desim.pursuit.motion.guidance import ConstantBearing, Guidance, GuidanceTraits, PurePursuit
 from desim.pursuit.paths.space import PLANE, Plane
@@ -110,9 +110,8 @@ class Team(Value):
         if isinstance(positions, list | tuple) and positions and "count" not in data:
             data = data | {"count": len(positions)}
         made = make(data)
-        if starts is not None:  # neither is a part of its identity
-            made.__dict__["has_heights"], made.__dict__["names"] = starts.has_heights, starts.names
-            made.__dict__["is_in_file_order"] = starts.is_in_file_order
+        if starts is not None:  # no part of its identity
+            made.__dict__["record"] = starts
         return made
 
     @field_validator("positions", mode="before")
@@ -121,32 +120,26 @@ class Team(Value):
         return RecordedPositions.read(positions, info).positions if isinstance(positions, dict) else positions
 
     @cached_property
-    def has_heights(self) -> bool:
-        """Whether the file of the positions had heights, which were dropped."""
-        return False
+    def record(self) -> Starts | None:
+        """What the file of the positions has, if they are of a file."""
+        return None
 
-    @cached_property
+    @property
     def names(self) -> tuple[str, ...]:
         """The names of the pursuers, if the file of the positions had names."""
-        return ()
-
-    @cached_property
-    def is_in_file_order(self) -> bool:
-        """Whether the pursuers have the numbers of the nodes in the file of the positions, because none were given."""
-        return False
+        return self.record.names if self.record is not None else ()
 
     def numbered(self, names: tuple[str, ...]) -> "Team":
         """Return the team whose positions are in the order of the names of a graph, if both have the same names.
 
         Positions whose `nodes` were given keep their order.
         """
-        if not self.is_in_file_order or self.positions is None or self.names == names:
-            return self
-        if set(self.names) != set(names):
+        record = self.record
+        if record is None or not record.is_in_file_order or self.names == names or set(self.names) != set(names):
             return self
         at = dict(zip(self.names, cast("tuple[Point, ...]", self.positions), strict=True))
         copy = self.model_copy()
-        copy.__dict__.update(positions=tuple(at[name] for name in names), names=names)
+        copy.__dict__.update(positions=tuple(at[name] for name in names), record=record._replace(names=names))
         return copy
 
     def _derived(self) -> Set[str]:
