@@ -44,7 +44,8 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     if (warn := scenario.schedule_traits.warnings) is not None:
         yield from ((f"protocol.schedule.{key}", why) for key, why in warn(scenario.motion.step))
     yield from _time_warnings(scenario)
-    yield from _unused_warnings(scenario)
+    for above, model in _models(scenario):
+        yield from _unused_warnings(model, above)
     unbreakable = (k for k, prop in enumerate(scenario.properties) if not prop.can_fail(scenario))
     yield from ((f"properties.{k}", f"it says nothing: {CANNOT_FAIL}") for k in unbreakable)
     if scenario.sweep.design is not None and not scenario.sweep.design.is_balanced:
@@ -107,27 +108,30 @@ def _time_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             yield key, f"{time:g} s is longer than the horizon of {scenario.horizon:g} s"
 
 
-def _unused_warnings(model: BaseModel, above: str = "") -> Iterator[tuple[str, str]]:
+def _unused_warnings(model: BaseModel, above: str) -> Iterator[tuple[str, str]]:
     """Yield a warning for each field that is given and has no effect beside other values of its model."""
     unused, fields = model.unused_fields if isinstance(model, Value) else {}, dict(model)
     for name, why in sorted(unused.items()):
         if fields[name] != type(model).model_fields[name].get_default(call_default_factory=True):
             yield f"{above}{name}", f"it has no effect with {why}"
-    for name, value in fields.items():
+
+
+def _models(model: BaseModel, above: str = "") -> Iterator[tuple[str, BaseModel]]:
+    """Yield a model and all models within it, each after what its keys begin with."""
+    yield above, model
+    for name, value in model:
         for key, part in _parts(f"{above}{name}", value):
             if isinstance(part, BaseModel):
-                yield from _unused_warnings(part, f"{key}.")
+                yield from _models(part, f"{key}.")
 
 
-def _numbers(model: BaseModel, above: str = "") -> Iterator[tuple[str, float, Sequence[Any]]]:
-    """Yield the key, the value and the markers of every number in a model and its nested models."""
-    fields = dict(model)
-    for name in type(model).model_fields:
-        for key, part in _parts(f"{above}{name}", fields[name]):
-            if isinstance(part, BaseModel):
-                yield from _numbers(part, f"{key}.")
-            elif isinstance(part, int | float):
-                yield key, part, _markers(type(model), name)
+def _numbers(scenario: Scenario) -> Iterator[tuple[str, float, Sequence[Any]]]:
+    """Yield the key, the value and the markers of every number in a scenario."""
+    for above, model in _models(scenario):
+        for name in type(model).model_fields:
+            for key, part in _parts(f"{above}{name}", getattr(model, name)):
+                if isinstance(part, int | float):
+                    yield key, part, _markers(type(model), name)
 
 
 @lru_cache(maxsize=1024)
