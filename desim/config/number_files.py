@@ -35,12 +35,7 @@ def number_of(text: str) -> float:
     Raises:
         ValueError: if the text is not a number; the message ends with the reason, if it is known.
     """
-    try:
-        if is_plain(text):
-            return float(text)
-    except ValueError:
-        pass
-    raise not_a_number(text)
+    return _converted(text, float, "a number")
 
 
 def is_fill(number: float) -> bool:
@@ -75,12 +70,16 @@ def integer_of(text: str) -> int:
     Raises:
         ValueError: if the text is not an integer in decimal digits.
     """
+    return _converted(text, int, "an integer")
+
+
+def _converted(text: str, convert: Callable[[str], Number], expected: str) -> Number:
     try:
         if is_plain(text):
-            return int(text)
+            return convert(text)
     except ValueError:
         pass
-    raise not_a_number(text, "an integer")
+    raise not_a_number(text, expected)
 
 
 def is_plain(text: str) -> bool:

@@ -116,12 +116,9 @@ def as_real(value: Any) -> float:
 
     For what functions of users return: see `real` for the numbers of a caller, who is told what should be given.
     """
-    number = value if type(value) is float else as_python(value)
-    if type(number) is not float and type(number) is not int:
-        return nan
     try:
-        return float(number)
-    except OverflowError:
+        return value if type(value) is float else real(value, "")
+    except ValueError:
         return nan
 
 
