@@ -17,7 +17,7 @@ import numpy as np
 from desim.config.code_variables import ADDING, COLLECTIONS
 from desim.config.copier import Copier, CopyReader, Describer
 from desim.config.shared_state import followed_changes, shared_changes
-from desim.config.stateless import is_all_built_in, is_stateless, users_objects
+from desim.config.stateless import is_stateless, users_objects
 from desim.config.traits import name_of
 
 Model = TypeVar("Model")
@@ -45,10 +45,10 @@ def fresh_copy(model: Model, *, alone: bool = False, is_run: bool = False) -> It
     Raises:
         StateError: if an object cannot be copied, such as a generator or an open file; the text names its key.
     """
-    if is_all_built_in(model):  # as a rule
+    users = dict(users_objects(model))
+    if not users:  # as a rule
         yield model
         return
-    users = dict(users_objects(model))
     copied, kept, functions = model, [], []
     if not all(is_stateless(value, alone=alone) for value in users.values()):
         copier, content = _written(model, users, alone=alone)

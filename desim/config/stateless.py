@@ -46,20 +46,6 @@ def _is_ours(value: Any) -> bool:
     return type(value) is FunctionType and value.__closure__ is None and never_changes(module_of(value))
 
 
-def is_all_built_in(model: Any) -> bool:
-    """Return whether a model and all that it holds are built-in models and constants, which have no state."""
-    values = [model]
-    for value in values:
-        kind: type = type(value)
-        form = _form(kind)
-        if form == "object":
-            if not _is_ours(value):
-                return False
-        elif form != "constant":
-            values += value if form == "items" else (vars(value) if form == "model" else value).values()
-    return True
-
-
 def users_objects(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     """Yield the dotted key and the value of each object in a model that is neither a built-in model nor a constant."""
     kind: type = type(value)
@@ -88,7 +74,7 @@ def _is_constant(value: Any) -> bool:
     """Return whether a default of a function cannot change."""
     if type(value) in {tuple, frozenset}:
         return all(map(_is_constant, value))
-    return is_all_built_in(value) and not isinstance(value, COLLECTIONS) and type(value) is not FunctionType
+    return not (isinstance(value, (*COLLECTIONS, FunctionType)) or any(True for _ in users_objects(value)))
 
 
 def is_collection(held: Any) -> bool:

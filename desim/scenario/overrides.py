@@ -148,7 +148,7 @@ class Source:
         Raises:
             ScenarioError: if the text does not have this form, or the key cannot be set to this value; see `set`.
         """
-        self._set_as_text(origin or f"--set {text}", text, key_and_value)
+        self._set_read(origin or f"--set {text}", lambda: key_and_value(text))
 
     def vary(self, text: str) -> None:
         """Add a key to the grid of the sweep, or replace its values: "key.key=value,value,...", each value in TOML.
@@ -156,7 +156,7 @@ class Source:
         Raises:
             ScenarioError: if the text does not have this form, or the key cannot be set; see `set`.
         """
-        self._set_as_text(f"--grid {text}", text, key_and_values, above="sweep.grid.")
+        self._set_read(f"--grid {text}", lambda: key_and_values(text), above="sweep.grid.")
 
     def change(self, name: Any, value: Any) -> None:
         """Set a key to a value of Python.
@@ -164,18 +164,18 @@ class Source:
         Raises:
             ScenarioError: if the name is not a dotted key, or the key cannot be set to this value; see `set`.
         """
-        origin = "with_"
-        try:
+
+        def read() -> tuple[str, Any]:
             if not isinstance(name, str) or not all(name.split(".")):
                 raise ValueError(f"a dotted key is for instance network.latency.value (got {value_text(name)})")
-            self.set(name, as_python(value), origin)
-        except ValueError as error:
-            raise ScenarioError(*(problem._replace(where=origin) for problem in problems_of(error))) from None
+            return name, as_python(value)
 
-    def _set_as_text(self, origin: str, text: str, parse: Callable[[str], tuple[str, Any]], above: str = "") -> None:
-        """Set a key, which is put after `above`, to a value, given the text of an option."""
+        self._set_read("with_", read)
+
+    def _set_read(self, origin: str, read: Callable[[], tuple[str, Any]], above: str = "") -> None:
+        """Set the key that a function returns, put after `above`, to the value that it returns with it."""
         try:
-            name, value = parse(text)
+            name, value = read()
             self.set(above + name, value, origin)
         except ValueError as error:
             raise ScenarioError(*(problem._replace(where=origin) for problem in problems_of(error))) from None
