@@ -17,7 +17,7 @@ SHARED_NAMES = {
         "bench compare examples explain export fates keys ls play plot protocols race replay report run"
         " sensitivity status summary sweep"
     ),
-    "a module of one file format or folder is used by its name, as in pcapng.write": "document read tables write",
+    "a module of one file format or folder is used by its name, as in perfetto.write": "document read tables write",
     "one thing in two forms: in the records of a trace, and in a scenario": "Actions Evader Speeds",
     "the same measure of two things, each beside what it measures": "capture_time first_contact gains",
     "the terms of two fields, or of two file formats": (

@@ -3,6 +3,7 @@
 import json
 from collections import Counter
 from decimal import Decimal
+from types import SimpleNamespace
 
 import pytest
 import scapy.layers.inet  # registers IP for the link type
@@ -12,7 +13,7 @@ from desim import summary
 from desim.kernel.core.events import Broadcast, MessageCounts, Sent
 from desim.kernel.core.trace_file import body_json
 from desim.kernel.core.units import SECOND
-from desim.view.formats.pcapng import HEADERS, MAX_PAYLOAD, PORT, write
+from desim.view.formats.pcapng import HEADERS, MAX_PAYLOAD, PORT, Pcapng
 from tests.view.by_hand import history
 
 IP, UDP = scapy.layers.inet.IP, scapy.layers.inet.UDP
@@ -21,7 +22,7 @@ IP, UDP = scapy.layers.inet.IP, scapy.layers.inet.UDP
 def packets_of(events, folder):
     """Write a capture file; return its packets, and the messages: time (s), source, destination and size (bytes)."""
     file = folder / "x.pcapng"
-    count = write(events, file)
+    count = Pcapng()(SimpleNamespace(trace=events), file)
     with PcapNgReader(str(file)) as reader:
         packets = list(reader)
     assert len(packets) == count
@@ -112,7 +113,7 @@ def test_a_message_of_any_size_is_a_packet_of_its_length(tmp_path, size):
 def test_a_run_without_recorded_messages_is_refused(tmp_path):
     trace = history(messages=False).trace
     with pytest.raises(ValueError, match=r"the trace lacks the messages that were sent: set record\.messages = true"):
-        write(trace, tmp_path / "x.pcapng")
+        Pcapng()(SimpleNamespace(trace=trace), tmp_path / "x.pcapng")
     silent = [event._replace(sent=0) if isinstance(event, MessageCounts) else event for event in trace]
     assert packets_of(silent, tmp_path) == ([], [])
 
@@ -126,7 +127,7 @@ def test_the_comment_of_a_packet_is_json(run_of, tmp_path):
 
 def test_each_block_of_a_capture_has_its_length_at_both_ends(tmp_path):
     """As the specification of pcapng has it (draft-ietf-opsawg-pcapng, section 3.1), which few readers check."""
-    write(history().trace, tmp_path / "x.pcapng")
+    Pcapng()(history(), tmp_path / "x.pcapng")
     data, lengths = (tmp_path / "x.pcapng").read_bytes(), []
     while data:
         length = int.from_bytes(data[4:8], "little")

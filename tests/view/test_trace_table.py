@@ -3,6 +3,7 @@
 import csv
 import json
 from itertools import groupby
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
@@ -33,7 +34,7 @@ from desim.pursuit.core.events import FORMAT, Captured, Decided, Distrusted, End
 from desim.results.run_folder import EVENTS
 from desim.view.formats import trace_table
 from desim.view.formats.export import export
-from desim.view.formats.trace_table import COLUMNS, KINDS, columns_of, rows, write_csv, write_parquet
+from desim.view.formats.trace_table import COLUMNS, KINDS, Csv, Parquet, columns_of, rows
 from tests.kernel.test_trace_file import EVENTS as MESSAGE_EVENTS
 from tests.kernel.test_trace_file import NODES, TIMES
 from tests.view.by_hand import MS, history, pair
@@ -135,7 +136,7 @@ def test_a_table_holds_all_of_a_trace(tmp_path_factory, events):
     """The events can be made again from the rows, and from a CSV file."""
     file = tmp_path_factory.mktemp("tables") / "trace.csv"
     table = [{name: value for name, value in row.items() if value is not None} for row in rows(events)]
-    assert write_csv(events, file) == len(table)
+    assert Csv()(SimpleNamespace(trace=events), file) == len(table)
     assert read_csv(file) == table
     assert from_table(table) == plain(events)
 
@@ -156,7 +157,7 @@ def test_the_rows_of_a_run_that_has_all_kinds_of_events(tmp_path):
     ]
     events = history(*transported).trace.events
     assert {type(event).__name__ for event in events} == set(KINDS)
-    write_csv(events, tmp_path / "x.csv")
+    Csv()(SimpleNamespace(trace=events), tmp_path / "x.csv")
     again = read_csv(tmp_path / "x.csv")
     assert from_table(again) == plain(events)
     assert again[9] == {
@@ -171,7 +172,7 @@ def test_parquet_has_the_same_rows_with_the_types_of_the_columns(tmp_path, monke
     monkeypatch.setattr(trace_table, "BATCH", 16)
     events = history().trace.events
     file = tmp_path / "x.parquet"
-    assert write_parquet(events, file) == 39
+    assert Parquet()(SimpleNamespace(trace=events), file) == 39
     frame = pd.read_parquet(file, dtype_backend="numpy_nullable")
     kinds = {"int64": "Int64", "float64": "Float64", "string": "string"}
     assert {name: str(kind) for name, kind in frame.dtypes.items()} == {
@@ -188,8 +189,6 @@ def test_a_table_of_one_kind_has_only_its_columns():
     decided = [event for event in history().trace if isinstance(event, Decided)]
     table = list(rows(history().trace, ["Decided"]))
     assert [(row["t"] * SECOND, row["pursuer"], row["active"]) for row in table] == decided
-    with pytest.raises(ValueError, match=r"there are no events Decide; there are Started, Decided"):
-        columns_of(["Decide"])
 
 
 def test_every_field_has_a_column_or_columns():
@@ -213,7 +212,7 @@ def test_events_are_not_held_in_memory(tmp_path):
             yield (Lost(k, k, 0, 1, "loss"), Queued(k, k, 0, (1, 2), 24))[k % 2]
         yield MessageCounts(2_000, 0, 0, 0, 0, {}, 0, 0, 0.0)
 
-    assert write_csv(many(), file) == 3_001
+    assert Csv()(SimpleNamespace(trace=many()), file) == 3_001
     assert sizes[-1] > 0.9 * file.stat().st_size
 
 

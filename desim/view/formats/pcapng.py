@@ -13,13 +13,13 @@ succeeded.
 """
 
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import ClassVar, Literal
 
 from desim.analysis.trace_index import NO_MESSAGES
 from desim.config.model import Value
-from desim.kernel.core.events import MESSAGES, Broadcast, Event, MessageCounts, Sent
+from desim.kernel.core.events import MESSAGES, Broadcast, MessageCounts, Sent
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.trace_file import body_json
 from desim.results.run_folder import StreamedResult
@@ -43,26 +43,6 @@ MAX_PAYLOAD = 65_535 - HEADERS
 """Size of the largest payload, bytes; a longer one is captured in part, and its headers have the length 0."""
 
 
-def write(events: Iterable[Event], file: Path) -> int:
-    """Write the messages of a run to a file, and return their number.
-
-    Raises:
-        ValueError: if messages were sent and none was recorded.
-    """
-    count, are_recorded = 0, False
-    with file.open("wb") as stream:
-        stream.write(_header())
-        for event in events:
-            are_recorded = are_recorded or isinstance(event, MESSAGES)
-            if isinstance(event, Broadcast | Sent):
-                for packet in _packets(event):
-                    stream.write(packet)
-                    count += 1
-            elif isinstance(event, MessageCounts) and event.sent and not are_recorded:
-                raise ValueError(NO_MESSAGES)
-    return count
-
-
 class Pcapng(Value):
     """A capture file for Wireshark: one packet per message."""
 
@@ -73,8 +53,23 @@ class Pcapng(Value):
     streams: ClassVar[bool] = True
 
     def __call__(self, result: Result | StreamedResult, file: Path) -> int:
-        """Write the capture, and return the number of packets."""
-        return write(result.trace, file)
+        """Write the capture, and return the number of packets.
+
+        Raises:
+            ValueError: if messages were sent and none was recorded.
+        """
+        count, are_recorded = 0, False
+        with file.open("wb") as stream:
+            stream.write(_header())
+            for event in result.trace:
+                are_recorded = are_recorded or isinstance(event, MESSAGES)
+                if isinstance(event, Broadcast | Sent):
+                    for packet in _packets(event):
+                        stream.write(packet)
+                        count += 1
+                elif isinstance(event, MessageCounts) and event.sent and not are_recorded:
+                    raise ValueError(NO_MESSAGES)
+        return count
 
 
 def _header() -> bytes:

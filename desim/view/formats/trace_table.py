@@ -126,13 +126,7 @@ BATCH = 1 << 15
 
 
 def columns_of(kinds: Collection[str] = KINDS) -> list[str]:
-    """Return the names of the columns of a table with these types of events, in order.
-
-    Raises:
-        ValueError: if there is no such type of events.
-    """
-    if unknown := [kind for kind in kinds if kind not in KINDS]:
-        raise ValueError(f"there are no events {', '.join(unknown)}; there are {', '.join(KINDS)}")
+    """Return the names of the columns of a table with these types of events, in order."""
     fields = {field for kind in EVENTS if kind.__name__ in kinds for field in kind._fields}
     shown = {"line", "event"} | {column for field in fields for column in PARTS.get(field, (field,))}
     return [column for column in COLUMNS if column in shown]
@@ -144,38 +138,6 @@ def rows(events: Iterable[Event], kinds: Collection[str] = KINDS) -> Iterator[Ro
         if (name := type(event).__name__) in kinds:
             head = {"line": line, "event": name, "t": seconds(event.t)}
             yield from ({**head, **own_row} for own_row in _own_rows(event))
-
-
-def write_csv(events: Iterable[Event], file: Path, kinds: Collection[str] = KINDS) -> int:
-    """Write a table to a CSV file, and return the number of rows."""
-    count = 0
-    with file.open("w", encoding="utf-8", newline="") as stream:
-        columns = columns_of(kinds)
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(columns)
-        for row in rows(events, kinds):
-            writer.writerow(csv_cell(row.get(name)) for name in columns)
-            count += 1
-    return count
-
-
-def write_parquet(events: Iterable[Event], file: Path, kinds: Collection[str] = KINDS) -> int:
-    """Write a table to a Parquet file, and return the number of rows.
-
-    Raises:
-        ImportError: if pyarrow is not installed.
-    """
-    import pyarrow as pa
-    from pyarrow.parquet import ParquetWriter
-
-    types = {"int64": pa.int64(), "float64": pa.float64(), "string": pa.string()}
-    schema = pa.schema([(name, types[COLUMNS[name].type]) for name in columns_of(kinds)])
-    count, remaining = 0, rows(events, kinds)
-    with file.open("wb") as stream, ParquetWriter(stream, schema) as writer:
-        while batch := list(islice(remaining, BATCH)):
-            writer.write_table(_arrow_table(batch, schema))
-            count += len(batch)
-    return count
 
 
 class _Table(Value):
@@ -197,7 +159,14 @@ class Csv(_Table):
 
     def __call__(self, result: Result | StreamedResult, file: Path) -> int:
         """Write the table, and return the number of rows."""
-        return write_csv(result.trace, file, self.events)
+        count, columns = 0, columns_of(self.events)
+        with file.open("w", encoding="utf-8", newline="") as stream:
+            writer = csv.writer(stream, lineterminator="\n")
+            writer.writerow(columns)
+            for row in rows(result.trace, self.events):
+                writer.writerow(csv_cell(row.get(name)) for name in columns)
+                count += 1
+        return count
 
 
 class Parquet(_Table):
@@ -209,8 +178,22 @@ class Parquet(_Table):
     requires: ClassVar[tuple[str, str]] = "pyarrow", "parquet"
 
     def __call__(self, result: Result | StreamedResult, file: Path) -> int:
-        """Write the table, and return the number of rows."""
-        return write_parquet(result.trace, file, self.events)
+        """Write the table, and return the number of rows.
+
+        Raises:
+            ImportError: if pyarrow is not installed.
+        """
+        import pyarrow as pa
+        from pyarrow.parquet import ParquetWriter
+
+        types = {"int64": pa.int64(), "float64": pa.float64(), "string": pa.string()}
+        schema = pa.schema([(name, types[COLUMNS[name].type]) for name in columns_of(self.events)])
+        count, remaining = 0, rows(result.trace, self.events)
+        with file.open("wb") as stream, ParquetWriter(stream, schema) as writer:
+            while batch := list(islice(remaining, BATCH)):
+                writer.write_table(_arrow_table(batch, schema))
+                count += len(batch)
+        return count
 
 
 def _arrow_table(batch: Sequence[Row], schema: "pa.Schema") -> "pa.Table":

@@ -38,7 +38,7 @@ from desim.analysis.drawing.plots import Axes, Figure, size_of, styled
 from desim.analysis.drawing.walls import draw_walls
 from desim.analysis.trace_index import captures, ended, messages_recorded, started
 from desim.config.arguments import value_text
-from desim.config.arrays import Bools, Floats, Integers
+from desim.config.arrays import Floats
 from desim.config.errors import ArgumentError
 from desim.config.python_numbers import real, whole
 from desim.config.whole_files import replacing
@@ -201,7 +201,8 @@ def frames(result: Result, times: Sequence[int], pixels: tuple[int, int] | None 
     Raises:
         ValueError: if no positions were recorded.
     """
-    palette = _palette(_colours(result))
+    several = len(started(result).evaders) > 1
+    palette = _palette(tuple(dict.fromkeys((*COLOURS, *HUES))) if several else COLOURS)
     images = _drawn(result, times, pixels or _pixels(None))
     return [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
 
@@ -227,11 +228,6 @@ def _drawn(result: Result, times: Sequence[int], pixels: tuple[int, int]) -> Ite
             yield Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
             before = t
             bar.update()
-
-
-def _colours(result: Result) -> tuple[str, ...]:
-    several = len(started(result).evaders) > 1
-    return tuple(dict.fromkeys((*COLOURS, *HUES))) if several else COLOURS
 
 
 def _palette(of: Sequence[str]) -> Image.Image:
@@ -274,11 +270,6 @@ class _EvaderArtists:
         self.number = axes.annotate("" if lone else str(evader), (0, 0), color=EVADER, weight="bold", **offset)
 
 
-def _by_layer(artists: Sequence[tuple[Artist, ...]]) -> list[Artist]:
-    """Return artists in drawing order: the first of every tuple, then the second of every tuple, and so on."""
-    return [artist for layer in zip(*artists, strict=True) for artist in layer]
-
-
 class _Scene:
     """The axes of the animation and their moving artists."""
 
@@ -289,7 +280,7 @@ class _Scene:
         self._set(axes)
         draw_walls(axes, result.scenario.wall)
         left, right = axes.get_xlim()
-        self._messages = _message_dots(result, self._paths, RECEIVER_GAP * (right - left))
+        self._messages = _MessageDots(result, self._paths, RECEIVER_GAP * (right - left))
         count = self._paths.count
         self._evaders = [_EvaderArtists(axes, evader, count) for evader in range(1, count + 1)]
         (self._dots,) = axes.plot([], [], "o", color=IN_FLIGHT, ms=2.5, mew=0, label="message in flight")
@@ -315,12 +306,14 @@ class _Scene:
         ]
 
     def _in_order(self) -> list[Artist]:
-        """Return the moving artists in drawing order."""
-        below = [(drawn.trails, drawn.relay, drawn.path) for drawn in self._evaders]
-        chasers = [(drawn.together, drawn.alone) for drawn in self._evaders]
-        above = [(drawn.evader, drawn.star, drawn.number) for drawn in self._evaders]
-        artists = [*_by_layer(below), self._inactive, *_by_layer(chasers)]
-        return [*artists, self._dots, self._arrived, self._crosses, *_by_layer(above), self._caption]
+        """Return the moving artists in drawing order: each kind of all evaders, then the next kind."""
+
+        def layers(*names: str) -> list[Artist]:
+            return [getattr(artists, name) for name in names for artists in self._evaders]
+
+        chased = [*layers("trails", "relay", "path"), self._inactive, *layers("together", "alone")]
+        messages = [self._dots, self._arrived, self._crosses]
+        return [*chased, *messages, *layers("evader", "star", "number"), self._caption]
 
     def _set(self, axes: Axes) -> None:
         everywhere = np.concatenate([self._paths.evaders.reshape(-1, 2), self._paths.pursuers.reshape(-1, 2)])
@@ -401,18 +394,30 @@ def _joined(paths: Sequence[Floats]) -> Floats:
 class _MessageDots:
     """Messages as dots that move at constant speed from the sender at transmission to the receiver at arrival.
 
+    Without recorded messages there are none.
+
     Args:
-        left: (k,) times of transmission, ns.
-        until: (k,) times of arrival or loss, ns.
-        lost: (k,) whether the message was lost.
-        source: (k, 2) positions of the senders at transmission, m.
-        target: (k, 2) positions of the receivers at arrival or loss, m.
+        result: the run.
+        paths: the positions of its players.
         short: the distance between the mark of an arrival or a loss and the receiver, m; see `RECEIVER_GAP`.
+
+    Attributes:
+        left: (k,) times of transmission, ns.
+        lost: (k,) whether the message was lost.
     """
 
-    def __init__(self, left: Integers, until: Integers, lost: Bools, source: Floats, target: Floats, short: float):
-        self.left, self._until, self.lost, self._source, self._target = left, until, lost, source, target
-        self._short = short
+    def __init__(self, result: Result, paths: Paths, short: float):
+        messages = deliveries(result) if messages_recorded(result) else []
+        rows = [(one.left, one.until, one.src, one.dst, one.cause is not None) for one in messages]
+        self.left, self._until, src, dst, lost = np.array(rows, np.int64).reshape(-1, 5).T
+        self.lost, self._short = lost.astype(bool), short
+        self._source, self._target = np.zeros((2, len(messages), 2))
+        for pursuer in range(paths.pursuers.shape[1]):
+            sent, read = src == pursuer, dst == pursuer
+            self._source[sent], self._target[read] = (
+                paths.at(pursuer, self.left[sent]),
+                paths.at(pursuer, self._until[read]),
+            )
 
     def under_way(self, t: int) -> Floats:
         """Return the (k, 2) positions, m, of the messages in flight."""
@@ -432,19 +437,3 @@ class _MessageDots:
         share = np.minimum(self._short / np.maximum(length, self._short), 0.5)[:, None]
         places: Floats = self._target[gone] - share * way
         return places
-
-
-def _message_dots(result: Result, paths: Paths, short: float) -> _MessageDots:
-    """Return the messages of a run, or none if they were not recorded; for `short` see `_MessageDots`."""
-    messages = deliveries(result) if messages_recorded(result) else []
-    left, until = (
-        np.array(times, dtype=np.int64) for times in ([p.left for p in messages], [p.until for p in messages])
-    )
-    source, target = np.zeros((len(messages), 2)), np.zeros((len(messages), 2))
-    for pursuer in range(paths.pursuers.shape[1]):
-        sent = np.array([delivery.src == pursuer for delivery in messages], dtype=bool)
-        read = np.array([delivery.dst == pursuer for delivery in messages], dtype=bool)
-        source[sent], target[read] = paths.at(pursuer, left[sent]), paths.at(pursuer, until[read])
-    return _MessageDots(
-        left, until, np.array([delivery.cause is not None for delivery in messages], dtype=bool), source, target, short
-    )
