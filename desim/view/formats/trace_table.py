@@ -16,20 +16,7 @@ from pydantic import AfterValidator
 
 from desim.config.escaping import csv_cell
 from desim.config.model import Value
-from desim.kernel.core.events import (
-    LOST,
-    Broadcast,
-    DeadlineMissed,
-    Delivered,
-    Event,
-    Expired,
-    GivenUp,
-    LivelinessLost,
-    Lost,
-    Queued,
-    Retransmitted,
-    Sent,
-)
+from desim.kernel.core.events import LOST, Broadcast, Event, Sent
 from desim.kernel.core.trace_file import body_json, value_json
 from desim.kernel.core.units import seconds
 from desim.pursuit.core.events import Sampled, Started
@@ -230,14 +217,10 @@ def _players(event: Started | Sampled) -> Iterator[Row]:
 
 def _receivers(event: Event) -> list[Row]:
     """Return the receivers of a message event and the times of arrival there; an empty list for any other event."""
-    match event:
-        case Broadcast() | Sent():
-            return [{"dst": dst, "arrival": None if t == LOST else seconds(t)} for dst, t in event.fates()]
-        case Queued():
-            return [{"dst": dst} for dst in event.dst]
-        case Lost() | Delivered() | Retransmitted() | GivenUp() | Expired() | DeadlineMissed() | LivelinessLost():
-            return [{"dst": event.dst}]
-    return []
+    if isinstance(event, Broadcast | Sent):
+        return [{"dst": dst, "arrival": None if t == LOST else seconds(t)} for dst, t in event.fates()]
+    receivers = getattr(event, "dst", ())
+    return [{"dst": dst} for dst in (receivers if isinstance(receivers, tuple) else [receivers])]
 
 
 def _value(name: str, value: Any) -> Any:

@@ -10,12 +10,11 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from desim.analysis.activity import Change, Released, action, changes_with_previous, chases
+from desim.analysis.activity import Change, Released, action, activity, changes, changes_with_previous
 from desim.analysis.deliveries import delivery_table, handover_events, outages
 from desim.analysis.knowledge import Pieces, knowledge
 from desim.analysis.trace_index import captures, ended, lacks_messages, messages, started
 from desim.kernel.core.units import SECOND
-from desim.kernel.models.traced_faults import TracedFault
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Distrusted
 from desim.simulation.run import Result
 from desim.view.pages.headline import outcome, run_name
@@ -124,13 +123,11 @@ def _relays(result: Result, ticks: Ticks) -> ReplayData:
 
 def _faults(result: Result, ticks: Ticks) -> list[ReplayData]:
     """Return the faults with their intervals, in order of time."""
-    return [_fault(fault, interval.begin, interval.end, ticks) for fault, interval in outages(result)]
-
-
-def _fault(fault: TracedFault, begin: int, until: int, ticks: Ticks) -> ReplayData:
-    """Return the data of a fault that lasted from `begin` to `until` (ns)."""
-    when = {"begin": ticks.nearest(begin), "end": ticks.nearest(until)}
-    return {"kind": fault.kind, "label": fault.label} | when | fault.sketch()
+    return [
+        {"kind": fault.kind, "label": fault.label, "begin": ticks.nearest(begin), "end": ticks.nearest(end)}
+        | fault.sketch()
+        for fault, (begin, end) in outages(result)
+    ]
 
 
 def _messages(result: Result, ticks: Ticks) -> ReplayData:
@@ -180,25 +177,20 @@ def _beliefs(pieces: Pieces, result: Result, ticks: Ticks) -> ReplayData:
 
 def _distrust(result: Result, ticks: Ticks) -> ReplayData | None:
     """Return the changes of trust as columns: time, pursuer, suspect, and whether it begins; None if there are none."""
-    changes = result.trace.of(Distrusted)
-    if not changes:
+    turns = result.trace.of(Distrusted)
+    if not turns:
         return None
     return {
-        "t": ticks([change.t for change in changes]),
-        "who": packed_column([change.pursuer for change in changes], "<u2"),
-        "suspect": packed_column([change.suspect for change in changes], "<u2"),
-        "begins": packed_column([change.distrusted for change in changes], "u1"),
+        "t": ticks([turn.t for turn in turns]),
+        "who": packed_column([turn.pursuer for turn in turns], "<u2"),
+        "suspect": packed_column([turn.suspect for turn in turns], "<u2"),
+        "begins": packed_column([turn.distrusted for turn in turns], "u1"),
     }
 
 
 def _ghost(result: Result, ticks: Ticks) -> ReplayData:
     """Return the part of another run that is shown: its positions, walls, and number of active pursuers over time."""
-    count = sum(map(bool, started(result).active))
-    times, counts = [0], [count]
-    for change, before in changes_with_previous(result):
-        count += chases(change) - bool(before)
-        times.append(change.t)
-        counts.append(count)
+    times = [0, *(change.t for change in changes(result))]
     return {
         "name": f"{run_name(result)}, {outcome(result)}",
         "end": ticks.last,
@@ -206,5 +198,5 @@ def _ghost(result: Result, ticks: Ticks) -> ReplayData:
         "evaders": len(started(result).evaders),
         "path": path_data(result, ticks),
         "walls": walls_data(result),
-        "active": {"t": ticks(times), "count": packed_column(counts, "<u4")},
+        "active": {"t": ticks(times), "count": packed_column(activity(result)[1], "<u4")},
     }

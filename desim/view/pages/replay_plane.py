@@ -144,18 +144,13 @@ def estimates_data(result: Result, ticks: Ticks) -> ReplayData | None:
     if not estimates:
         return None
     per_metre = _per_metre(all_places(result))
-    mean, half = (
-        np.array([(estimate.xx + sign * estimate.yy) / 2.0 for estimate in estimates]) for sign in (1.0, -1.0)
-    )
-    offset = np.hypot(
-        half, [estimate.xy for estimate in estimates]
-    )  # of the two eigenvalues of a covariance from their mean
+    x, y, xx, xy, yy = np.array([(one.x, one.y, one.xx, one.xy, one.yy) for one in estimates]).T
+    mean, half = (xx + yy) / 2.0, (xx - yy) / 2.0
+    offset = np.hypot(half, xy)  # of the two eigenvalues of a covariance from their mean
     variances = np.column_stack([mean + offset, mean - offset])
     semi_axes = np.minimum(np.sqrt(np.maximum(variances, 0.0)) * per_metre, MAX_LENGTH)
-    angles = np.array([atan2(estimate.xy, (estimate.xx - estimate.yy) / 2.0) / 2.0 for estimate in estimates])
-    centres = np.clip(
-        np.array([[estimate.x, estimate.y] for estimate in estimates]) * per_metre, -MAX_LENGTH, MAX_LENGTH
-    )
+    angles = np.array([*map(atan2, xy.tolist(), half.tolist())]) / 2.0
+    centres = np.clip(np.column_stack([x, y]) * per_metre, -MAX_LENGTH, MAX_LENGTH)
     return {
         "t": ticks([estimate.t for estimate in estimates]),
         "pursuer": packed_column([estimate.pursuer for estimate in estimates], "<u2"),

@@ -91,7 +91,7 @@ def spacetime(
         _draw_pursuers(axes, result, rows, window)
         _draw_outages(axes, result, rows, window)
         _draw_captures(axes, result, rows, window)
-        _draw_messages(axes, shown_messages, rows, _mean_latency(shown_messages), len(started(result).evaders))
+        _draw_messages(axes, shown_messages, rows, len(started(result).evaders))
         _draw_decisions(axes, result, rows, window)
         axes.set(xlabel="time (s)", ylabel="pursuer", xlim=[t / SECOND for t in window], ylim=(len(shown) - 0.4, -0.8))
         axes.set_yticks(range(len(shown)), [str(pursuer) for pursuer in shown])
@@ -180,15 +180,10 @@ def _window(
     return Interval(first, last), inside
 
 
-def _mean_latency(messages: Sequence[Delivery]) -> float:
-    """Return the mean latency, s, of the messages that are not lost; 0 if there are none."""
-    times = [message.until - message.left for message in messages if message.cause is None]
-    return float(np.mean(times)) / SECOND if times else 0.0
-
-
 def _draw_pursuers(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
     """Draw a line for each pursuer, thick while it is active; label chases by evader if there are several evaders."""
-    chases_of, several = chasing(result), len(started(result).evaders) > 1
+    chases_of, count = chasing(result), len(started(result).evaders)
+    several = count > 1
     for row in rows.values():
         axes.plot([t / SECOND for t in window], [row, row], color=GREY, lw=0.6, zorder=1)
     inside = [
@@ -199,7 +194,7 @@ def _draw_pursuers(axes: Axes, result: Result, rows: dict[int, int], window: Int
     ]
     for row, chase in sorted(inside, key=lambda drawn: drawn[1].evader):  # the order of the legend
         x = [max(chase.begin, window.begin) / SECOND, min(chase.end, window.end) / SECOND]
-        colour = _hue(chase.evader, several)
+        colour = EvaderStyle.of(chase.evader, count).alone
         label = f"chases {chase.evader}" if several else "active"
         axes.plot(x, [row, row], color=colour, lw=4.0, alpha=0.55, solid_capstyle="butt", zorder=2, label=label)
         if several:
@@ -225,11 +220,6 @@ def _draw_outages(axes: Axes, result: Result, rows: dict[int, int], window: Inte
             axes.fill_between(x, row - 0.3, row + 0.3, fc="white", ec=GREY, lw=0.6, zorder=1.5, label=kind, **look)
 
 
-def _hue(evader: int, several: bool) -> str:
-    """Return the colour in which the chases of an evader are drawn."""
-    return EvaderStyle.of(evader, 2 if several else 1).alone
-
-
 def _draw_captures(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
     """Draw the captures: the time, the capturing pursuer and, if there are several evaders, the captured evader."""
     several = len(started(result).evaders) > 1
@@ -240,22 +230,11 @@ def _draw_captures(axes: Axes, result: Result, rows: dict[int, int], window: Int
             text = f"{evader} captured" if several else "captured"
             axes.annotate(text, place, (-2, -2), textcoords="offset points", va="top", ha="right", fontsize=7)
             if capturer in rows:
-                axes.plot(
-                    t / SECOND,
-                    rows[capturer],
-                    CAPTURE_MARK,
-                    color="black",
-                    ms=8,
-                    zorder=6,
-                    clip_on=False,
-                    ls="",
-                    label="captures",
-                )
+                look: dict[str, Any] = {"color": "black", "ms": 8, "zorder": 6, "clip_on": False, "ls": ""}
+                axes.plot(t / SECOND, rows[capturer], CAPTURE_MARK, label="captures", **look)
 
 
-def _draw_messages(
-    axes: Axes, messages: Sequence[Delivery], rows: dict[int, int], latency: float, evaders: int
-) -> None:
+def _draw_messages(axes: Axes, messages: Sequence[Delivery], rows: dict[int, int], evaders: int) -> None:
     """Draw lost messages as dotted lines to a cross or, for a collision, an asterisk, and all others as arrows."""
 
     def kind(message: Delivery) -> tuple[str, str]:
@@ -264,7 +243,8 @@ def _draw_messages(
             return "#555555", "message"
         if not announced:
             return PALE, "message: inactive"
-        return _hue(announced, evaders > 1), f"message: chases {announced}" if evaders > 1 else "message: active"
+        colour = EvaderStyle.of(announced, evaders).alone
+        return colour, f"message: chases {announced}" if evaders > 1 else "message: active"
 
     arrived = sorted((message for message in messages if message.cause is None), key=kind)
     for (colour, label), group in groupby(arrived, kind):
@@ -274,6 +254,8 @@ def _draw_messages(
     lost = [message for message in messages if message.cause is not None]
     if not lost:
         return
+    flights = [message.until - message.left for message in arrived]
+    latency = float(np.mean(flights)) / SECOND if flights else 0.0
     t, row = _ends(lost, rows)
     collided = np.array([message.cause == "collision" for message in lost])
     at_once = (t[1] == t[0]) & ~collided  # an acknowledged message that is given up has collided at its receiver
@@ -300,32 +282,20 @@ def _ends(messages: Sequence[Delivery], rows: dict[int, int]) -> tuple[Any, Any]
 
 def _draw_decisions(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
     """Mark the decisions: a tick if the action is kept, a triangle or a diamond if it changes."""
-    inside = [
-        decision
-        for decision in decisions(result)
-        if window.begin <= decision.t <= window.end and decision.pursuer in rows
-    ]
     changed = {id(change) for change in changes(result)}
     turns = {id(change) for change, before in changes_with_previous(result) if before and chases(change)}
-    looks: list[tuple[str, dict[str, Any], list[Any]]] = [
-        ("keeps action", {"marker": "|", "color": "black", "ms": 5}, [x for x in inside if id(x) not in changed]),
-        (
-            "starts",
-            {"marker": "^", "mfc": "black", "mec": "black", "ms": 5},
-            [x for x in inside if id(x) in changed - turns and chases(x)],
-        ),
-        (
-            "switches evader",
-            {"marker": "D", "mfc": "black", "mec": "black", "ms": 4},
-            [x for x in inside if id(x) in turns],
-        ),
-        (
-            "stops",
-            {"marker": "v", "mfc": "white", "mec": "black", "ms": 5},
-            [x for x in inside if id(x) in changed and not chases(x)],
-        ),
-    ]
-    for label, look, marked in looks:
-        if marked:
-            x, y = [decision.t / SECOND for decision in marked], [rows[decision.pursuer] for decision in marked]
-            axes.plot(x, y, ls="", zorder=5, clip_on=False, label=label, **look)
+    looks: dict[str, dict[str, Any]] = {
+        "keeps action": {"marker": "|", "color": "black", "ms": 5},
+        "starts": {"marker": "^", "mfc": "black", "mec": "black", "ms": 5},
+        "switches evader": {"marker": "D", "mfc": "black", "mec": "black", "ms": 4},
+        "stops": {"marker": "v", "mfc": "white", "mec": "black", "ms": 5},
+    }
+    marked: dict[str, list[tuple[float, int]]] = {label: [] for label in looks}
+    for decision in decisions(result):
+        if window.begin <= decision.t <= window.end and decision.pursuer in rows:
+            label = "switches evader" if id(decision) in turns else "starts" if chases(decision) else "stops"
+            place = decision.t / SECOND, rows[decision.pursuer]
+            marked[label if id(decision) in changed else "keeps action"].append(place)
+    for label, places in marked.items():
+        if places:
+            axes.plot(*zip(*places, strict=True), ls="", zorder=5, clip_on=False, label=label, **looks[label])
