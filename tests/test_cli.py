@@ -1141,19 +1141,19 @@ def test_a_grid_of_the_command_line_that_is_wrong_is_refused(file, text, why):
 def test_a_dry_run_says_at_how_many_runs_a_target_is_first_judged(file):
     result = accepted("sweep", file(COINS), "--dry-run", "--until", "active_time:0.2", "-n", 500)
     rule = f"at most, and at least {FIRST_LOOK} of each, until the half width of active_time is 0.2"
-    assert result.stdout.startswith(f"coins: 4 configurations, 2,000 runs {rule}; 0 are stored")
+    assert result.stdout.startswith(f"coins: 4 configurations, 2,000 runs {rule}; 0 stored")
 
 
 @pytest.mark.slow
 def test_a_dry_run_prints_the_plan_and_writes_nothing(file, tmp_path):
     out = tmp_path / "out"
     result = accepted("sweep", file(COINS), "-o", out, "--dry-run")
-    assert result.stdout.startswith("coins: 4 configurations, 12 runs; 0 are stored, 12 remain\n")
+    assert result.stdout.startswith("coins: 4 configurations, 12 runs; 0 stored, 12 to do\n")
     assert not out.exists()
     accepted("sweep", file(COINS), "-o", out, "-n", 1)
     before = {each.name: each.read_bytes() for each in out.iterdir()}
     result = accepted("sweep", file(COINS), "-o", out, "--dry-run")
-    assert result.stdout.startswith("coins: 4 configurations, 12 runs; 4 are stored, 8 remain\n")
+    assert result.stdout.startswith("coins: 4 configurations, 12 runs; 4 stored, 8 to do\n")
     assert [line.split() for line in result.stdout.splitlines()[2:]] == [
         ["3", "1", "1", "sap"],
         ["3", "1", "1", "best_response"],

@@ -116,11 +116,16 @@ def submit(
     with storing(folder):
         _check_stores(job, plan, folder, mix_versions=mix_versions)
         missing = _missing(job, plan, folder, shown_metrics(scenario, metrics, SHOWN))
-        live = array_job.states(job.jobs)
-        numbers = [part for part in missing if part not in live]
+        states = array_job.states(job.jobs)
+        numbers = [part for part in missing if part not in states]
         merge = [*DESIM, "merge", *as_words({"--mix-versions": mix_versions})]
         if not numbers:
-            _tell_nothing_to_do(bool(missing), folder, merge)
+            where = shlex.quote(str(folder))
+            done = (
+                f"all parts are done; to merge them: desim {shlex.join(merge[len(DESIM) :])} {where}/part-* -o {where}"
+            )
+            live = f"all parts that are not done wait or run; `desim status {where}` says how far they are"
+            echo(live if missing else done)
             return
         options = {
             "-n": runs,
@@ -134,11 +139,7 @@ def submit(
         }
         resources = array_job.Resources(time=time, cpus=cpus, memory=memory, options=sbatch)
         _write_scripts(job, folder, ["sweep", str(file), *as_words(options)], merge, numbers, resources)
-        which = f"{counted(len(numbers), 'part')} of {parts}"
-        if is_run:
-            _submit_scripts(job, folder, which)
-        else:
-            _tell_how_to_submit(folder, which)
+        _submit(job, folder, f"{counted(len(numbers), 'part')} of {parts}", is_run=is_run)
 
 
 def _job(folder: Path, plan: "SweepPlan", parts: int, claim: bool) -> "ArrayJob":
@@ -213,33 +214,18 @@ def _write_scripts(
     job.write(folder)
 
 
-def _submit_scripts(job: "ArrayJob", folder: Path, which: str) -> None:
-    """Submit the scripts in a folder, and record the number of the job."""
+def _submit(job: "ArrayJob", folder: Path, which: str, *, is_run: bool) -> None:
+    """Submit the scripts in a folder, and record the number of the job, or print the command that submits them."""
     from desim.study.sweeps import array_job
 
-    number = array_job.submit_scripts(folder)
-    array_job.record_of(job, number).write(folder)
-    echo(f"submitted {which} as job {number}; `desim status {shlex.quote(str(folder))}` says how far it is")
-
-
-def _tell_how_to_submit(folder: Path, which: str) -> None:
-    """Print the command that submits the scripts in a folder."""
-    from desim.study.sweeps.array_job import MERGE_SCRIPT, PART_SCRIPT
-
-    parts, merge = (shlex.quote(str(folder / name)) for name in (PART_SCRIPT, MERGE_SCRIPT))
-    echo(f"wrote the scripts of {which}, and of the merge; --run submits them, or:")
-    echo(f"sbatch --dependency=afterany:$(sbatch --parsable {parts}) {merge}")
-
-
-def _tell_nothing_to_do(is_live: bool, folder: Path, merge: Sequence[str]) -> None:
-    """Say why nothing is submitted."""
-    if is_live:
-        echo(
-            f"all parts that are not done wait or run; `desim status {shlex.quote(str(folder))}` says how far they are"
-        )
+    if is_run:
+        number = array_job.submit_scripts(folder)
+        array_job.record_of(job, number).write(folder)
+        echo(f"submitted {which} as job {number}; `desim status {shlex.quote(str(folder))}` says how far it is")
     else:
-        where = shlex.quote(str(folder))
-        echo(f"all parts are done; to merge them: desim {shlex.join(merge[len(DESIM) :])} {where}/part-* -o {where}")
+        parts, merge = (shlex.quote(str(folder / name)) for name in (array_job.PART_SCRIPT, array_job.MERGE_SCRIPT))
+        echo(f"wrote the scripts of {which}, and of the merge; --run submits them, or:")
+        echo(f"sbatch --dependency=afterany:$(sbatch --parsable {parts}) {merge}")
 
 
 @click.command()

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from desim.scenario.overrides import Source
     from desim.study.comparing.control import Controlled, ControlPlan
     from desim.study.results.result import SweepResult
-    from desim.study.store.store import Store
-    from desim.study.sweeps.sweep_plan import Job, SweepPlan
+    from desim.study.sweeps.sweep_plan import SweepPlan
 
 
 PRECISION = "METRIC:HALFWIDTH, active_time:0.1 for instance"
@@ -113,6 +112,7 @@ def sweep(
     """
     from desim.config.number_texts import counted
     from desim.results import provenance
+    from desim.study.results.result import SweepResult
     from desim.study.results.runs import SHOWN
     from desim.study.store.store import Store
     from desim.study.sweeps import planned
@@ -154,7 +154,10 @@ def sweep(
             provenance.write(
                 folder, provenance.document("sweep", scenario, **ended, **planned.entries(keys, None, None))
             )
-        everything = None if shard or claim else _whole_of(result, store)
+        everything = None
+        if not (shard or claim):
+            has_all = len(store.configurations()) == len(result.groups)
+            everything = result if has_all else SweepResult.of(store)
     controlled = None if control_plan is None else _controlled(control_plan, result, folder, execution, metrics)
     _print_result(result, controlled, shown, reference, as_json=as_json)
     took = time.perf_counter() - start
@@ -271,32 +274,17 @@ def _print_plan(
     shard: tuple[int, int] | None,
     mix_versions: bool,
 ) -> None:
-    """Print the planned runs, and how many of them a store has; nothing is written."""
-    from desim.study.store.store import Store
-
-    with storing(path.parent), Store(path if path.exists() else None, read_only=path.exists()) as store:
-        plan.check(store, mix_versions=mix_versions)
-        text = _plan_text(plan, plan.shard(*(shard or (1, 1))), plan.done(store, metrics), until)
-    echo(text)
-
-
-def _plan_text(
-    plan: "SweepPlan", jobs: "list[Job]", there: set[tuple[str, int]], until: tuple[str, float] | None
-) -> str:
-    """Return as text how many runs of each configuration are planned, and how many of these are in `there`.
-
-    Args:
-        plan: the plan of the sweep.
-        jobs: the planned runs.
-        there: the runs that are done; see `SweepPlan.done`.
-        until: the metric and the half width of --until.
-    """
+    """Print how many runs of each configuration are planned, and how many a store has; nothing is written."""
     from desim.analysis.statistics import FIRST_LOOK
     from desim.analysis.tables import aligned
     from desim.config.number_texts import counted
     from desim.study.results.runs import text
+    from desim.study.store.store import Store
 
-    wanted = [(configuration.key, k) for configuration, k in jobs]
+    with storing(path.parent), Store(path if path.exists() else None, read_only=path.exists()) as store:
+        plan.check(store, mix_versions=mix_versions)
+        there = plan.done(store, metrics)
+    wanted = [(configuration.key, k) for configuration, k in plan.shard(*(shard or (1, 1)))]
     done = [run_of_grid for run_of_grid in wanted if run_of_grid in there]
     counts = [Counter(key for key, _ in keys_of) for keys_of in (wanted, done)]
     rows = [("runs", "stored", *plan.configurations[0].settings)]
@@ -310,14 +298,7 @@ def _plan_text(
         least = min(FIRST_LOOK, plan.reps)
         rule = f" at most, and at least {least} of each, until the half width of {metric} is {width:g}"
     head = f"{plan.base.name}: {counted(len(plan.configurations), 'configuration')}, {counted(len(wanted), 'run')}"
-    return f"{head}{rule}; {len(done)} are stored, {len(wanted) - len(done)} remain\n{aligned(rows, right_from=0)}"
-
-
-def _whole_of(result: "SweepResult", store: "Store") -> "SweepResult":
-    """Return the result of all configurations in a store; `result` itself if it has them all."""
-    from desim.study.results.result import SweepResult
-
-    return result if len(store.configurations()) == len(result.groups) else SweepResult.of(store)
+    echo(f"{head}{rule}; {len(done):,} stored, {len(wanted) - len(done):,} to do\n{aligned(rows, right_from=0)}")
 
 
 def _write_summary(

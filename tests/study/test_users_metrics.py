@@ -476,7 +476,7 @@ def test_a_sweep_shows_measures_and_stores_them(file, tmp_path):
     assert made.stdout.splitlines()[1].split()[-2:] == ["twice,", "s"]
     assert re.search(r"\n4 runs in .*, 4 already stored", made.stderr)
     dry = accepted("sweep", file, TRUSTED, *TWICE, "-o", "out", "--dry-run").stdout
-    assert dry.startswith("mine: 2 configurations, 4 runs; 4 are stored, 0 remain")
+    assert dry.startswith("mine: 2 configurations, 4 runs; 4 stored, 0 to do")
     accepted("export", "out", "x.csv")
     with Path("x.csv").open() as rows:
         assert all(float(row["twice"]) == 2.0 * float(row["gap"]) for row in csv.DictReader(rows))
