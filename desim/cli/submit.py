@@ -120,12 +120,9 @@ def submit(
         numbers = [part for part in missing if part not in states]
         merge = [*DESIM, "merge", *as_words({"--mix-versions": mix_versions})]
         if not numbers:
-            where = shlex.quote(str(folder))
-            done = (
-                f"all parts are done; to merge them: desim {shlex.join(merge[len(DESIM) :])} {where}/part-* -o {where}"
-            )
+            where, merging = shlex.quote(str(folder)), shlex.join(merge[len(DESIM) :])
             live = f"all parts that are not done wait or run; `desim status {where}` says how far they are"
-            echo(live if missing else done)
+            echo(live if missing else f"all parts are done; to merge them: desim {merging} {where}/part-* -o {where}")
             return
         options = {
             "-n": runs,

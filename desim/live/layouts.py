@@ -67,16 +67,14 @@ class Layout:
     def __init__(self, body: type[Any], lengths: Mapping[str, int], limits: Mapping[str, Sequence[NumberRange]]):
         self.body, format_, hints = body, "", get_type_hints(body)
         self._parts: list[FieldLayout] = []
-        self._bounds: list[tuple[int, int, NumberRange]] = []
-        """Begin, end and limits of numbers of a fixed count."""
+        self._bounds: list[tuple[int, int, int]] = []
+        """Index, least and greatest value of numbers of a fixed count."""
         for name in body._fields:
             form, here = _form_of(hints[name], lengths.get(name))
             begin, end, bounds = len(format_), len(format_) + len(here), limits.get(name, ())
             format_ += here
-            if len(bounds) > 1:
-                self._bounds += [(begin + k, begin + k + 1, one) for k, one in enumerate(bounds)]
-            elif bounds and here:
-                self._bounds.append((begin, end, bounds[0]))
+            of_numbers = bounds if len(bounds) > 1 else [*bounds] * len(here)
+            self._bounds += [(begin + k, *limits) for k, limits in enumerate(of_numbers)]
             own_limits = bounds[0] if bounds and not here else None
             self._parts.append(FieldLayout(form, begin, lengths[name] if form is FieldForm.PLACES else end, own_limits))
         self._struct, self._fixed = Struct(">" + format_), len(format_)
@@ -126,12 +124,9 @@ class Layout:
         numbers = self._struct.unpack_from(data, at)
         if self._has_floats and any(map(isnan, numbers)):
             raise ValueError("not a number")
-        for begin, end, (low, high) in self._bounds:
-            if end == begin + 1:  # as a rule, and faster so
-                if not low <= numbers[begin] <= high:
-                    raise ValueError("a number is out of range")
-            else:
-                _check(numbers[begin:end], (low, high))
+        for index, low, high in self._bounds:
+            if not low <= numbers[index] <= high:
+                raise ValueError("a number is out of range")
         if len(data) > at + self.size:
             if not self.has_rest:
                 raise ValueError("bytes after the end")

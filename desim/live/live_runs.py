@@ -2,8 +2,8 @@
 
 import asyncio
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from threading import Event, Thread
 from typing import Any, Literal, get_args
 
 from desim.config.arguments import naming_arguments, scenario_argument, value_text
@@ -145,13 +145,10 @@ def _run(play: Callable[[], Any]) -> Any:
 
     The exception of a task is raised as it is. Ctrl-C cancels the coroutine, and waits until it has ended.
     """
-    running: list[Any] = []
-    is_cancelled, is_over = Event(), Event()
+    running: Future[Any] = Future()
 
     async def play_here() -> Any:
-        running.append((asyncio.get_running_loop(), asyncio.current_task()))
-        if is_cancelled.is_set():
-            raise asyncio.CancelledError
+        running.set_result((asyncio.get_running_loop(), asyncio.current_task()))
         return await play()
 
     def run_here() -> Any:
@@ -164,27 +161,11 @@ def _run(play: Callable[[], Any]) -> Any:
         asyncio.get_running_loop()
     except RuntimeError:
         return run_here()
-    outcome: list[Any] = []
-
-    def run_there() -> None:
+    with ThreadPoolExecutor(1) as thread:
         try:
-            outcome.append(run_here())
-        except BaseException as error:
-            outcome.append(error)
-        is_over.set()
-
-    thread = Thread(target=run_there)
-    try:
-        thread.start()
-        is_over.wait()  # after an interrupt, `join` would take a thread for ended
-    except BaseException:
-        is_cancelled.set()
-        for loop, task in running:
-            with suppress(RuntimeError):  # it has just ended
+            return thread.submit(run_here).result()
+        except BaseException:
+            with suppress(RuntimeError, TimeoutError):  # it has just ended, or has not begun
+                loop, task = running.result(timeout=1.0)
                 loop.call_soon_threadsafe(task.cancel)
-        if thread.is_alive():
-            is_over.wait()
-        raise
-    if isinstance(outcome[0], BaseException):
-        raise outcome[0]
-    return outcome[0]
+            raise

@@ -15,8 +15,9 @@ from typing import Any
 from desim.live.lines import Lines, encoded_line
 from desim.live.nursery import Nursery
 from desim.live.sockets import family_of, resolved, udp_socket
-from desim.live.start import PursuerStart, digest
+from desim.live.start import PursuerStart
 from desim.scenario.scenario import Scenario
+from desim.study.plan.config_hash import identify
 
 LOCAL = "127.0.0.1"
 JOINING = 60.0
@@ -182,7 +183,8 @@ class Lobby:
             return "the referee does not know this process"
         if pursuer not in range(len(self._hosts)) or pursuer in self._joined:
             return f"the run has no pursuer {pursuer}, or has it already"
-        return "the scenario of the run is another one" if scenario and scenario != digest(self._scenario) else ""
+        is_same = not scenario or scenario == identify(self._scenario).key
+        return "" if is_same else "the scenario of the run, its code or its data files are others"
 
     def _take(self, pursuer: int, word: str, *values: Any) -> None:
         """Take a line of a pursuer."""

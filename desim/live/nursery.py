@@ -73,7 +73,7 @@ class Nursery:
         run = len(self._ended)
         self._ended.append(ended)
         self._alive |= {(run, start.pursuer) for start in starts}
-        task = pickle.dumps((run, sys.path, packed(partial(_task, scenario, starts))))
+        task = pickle.dumps((run, sys.path, packed(partial(tuple, (scenario, starts)))))
         assert self._process.stdin is not None
         with suppress(ConnectionError):  # if the nursery has ended, which `_watch` tells
             self._process.stdin.write(len(task).to_bytes(8, "big") + task)
@@ -95,11 +95,6 @@ class Nursery:
             run, pursuer = min(self._alive)
             self._alive.remove((run, pursuer))
             self._ended[run](pursuer, None)
-
-
-def _task(scenario: Scenario, starts: Sequence[PursuerStart]) -> tuple[Scenario, Sequence[PursuerStart]]:
-    """Return what a nursery is told."""
-    return scenario, starts
 
 
 # In the process of the nursery.

@@ -1,11 +1,10 @@
 """What the process of a pursuer is told at its start."""
 
-import hashlib
-import json
 from typing import NamedTuple, Self
 
 from desim.config.arguments import value_text
 from desim.scenario.scenario import Scenario
+from desim.study.plan.config_hash import identify
 
 Address = tuple[str, int]
 """A host and a UDP port."""
@@ -26,7 +25,7 @@ class PursuerStart(NamedTuple):
     namespace: str = ""
     """The network namespace in which it listens; empty: its own."""
     scenario: str = ""
-    """A digest of the scenario, if its process has read it from a file."""
+    """The hash of the scenario, its code and its data files, if its process has read it from a file."""
 
     def invitation(self) -> str:
         """Return the start as a word for the command line of another host."""
@@ -38,20 +37,16 @@ class PursuerStart(NamedTuple):
         """Return the start that an invitation stands for, with a scenario that was read from a file.
 
         Raises:
-            ValueError: if it is not an invitation.
+            ValueError: if it is not an invitation, or an object of the scenario has no stable hash.
         """
         try:
             referee, pursuer, seed, host, token = invitation.split("/")
             referee_host, _, port = referee.rpartition(":")
             if not 0 < int(port) < 1 << 16:
                 raise ValueError
-            return cls((referee_host, int(port)), token, int(pursuer), int(seed), host, scenario=digest(scenario))
+            start = cls((referee_host, int(port)), token, int(pursuer), int(seed), host)
         except ValueError:
             raise ValueError(
                 f"should be the word that `desim live --hosts` prints (got {value_text(invitation)})"
             ) from None
-
-
-def digest(scenario: Scenario) -> str:
-    """Return a digest of a scenario, equal for equal files."""
-    return hashlib.sha256(json.dumps(scenario.plain(), sort_keys=True, default=repr).encode()).hexdigest()
+        return start._replace(scenario=identify(scenario).key)

@@ -159,19 +159,11 @@ class Wire:
     def encode(self, content: Record | Message, port: str, size: int, *, to_one: bool, now: int = 0) -> bytes:
         """Return the datagram of a record or a message, which has `size` bytes and is transmitted now, ns.
 
-        Only the datagram of a body of a user has another number of bytes.
+        Only the datagram of a body of a user has another number of bytes. A node can number 2^32 messages.
 
         Raises:
-            WireError: if its body has no layout, or not the layout that was counted, or its node has sent too many.
+            WireError: if its body has no layout, or not the layout that was counted.
         """
-        try:
-            return self._encode(content, port, size, to_one=to_one, now=now)
-        except error as problem:
-            raise WireError(
-                f"a node can number {1 << 32:,} messages live, and {content.src} has sent as many"
-            ) from problem
-
-    def _encode(self, content: Record | Message, port: str, size: int, *, to_one: bool, now: int) -> bytes:
         body, head, attempt = content.body, b"", 0
         if isinstance(content, Record):
             kind, seq = Kind.RECORD, content.seq

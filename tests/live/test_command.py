@@ -21,10 +21,10 @@ from desim.live import agreement as agreement_module
 from desim.live.agreement import Agreement, compare
 from desim.live.figure import agreement_figure
 from desim.live.result import Conduct, LiveResult
-from desim.live.start import PursuerStart, digest
+from desim.live.start import PursuerStart
 from desim.results.run_folder import read as read_run
 from desim.results.run_folder import write as write_run
-from desim.scenario.toml import dump
+from desim.scenario.toml import dump, load
 from desim.simulation.run import run
 from desim.study.workers.batch import seeds_from
 from scenarios.studies.study import SCENARIOS
@@ -62,8 +62,23 @@ def test_wrong_input_is_refused_with_a_sentence(tmp_path):
 def test_an_invitation_is_one_word():
     start = PursuerStart(("192.168.0.2", 41235), "2f6c", 4, 3, "192.168.0.7")
     assert start.invitation() == "192.168.0.2:41235/4/3/192.168.0.7/2f6c"
-    assert PursuerStart.invited(start.invitation(), scenario()) == start._replace(scenario=digest(scenario()))
-    assert digest(scenario()) != digest(scenario(latency=0.2))
+    invited = PursuerStart.invited(start.invitation(), scenario())
+    assert invited == start._replace(scenario=invited.scenario)
+    assert invited.scenario != PursuerStart.invited(start.invitation(), scenario(latency=0.2)).scenario
+
+
+def test_an_invitation_has_the_parameters_of_a_protocol_of_ones_own(tmp_path):
+    """They are no keys of the scenario, so that only the hash of its objects tells them apart."""
+    (tmp_path / "rules.py").write_text(
+        "class Rule:\n    def __init__(self, p):\n        self.p = p\n\n"
+        "    def __call__(self, me):\n        yield me.sleep(self.p)\n"
+    )
+    hashes = []
+    for p in (0.3, 0.7, 0.7):
+        (tmp_path / "own.toml").write_text(f'protocol = {{ kind = "rules:Rule", p = {p} }}\n')
+        experiment = load(tmp_path / "own.toml", allow_import=True)
+        hashes.append(PursuerStart.invited("127.0.0.1:4000/0/1/127.0.0.1/2f6c", experiment).scenario)
+    assert hashes[0] != hashes[1] == hashes[2]
 
 
 def performed(*words):

@@ -20,8 +20,9 @@ from desim.live.lobby import LiveError, Lobby, ending
 from desim.live.namespaces import NamespaceError
 from desim.live.pursuer import ALONE, LOST_REFEREE, RAISED, _Pursuer, told
 from desim.live.referee import Referee
-from desim.live.start import PursuerStart, digest
+from desim.live.start import PursuerStart
 from desim.pursuit.core.events import Ended
+from desim.study.plan.config_hash import identify
 from desim.testing.messages import Conservation
 
 HORIZON = 0.05
@@ -254,7 +255,7 @@ def test_strangers_are_refused_with_a_reason(capsys):
         gathering.cancel()
         room.close()
         heard["nobody"] = await join(experiment, other)
-        heard["same"] = room._refusal(0, token, digest(experiment))
+        heard["same"] = room._refusal(0, token, identify(experiment).key)
         await asyncio.gather(gathering, return_exceptions=True)
         await left(room)
 
@@ -264,13 +265,13 @@ def test_strangers_are_refused_with_a_reason(capsys):
         "token": [("refused", "the referee does not know this process")],
         "letter": [("refused", "the referee does not know this process")],
         "pursuer": [("refused", "the run has no pursuer 2, or has it already")],
-        "scenario": [("refused", "the scenario of the run is another one")],
+        "scenario": [("refused", "the scenario of the run, its code or its data files are others")],
         "exit code": ALONE,
         "nobody": ALONE,
         "same": "",
     }
     told_lines = capsys.readouterr().err.splitlines()
-    assert told_lines[0] == "pursuer 0: the scenario of the run is another one"
+    assert told_lines[0] == "pursuer 0: the scenario of the run, its code or its data files are others"
     assert told_lines[1].startswith("pursuer 0: no referee at 127.0.0.1, port ")
 
 

@@ -160,16 +160,6 @@ def test_an_attempt_is_not_that_of_256_attempts_before(wire):
     assert [wire.decode(datagram).number for datagram in datagrams] == [*map(datagram_number, datagrams)]
 
 
-@pytest.mark.parametrize("frame", [False, True])
-def test_more_messages_than_a_header_can_number_are_refused_in_a_sentence(wire, frame):
-    body = Assignment(1)
-    content, port = Record(4, 1 << 32, 77, body), ""
-    if frame:
-        content, port = Message(4, 77, Segment("", True, 0, 1 << 32, 3, 1, body)), FRAMES
-    with pytest.raises(WireError, match=r"^a node can number 4,294,967,296 messages live, and 4 has sent as many$"):
-        wire.encode(content, port, 32 if frame else 24, to_one=False)
-
-
 @pytest.mark.parametrize(("frame", "size"), FRAME_EXAMPLES, ids=lambda frame: type(frame).__name__)
 def test_a_frame_says_when_it_was_transmitted_and_not_only_when_its_message_was_sent(wire, frame, size):
     message, later = Message(4, 77, frame), 300_000_500
