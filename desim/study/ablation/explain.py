@@ -31,7 +31,6 @@ from desim.study.ablation.imperfections import IMPERFECTIONS, with_perfect_netwo
 from desim.study.plan.configurations import Configuration, without_metrics
 from desim.study.results.costs import AS_IT_IS, IDEAL, INTERACTION_RISK, PERFECT, SILENT, Bounds, Cost, Saving
 from desim.study.results.explanation import EXPLAINED, Explanation
-from desim.study.store.file import path_of_store
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep import RunError, carry_out
@@ -77,7 +76,7 @@ def explain(
     shown = [shown] if isinstance(shown, str) else list(shown)
     variants = Variants.of(scenario, runs, seed, metrics)
     variants.check_shown(shown)
-    with workers_for(executor, variants.plan.runs, timeout) as workers, Store(path_of_store(store)) as kept:
+    with workers_for(executor, variants.plan.runs, timeout) as workers, Store(store) as kept:
         variants.plan.register(kept, mix_versions=mix_versions)
         return variants.carry_out(kept, workers, shown)
 

@@ -27,7 +27,6 @@ from desim.study.ablation.imperfections import with_perfect_network
 from desim.study.plan.configurations import Configuration, SweepGrid
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import Group, names_of_metrics, text
-from desim.study.store.file import path_of_store
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep import carry_out
 from desim.study.sweeps.sweep_plan import SweepPlan
@@ -267,8 +266,8 @@ def controlled(
         check_numeric(metric, dict(plan.metrics))
     with (
         workers_for(executor, plan.runs, timeout) as workers,
-        Store(path_of_store(store)) as kept,
-        Store(path_of_store(control_store)) as kept_control,
+        Store(store) as kept,
+        Store(control_store) as kept_control,
     ):
         plan.register(kept, mix_versions=mix_versions)
         control_plan.plan.register(kept_control, mix_versions=mix_versions)

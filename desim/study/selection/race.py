@@ -22,7 +22,6 @@ from desim.scenario.sweep_table import Design
 from desim.study.plan.configurations import SweepGrid
 from desim.study.selection.kim_nelson import check_confidence, check_first, check_zone, kim_nelson
 from desim.study.selection.race_result import RaceResult
-from desim.study.store.file import path_of_store
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.metric_values import metric_value
@@ -100,7 +99,7 @@ def race(
         scenario_argument(Scenario).check(scenario, "race")
     plan = SweepPlan.of(scenario, grid, most, seed, metrics, design)
     rules = RaceRules.of(plan, metric, zone, confidence, maximise, first)
-    with workers_for(executor, timeout=timeout) as workers, Store(path_of_store(store)) as kept:
+    with workers_for(executor, timeout=timeout) as workers, Store(store) as kept:
         plan.register(kept, mix_versions=mix_versions)
         return carry_out_race(plan, kept, workers, rules)
 

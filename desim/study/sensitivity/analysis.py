@@ -35,7 +35,6 @@ from desim.study.plan.configurations import (
 from desim.study.sensitivity.morris import ElementaryEffects, among_items, elementary_effects, morris_points
 from desim.study.sensitivity.sensitivity_result import SensitivityResult
 from desim.study.sensitivity.sobol_indices import SobolIndices, saltelli_points, sobol_indices
-from desim.study.store.file import path_of_store
 from desim.study.store.store import Store
 from desim.study.sweeps.metric_values import metric_values
 from desim.study.sweeps.sweep import carry_out
@@ -99,7 +98,7 @@ def sensitivity(
         RunError: if a run fails.
     """
     analysis = Analysis.of(scenario, grid, metric, points, trajectories, runs, seed, metrics)
-    with workers_for(executor, timeout=timeout) as workers, Store(path_of_store(store)) as kept:
+    with workers_for(executor, timeout=timeout) as workers, Store(store) as kept:
         return analysis.carry_out(kept, workers, mix_versions=mix_versions)
 
 

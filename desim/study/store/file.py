@@ -86,15 +86,6 @@ def naming_the_file(method: Callable[Arguments, Returned]) -> Callable[Arguments
     return call
 
 
-def path_of_store(store: Any) -> Path | None:
-    """Return the path of a store, None for one in memory; raise TypeError if it is no path."""
-    if not isinstance(store, str | PathLike | None):
-        raise TypeError(
-            f"store should be the path of a file, 'out/sweep.sqlite' for instance (got {value_text(store)})"
-        )
-    return None if store is None else Path(store)
-
-
 def _missing(path: Path | None) -> str:
     """Return the message about a store that is not there, with what may have been meant, or how to make one."""
     sought = path.parent if path is not None and path.name == STORE and not path.parent.is_dir() else path
@@ -122,12 +113,18 @@ class StoreFile:
         read_only: whether the store is only read; the file must then exist, but need not be writable.
 
     Raises:
+        TypeError: if the path is no path.
         StoreError: if the file cannot be opened, is not a store, was made by another version of
             desim, or is damaged; or if it is a symbolic link to a file that does not exist or is empty.
         OSError: if its folder cannot be created.
     """
 
-    def __init__(self, path: Path | None = None, *, read_only: bool = False):
+    def __init__(self, path: str | PathLike[str] | None = None, *, read_only: bool = False):
+        if not isinstance(path, str | PathLike | None):
+            raise TypeError(
+                f"store should be the path of a file, 'out/sweep.sqlite' for instance (got {value_text(path)})"
+            )
+        path = None if path is None else Path(path)
         self.path: Any = path or "the store in memory"
         self._lock: LockFile | None = None
         self._open_things = ExitStack()

@@ -97,8 +97,7 @@ class SweepProperties(StoreFile):
         Raises:
             StoreError: if the store belongs to another sweep.
         """
-        self.check_same(about)
-        if about.keys() <= self.about.keys():
+        if about.items() <= self.about.items():
             return
         with self.writing() as database:
             self.check_same(about)

@@ -12,6 +12,7 @@ changes, its values are removed when the new code is registered.
 import json
 import sqlite3
 from collections.abc import Mapping, Sequence
+from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -40,7 +41,7 @@ class Store(SweepProperties, RunRows):
         StoreError: if the file cannot be opened, is not a store, has another version, or is damaged.
     """
 
-    def __init__(self, path: Path | None = None, *, read_only: bool = False):
+    def __init__(self, path: str | PathLike[str] | None = None, *, read_only: bool = False):
         super().__init__(path, read_only=read_only)
         self.added = 0
         self._codes: dict[str, str] = {}

@@ -18,7 +18,6 @@ from desim.scenario.sweep_table import Design
 from desim.study.plan.configurations import Configuration, SweepGrid
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import SHOWN
-from desim.study.store.file import path_of_store
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep_plan import MAX_RUNS, Job, SweepPlan
@@ -105,7 +104,7 @@ def sweep(
             )
         until = until[0], real(until[1], f"the half width of {until[0]}")
         check_target(*until, plan.metrics)
-    with workers_for(executor, plan.runs, timeout) as workers, Store(path_of_store(store)) as kept:
+    with workers_for(executor, plan.runs, timeout) as workers, Store(store) as kept:
         plan.register(kept, mix_versions=mix_versions)
         return carry_out(plan, kept, workers, until=until, fail_fast=fail_fast)
 

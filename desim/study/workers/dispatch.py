@@ -63,11 +63,6 @@ Submit = Callable[[list[int]], Future[Any]]
 """Submits the tasks at some positions to a worker."""
 
 
-def simulation(timeout: float | None, simulate: Simulate = run) -> Simulate:
-    """Return a function that performs a run and raises TimedOut after `timeout` s of wall time (None: no limit)."""
-    return simulate if timeout is None else partial(_in_time, timeout, simulate)
-
-
 def _in_time(timeout: float, simulate: Simulate, scenario: Scenario, seed: int) -> Result:
     with within(timeout):
         return simulate(scenario, seed)
@@ -97,7 +92,8 @@ def drive_batches(
         ConnectionError: if the connection to the workers is lost.
     """
     waiting = deque(range(len(tasks)))
-    simulate = simulation(workers.timeout, simulate)
+    if workers.timeout is not None:
+        simulate = partial(_in_time, workers.timeout, simulate)
 
     def submit(batch: list[int]) -> Future[Any]:
         return workers.submit(partial(perform, [tasks[k] for k in batch], measure, simulate))
