@@ -205,11 +205,7 @@ def main(options: Options) -> None:
     """Measure, compare and show."""
     latency: float = options.own["latency"]
     cells, sight = measure_chases(options, latency), measure_sight(options, latency)
-    document = {
-        "latency": latency,
-        "cells": cells,
-        "sight": sight,
-    }
+    document = {"latency": latency, "cells": cells, "sight": sight}
     options.show(document, table(cells, sight, options.runs), lambda: picture(cells, sight))
 
 

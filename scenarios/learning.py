@@ -29,7 +29,6 @@ from scenarios.studies.learning_runs import (
     Generation,
     compare,
     costs_table,
-    document,
     in_words,
     linear,
     notebook,
@@ -104,17 +103,14 @@ def _with_delays(options: Options) -> None:
     """Train a rule without delay and one with it, and compare both on both."""
     options = replace(options, name="learning_delays")
     notes = notebook(options)
-    trained = {
-        WITHOUT: train(options, notes, NO_DELAY),
-        WITH: train(options, notes, DELAY),
-    }
+    trained = {WITHOUT: train(options, notes, NO_DELAY), WITH: train(options, notes, DELAY)}
     rules = {name: linear(generations[-1].mean) for name, generations in trained.items()}
     cells = compare(options, notes, rules | {"local_min": RIVALS["local_min"]}, (NO_DELAY, DELAY))
     text = "\n\n".join(
         [costs_table(cells, options.runs), *(f"{name}\n{weights_table(g[-1].mean)}" for name, g in trained.items())]
     )
-    content = {name: document(generations, []) for name, generations in trained.items()}
-    options.show(content | {"costs": document([], cells)["costs"]}, text)
+    content: dict[str, Any] = {name: {"training": generations, "costs": []} for name, generations in trained.items()}
+    options.show(content | {"costs": cells}, text)
 
 
 @study(
@@ -135,7 +131,7 @@ def main(options: Options) -> None:
     learned = linear(generations[-1].mean)
     cells = compare(options, notes, {"learned": learned, **RIVALS}, LATENCIES)
     text = f"{costs_table(cells, options.runs)}\n\n{weights_table(generations[-1].mean)}"
-    options.show(document(generations, cells), text, lambda: picture(generations, cells))
+    options.show({"training": generations, "costs": cells}, text, lambda: picture(generations, cells))
     click.echo(f"wrote {learned.write(options.out / 'learning.weights.json')}", err=True)
 
 

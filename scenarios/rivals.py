@@ -106,8 +106,7 @@ def draw(axes: "Axes", world: str, names: Sequence[str], cells: Sequence[Cell]) 
 def main(options: Options) -> None:
     """Measure, compare and show."""
     cells = measure(options)
-    document = {"cells": cells}
-    options.show(document, table(cells, options.runs), lambda: picture(cells))
+    options.show({"cells": cells}, table(cells, options.runs), lambda: picture(cells))
 
 
 if __name__ == "__main__":

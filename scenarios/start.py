@@ -91,8 +91,7 @@ def main(options: Options) -> None:
         options.show({"law": extras}, law_table(extras, options.runs))
         return
     cells, shares = measure_costs(options), measure_shares(options)
-    document = {"costs": cells, "who": shares}
-    options.show(document, table(cells, shares, options.runs))
+    options.show({"costs": cells, "who": shares}, table(cells, shares, options.runs))
 
 
 if __name__ == "__main__":

@@ -215,11 +215,3 @@ def in_words(weights: Sequence[float]) -> list[tuple[str, float, str]]:
     named = zip(("always", *FEATURES), weights, SCALES, strict=True)
     by_strength = sorted(named, key=lambda entry: -abs(entry[1] / entry[2]))
     return [(name, weight, WORDS[name][weight < 0.0]) for name, weight, _ in by_strength]
-
-
-def document(generations: Sequence[Generation], cells: Sequence[Cell]) -> dict[str, Any]:
-    """Return the results as JSON types."""
-    return {
-        "training": generations,
-        "costs": cells,
-    }
