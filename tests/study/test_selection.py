@@ -137,6 +137,7 @@ def test_a_race_saves_nothing_where_the_first_runs_are_enough():
     """The control of the test above: with a wide zone both designs end after the first runs."""
     (selection,) = selections(1, SPREADS["equal"], 0.64, zone=20.0)
     assert selection.total == two_stage_runs(selection.variances, 10, 0.95, 20.0) == 50
+    assert (selection.dropped, selection.left, selection.most) == ((), (0, 1, 2, 3, 4), 10)
 
 
 @pytest.mark.slow
@@ -199,6 +200,15 @@ def test_systems_that_differ_by_the_same_are_compared_when_few_may_differ():
     assert (limited.selected, limited.is_decided, limited.left, limited.most) == (1, False, (0, 1), ENOUGH)
     samples[29, 0] += 3.0  # a variance of 9 / 30 from the 30th on
     assert len(selected(samples, first=10).samples[0]) < ENOUGH
+
+
+def test_equal_systems_do_not_drop_each_other():
+    """Nor once it is known that they are equal, while a third one, just behind, is still left."""
+    rng = np.random.default_rng(3)
+    base, third = rng.normal(size=(1000, 1)), rng.normal(-0.5, 1.0, size=(1000, 1))
+    selection = selected(np.hstack([base, base, third]), first=10, zone=0.1)
+    assert [(dropped.system, dropped.after > ENOUGH) for dropped in selection.dropped] == [(2, True)]
+    assert (selection.left, selection.selected) == ((0, 1), 0)
 
 
 def test_a_tie_counts_the_samples_that_were_taken():
