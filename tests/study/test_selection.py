@@ -243,7 +243,7 @@ def test_two_stages_take_what_clark_and_yang_say():
     t = stats.t.ppf(1 - 0.05 / 2, 9)
     assert two_stage_runs(variances, 10, 0.95, 0.5) == 3 * int(np.ceil(4.0 * t**2 / 0.25))
     assert two_stage_runs(variances, 10, 0.95, 50.0) == 30
-    samples = [np.array([0.0, 2.0]), np.array([0.0, 4.0])]
+    samples = [np.array([0.0, 2.0, 9.0]), np.array([0.0, 4.0])]  # a variance is that of the first samples
     assert independent_variances(samples, 2)[0, 1] == 2.0 + 8.0
 
 
