@@ -103,12 +103,8 @@ def bases() -> dict[str, Scenario]:
 def break_protocol(folder: Path, runs: int, seconds: float, scenario: Scenario, seed: int) -> Broken:
     """Search for what breaks the protocol of a scenario, and again without what was found, until cases or time are up.
 
-    Args:
-        folder: where its runs are kept, and found by the next call.
-        runs: the greatest number of cases of all searches together.
-        seconds: the time after which no further cases begin, that of earlier calls included, s.
-        scenario: where the search begins.
-        seed: the root seed.
+    Its runs are kept in the folder, and found by the next call. `seconds` is the time after which no further cases
+    begin, that of earlier calls included.
     """
     log = CaseLog(folder / f"{scenario.name}.jsonl", property_of(PROPERTY))
     weaknesses: list[Weakness] = []

@@ -109,14 +109,7 @@ def require(*packages: str) -> None:
 
 
 def show(options: Options, name: str, rule: Policy, curve: Sequence[Progress]) -> None:
-    """Write the weights, compare the rule with its rivals on fresh seeds, and print both with the learning curve.
-
-    Args:
-        options: those of the study.
-        name: the name of the learned rule in the table.
-        rule: the learned rule.
-        curve: the training.
-    """
+    """Write the weights, compare the rule with its rivals on fresh seeds, and print both with the learning curve."""
     options.out.mkdir(parents=True, exist_ok=True)
     rule.write(options.out / f"{options.name}.weights.json")
     grid = [(label, latency) for label in (name, *RIVALS) for latency in LATENCIES]

@@ -62,11 +62,7 @@ class Options:
     ) -> dict[Key, list[Measured]]:
         """Return the values of a metric in the runs of several scenarios, by key.
 
-        Args:
-            keys: the keys.
-            scenario: returns the scenario of a key, given its entries as arguments.
-            label: the text of the progress display.
-            metric: the metric.
+        `scenario` returns the scenario of a key, given its entries as arguments.
         """
         listed = list(keys)
         return dict(zip(listed, self.measure([scenario(*key) for key in listed], label, metric), strict=True))

@@ -134,13 +134,7 @@ class Cell:
 
 
 def pursuit(setting: Setting, way: str, budget: Budget | None = None) -> Scenario:
-    """Return the scenario of Lee & Bakolas in a setting.
-
-    Args:
-        setting: the links and the distance.
-        way: how changes of actions are announced.
-        budget: what `RELIABLE` takes, for the ways that take as much.
-    """
+    """Return the scenario of Lee & Bakolas in a setting; `budget` is what `RELIABLE` takes, for ways with as much."""
     if way == HEARTBEATS:
         assert budget is not None
         period = N * SIZE / (budget.bytes - SIZE * budget.announcements)

@@ -45,11 +45,8 @@ class CaseLog:
     """The runs that a search has judged, one line of JSON each.
 
     A run is known by its scenario, whatever the case from which this was made, by the code of the user that it runs,
-    and by its seed. Lines of another property or version are not read. A last line that was cut off is left out.
-
-    Args:
-        file: where the lines are; it need not exist.
-        prop: the property.
+    and by its seed. Lines of another property or version are not read. A last line that was cut off is left out. The
+    file need not exist.
 
     Raises:
         OSError: if the file cannot be read, or is a symbolic link.

@@ -22,11 +22,7 @@ from desim.study.breaking.sightings import SIGHTINGS
 def scenario_text(violation: Violation, file: str, command: str, folder: Path | None = None) -> str:
     """Return the scenario of a violation as a commented file, with its seed and its property.
 
-    Args:
-        violation: the violation.
-        file: the name of the file, for the commands in its comments.
-        command: the command that found it.
-        folder: where the code that the scenario names was found; None: nowhere.
+    `file` is its name, for the commands in its comments, and `command` found it; for `folder` see `with_comment`.
     """
     verdict, prop, name = violation.verdict, violation.prop, violation.scenario.protocol_name
     verb = "fails" if violation.failure else f'violates "{prop.text}"'
@@ -55,14 +51,9 @@ def command_for(verb: str, file: str, scenario: Scenario, folder: Path | None) -
 def with_comment(
     scenario: Scenario, prop: Property, seed: int, lines: Iterable[str], folder: Path | None = None
 ) -> str:
-    """Return a scenario with a property and a seed as the text of a file that begins with a comment.
+    """Return a scenario with a property and a seed as the text of a file that begins with the lines of a comment.
 
-    Args:
-        scenario: the scenario.
-        prop: the property.
-        seed: the seed.
-        lines: the lines of the comment.
-        folder: where the code that the scenario names was found; None: nowhere.
+    `folder` is where the code that the scenario names was found; None: nowhere.
     """
     margin = f"margin:{prop.label}"
     plain = scenario.with_({"seed": seed, "properties": [prop], "record.messages": True, "record.metrics": [margin]})

@@ -32,12 +32,7 @@ class Planned(NamedTuple):
 class CaseJudge:
     """Judges runs by a property. Runs that a log has are not made again; the log receives the others.
 
-    A run that took too long is made again if the limit is another one.
-
-    Args:
-        prop: the property.
-        workers: they make the runs.
-        log: what was judged before; None: nothing is kept.
+    A run that took too long is made again if the limit is another one. Without a log, nothing is kept.
 
     Attributes:
         seconds: the wall time of all runs that were judged, s, that of the runs in the log included.
@@ -90,9 +85,7 @@ class JudgementError(ArgumentError):
 def failure_of(outcome: Outcome, timeout: float | None) -> str:
     """Return how a run has failed: the class and the first line of its exception; empty: it has not.
 
-    Args:
-        outcome: what came of the run.
-        timeout: the longest wall time of a run, s; None: no limit.
+    `timeout` is the longest wall time of a run, s; None: no limit.
 
     Raises:
         BaseException: if the run was ended from outside, or cannot be judged (JudgementError).

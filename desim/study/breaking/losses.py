@@ -209,16 +209,10 @@ class _Told(NamedTuple):
 
 
 class _Choices:
-    """All choices of one seed: what is run, and what it tells.
+    """All choices of one seed: what is run, and what it tells the table.
 
-    Args:
-        scenario: the scenario, which records messages.
-        prop: the property.
-        seed: the seed.
-        table: receives the results.
-        workers: they make the runs.
-        ran: called with the number of runs that were made.
-        prune: whether messages that do not matter, and symmetric choices, are left out.
+    The scenario records messages, and `ran` is called with the number of runs that were made. `prune`: whether messages
+    that do not matter, and symmetric choices, are left out.
     """
 
     def __init__(

@@ -264,13 +264,9 @@ def features_of(
 
 
 class _Cases:
-    """The cases of a search, in the order of their numbers.
+    """The cases of a search, at most `runs` of which are run, in the order of their numbers.
 
-    Args:
-        scenario: where the search begins.
-        features: what the cases change.
-        root: the root seed; case k has the seed of run k.
-        runs: the greatest number of cases that the search runs.
+    The features are what they change in the scenario, and case k has the seed of run k of the root seed.
 
     Attributes:
         refused: the number of cases up to now that make no valid scenario.

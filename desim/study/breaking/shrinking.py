@@ -39,13 +39,7 @@ def shrunk(
     """Return the smallest case that is broken alike, and the number of cases that were run; at most `budget`.
 
     It leaves out features, then tries fewer pursuers, a shorter horizon, and numbers with fewer digits. What works is
-    kept, and all is tried again until nothing works. No scenario is run twice.
-
-    Args:
-        scenario: the scenario that the cases change.
-        violating: the case that violates.
-        judged: judges a scenario and a seed.
-        budget: the greatest number of cases to run.
+    kept, and all is tried again until nothing works. No scenario is run twice. `judged` judges a scenario and a seed.
     """
     best, runs, tried = violating, 0, {repr(applied(scenario, violating.case))}
     worked = True

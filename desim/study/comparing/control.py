@@ -55,10 +55,7 @@ class ControlPlan:
     def of(cls, swept: SweepPlan, protocol: Any = CONTROL, runs: int | None = None) -> "ControlPlan":
         """Return the plan of a control for the configurations of a sweep.
 
-        Args:
-            swept: the plan of the sweep.
-            protocol: the control: a kind, a table, or an object.
-            runs: the number of its runs; None = `TIMES` as many as those of a configuration.
+        The control is a kind, a table, or an object. It has `TIMES` as many runs as a configuration if `runs` is None.
 
         Raises:
             ValueError: if seeds are independent, there are too few runs, or all configurations are the control itself.

@@ -22,14 +22,10 @@ def score_figure(
     size: str | None = None,
     style: Style = None,
 ) -> Figure:
-    """Draw the totals with 95 % intervals beside a heat map of scores.
+    """Draw the totals with 95 % intervals beside a heat map of scores; for size and style see `Benchmark.plot`.
 
-    Args:
-        totals: score and quality of each protocol, from top to bottom.
-        scores: its scores by scenario, in the order of `scenarios`.
-        scenarios: the names of the scenarios.
-        size: the width and perhaps the height; see `Benchmark.plot`.
-        style: a style of matplotlib.
+    `totals` holds score and quality of each protocol, from top to bottom, and `scores` its scores in the order of
+    `scenarios`.
 
     Raises:
         ValueError: if the size or the style is invalid.

@@ -241,13 +241,7 @@ def two_stage_runs(variances: Floats, first: int, confidence: float, zone: float
     It is that of Clark & Yang 1986, "A Bonferroni selection procedure when using common random numbers with unknown
     variances": after the same first samples, each system has as many as the most variable difference of two needs,
     max(first, ceil(max (t S / zone)^2)), with the quantile t of Student's distribution at 1 - (1 - confidence)/(k - 1)
-    and first - 1 degrees of freedom. No system is dropped.
-
-    Args:
-        variances: the (k, k) variances of the differences of two systems.
-        first: the number of first samples.
-        confidence: the probability of a correct selection.
-        zone: the indifference zone.
+    and first - 1 degrees of freedom. No system is dropped. `variances` are the (k, k) ones of differences.
     """
     from scipy.special import stdtrit
 

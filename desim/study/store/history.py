@@ -16,10 +16,8 @@ def shell_lines(commands: Sequence[tuple[str, Sequence[str]]]) -> list[str]:
     """Return commands as lines for a shell, without absolute paths.
 
     If the commands were given in several folders, a comment names the folder wherever it changes. An absolute path
-    within the working folder is made relative to it; any other absolute path is replaced by its last component.
-
-    Args:
-        commands: the working folder and the words of each command.
+    within the working folder is made relative to it; any other absolute path is replaced by its last component. A
+    command is its working folder and its words.
     """
     lines: list[str] = []
     several = len({folder for folder, _ in commands}) > 1

@@ -105,13 +105,7 @@ class SweepProperties(StoreFile):
 
 
 def _differs(name: str, stored: Any, other: Any) -> str:
-    """Return the end of the error message "was made ...", which tells how two sweeps differ.
-
-    Args:
-        name: the property in which they differ.
-        stored: its value in the store.
-        other: its value in the other sweep.
-    """
+    """Return the end of the error message "was made ...": how a property of two sweeps, stored and other, differs."""
     if name == "format":
         return "by another version of desim"
     if name == "scenario":

@@ -30,9 +30,7 @@ from desim.study.store.run_table import Row, RunTable
 class Store(SweepProperties, RunRows):
     """The runs of one sweep, of a shard of it (one of several parts that are run separately), or of merged shards.
 
-    Args:
-        path: the path of the file, which is created if it does not exist; None: in memory.
-        read_only: whether the store is only read; its file must exist and need not be writable.
+    For the arguments see `StoreFile`.
 
     Attributes:
         added: number of runs added by `add` since the store was opened, repeated ones included, merged ones not.

@@ -102,15 +102,10 @@ class Resources:
 def part_script(
     job: ArrayJob, folder: Path, program: Sequence[str], made_by: str, parts: Sequence[int], resources: Resources
 ) -> str:
-    """Return the script of an array job that performs some parts of a sweep.
+    """Return the script of an array job that performs some parts of a sweep, given their numbers.
 
-    Args:
-        job: the sweep and its parts.
-        folder: the folder of the sweep, which all machines see under this path.
-        program: the words of the command that performs the sweep, without its part and its folder.
-        made_by: the command that made the script.
-        parts: the numbers of the parts.
-        resources: what each part asks for.
+    All machines see the folder under this path. The program is the words of the command that performs the sweep,
+    without its part and its folder; `made_by` is the command that made the script.
     """
     options = (
         f"--array={_ranges(parts)}",

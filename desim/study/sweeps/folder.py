@@ -73,10 +73,7 @@ def compare(
 
         print(desim.compare("out/before", "out/after", ["active_time"]))
 
-    Args:
-        first: a sweep, or a folder or store of one.
-        second: another one.
-        metrics: the names of the metrics.
+    Each is a sweep, or the folder or store of one.
 
     Raises:
         ValueError: if a sweep has no numeric metric of a name, the two have no configuration in common, one varies a

@@ -44,8 +44,7 @@ class PlannedRuns:
     def includes(self, stored: Iterable[Sequence[str]]) -> Callable[[Run], bool] | None:
         """Return whether a run was planned, as a function; None if it cannot be told.
 
-        Args:
-            stored: the hashes of the configurations in each store, in its order: the last sweep has the first ones.
+        `stored` holds the hashes of the configurations in each store, in its order: the last sweep has the first ones.
         """
         planned = None
         if self.configurations is not None:

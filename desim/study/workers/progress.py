@@ -13,13 +13,7 @@ if TYPE_CHECKING:
 
 
 def progress(total: int | None, label: str, unit: str) -> "tqdm[Any]":
-    """Return a progress bar, to be used in a `with` statement.
-
-    Args:
-        total: the number of steps, None if it is not known; call `update` after each.
-        label: the text before the bar.
-        unit: the name of a step.
-    """
+    """Return a progress bar, to be used in a `with` statement; `total` is None if the number of steps is not known."""
     in_notebook = "ipykernel.zmqshell" in sys.modules  # the output streams of a notebook are not a terminal
     bar: tqdm[Any] = bar_of_this_place(
         total=total, desc=escaped(label), unit=unit, disable=False if in_notebook else None

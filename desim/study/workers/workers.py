@@ -148,11 +148,7 @@ class Processes(Workers):
 
 
 class Cluster(Workers):
-    """The workers of a Dask scheduler (needs the extra `cluster`).
-
-    Args:
-        address: the address of the scheduler.
-        patience: the time-out, s of wall time, for its answers.
+    """The workers of a Dask scheduler (needs the extra `cluster`); `patience` is the time-out for its answers, s.
 
     Raises:
         ConnectionError: if Dask is not installed, the scheduler does not answer in time, or it has no workers.
