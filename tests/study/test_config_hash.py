@@ -456,7 +456,7 @@ def test_an_installed_package_counts_with_all_its_modules_and_what_it_requires_w
         for name, each in texts.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_text(each)
-        for memory in (user_code._package, user_code._distributions):
+        for memory in (user_code._package, user_code._distributions, user_code._version):
             memory.cache_clear()
         for name in names:
             sys.modules.pop(name, None)

@@ -107,8 +107,11 @@ def _versions(distributions: Iterable[str]) -> dict[str, str]:
     versions = {}
     for name in distributions:
         with suppress(PackageNotFoundError):  # required on another platform, say
-            versions[f"distribution {name}"] = version(name)
+            versions[f"distribution {name}"] = _version(name)
     return versions
+
+
+_version = cache(version)  # it reads a file, for each package that user code imports, in each configuration
 
 
 def _file(name: str) -> Path | None:
