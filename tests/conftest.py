@@ -12,21 +12,21 @@ from pathlib import Path
 from pkgutil import walk_packages
 
 import pytest
+from _pytest.runner import runtestprotocol
 from hypothesis import settings
-from xdist import is_xdist_worker
+from xdist import is_xdist_controller, is_xdist_worker
 
 import desim
 import protocols
-from desim import load, run
 from desim.kernel.core.events import Trace
 from desim.testing.messages import Conservation
-from scenarios.studies.study import SCENARIOS
 
 # The same cases every time, however slow the machine; new and more ones with --hypothesis-profile=explore.
 settings.register_profile("steady", deadline=None, derandomize=True, max_examples=24)
 settings.register_profile("explore", deadline=None, max_examples=400)
 settings.load_profile("steady")
 TESTS = Path(__file__).parent
+SCENARIOS = TESTS.parent / "scenarios"
 BENCHMARKS = TESTS / "benchmarks"
 WATCHERS = pytest.StashKey[list[Conservation]]()
 """The watchers of the traces that are made in a test."""
@@ -37,11 +37,6 @@ gc.disable()
 # A shell ignores interrupts in what a script starts in the background, and Python then has no handler for them.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
-
-# A module that is first imported while a test has patched another would keep the patch for the rest of the process.
-for package in (desim, protocols):
-    for module in walk_packages(package.__path__, f"{package.__name__}."):
-        import_module(module.name)
 
 
 def pytest_addoption(parser):
@@ -82,7 +77,17 @@ def pytest_ignore_collect(collection_path, config):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection(session):
-    """Let each of several workers import all tests from another file on, so that they share the work of compiling."""
+    """Import all modules, if tests run in this process; let each of several workers begin with another file of tests.
+
+    A module that is first imported while a test has patched another would keep the patch for the rest of the process.
+    Workers share the work of compiling.
+    """
+    if is_xdist_controller(session):
+        gc.freeze()
+        return
+    for package in (desim, protocols):
+        for module in walk_packages(package.__path__, f"{package.__name__}."):
+            import_module(module.name)
     if session.config.args_source is not session.config.ArgsSource.TESTPATHS or not is_xdist_worker(session):
         return
     names = sorted(".".join(path.relative_to(TESTS.parent).with_suffix("").parts) for path in TESTS.rglob("test_*.py"))
@@ -177,6 +182,20 @@ def pytest_runtest_protocol(item):
         del item.stash[WATCHERS]
 
 
+@pytest.hookimpl(specname="pytest_runtest_protocol")
+def pytest_runtest_protocol_in_worker(item, nextitem):
+    """Let a worker tell of a test only how it ended, and of its fixtures only what is slow or went wrong.
+
+    The six messages that a worker sends of each test take a tenth of the time of all tests.
+    """
+    if not is_xdist_worker(item.session) or item.config.getoption("xmlpath", None):  # which needs all reports
+        return None
+    for report in runtestprotocol(item, log=False, nextitem=nextitem):
+        if report.when == "call" or not report.passed or report.duration >= item.config.option.durations_min:
+            item.ihook.pytest_runtest_logreport(report=report)
+    return True
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item):
     """Let a test fail whose traces break an invariant."""
@@ -195,7 +214,7 @@ def run_of():
 
     @cache
     def ran(file, *overrides, seed=None):
-        return run(load(SCENARIOS / file, list(overrides)), seed, Conservation())
+        return desim.run(desim.load(SCENARIOS / file, list(overrides)), seed, Conservation())
 
     return ran
 
