@@ -109,7 +109,8 @@ class ReceivingNodes:
 
     def _settled(self, node: int) -> int:
         """Return the id of a node, see `_node`, after all that has arrived at it up to now is decided."""
-        node = self._node(node)
+        if not (type(node) is int and 0 <= node < self._size):  # a call less for each read
+            node = self._node(node)
         if self._first_kept[node] <= self._env.now:
             self._arrivals.settle_for_reader(node)
         return node

@@ -236,7 +236,15 @@ class SteppedNetwork:
             src, dst = self._number(src), None if dst is None else self._number(dst)
         if size is None and self._is_unlimited:
             size = _size_of(body)
-        self._submit(partial(self._network.send, port=port, size=size, transport=transport), src, dst, body)
+        network = self._network
+        accepted = network.accepted
+        self._problem = CALLED
+        try:
+            network.send(src, dst, body, port, size=size, transport=transport)  # type: ignore[arg-type]
+        except BaseException:
+            self._problem = FAILED if network.accepted > accepted else ""
+            raise
+        self._problem, self._is_unused = "", False
 
     def publish(self, src: Hashable, body: Any, *, size: int | None = None) -> None:
         """Broadcast the state of a node now: each neighbour has it as `latest` from its arrival on.
@@ -248,16 +256,14 @@ class SteppedNetwork:
             self._positions()
         if size is None and self._is_unlimited:
             size = _size_of(body)
-        self._submit(self._network.publish, src if self._numbers is None else self._number(src), body, size)
-
-    def _submit(self, call: Callable[..., None], *arguments: Any) -> None:
-        """Hand a message to the network; the episode fails if the network accepts it and raises an exception."""
-        accepted = self._network.accepted
+        number: Any = src if self._numbers is None else self._number(src)
+        network = self._network
+        accepted = network.accepted
         self._problem = CALLED
         try:
-            call(*arguments)
+            network.publish(number, body, size)
         except BaseException:
-            self._problem = FAILED if self._network.accepted > accepted else ""
+            self._problem = FAILED if network.accepted > accepted else ""
             raise
         self._problem, self._is_unused = "", False
 
@@ -305,37 +311,29 @@ class SteppedNetwork:
 
     def _received(self) -> list[ReceivedMessage]:
         """Remove and return the messages that have arrived."""
-        kind, new = ReceivedMessage, _new  # local names are faster
-        arrived = [
-            new(kind, (src, dst, body, sent / SECOND, when / SECOND, port))
+        kind, new, labels = ReceivedMessage, _new, self._nodes  # local names are faster
+        return [
+            new(kind, (labels[src], labels[dst], body, sent / SECOND, when / SECOND, port))
             for when, _, dst, (src, sent, body), port in self._queue.take()
         ]
-        if self._numbers is None:
-            return arrived
-        labels = self._nodes
-        return [message._replace(src=labels[message.src], dst=labels[message.dst]) for message in arrived]
 
     # What has arrived, and what has not.
 
     def latest(self, node: Hashable) -> dict[Any, ReceivedMessage]:
         """Return the newest state that a node has received from each other node, by source."""
-        number, kind, new = self._live(node), ReceivedMessage, _new  # local names are faster
-        dst = self._nodes[number]
-        latest = {
-            src: new(kind, (src, dst, body, sent / SECOND, when / SECOND, ""))
+        number, kind, new, labels = self._live(node), ReceivedMessage, _new, self._nodes  # local names are faster
+        dst = labels[number]
+        return {
+            (label := labels[src]): new(kind, (label, dst, body, sent / SECOND, when / SECOND, ""))
             for src, (when, (_, _, sent, body)) in self._run(self._network.latest_records, number).items()
         }
-        if self._numbers is None:
-            return latest
-        labels = self._nodes
-        return {labels[src]: message._replace(src=labels[src]) for src, message in latest.items()}
 
     def ages(self) -> Floats:
         """Return the (receivers, sources) ages of the newest states that have arrived, s.
 
         An age is the time since the state was published: inf if none has arrived, and 0 for the node's own.
         """
-        self._live(self._nodes[0])
+        self.check_usable()
         ages, now = np.full((len(self._nodes),) * 2, np.inf), self._clock.now
         np.fill_diagonal(ages, 0.0)
         for node in range(len(self._nodes)):
@@ -348,17 +346,17 @@ class SteppedNetwork:
 
         They are in the order in which they were sent. The frames of a transport are not listed, since it repeats them.
         """
-        self._live(self._nodes[0])
+        self.check_usable()
         return [lost._replace(body=own_copy(lost.body)) for lost in self._lost]
 
     def counts(self) -> MessageCounts:
         """Return the counts of messages up to now: sent = delivered + lost + in flight, per receiver."""
-        self._live(self._nodes[0])
+        self.check_usable()
         return self._run(self._network.message_counts)
 
     def transport_counts(self) -> TransportCounts | None:
         """Return the counts of transports up to now; None if no message has needed one."""
-        self._live(self._nodes[0])
+        self.check_usable()
         return self._network.transport_counts()
 
     def neighbours(self, node: Hashable) -> list[Any]:

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from desim.config.arrays import Floats, array_of, array_text
-from desim.config.model import MAX_COORDINATE
 from desim.config.python_numbers import whole
 from desim.kernel.core.seeds import run_seed, seed_of
 from desim.kernel.stepped_arguments import LARGEST_NETWORK
 from desim.kernel.stepped_network import ReceivedMessage, SteppedNetwork
+from desim.kernel.stepped_positions import copy_of_positions
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -155,19 +155,9 @@ class SteppedNetworks:
         last = self._array if positions is None else positions
         if last is None:
             return [None] * len(self)
-        array, shape = array_of(last), (len(self), len(self[0].nodes), 2)
-        if array.shape != shape or array.dtype.kind not in "iuf":
-            raise ValueError(
-                f"positions should be an array of numbers of the shape {shape}, m (got {array_text(array)})"
-            )
-        if not (np.abs(array) <= MAX_COORDINATE).all():
-            e, row, _ = np.argwhere(~(np.abs(array) <= MAX_COORDINATE))[0].tolist()
-            raise ValueError(
-                f"positions should be finite, at most {MAX_COORDINATE:g} m from 0 (got {array[e, row].tolist()} of node"
-                f" {row} in network {e})"
-            )
+        copy_of_positions(last, (len(self), len(self[0].nodes), 2))
         self._array = last
-        return array  # type: ignore[return-value]  # indexing gives views, not copies
+        return array_of(last)  # type: ignore[return-value]  # indexing gives views, not copies
 
     def _bodies(self, bodies: Any) -> list[list[Any]]:
         """Return the bodies of each network and node: a number, or a tuple of numbers."""

@@ -128,21 +128,32 @@ class SteppedPositions(PositionSource):
                     f"positions should have a place for each node: there is none for {value_text(missing[0])}"
                 )
             positions = [positions[node] for node in self._nodes]
-        view = array_of(positions)
-        if view.shape != (self._size, 2) or view.dtype.kind not in "iuf":
-            raise ValueError(
-                f"positions should be an array of numbers of the shape ({self._size}, 2), one row (x, y) per node, m"
-                f" (got {array_text(view)})"
-            )
-        copy = view.astype(np.float64)
-        if not (np.abs(copy) <= MAX_COORDINATE).all():
-            row = int(np.argmin((np.abs(copy) <= MAX_COORDINATE).all(axis=1)))
-            raise ValueError(
-                f"positions should be finite, at most {MAX_COORDINATE:g} m from 0 (got {copy[row].tolist()} in row"
-                f" {row}); a node that has left may keep its last position"
-            )
+        copy = copy_of_positions(positions, (self._size, 2))
         copy.setflags(write=False)
         return copy
+
+
+def copy_of_positions(positions: Any, shape: tuple[int, ...]) -> Floats:
+    """Return a copy of positions, (n, 2) or (networks, n, 2) m.
+
+    Raises:
+        ValueError: if they are not finite numbers of this shape.
+    """
+    array = array_of(positions)
+    if array.shape != shape or array.dtype.kind not in "iuf":
+        raise ValueError(
+            f"positions should be an array of numbers of the shape {shape}, one row (x, y) per node, m"
+            f" (got {array_text(array)})"
+        )
+    copy = array.astype(np.float64)
+    if (beyond := ~(np.abs(copy) <= MAX_COORDINATE)).any():
+        *network, row, _ = np.argwhere(beyond)[0].tolist()
+        where = f"row {row}{''.join(f' of network {e}' for e in network)}"
+        raise ValueError(
+            f"positions should be finite, at most {MAX_COORDINATE:g} m from 0 (got {copy[*network, row].tolist()} in"
+            f" {where}); a node that has left may keep its last position"
+        )
+    return copy
 
 
 def _readable_again(positions: Any) -> Any:

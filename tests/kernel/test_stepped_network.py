@@ -621,15 +621,15 @@ def test_many_networks_step_together_or_not_at_all():
     places = np.zeros((2, 3, 2))
     many = SteppedNetworks(2, 3, Links(range=5.0), positions=places)
     for wrong, why in (
-        (np.zeros((2, 4, 2)), r"shape \(2, 3, 2\), m \(got shape \(2, 4, 2\)"),
+        (np.zeros((2, 4, 2)), r"shape \(2, 3, 2\), one row .* per node, m \(got shape \(2, 4, 2\)"),
         (np.zeros((2, 3)), r"shape \(2, 3, 2\)"),
-        (np.array([places[0], places[1] + nan]), r"got \[nan, nan\] of node 0 in network 1"),
+        (np.array([places[0], places[1] + nan]), r"got \[nan, nan\] in row 0 of network 1"),
     ):
         with pytest.raises(ValueError, match=why):
             many.step(0.1, wrong)
     many.step(0.1)  # at the last places that were right
     places[1, 2, 0] = nan
-    with pytest.raises(ValueError, match="of node 2 in network 1"):
+    with pytest.raises(ValueError, match="in row 2 of network 1"):
         many.step(0.1)
     assert [network.now for network in many] == [0.1, 0.1]
     places[1, 2, 0] = 9.0

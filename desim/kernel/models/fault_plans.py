@@ -3,11 +3,11 @@
 A plan is called once in a run, as `plan(size, horizon, rng)`, and returns the faults of the whole run.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import count, islice
 from math import inf
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import PlainSerializer, PlainValidator, ValidationInfo, WithJsonSchema
@@ -28,15 +28,10 @@ PLANNED_WITH = ("size", "horizon", "rng")
 """The arguments of a plan of faults."""
 MAX_FAULTS = 1_000_000
 """Largest number of faults of a plan, which may be a generator without an end."""
+FaultPlan = Callable[[int, float, np.random.Generator], Iterable[Fault]]
+"""A model that draws faults: `plan(size, horizon, rng)` returns those of `size` nodes up to the horizon, s."""
 MIN_FAULT_DURATION = 1e-6
 """Minimum duration of a drawn fault, s."""
-
-
-class FaultPlan(Protocol):
-    """A model that draws faults: `plan(size, horizon, rng)`."""
-
-    def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterable[Fault]:
-        """Draw and return the faults of `size` nodes up to the horizon, s."""
 
 
 class RandomCrashes(Value):

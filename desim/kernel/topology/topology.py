@@ -272,10 +272,9 @@ class Topology:
     @property
     def mean_degree(self) -> float:
         """The current mean number of neighbours of a node."""
-        nodes = range(self.size)
-        if self._positions is not None:
-            return sum(len(self.neighbours(node)) for node in nodes) / self.size
-        return self.size - 1.0 if self._complete else sum(len(self._lists[node]) for node in nodes) / self.size
+        if self._complete and self._positions is None:
+            return self.size - 1.0
+        return sum(len(self.neighbours(node)) for node in range(self.size)) / self.size
 
     def graph(self) -> "nx.DiGraph[int]":
         """Return the current topology as a networkx graph with an arc from each sender to each receiver."""
