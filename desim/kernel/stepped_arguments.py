@@ -115,11 +115,9 @@ def _check_unit(links: Links) -> None:
             ends = (names[end] if end < len(names) else str(end) for end in (edge.src, edge.dst))
             models["the edge from {} to {}".format(*ends)] = edge.latency
     means = {key: mean for key, model in models.items() if (mean := mean_latency(model)) is not None}
-    if means and (longest := max(means.values())) >= IMPLAUSIBLE:
-        key = next(key for key, mean in means.items() if mean == longest)
-        warn_caller(
-            f"{key}: a mean latency of {longest:g} s: times are in s, not ms",
-        )
+    slowest = max(means, key=means.__getitem__, default="")
+    if means.get(slowest, 0.0) >= IMPLAUSIBLE:
+        warn_caller(f"{slowest}: a mean latency of {means[slowest]:g} s: times are in s, not ms")
 
 
 def horizon_argument(horizon: float | None, faults: Iterable[Any]) -> int:

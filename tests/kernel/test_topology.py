@@ -48,6 +48,7 @@ def test_the_range_is_inclusive_and_follows_the_positions():
         (nx.path_graph(range(10, 20)), inf, r"got \[10, 11, 12, 13, 14, 15, 16, 17, 18, 19\]$"),
         (nx.Graph([(0, 1), (1, 1)]), inf, r"linked to itself, got \[1\]"),
         (nx.complete_graph(2), 1.0, "needs positions"),
+        (nx.Graph(), inf, "at least 1 node"),
     ],
 )
 def test_a_graph_has_nodes_from_0_on_none_linked_to_itself_and_for_a_range_positions(graph, reach, why):

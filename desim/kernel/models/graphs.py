@@ -344,12 +344,9 @@ def graph_of(model: GraphModel, size: int) -> "nx.Graph[int]":
     import networkx as nx
 
     graph: object = model(size)
-    if not isinstance(graph, nx.Graph):
-        raise ValueError(
-            f"should be a simple graph of {counted(size, 'node')}, got {type(graph).__name__}, not a networkx.Graph"
-        )
-    if len(graph) != size or graph.is_multigraph():
-        raise ValueError(f"should be a simple graph of {counted(size, 'node')}, got {graph}")
+    if not isinstance(graph, nx.Graph) or len(graph) != size or graph.is_multigraph():
+        kind = graph if isinstance(graph, nx.Graph) else f"{type(graph).__name__}, not a networkx.Graph"
+        raise ValueError(f"should be a simple graph of {counted(size, 'node')}, got {kind}")
     for src, dst, attributes in links_with_attributes(graph):
         for name in ("latency", "loss", "order"):
             if (value := attributes.get(name)) is not None:

@@ -62,7 +62,8 @@ def link_misfits(links: Links, graph: "nx.Graph[int]") -> Iterator[tuple[Place, 
         uses: list[tuple[Place, Any, Iterator[Way]]] = [
             (place, model, iter([way])) for way, (place, model) in link_models.items()
         ]
-        uses.append(((name,), getattr(links, name), (way for way in _ways(graph) if way not in link_models)))
+        ways_of_graph = ((src, dst) for src, receivers in graph.adjacency() for dst in receivers)
+        uses.append(((name,), getattr(links, name), (way for way in ways_of_graph if way not in link_models)))
         for place, model, ways in uses:
             check = link_trait(model, "check_links")
             try:
@@ -102,9 +103,3 @@ def _own_models(links: Links, graph: "nx.Graph[int]", name: str) -> Iterator[tup
         if (model := dict(link)[name]) is not None:
             for way in link.ways():
                 yield way, (("link", k, name), model)
-
-
-def _ways(graph: "nx.Graph[int]") -> Iterator[Way]:
-    for src, neighbours in graph.adjacency():
-        for dst in neighbours:
-            yield src, dst

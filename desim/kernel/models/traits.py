@@ -64,7 +64,7 @@ class LinkTraits(Traits):
                 )
         if "start_run" not in cls.outdated(model):
             return
-        starter = model.__mro__[positions(model, "start_run")[0]]
+        starter = _definer(model, "start_run")
         method = next(name for name in ("__call__", "draw", "quantile") if _is_newer(model, name, "start_run"))
         function = getattr(model, method)
         calls_super = "__class__" in getattr(getattr(function, "__code__", None), "co_freevars", ())

@@ -105,11 +105,7 @@ class Records:
 
     def insert(self, nodes: list[int], record: Record) -> None:
         """Store a transmitted record at nodes now; a node that has this or a newer record of its source ignores it."""
-        now, unread = self._env.now, self._own.unread
-        for node in nodes:
-            unread[node] += now, record
-        self._own.out_of_order.update(nodes)
-        self._note_unread()
+        self.receive(nodes, [self._env.now] * len(nodes), [record] * len(nodes))
 
     def receive(self, nodes: list[int], times: list[int], records: Sequence[Record]) -> None:
         """Store transmitted records, in any order: record k reached node `nodes[k]` at `times[k]`, ns; see `insert`."""

@@ -59,8 +59,8 @@ class Topology:
         walls: the walls that block radio; None if there are none.
 
     Raises:
-        ValueError: if the nodes are not 0 .. n - 1, a node has a self-loop, or, without positions, the range is
-            finite or a wall blocks radio.
+        ValueError: if there are no nodes, they are not 0 .. n - 1, one has a self-loop, or, without positions, the
+            range is finite or a wall blocks radio.
     """
 
     def __init__(
@@ -359,7 +359,9 @@ class _AllOthers(dict[int, list[int]]):
 
 
 def _check(graph: "nx.Graph[int]") -> None:
-    """Raise ValueError if the nodes are not 0 .. n - 1, or a node has a self-loop."""
+    """Raise ValueError if there are no nodes, they are not 0 .. n - 1, or one has a self-loop."""
+    if not len(graph):
+        raise ValueError("a network should have at least 1 node (got an empty graph)")
     if is_implicit(graph):
         return
     if set(graph) != set(range(len(graph))):
