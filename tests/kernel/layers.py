@@ -19,8 +19,8 @@ def network_over(layer):
     if issubclass(layer, LinkLayer):
         return partial(Network, link_layer=layer)
     places = {
-        ArrivalLosses: "link_layer.arrivals.ArrivalLosses",
-        Arrivals: "link_layer.delivery.Arrivals",
+        ArrivalLosses: "link_layer.link_layer.ArrivalLosses",
+        Arrivals: "link_layer.link_layer.Arrivals",
         MessageDelivery: "link_layer.link_layer.MessageDelivery",
         MessageLog: "link_layer.link_layer.MessageLog",
     }

@@ -97,12 +97,12 @@ class KeptArrivals:
 
 
 class Arrivals:
-    """Schedules uncertain arrivals, has their losses decided (`ArrivalLosses`), and stores what has arrived.
+    """Schedules uncertain arrivals, has their losses decided, and stores what has arrived.
 
     Args:
         state: the state of the network; its records and inboxes receive what arrives.
+        losses: decides which arrivals are lost.
         transmitter: knows which nodes transmit, for half duplex; None: nodes transmit without airtime, or contend.
-        processing: processing delay of a message at sender and receiver together, ns.
         checks_range: whether a receiver must be within range on arrival.
         at_once: whether each outcome is needed at the time of the arrival, for a trace.
         lose: counts and records losses.
@@ -114,16 +114,16 @@ class Arrivals:
     def __init__(
         self,
         state: NetworkState,
+        losses: ArrivalLosses,
         transmitter: Transmitter | None,
         *,
-        processing: int,
         checks_range: bool,
         at_once: bool,
         lose: Lose,
     ):
         topology, self._env, self._fault_state = state.topology, state.env, state.fault_state
         self._records, self._inboxes, self._transmitter, self._lose = state.records, state.inboxes, transmitter, lose
-        self._losses = ArrivalLosses(state, transmitter, processing=processing, checks_range=checks_range)
+        self._losses = losses
         self._at_once = at_once or (checks_range and not topology.looks_back)
         if checks_range:
             topology.before_change(self.settle)

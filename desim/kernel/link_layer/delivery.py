@@ -18,14 +18,12 @@ Kept equal to decisions on arrival by
 from collections.abc import Callable, Collection, Mapping
 from itertools import compress
 
-from desim.kernel.channel.contention import Contention
-from desim.kernel.channel.transmitter import Transmitter
 from desim.kernel.core.events import Cause
 from desim.kernel.core.records import Arrival, Record, per_receiver
 from desim.kernel.link_layer.arrivals import Arrivals
 from desim.kernel.models.links import Links
 from desim.kernel.state.network_state import NetworkState
-from desim.kernel.state.transmission import Lose, Transmission
+from desim.kernel.state.transmission import Transmission
 
 
 class MessageDelivery:
@@ -34,42 +32,21 @@ class MessageDelivery:
     Args:
         state: the state of the network; its records and inboxes receive what arrives.
         links: the models of the links.
-        transmitter: the transmitters, or the channel for which nodes contend; None: nodes transmit without airtime.
-        processing: processing delay of a message at sender and receiver together, ns.
-        at_once: whether the outcome of each arrival is needed at its time, for a trace.
-        lose: counts and records losses.
+        arrivals: the arrivals whose outcome is not certain at transmission.
+        contends: whether nodes contend for the medium.
 
     Attributes:
-        arrivals: the arrivals whose outcome is not certain at transmission.
+        arrivals: as given.
         is_certain: whether each arrival is certain when it is scheduled.
     """
 
-    def __init__(
-        self,
-        state: NetworkState,
-        links: Links,
-        transmitter: Transmitter | Contention | None,
-        *,
-        processing: int,
-        at_once: bool,
-        lose: Lose,
-    ):
+    def __init__(self, state: NetworkState, links: Links, arrivals: Arrivals, *, contends: bool):
         self._records, self._inboxes, self._fault_state = state.records, state.inboxes, state.fault_state
-        self._topology = state.topology
-        checks_range, contends = links.range_check != "send", isinstance(transmitter, Contention)
-        uses_half_duplex = links.medium.half_duplex and not contends
+        self._topology, self.arrivals = state.topology, arrivals
+        self._checks_range = links.range_check != "send"
         # While a frame is on the air, a fault may begin that was not active when its losses were drawn.
-        contends_with_faults = contends and state.fault_state is not None
-        self._checks_range, self._decides_on_arrival = checks_range, uses_half_duplex or contends_with_faults
-        self.is_certain = not (checks_range or self._decides_on_arrival) and state.fault_state is None
-        self.arrivals = Arrivals(
-            state,
-            transmitter if isinstance(transmitter, Transmitter) else None,
-            processing=processing,
-            checks_range=checks_range,
-            at_once=at_once,
-            lose=lose,
-        )
+        self._decides_on_arrival = state.fault_state is not None if contends else links.medium.half_duplex
+        self.is_certain = not (self._checks_range or self._decides_on_arrival) and state.fault_state is None
 
     def in_flight(self) -> int:
         """Return the number of messages in flight, after all arrivals up to now have been decided."""

@@ -16,6 +16,8 @@ from desim.kernel.channel.transmitter import Transmitter
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import LOST, Broadcast, Cause, Lost, MessageCounts, Queued, Sent, Trace
 from desim.kernel.core.records import Arrival, Record, per_receiver
+from desim.kernel.link_layer.arrival_losses import ArrivalLosses
+from desim.kernel.link_layer.arrivals import Arrivals
 from desim.kernel.link_layer.delivery import MessageDelivery
 from desim.kernel.link_layer.departure import Departure
 from desim.kernel.link_layer.propagation import LinkSampler
@@ -51,12 +53,12 @@ class LinkLayer:
         env, self._sampler = state.env, sampler
         self._env, self._records, self._fault_state = env, state.records, state.fault_state
         self._log, self._is_traced = MessageLog(env, trace), trace is not None
-        checks_range = links.range_check != "delivery"
-        self._departure = Departure(state, sampler, checks_range=checks_range)
+        self._departure = Departure(state, sampler, checks_range=links.range_check != "delivery")
         medium = links.medium
         # A transmission whose start is delayed has waited since its host began to process it.
         wait: Callable[[Transmission], None] = (lambda _: None) if links.delays_start else self._log.queue
         self._transmitter: Transmitter | Contention | None = None
+        radios: Transmitter | None = None
         if contends(medium):
             callbacks = Callbacks(
                 start=self._log.start,
@@ -70,7 +72,7 @@ class LinkLayer:
             )
             self._transmitter = Contention(state, medium, seed, callbacks)
         elif type(medium) is not Unlimited:
-            self._transmitter = Transmitter(
+            self._transmitter = radios = Transmitter(
                 env, medium, state.topology.size, self._leave, wait, self._give_up, sampler.processing
             )
         self._receivers = self._departure.receivers
@@ -78,14 +80,12 @@ class LinkLayer:
         self._on_air: dict[int, tuple[list[int], Arrival, Mapping[int, Cause]]] = {}
         """By number of a transmission whose frame contends and is on the air: the nodes that it can still reach, its
         arrival times, ns, and the losses that were drawn."""
-        self.delivery = MessageDelivery(
-            state,
-            links,
-            self._transmitter,
-            processing=sampler.processing,
-            at_once=self._is_traced,
-            lose=self._log.lose,
+        checks_range = links.range_check != "send"
+        losses = ArrivalLosses(state, radios, processing=sampler.processing, checks_range=checks_range)
+        arrivals = Arrivals(
+            state, losses, radios, checks_range=checks_range, at_once=self._is_traced, lose=self._log.lose
         )
+        self.delivery = MessageDelivery(state, links, arrivals, contends=self._contends)
         self._is_certain = self.delivery.is_certain and not (self._contends or sampler.keeps_order) and trace is None
         """Whether the outcomes that are drawn at transmission are final, and no trace needs them."""
         waits = self._transmitter is not None or links.delays_start
