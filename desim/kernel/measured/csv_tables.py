@@ -109,10 +109,7 @@ def csv_text(path: Path, columns: Collection[str] | None, *, units: str = "s") -
         text = text_of_file(path)
         for unit in units:
             check_comments(text, path, unit)
-        try:
-            return ping_table(text) or text
-        except ValueError as error:
-            raise ValueError(f"{path} {error}") from error
+        return ping_table(text, str(path)) or text
     try:
         return _csv_of(path.read_bytes(), None if columns is None else tuple(columns))
     except ModuleNotFoundError as error:

@@ -12,7 +12,7 @@ from desim.config.number_files import check_comments, number_of, text_of_file, w
 from desim.config.number_texts import counted
 from desim.kernel.measured.csv_tables import DECIMAL, plain_rows
 from desim.kernel.measured.measurements import names_beside, number_or_nan
-from desim.kernel.measured.ping import Probe, probes_of
+from desim.kernel.measured.ping import probes_of
 
 AMBIGUOUS = re.compile(
     r"[+-]?(\d*,\d+|\d{1,3}(,\d{3})+(\.\d*)?|\d{1,3}(\.\d{3})+,\d+)(e[+-]?\d+)?", re.ASCII | re.IGNORECASE
@@ -31,7 +31,7 @@ def latencies_of(file: Path) -> list[float]:
             one of several lines, a comma that may be a decimal comma, or a comment that names another unit.
     """
     text = text_of_file(file)
-    if probes := _probes(text, file):
+    if probes := probes_of(text, str(file)):
         latencies = [probe.rtt / 2.0 for probe in probes if probe.rtt is not None]
         if not latencies:
             raise ValueError(f"{file}: ping had no reply, so there is no latency")
@@ -54,13 +54,6 @@ def latencies_of(file: Path) -> list[float]:
         why = "it should have one, because the file has several lines: latencies in one line or in one column"
         raise ValueError(f"{file}, line {longer[0]}: has {longer[1]} numbers; {why}")
     return numbers
-
-
-def _probes(text: str, file: Path) -> list[Probe]:
-    try:
-        return probes_of(text)
-    except ValueError as error:
-        raise ValueError(f"{file} {error}") from error
 
 
 def _items(row: str, file: Path, line: int) -> list[str]:

@@ -46,23 +46,23 @@ class Probe(NamedTuple):
     """Round-trip time, s; None if the probe was lost."""
 
 
-def ping_table(text: str) -> str | None:
+def ping_table(text: str, name: str) -> str | None:
     """Return the output of ping as CSV text with a row per probe; None if the text is anything else.
 
     The columns are t, when the probe was sent, s; rtt_ms, the round-trip time, ms, empty if the probe was lost; and
     lost, 0 or 1.
 
     Raises:
-        ValueError: if the text is the output of several pings, or a summary only.
+        ValueError: if the text, which has a name, is the output of several pings, or a summary only.
     """
     rows = [
         f"{probe.sent:.6f},,1" if probe.rtt is None else f"{probe.sent:.6f},{1e3 * probe.rtt:.9g},0"
-        for probe in probes_of(text)
+        for probe in probes_of(text, name)
     ]
     return "\n".join(["t,rtt_ms,lost", *rows, ""]) if rows else None
 
 
-def probes_of(text: str) -> list[Probe]:
+def probes_of(text: str, name: str = "the text") -> list[Probe]:
     """Return the probes in the output of ping, in order of their sequence numbers; none if the text is anything else.
 
     The times are those of `ping -D`, and a lost probe has one between those of its neighbours. Without it, probes are
@@ -80,9 +80,11 @@ def probes_of(text: str) -> list[Probe]:
         if not starts or not totals:
             return []
         if any(totals):
-            raise ValueError("has the summary of ping only; without the option -q, it prints a line for each reply")
+            raise ValueError(
+                f"{name} has the summary of ping only; without the option -q, it prints a line for each reply"
+            )
     if starts > 1:
-        raise ValueError("has the output of several pings; a file should have that of one")
+        raise ValueError(f"{name} has the output of several pings; a file should have that of one")
     replies: dict[int, tuple[float | None, float]] = {}
     lost: set[int] = set()
     last: int | None = None
@@ -105,7 +107,7 @@ def probes_of(text: str) -> list[Probe]:
     first = min(numbers | {0 if any(map(FROM_0.fullmatch, lines)) else 1}) if starts else min(numbers)
     end = max(numbers | {first + count - 1})
     if end - first >= MAX_PROBES:
-        raise ValueError(f"has more than {MAX_PROBES:,} probes")
+        raise ValueError(f"{name} has more than {MAX_PROBES:,} probes")
     stamps = {seq: stamp for seq, (stamp, _) in replies.items() if stamp is not None}
     interval = _interval(stamps, count, duration)
     earliest, latest = min(stamps, default=first), max(stamps, default=first)

@@ -6,8 +6,8 @@ Its y axis points down, and that of desim up, so that y changes its sign.
 """
 
 import re
-from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import NamedTuple, TypeVar
 
 from desim.config.model import MAX_COORDINATE
 from desim.config.number_files import number_of
@@ -15,6 +15,7 @@ from desim.config.suggestion import did_you_mean
 from desim.kernel.walls.crossings import repeated_corner
 
 Corners = tuple[tuple[float, float], ...]
+_Item = TypeVar("_Item")
 
 
 class Outline(NamedTuple):
@@ -97,15 +98,15 @@ class _Wkt:
         if name == "LINESTRING":
             yield self._line()
         elif name == "GEOMETRYCOLLECTION":
-            yield from self._items(lambda: list(self.geometry()))
+            yield from self._items(self.geometry)
         elif name == "MULTIPOLYGON":
-            yield from self._items(lambda: list(self._items(lambda: [self._ring()])))
+            yield from self._items(lambda: self._items(lambda: [self._ring()]))
         else:
             item = self._ring if name == "POLYGON" else self._line
             yield from self._items(lambda: [item()])
 
-    def _items(self, item: Callable[[], list[Outline]]) -> Iterator[Outline]:
-        """Yield the outlines of items in brackets, separated by commas."""
+    def _items(self, item: Callable[[], Iterable[_Item]]) -> Iterator[_Item]:
+        """Yield what is in brackets, separated by commas."""
         self._expect("(")
         yield from item()
         while self.token == ",":
@@ -115,14 +116,7 @@ class _Wkt:
 
     def _line(self) -> Outline:
         """Return the line whose corners come next, in brackets."""
-        corners: list[tuple[float, float]] = []
-        self._expect("(")
-        corners.append(self._corner())
-        while self.token == ",":
-            self._advance()
-            corners.append(self._corner())
-        self._expect(")")
-        return Outline(tuple(corners), closed=False)
+        return Outline(tuple(self._items(lambda: [self._corner()])), closed=False)
 
     def _ring(self) -> Outline:
         corners = self._line().corners

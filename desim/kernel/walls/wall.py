@@ -1,6 +1,6 @@
 """The walls of a scenario: `[[wall]]`, what each blocks, and the segments that block radio, sight or motion."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from math import inf
 from typing import Annotated, Any, Literal, Self
@@ -155,10 +155,5 @@ def _shapes_of(wall: Wall) -> tuple[WallShape, ...]:
 
 def blocking(walls: Sequence[Wall], use: What) -> Segments:
     """Return the edges of the walls that block something; their owners are the indices of the walls."""
-    return segments_of(_shapes(walls, use))
-
-
-def _shapes(walls: Sequence[Wall], use: What) -> Iterable[tuple[int, WallShape]]:
-    for index, wall in enumerate(walls):
-        if use in wall.blocks:
-            yield from ((index, shape) for shape in wall.shapes)
+    blocks = ((index, wall) for index, wall in enumerate(walls) if use in wall.blocks)
+    return segments_of((index, shape) for index, wall in blocks for shape in wall.shapes)
