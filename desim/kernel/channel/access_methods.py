@@ -161,8 +161,8 @@ class _CsmaCa(AccessMethod):
         self._immediate = np.zeros(len(nodes.due), dtype=bool)
         """Whether each node waits for DIFS without a back-off, because its frame came while the channel was idle."""
         self._extension = 0 if model.eifs is None else nanoseconds(model.eifs) - self._difs
-        self._extensions: Integers | None = None if model.eifs is None else np.zeros(len(nodes.due), dtype=np.int64)
-        """By how much the present interframe space of each node exceeds DIFS, ns; None: it never does."""
+        self._extensions: Integers = np.zeros(len(nodes.due), dtype=np.int64)
+        """By how much the present interframe space of each node exceeds DIFS, ns."""
 
     def prepare(self, node: int, now: int, *, arrived: bool) -> None:
         nodes = self._nodes
@@ -204,12 +204,11 @@ class _CsmaCa(AccessMethod):
 
     def _idle_from(self, nodes: Integers | int) -> Integers:
         """Return the time from which nodes count slots, ns."""
-        since: Integers = self._nodes.idle_since[nodes] + self._difs
-        return since if self._extensions is None else since + self._extensions[nodes]
+        since: Integers = self._nodes.idle_since[nodes] + self._difs + self._extensions[nodes]
+        return since
 
     def note(self, nodes: Integers, received: Bools) -> None:
-        if self._extensions is not None:
-            self._extensions[nodes] = np.where(received, 0, self._extension)
+        self._extensions[nodes] = np.where(received, 0, self._extension)
 
     def reset(self, node: int) -> None:
         super().reset(node)

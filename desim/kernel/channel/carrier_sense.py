@@ -90,22 +90,17 @@ class CarrierSense:
         if not self._method.senses:
             return
         if self._delay:
-            self._count(np.array([frame.src]), change)
+            self.count(np.array([frame.src]), change)
             instant = Instant(self._env, self._env.now + self._delay, Phase.DELIVERY)
-            instant.callbacks.append(lambda _: self._count(frame.sensed_by, change))
+            instant.callbacks.append(lambda _: self.count(frame.sensed_by, change))
         else:
-            self._count(frame.sensed_by, change)
+            self.count(frame.sensed_by, change)
 
-    def hold(self, nodes: Integers) -> None:
-        """Let nodes take the channel as busy from now on, as if they sensed one more frame."""
-        self._count(nodes, 1)
+    def count(self, nodes: Integers, change: int) -> None:
+        """Change the number of frames that some nodes sense, by 1 or -1.
 
-    def release(self, nodes: Integers) -> None:
-        """End what `hold` has begun."""
-        self._count(nodes, -1)
-
-    def _count(self, nodes: Integers, change: int) -> None:
-        """Change the number of frames that some nodes sense, by 1 or -1."""
+        A node that is silent for another reason takes the channel as busy, as if it sensed one more frame.
+        """
         state, now = self._nodes, self._env.now
         before = state.busy[nodes]
         state.busy[nodes] = before + change

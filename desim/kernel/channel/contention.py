@@ -300,8 +300,8 @@ class Contention:
             return
         silent = nodes[received & (nodes != item.receivers[0])]
         end = self._env.now + self._sifs + self._ack
-        self._carrier.hold(silent)
-        Instant(self._env, end, Phase.DELIVERY).callbacks.append(lambda _: self._carrier.release(silent))
+        self._carrier.count(silent, 1)
+        Instant(self._env, end, Phase.DELIVERY).callbacks.append(lambda _: self._carrier.count(silent, -1))
 
     def _await(self, frame: Frame, item: Transmission, cause: Cause | None) -> None:
         """Let a sender wait for the acknowledgement of its frame, which ends now and was lost by a cause, or received.
@@ -311,7 +311,7 @@ class Contention:
         assert self._timeout is not None
         src = frame.src
         self._awaiting[src] = awaited = _Awaited(item, cause or "loss")
-        self._carrier.hold(np.array([src]))
+        self._carrier.count(np.array([src]), 1)
         if cause is None:
             self._received.add(item.number)
             self._acknowledged[self._acknowledge(item.receivers[0]).draw] = item
@@ -341,5 +341,5 @@ class Contention:
     def _settle(self, src: int, cause: Cause | None) -> None:
         """End the wait of a sender for an acknowledgement, which has not come for a cause, or has (None)."""
         self._conclude(src, self._awaiting.pop(src).item, cause)
-        self._carrier.release(np.array([src]))
+        self._carrier.count(np.array([src]), -1)
         self._prepare(src)

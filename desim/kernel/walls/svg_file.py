@@ -23,8 +23,15 @@ from desim.kernel.walls.outlines import SVG_NUMBER, Outline, svg_outlines
 
 NAMESPACES = frozenset({"", "http://www.w3.org/2000/svg"})
 GROUPS = frozenset({"svg", "g", "a"})
-REFUSED = frozenset({"circle", "ellipse", "use", "image", "text", "foreignObject"})
-"""Elements that are drawn and not read, and so refused. All that are neither these nor groups nor shapes draw nothing
+REFUSED = {
+    "switch": "of the parts of a <switch> one is drawn, and all would be walls: delete the others",
+    "text": "<text> is no wall: delete it in the editor",
+}
+REFUSED |= {
+    name: f"<{name}> is not read: convert objects to paths in the editor"
+    for name in ("circle", "ellipse", "use", "image", "foreignObject")
+}
+"""The elements that are drawn and not read, and why. All that are neither these nor groups nor shapes draw nothing
 where they stand."""
 INHERITED = frozenset({"fill", "fill-opacity", "fill-rule", "stroke", "stroke-opacity", "stroke-width", "visibility"})
 """The properties that elements inherit."""
@@ -95,12 +102,8 @@ def svg_file_outlines(text: str) -> list[Outline]:
         name = _name(element)
         if name == "svg" and element is not root:
             raise ValueError("a drawing inside the drawing (<svg>) is not read: ungroup it in the editor")
-        if name == "switch":
-            raise ValueError("of the parts of a <switch> one is drawn, and all would be walls: delete the others")
-        if name == "text":
-            raise ValueError("<text> is no wall: delete it in the editor")
         if name in REFUSED:
-            raise ValueError(f"<{name}> is not read: convert objects to paths in the editor")
+            raise ValueError(REFUSED[name])
         if name not in GROUPS and name not in SHAPES:
             continue
         properties = _style(element, name, rules)
