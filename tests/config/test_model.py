@@ -352,9 +352,9 @@ def test_without_a_group_nothing_is_looked_up(monkeypatch):
             {"protocol": {"kind": "sap", "schedule": {"kind": "protocols.schedules.periodic:owned_slots"}}},
             "should have mean_slot",
         ),
-        ({"protocol": {"kind": "desim.pursuit.core.geometry:nearest_within"}}, "call with (me)"),
+        ({"protocol": {"kind": "desim.pursuit.core.geometry:moved_towards"}}, "call with (me)"),
         (
-            {"team": {"guidance": {"kind": "desim.pursuit.core.geometry:nearest_within"}}},
+            {"team": {"guidance": {"kind": "desim.pursuit.core.geometry:moved_towards"}}},
             "call with (gaps, aims, evader_velocity, speeds)",
         ),
         ({"evader": {"strategy": {"kind": "desim.pursuit.core.geometry:toward"}}}, None),

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.pursuit.core.geometry import first_contact, nearest_within, toward
+from desim.pursuit.core.geometry import first_contact, toward
 
 numbers = st.floats(-10.0, 10.0).map(lambda x: round(x, 6))
 plane = st.builds(complex, numbers, numbers)
@@ -36,8 +36,6 @@ def test_first_contact_is_the_first_time_within_the_radius(motions, radius, dura
 def test_contact_between_two_samples_is_seen():
     """A player that crosses the disc of 0.1 m at 2 m/s is inside for 0.1 s only."""
     assert first_contact(np.array([-1 + 0j]), np.array([2 + 0j]), 0.1, 1.0) == (pytest.approx(0.45), 0)
-    assert nearest_within(np.array([-1 + 0j]), 0.1) is None
-    assert nearest_within(np.array([-1 + 2 * 1.0 + 0j]), 0.1) is None
 
 
 def test_a_tangent_misses_and_a_secant_meets():
@@ -52,4 +50,3 @@ def test_moving_away_is_caught_at_once_from_inside_and_never_from_outside():
 
 def test_ties_go_to_the_lowest_row():
     assert first_contact(np.array([1 + 0j, 1j]), np.array([-1 + 0j, -1j]), 0.1, 2.0) == (pytest.approx(0.9), 0)
-    assert nearest_within(np.array([0.05 + 0j, 0.05j]), 0.1) == 0

@@ -52,13 +52,6 @@ def first_contact(offsets: Points, velocities: Points, radius: float, duration: 
     return (float(times[row]), row) if times[row] <= duration else None
 
 
-def nearest_within(offsets: Points, radius: float) -> int | None:
-    """Return the row of the shortest of (N,) offsets (m), or None if even that offset is longer than a radius (m)."""
-    distances = lengths(offsets)
-    row = int(distances.argmin())
-    return row if distances[row] <= radius else None
-
-
 def moved_towards(position: complex, evader: complex, length: float) -> complex:
     """Return the position, m, after moving a length (m) straight towards the evader, at most up to the evader."""
     gap = evader - position

@@ -15,7 +15,8 @@ from desim.config.arrays import Integers, Points
 from desim.config.model import MAX_COORDINATE
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.units import SECOND
-from desim.pursuit.core.geometry import first_contact, nearest_within
+from desim.pursuit.core.geometry import first_contact
+from desim.pursuit.core.state import lengths
 from desim.pursuit.motion.dynamics import Course, Courses
 
 CaptureTest = Literal["segment", "sample"]
@@ -139,8 +140,9 @@ class Kinematics:
         offsets = np.where(broken, MAX_COORDINATE, offsets) if broken.any() else offsets
         if test == "segment":
             return first_contact(offsets, approach, radius, duration)
-        row = nearest_within(offsets + approach * duration, radius)
-        return None if row is None else (duration, row)
+        distances = lengths(offsets + approach * duration)
+        nearest = int(distances.argmin())
+        return (duration, nearest) if distances[nearest] <= radius else None
 
     def observe(self, since: int, places: Points, courses: Courses, commands: Points, drifts: Points | None) -> None:
         """Replace all motions by those of the same players elsewhere, as they were observed a moment ago.
