@@ -156,18 +156,14 @@ class InferredActivity:
 
     def __call__(self, state: State) -> State:
         """Return a state, not earlier than the last, with the inferred activity."""
-        if self._last is None or state.stamp >= self._last[0] + self._interval:
-            self._look(state)
+        then, before = self._last or (-self._interval, None)
+        if state.stamp >= then + self._interval:
+            across, along = self._rng.standard_normal((2, len(self._speeds)))
+            seen = state.pursuers + self._error * (across + 1j * along)
+            if before is not None:
+                self._active = lengths(seen - before) > 0.5 * self._speeds * seconds(state.stamp - then)
+            self._last = state.stamp, seen
         return State(state.stamp, state.pursuers, state.evader, self._active)
-
-    def _look(self, state: State) -> None:
-        """Look at the pursuers, and compare their positions with those of the last look."""
-        across, along = self._rng.standard_normal((2, len(self._speeds)))
-        seen = state.pursuers + self._error * (across + 1j * along)
-        if self._last is not None:
-            then, before = self._last
-            self._active = lengths(seen - before) > 0.5 * self._speeds * seconds(state.stamp - then)
-        self._last = state.stamp, seen
 
 
 MAX_SCALAR_SIZE = 16
@@ -274,7 +270,7 @@ class EvaderBody:
         Kept equal to the capture times of all by
         `tests/pursuit/test_kinematics.py::test_times_of_some_are_those_of_all_with_inertia`.
         """
-        if len(pursuers) > MAX_SCALAR_SIZE or self.captured is not None or not self._has_single_times or self._relays:
+        if len(pursuers) > MAX_SCALAR_SIZE or self.captured is not None or not self._has_single_times:
             times = self.capture_times(now)
             return [times[pursuer] for pursuer in pursuers]
         players = self._players
@@ -282,10 +278,10 @@ class EvaderBody:
             distances = players.distances(self.player, pursuers)
         else:
             distances = self._path_lengths(self._walled, pursuers)
-        if self.is_radial:
-            return list(map(self._radial_time.of, pursuers, distances))
-        motions = [MotionState(players.position(pursuer), players.course(pursuer)) for pursuer in pursuers]
-        return list(map(self._capture_time_from, pursuers, motions, repeat(self.position), distances))
+        motions: list[MotionState] = []
+        if not self.is_radial:
+            motions = [MotionState(players.position(pursuer), players.course(pursuer)) for pursuer in pursuers]
+        return self.capture_times_from(pursuers, motions, self.position, distances)
 
     def _path_lengths(self, walled: Walled, pursuers: Iterable[int]) -> list[float]:
         """Return the lengths of the paths from some pursuers, m; those at one instant are kept."""
@@ -317,9 +313,12 @@ class EvaderBody:
         return tuple(times.tolist())
 
     def capture_times_from(
-        self, pursuers: Sequence[int], motions: Sequence[MotionState], place: complex, distances: Sequence[float]
+        self, pursuers: Collection[int], motions: Sequence[MotionState], place: complex, distances: Sequence[float]
     ) -> list[float]:
-        """Return the capture times, s, of k pursuers with assumed motions; see `capture_times_at`."""
+        """Return the capture times, s, of k pursuers with assumed motions; see `capture_times_at`.
+
+        If they depend on distances alone (`is_radial`), no motions are needed.
+        """
         if self.is_radial:
             times = list(map(self._radial_time.of, pursuers, distances))
         else:
