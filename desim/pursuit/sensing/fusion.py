@@ -70,16 +70,15 @@ def fused(tracks: Sequence[InformedTrack], how: Fusion) -> Track:
     if not others:
         return first.track
     combined, covariance = first.information, first.track.covariance
-    for other in others:
-        if combined is None or other.information is None:
+    for _, information in others:
+        if combined is not None and information is not None:
+            matrix, vector = _mixed(combined, information, how)
+            inverted = inverse(matrix)
+        if combined is None or information is None or inverted is None:
             return fused_by_corrections([track for track, _ in tracks], how)
-        matrix, vector = _mixed(combined, other.information, how)
-        inverted, combined = inverse(matrix), None
-        if inverted is not None:
-            covariance, determinant = inverted
-            combined = _new(Information, (matrix, vector, determinant))
-    if combined is None:
-        return fused_by_corrections([track for track, _ in tracks], how)
+        covariance, determinant = inverted
+        combined = _new(Information, (matrix, vector, determinant))
+    assert combined is not None
     assert covariance is not None
     return Track(first.track.stamp, product(covariance, combined.vector), covariance)
 
