@@ -356,8 +356,6 @@ def headings_with(dynamics: Dynamics, rng: np.random.Generator, count: int) -> l
         ValueError: if the dynamics of a user return something else.
     """
     headings = dynamics.headings(rng, count)
-    if is_ours(type(dynamics)):
-        return headings
     array = array_of(headings)
     if array.shape != (count,) or array.dtype.kind not in "iufc" or not np.allclose(np.abs(array), 1.0):
         expected = f"a complex number of length 1 for each of {count} players"

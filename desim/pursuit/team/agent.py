@@ -161,8 +161,7 @@ class Agent(Beliefs, Timing, HintedItems):
         Raises:
             ValueError: if the name is no text.
         """
-        if type(name) is not str:
-            self._check_stream(name)
+        self._check_stream(name)
         if name not in self._streams:
             self._streams[name] = stream(self._seed, name, self.id)
         return self._streams[name]

@@ -284,15 +284,11 @@ class Beliefs(Knowledge):
             period = real(period, f"pursuer {self.id}: the period")
         timeout = self._constant_timeouts.get(period)
         if timeout is None:
-            timeout = self._timeout_for(self._period if period is None else period)
+            heartbeat = self._announcements.heartbeat if self._announcements.has_heartbeats else inf
+            timeout = self._timeout_for(heartbeat if period is None else period)
             if self._announcements.belief_timeout != "affordable" and not self._clock.wanders:
                 self._constant_timeouts[period] = timeout
         return timeout
-
-    @property
-    def _period(self) -> float:
-        """The time between two announcements of a teammate, s; inf without heartbeats."""
-        return self._announcements.heartbeat if self._announcements.has_heartbeats else inf
 
     def _timeout_for(self, period: float) -> float:
         """Return the time, ns of true time, for which an announcement that is repeated every period (s) is believed."""
