@@ -8,7 +8,7 @@ active.
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import simpy
 
@@ -41,15 +41,8 @@ AS_PUBLISHED = BestEffort()
 """The transport of forged announcements: like honest ones, which are published, they are transmitted once."""
 SetAction = Callable[[int, int], None]
 """A function that sets the action of a pursuer."""
-
-
-class _Version(NamedTuple):
-    """A body, and the receiver or receivers of the message that contains it."""
-
-    dst: int | None
-    """None: all neighbours, or `only` those."""
-    only: Collection[int] | None
-    body: Any
+Replacement = tuple[int | None, Collection[int] | None, Any]
+"""What is sent in place of a message: its receiver, or None; the neighbours that heed it, or None: all; its body."""
 
 
 class LyingTeam:
@@ -125,9 +118,8 @@ class LyingTeam:
         transport: Transport | None = None,
     ) -> None:
         """Send a message of a pursuer, or what it sends instead."""
-        for to, only, replacement in (
-            self._messages(src, dst, body) if self._active[src] else [_Version(dst, None, body)]
-        ):
+        replacements = self._replacements(src, dst, body) if self._active[src] else [(dst, None, body)]
+        for to, only, replacement in replacements:
             self._network.send(src, to, replacement, port=port, size=size, transport=transport, only=only)
 
     def unless_silent(self, pursuer: int, act: Callable[[], object]) -> Callable[[], object]:
@@ -167,7 +159,7 @@ class LyingTeam:
         told = (model.says_to(self._speaker(src), body, linked) for model in self._active[src])
         return next((versions for versions in told if versions is not None), None)
 
-    def _messages(self, src: int, dst: int | None, body: Any) -> Iterator[_Version]:
+    def _replacements(self, src: int, dst: int | None, body: Any) -> Iterator[Replacement]:
         """Yield each message that a pursuer sends in place of one."""
         if self._is_silent(src):
             return
@@ -178,7 +170,7 @@ class LyingTeam:
         original = next((record for record in relayed_records(body) or () if record.src == src), None)
         told = None if original is None else self._says_to(src, original.body)
         if original is None or told is None:
-            yield _Version(dst, None, body)
+            yield dst, None, body
             return
         for only, version in told:
             if dst is None or dst in only:
@@ -186,7 +178,7 @@ class LyingTeam:
                     original._replace(body=version) if record is original else record
                     for record in relayed_records(body) or ()
                 ]
-                yield _Version(dst, only if dst is None else None, with_records(body, forged))
+                yield dst, only if dst is None else None, with_records(body, forged)
 
     def _forwarded(self, src: int, body: Any, records: Sequence[Record]) -> Any:
         """Return a message without the records of others that a pursuer withholds; None if nothing is left.
