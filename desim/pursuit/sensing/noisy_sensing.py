@@ -159,13 +159,7 @@ Sensor = TeamSensor | NoisySensor
 class TrackingView(LimitedView):
     """The view of one pursuer whose sightings have errors.
 
-    Args:
-        state: the true state of the world.
-        prune: which pursuers may not chase an evader.
-        pursuer: the id of the pursuer.
-        sensor: the sensors of the team.
-        network: the network that delivers reports.
-        clock: the local clock of the pursuer.
+    The arguments are those of `LimitedView`, with the sensors of the team in place of the parameters.
     """
 
     def __init__(
@@ -207,29 +201,20 @@ class TrackingView(LimitedView):
         """Return the estimate of an evader; None if it is unknown, or lost and not searched for (`on_lost`)."""
         self._read_reports()
         if isinstance(self._sensing.estimator, Unfiltered):
-            return self._estimate_from_sighting(evader)
+            estimate = self._estimate_from_sighting(evader)
+            return None if estimate is None else estimate._replace(covariance=self._newest[evader].covariance)
         track, now, sensing = self.track(evader), self._clock.stamp, self._sensing
         if track is None or self.state.body(evader).captured is not None:
             return None
         newest = self._newest_stamp(evader)
         age = max(now - newest, 0) / SECOND
         if age <= sensing.track_timeout:
-            return EvaderEstimate(track.position, track.velocity, 0.0, track.deviation)
+            return EvaderEstimate(track.position, track.velocity, 0.0, track.deviation, track.position_covariance)
         if sensing.on_lost == "stay":
             return None
         lost = track.position - track.velocity * (age - sensing.track_timeout)
-        return EvaderEstimate(lost + self._search(age, evader), 0j, 0.0, track.deviation)
-
-    def covariance(self, evader: int) -> tuple[float, float, float]:
-        """Return the entries xx, xy and yy, m^2, of the covariance of the estimate of an evader; 0 if it has none.
-
-        Without a filter they are those of the newest sighting.
-        """
-        self._read_reports()
-        if isinstance(self._sensing.estimator, Unfiltered):
-            return self._newest[evader].covariance if evader in self._newest else (0.0, 0.0, 0.0)
-        track = self.track(evader)
-        return (0.0, 0.0, 0.0) if track is None else track.position_covariance
+        place = lost + self._search(age, evader)
+        return EvaderEstimate(place, 0j, 0.0, track.deviation, track.position_covariance)
 
     def newest(self, evader: int) -> Sighting | None:
         """Return the newest sighting of an evader, its own or a reported one, without a velocity; None without any."""

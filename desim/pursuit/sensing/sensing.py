@@ -86,15 +86,15 @@ class Sensing(Value):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
-        is_noisy, has_filter = not isinstance(self.noise, Noiseless), not isinstance(self.estimator, Unfiltered)
-        if has_filter and not is_noisy:
+        has_filter = not isinstance(self.estimator, Unfiltered)
+        if has_filter and not self.is_noisy:
             raise ValueError("estimator: there is nothing to estimate without noise (sensing.noise)")
-        if is_noisy and not has_filter and self.estimate == "constant_velocity":
+        if self.is_noisy and not has_filter and self.estimate == "constant_velocity":
             raise ValueError(
                 "estimate: noisy sightings have no velocity; choose an estimator (alpha_beta, kalman), or the estimate"
                 " hold or worst_case"
             )
-        if self.fusion != "by_stamp" and not isinstance(self.estimator, Kalman):
+        if self.fusion != "by_stamp" and not self.has_covariances:
             raise ValueError("fusion: tracks have a covariance with the estimator kalman only")
         return self
 
@@ -257,15 +257,8 @@ class SensedView(LimitedView):
     """The view of one pursuer with limited sensing.
 
     An evader is seen, tracked (its newest sighting is at most `track_timeout` old), lost (the sighting is older), or
-    unknown (there is no sighting).
-
-    Args:
-        state: the true state of the world.
-        prune: which pursuers may not chase an evader.
-        pursuer: the id of the pursuer.
-        sensor: the sensors of the team, which keep the pursuer's own sightings.
-        network: the network that delivers reports.
-        clock: the local clock of the pursuer.
+    unknown (there is no sighting). The arguments are those of `LimitedView`, with the sensors of the team, which keep
+    the pursuer's own sightings, in place of the parameters.
     """
 
     def __init__(

@@ -15,7 +15,7 @@ from desim.pursuit.evaders.evader import MAX_SCALAR_SIZE
 from desim.pursuit.motion.dead_reckoning import MotionState
 from desim.pursuit.motion.dynamics import piece_with
 from desim.pursuit.paths.space import PLANE, Plane
-from desim.pursuit.sensing.noise import expected_distance
+from desim.pursuit.sensing.noise import Covariance, expected_distance
 from desim.pursuit.sensing.world_state import WorldState
 
 if TYPE_CHECKING:
@@ -38,6 +38,8 @@ class EvaderEstimate(NamedTuple):
     """Upper bound, m, of the distance of the evader from `position`; 0 if this kind of estimate gives no bound."""
     deviation: float = 0.0
     """Standard deviation of each coordinate of `position`, m; 0 if it is not known."""
+    covariance: Covariance = Covariance(0.0, 0.0, 0.0)
+    """That of the errors of `position` or, without a filter, of the newest sighting; 0 without noise."""
 
     def distance(self, position: complex, space: Plane = PLANE) -> float:
         """Return the distance, m, from a position to the evader: the mean over its errors, or the greatest."""
@@ -113,10 +115,6 @@ class View:
             return self.state.body(evader).position
         estimate = self.estimate(evader)
         return NOWHERE if estimate is None else estimate.position
-
-    def covariance(self, evader: int) -> tuple[float, float, float]:
-        """Return the entries xx, xy and yy, m^2, of the covariance of the estimate of an evader; 0 if it has none."""
-        return 0.0, 0.0, 0.0
 
     def capture_times(self, evader: int) -> tuple[float, ...]:
         """Return the capture time, s, of each pursuer for an evader at its estimated position.

@@ -10,7 +10,8 @@ from desim.kernel.core.clock import NodeClock
 from desim.kernel.core.units import nanoseconds, seconds
 from desim.kernel.network import Network
 from desim.pursuit.motion.environment import Environment
-from desim.pursuit.sensing.views import View
+from desim.pursuit.sensing.noise import Covariance
+from desim.pursuit.sensing.views import NOWHERE, EvaderEstimate, View
 
 
 class Knowledge:
@@ -100,13 +101,13 @@ class Knowledge:
         """Return the position of an evader, m: sensed or, if it is out of range, estimated; nan if unknown."""
         return self._view.evader(evader)
 
-    def errors(self, evader: int = 1) -> tuple[float, tuple[float, float, float]]:
+    def errors(self, evader: int = 1) -> tuple[float, Covariance]:
         """Return the errors of the position of an evader: an upper bound, m, and the covariance xx, xy, yy, m^2.
 
         Both are 0 if the kind of estimate does not give them, or the position is exact or unknown.
         """
-        estimate = self._view.estimate(evader)
-        return (0.0 if estimate is None else estimate.uncertainty), self._view.covariance(evader)
+        estimate = self._view.estimate(evader) or EvaderEstimate(NOWHERE)
+        return estimate.uncertainty, estimate.covariance
 
     @property
     def radius(self) -> float:
