@@ -25,8 +25,8 @@ def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *
     The message names `value`: the function, object or class that the user gave. It begins with `whose`.
     """
     if any(map(iscoroutinefunction, _codes(function))) or any(map(isasyncgenfunction, _codes(function))):
-        what = "should have `def` in place of `async def`, and `yield` to wait"
-        raise AnswerError(f"{whose}{what}: {name_and_place(value)}")
+        advice = "should have `def` in place of `async def`, and `yield` to wait"
+        raise AnswerError(f"{whose}{advice}: {name_and_place(value)}")
     called: Any = function
     if isinstance(getattr_static(type(function), "__call__", None), staticmethod | classmethod):
         called = called.__call__  # else `signature` takes an argument for self
