@@ -100,8 +100,9 @@ class Traits(Value):
         Raises:
             ValueError: if an attribute has a value that its trait cannot have.
         """
+        model: type = type(value)
         try:
-            left_out = cls.outdated(type(value)) | cls.passed_on(value)
+            left_out = cls.outdated(model) | cls.passed_on(value)
             return cls.model_validate(attributes(value, [name for name in cls.model_fields if name not in left_out]))
         except ValidationError as error:
             first = error.errors()[0]
@@ -119,7 +120,8 @@ class Traits(Value):
                 f"{name_of(value)} has __call__ as an attribute of the object, which Python does not call: define it in"
                 " the class"
             )
-        if is_ours(model) and (name := _replaced(model, _trait_names(cls))):
+        names = tuple(cls.names())
+        if is_ours(model) and (name := _replaced(model, ("__call__", *names))):
             raise ValueError(
                 f"{name} of {name_of(value)} has been replaced in the class, and a run need not call it: derive a class"
                 f" from {name_of(value)} that has its own {name}"
@@ -131,7 +133,6 @@ class Traits(Value):
                     f"{name_of(value)} has its own {twin}, which only computes faster what {methods[0]} does: it should"
                     f" have its own {methods[0]}, too"
                 )
-        names = tuple(cls.names())
         is_function = isinstance(value, FunctionType)
         for name, trait in _misspelt(names, vars(value)) if is_function else _misspelt_in(names, value.__class__):
             if any(cls._takes(trait, attribute) for attribute in attributes(value, [name]).values()):
@@ -142,21 +143,36 @@ class Traits(Value):
                 )
 
     @classmethod
+    @lru_cache(maxsize=256)
     def outdated(cls, model: type) -> frozenset[str]:
         """Return the names of the traits of a class of models that do not count; see `Follows`."""
-        return _outdated(cls, model)
+        return frozenset(name for name, marker in cls._followers() if marker.is_outdated(name, model))
 
     @classmethod
     def passed_on(cls, value: Any) -> frozenset[str]:
-        """Return the names of the traits that a model passes on from another one, and that follow from its methods."""
+        """Return the names of the traits that a model passes on from another one, and that follow from its methods.
+
+        So does `kind`, which names the class that has them.
+        """
         if isinstance(value, BaseModel) or not hasattr(type(value), "__getattr__"):
             return frozenset()
-        return frozenset(name for name in _followers(cls) if is_passed_on(value, name))
+        return frozenset(name for name in ("kind", *dict(cls._followers())) if is_passed_on(value, name))
 
     @classmethod
+    @lru_cache(maxsize=64)
+    def _followers(cls) -> tuple[tuple[str, Follows], ...]:
+        """Return the names of the traits that follow from methods, with their markers."""
+        markers = ((name, marker) for name, field in cls.model_fields.items() for marker in field.metadata)
+        return tuple((name, marker) for name, marker in markers if isinstance(marker, Follows))
+
+    @classmethod
+    @lru_cache(maxsize=64)
     def calls(cls) -> Mapping[str, Sequence[str]]:
         """Return the names of the arguments of each trait that is a method, as its description begins with them."""
-        return _calls(cls)
+        begun = {
+            name: re.match(rf"`{name}\(([\w, ]*)\)`", field.description or "") for name, field in fields_of(cls).items()
+        }
+        return {name: tuple(filter(None, match[1].split(", "))) for name, match in begun.items() if match}
 
     @classmethod
     def names(cls) -> Iterator[str]:
@@ -173,21 +189,6 @@ class Traits(Value):
         except ValidationError:
             return False
         return True
-
-
-@lru_cache(maxsize=64)
-def _calls(traits: type[Traits]) -> Mapping[str, Sequence[str]]:
-    begun = {
-        name: re.match(rf"`{name}\(([\w, ]*)\)`", field.description or "") for name, field in fields_of(traits).items()
-    }
-    return {name: tuple(filter(None, match[1].split(", "))) for name, match in begun.items() if match}
-
-
-@lru_cache(maxsize=64)
-def _followers(traits: type[Traits]) -> tuple[str, ...]:
-    """Return the names of the traits that follow from methods, and `kind`, which names the class that has them."""
-    fields = traits.model_fields.items()
-    return ("kind", *(name for name, field in fields if any(isinstance(marker, Follows) for marker in field.metadata)))
 
 
 def is_passed_on(value: Any, name: str) -> bool:
@@ -226,22 +227,8 @@ def check_inherited_flag(value: Any, flag: str, methods: Iterable[str], effect: 
         )
 
 
-@lru_cache(maxsize=256)
-def _outdated(traits: type[Traits], model: type) -> frozenset[str]:
-    markers = ((name, marker) for name, field in traits.model_fields.items() for marker in field.metadata)
-    return frozenset(
-        name for name, marker in markers if isinstance(marker, Follows) and marker.is_outdated(name, model)
-    )
-
-
 OURS = frozenset({"desim", "protocols"})
 """The packages of the built-in models."""
-
-
-@lru_cache(maxsize=64)
-def _trait_names(traits: type[Traits]) -> tuple[str, ...]:
-    """Return the names of the methods that models of a family may have."""
-    return ("__call__", *traits.names())
 
 
 def _replaced(model: type, names: tuple[str, ...]) -> str | None:
