@@ -51,7 +51,6 @@ from desim.pursuit.sensing.tracking import ESTIMATORS
 from desim.pursuit.team.announcements import DISSEMINATIONS
 from desim.pursuit.team.trust import TRUSTS
 from desim.scenario.checks import warnings
-from desim.scenario.misfits import _fields_of_tables
 from desim.scenario.properties import KINDS as PROPERTIES
 from desim.scenario.scenario import PROTOCOLS
 from desim.scenario.sweep_table import Sweep
@@ -477,10 +476,11 @@ TABLES = {
 def tables(model, place=()):
     """Yield the key and the class of each table in a scenario."""
     yield ".".join(place), model
-    for name in _fields_of_tables(model):
-        annotation = model.model_fields[name].annotation
+    for name, field in model.model_fields.items():
+        annotation = field.annotation
         inner = [annotation, *get_args(annotation), *(each for part in get_args(annotation) for each in get_args(part))]
-        for kind in dict.fromkeys(each for each in inner if isinstance(each, type) and issubclass(each, Value)):
+        values = dict.fromkeys(each for each in inner if isinstance(each, type) and issubclass(each, Value))
+        for kind in (value for value in values if "kind" not in value.model_fields):
             yield from tables(kind, (*place, name, *(["0"] if tuple[kind, ...] in inner else [])))
 
 

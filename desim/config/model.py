@@ -1,8 +1,9 @@
 """`Value`, the base class of all models, which are immutable and validated; the types of fields: lengths, times, ..."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence, Set, Sized
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set, Sized
 from functools import cache, cached_property
+from operator import attrgetter
 from pathlib import PurePath
 from types import FunctionType, MappingProxyType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin
@@ -27,7 +28,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from desim.config.arguments import missing_attribute, with_article
-from desim.config.errors import WORDINGS, KeyedError, Problem, cause_in
+from desim.config.errors import WORDINGS, KeyedError, KeyPath, Problem, cause_in
 from desim.config.field_docs import annotated, fields_of
 from desim.config.interrupts import deferred
 from desim.config.json_numbers import from_json
@@ -501,3 +502,24 @@ def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
         yield annotation
     for inner in get_args(annotation):
         yield from models_in(inner)
+
+
+def models_within(
+    model: BaseModel,
+    place: KeyPath = (),
+    fields: Callable[[type[BaseModel]], Iterable[str]] = attrgetter("model_fields"),
+) -> Iterator[tuple[KeyPath, BaseModel]]:
+    """Yield a model and all models in its fields, or in those that a function names, with the place of each."""
+    yield place, model
+    for name in fields(type(model)):
+        for inner, part in parts_of(getattr(model, name)):
+            if isinstance(part, BaseModel):
+                yield from models_within(part, (*place, name, *inner), fields)
+
+
+def parts_of(value: Any) -> Iterator[tuple[KeyPath, Any]]:
+    """Yield the value of a field or, if it is a list, each item with its index."""
+    if isinstance(value, tuple):
+        yield from (((index,), item) for index, item in enumerate(value))
+    else:
+        yield (), value

@@ -13,7 +13,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from desim.config.model import RESOLUTION, Counted, Recurring, Value, markers_of
+from desim.config.model import RESOLUTION, Counted, Recurring, Value, markers_of, models_within, parts_of
 from desim.kernel.clock_sync import Unsynchronised
 from desim.scenario.assumptions import violations
 from desim.scenario.latency_warnings import latency_warnings
@@ -44,8 +44,8 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     if (warn := scenario.schedule_traits.warnings) is not None:
         yield from ((f"protocol.schedule.{key}", why) for key, why in warn(scenario.motion.step))
     yield from _time_warnings(scenario)
-    for above, model in _models(scenario):
-        yield from _unused_warnings(model, above)
+    for place, model in models_within(scenario):
+        yield from _unused_warnings(model, "".join(f"{part}." for part in place))
     unbreakable = (k for k, prop in enumerate(scenario.properties) if not prop.can_fail(scenario))
     yield from ((f"properties.{k}", f"it says nothing: {CANNOT_FAIL}") for k in unbreakable)
     if scenario.sweep.design is not None and not scenario.sweep.design.is_balanced:
@@ -116,33 +116,16 @@ def _unused_warnings(model: BaseModel, above: str) -> Iterator[tuple[str, str]]:
             yield f"{above}{name}", f"it has no effect with {why}"
 
 
-def _models(model: BaseModel, above: str = "") -> Iterator[tuple[str, BaseModel]]:
-    """Yield a model and all models within it, each after what its keys begin with."""
-    yield above, model
-    for name, value in model:
-        for key, part in _parts(f"{above}{name}", value):
-            if isinstance(part, BaseModel):
-                yield from _models(part, f"{key}.")
-
-
 def _numbers(scenario: Scenario) -> Iterator[tuple[str, float, Sequence[Any]]]:
     """Yield the key, the value and the markers of every number in a scenario."""
-    for above, model in _models(scenario):
+    for place, model in models_within(scenario):
         for name in type(model).model_fields:
-            for key, part in _parts(f"{above}{name}", getattr(model, name)):
+            for inner, part in parts_of(getattr(model, name)):
                 if isinstance(part, int | float):
-                    yield key, part, _markers(type(model), name)
+                    yield ".".join(map(str, (*place, name, *inner))), part, _markers(type(model), name)
 
 
 @lru_cache(maxsize=1024)
 def _markers(model: type[BaseModel], name: str) -> tuple[Any, ...]:
     """Return the markers of a field."""
     return tuple(markers_of(model.model_fields[name]))
-
-
-def _parts(key: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the key and the value of a field or, if it holds a list, of each item."""
-    if isinstance(value, tuple):
-        yield from ((f"{key}.{place}", item) for place, item in enumerate(value))
-    else:
-        yield key, value

@@ -7,12 +7,13 @@ fit together. What the models of links say of the links that use them (`check_li
 
 from collections.abc import Iterator
 from functools import cache
-from typing import Any, get_args
+
+from pydantic import BaseModel
 
 from desim.config.choice import choices_of
 from desim.config.errors import KeyedError
 from desim.config.field_docs import annotated
-from desim.config.model import Value
+from desim.config.model import Value, models_within
 from desim.config.traits import is_ours
 from desim.kernel.clock_sync import TwoWay
 from desim.kernel.core.units import nanoseconds, seconds
@@ -58,38 +59,24 @@ def misfits(scenario: AnyScenario) -> Iterator[Misfit]:
     yield from property_misfits(scenario)
 
 
-def _derived_tables(table: Value, place: tuple[str | int, ...] = ()) -> Iterator[Misfit]:
+def _derived_tables(scenario: AnyScenario) -> Iterator[Misfit]:
     """Yield the key and the text of each table whose class is derived by a user, and overrides something.
 
     A table is written and read again with its keys, for a file as for a changed scenario, and then has its own class.
     A model with a kind may be derived: it is named by its class.
     """
-    kind = type(table)
-    if not is_ours(kind):
-        yield from ((place, why) for why in _overridden(kind))
-    for name in _fields_of_tables(kind):
-        value = getattr(table, name)
-        if type(value) is tuple:
-            for k, item in enumerate(value if value and isinstance(value[0], Value) else ()):
-                yield from _derived_tables(item, (*place, name, k))
-        elif isinstance(value, Value):
-            yield from _derived_tables(value, (*place, name))
+    for place, table in models_within(scenario, fields=_fields_of_tables):
+        if not is_ours(type(table)):
+            yield from ((place, why) for why in _overridden(type(table)))
 
 
 @cache
-def _fields_of_tables(kind: type[Value]) -> tuple[str, ...]:
-    """Return the names of the fields of a table that hold tables, or lists of tables, and no models with a kind."""
-    fields = kind.model_fields.items()
-    return tuple(name for name, field in fields if _holds_table(field.annotation) and not choices_of(field))
+def _fields_of_tables(kind: type[BaseModel]) -> tuple[str, ...]:
+    """Return the names of the fields that hold no models with a kind."""
+    return tuple(name for name, field in kind.model_fields.items() if not choices_of(field))
 
 
-def _holds_table(annotation: Any) -> bool:
-    if isinstance(annotation, type) and issubclass(annotation, Value):
-        return "kind" not in annotation.model_fields
-    return any(map(_holds_table, get_args(annotation)))
-
-
-def _overridden(kind: type[Value]) -> Iterator[str]:
+def _overridden(kind: type[BaseModel]) -> Iterator[str]:
     """Yield why a class that a user derives from a table is refused, if it has a key or a method of the table anew."""
     base = next(ancestor for ancestor in kind.__mro__ if is_ours(ancestor))
     derived = kind.__mro__[: kind.__mro__.index(base)]
@@ -102,7 +89,7 @@ def _overridden(kind: type[Value]) -> Iterator[str]:
         )
 
 
-def _is_of_table(base: type[Value], name: str) -> bool:
+def _is_of_table(base: type[BaseModel], name: str) -> bool:
     """Return whether a table has a key, a method or a property of a name, but no other value has it."""
     return name in base.model_fields or (hasattr(base, name) and not hasattr(Value, name))
 
