@@ -165,7 +165,7 @@ def test_chasing_an_existing_evader_is_no_error():
 @pytest.mark.parametrize(
     ("evader", "why"),
     [
-        ((), "at least one table"),
+        ((), "at least 1 item"),
         ({"count": 0}, "greater than or equal to 1"),
         ([{"count": 2}, {"count": -1}], "greater than or equal to 1"),
         ({"count": True}, "be an integer"),

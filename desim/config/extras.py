@@ -45,7 +45,4 @@ def naming_extras() -> Iterator[None]:
         package = (error.name or "").partition(".")[0]
         if package not in EXTRAS:
             raise
-        message = missing(package)
-    else:
-        return
-    raise ModuleNotFoundError(message, name=package) from None
+        raise ModuleNotFoundError(missing(package), name=package) from None

@@ -102,7 +102,7 @@ def table_of(model: Any, *, exclude_none: bool = False) -> dict[str, Any]:
     else:
         made_from = parameters_of(model) or {}
         parameters = {key: entry for key, entry in made_from.items() if not (exclude_none and entry is None)}
-    return sorted_sets(parameters) | {"kind": import_name(definition_of(model))}
+    return {**sorted_sets(parameters), "kind": import_name(definition_of(model))}
 
 
 def sorted_sets(value: Any) -> Any:

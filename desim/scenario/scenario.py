@@ -10,7 +10,19 @@ from desim.config.arguments import naming_arguments, value_text
 from desim.config.choice import OneOf
 from desim.config.html import html_properties
 from desim.config.key_index import outermost
-from desim.config.model import MIN_PERIOD, RESOLUTION, Flag, Horizon, Length, Period, Recurring, Time, Value, in_forms
+from desim.config.model import (
+    MIN_PERIOD,
+    RESOLUTION,
+    Flag,
+    Horizon,
+    Length,
+    NotEmpty,
+    Period,
+    Recurring,
+    Time,
+    Value,
+    in_forms,
+)
 from desim.config.packages import ENVIRONMENTS
 from desim.config.traits import kind_of
 from desim.kernel.clock_sync import CLOCK_SYNCS, ClockSync, Unsynchronised
@@ -49,12 +61,6 @@ def _not_over_at_once(horizon: float) -> float:
 
 PROTOCOLS = OneOf(group="desim.protocols", takes=("me",), traits=ProtocolTraits)
 """The installed protocols."""
-
-
-def _not_empty(evaders: tuple[Evader, ...]) -> tuple[Evader, ...]:
-    if not evaders:  # `min_length` would count valid items only
-        raise ValueError("should have at least one table")
-    return evaders
 
 
 class Capture(Value):
@@ -147,7 +153,7 @@ class Scenario(Value):
     overrides `team.active_at_start`."""
     team: Team = Team()
     evader: Annotated[
-        Annotated[Evader, Tag("table")] | Annotated[tuple[Evader, ...], AfterValidator(_not_empty), Tag("list")],
+        Annotated[Evader, Tag("table")] | Annotated[tuple[Evader, ...], NotEmpty(), Tag("list")],
         in_forms("list", "table"),
     ] = Evader()
     """The evaders: a table or, for evaders with different parameters, a list of tables."""
