@@ -12,8 +12,8 @@ from types import SimpleNamespace
 import click
 import pytest
 
+from desim.analysis.looks import FIRST_LOOK
 from desim.analysis.measuring import summary
-from desim.analysis.statistics import FIRST_LOOK
 from desim.cli import main
 from desim.cli.recorded import labels_of
 from desim.config.extras import missing

@@ -275,7 +275,7 @@ def _print_plan(
     mix_versions: bool,
 ) -> None:
     """Print how many runs of each configuration are planned, and how many a store has; nothing is written."""
-    from desim.analysis.statistics import FIRST_LOOK
+    from desim.analysis.looks import FIRST_LOOK
     from desim.analysis.tables import aligned
     from desim.config.number_texts import counted
     from desim.study.results.runs import text

@@ -7,7 +7,8 @@ from math import e, exp, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.analysis.statistics import FIRST_LOOK, NORMAL_975, estimate, runs_needed, wilson
+from desim.analysis.looks import FIRST_LOOK, runs_needed
+from desim.analysis.statistics import NORMAL_975, estimate, wilson
 
 SIZES = (30, 300)
 """The numbers of values that give the targets."""

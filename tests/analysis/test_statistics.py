@@ -10,12 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import betainc, stdtr
 
-from desim.analysis import statistics
-from desim.analysis.statistics import FIRST_LOOK, OTHERS, differences, estimate, paired, wilson
+from desim.analysis import looks, statistics
+from desim.analysis.looks import FIRST_LOOK, OTHERS
+from desim.analysis.statistics import differences, estimate, paired, wilson
 from desim.study.results.costs import Saving
 
-next_look = partial(statistics.next_look, first_look=30)
-runs_needed = partial(statistics.runs_needed, first_look=30)
+next_look = partial(looks.next_look, first_look=30)
+runs_needed = partial(looks.runs_needed, first_look=30)
 """With a first look at 30 values, for which numbers are easy to check."""
 
 
@@ -388,7 +389,7 @@ def test_the_first_look_is_at_30_runs_or_at_the_most_there_may_be(count, at_most
 
 def test_the_first_look_is_at_100_runs_unless_it_is_said():
     assert FIRST_LOOK == 100
-    assert [statistics.next_look([1.0, 2.0] * k, 100.0, at_most=200) for k in (0, 49, 50)] == [100, 100, 100]
+    assert [looks.next_look([1.0, 2.0] * k, 100.0, at_most=200) for k in (0, 49, 50)] == [100, 100, 100]
 
 
 def test_a_look_ends_where_the_half_width_is_at_most_the_target_and_not_before():

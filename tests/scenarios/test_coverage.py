@@ -4,7 +4,7 @@ from math import sqrt
 
 import pytest
 
-from desim.analysis.statistics import FIRST_LOOK
+from desim.analysis.looks import FIRST_LOOK
 from scenarios.coverage import table
 from scenarios.studies.coverage_runs import LAWS, coverage
 

@@ -18,7 +18,8 @@ import pytest
 
 from desim import run, summary
 from desim import sweep as sweep_of_package
-from desim.analysis.statistics import estimate, paired, runs_needed
+from desim.analysis.looks import runs_needed
+from desim.analysis.statistics import estimate, paired
 from desim.config.model import Value
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links

@@ -18,9 +18,9 @@ import pytest
 
 from desim import explain, sweep
 from desim.analysis import captures
+from desim.analysis.looks import runs_needed
 from desim.analysis.measuring import summary
 from desim.analysis.metrics import METRICS, Metric, Summary, active_time, end_time
-from desim.analysis.statistics import runs_needed
 from desim.cli.sources import shown_metrics
 from desim.scenario import named_metrics
 from desim.scenario.overrides import ScenarioError

@@ -26,7 +26,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from desim.analysis.statistics import NORMAL_975, OTHERS, paired
+from desim.analysis.looks import OTHERS
+from desim.analysis.statistics import NORMAL_975, paired
 from desim.config.arrays import Floats
 from desim.config.errors import ArgumentError
 from desim.config.python_numbers import real, whole

@@ -8,8 +8,8 @@ from itertools import count, takewhile
 from pathlib import Path
 from typing import Any
 
+from desim.analysis.looks import runs_needed
 from desim.analysis.measuring import Metrics, UsersMetrics, check_numeric, measured
-from desim.analysis.statistics import runs_needed
 from desim.config.arguments import naming_arguments, value_text
 from desim.config.python_numbers import real
 from desim.scenario.overrides import Source
