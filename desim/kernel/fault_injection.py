@@ -102,13 +102,10 @@ class _Site:
     def size(self) -> int:
         return self._network.topology.size
 
-    def record(self, kind: type[FaultStarted | FaultEnded]) -> None:
-        """Append to the trace that the fault starts or ends now."""
-        self._append(kind, self._record)
-
-    def _append(self, kind: type[FaultStarted | FaultEnded], record: TracedFault) -> None:
+    def record(self, kind: type[FaultStarted | FaultEnded], part: TracedFault | None = None) -> None:
+        """Append to the trace that the fault, or a part of it, starts or ends now."""
         if self._trace is not None:
-            self._trace.append(kind(self._env.now, record))
+            self._trace.append(kind(self._env.now, part or self._record))
 
     def apply(self) -> Undo:
         """Let the fault begin; return the function that ends it."""
@@ -147,13 +144,13 @@ class _Site:
         # any other fault is recorded here: metrics, replays and invariants read who is down, and who forgets, from it.
         record = None if isinstance(self._record, Crash) else cast("Crash", as_built_in(crash, Crash))
         if record is not None:
-            self._append(FaultStarted, record)
+            self.record(FaultStarted, record)
         outage = self._network.crash(crash.node, self._cause)
         self._crashed(crash)
 
         def recover() -> None:
             if record is not None:
-                self._append(FaultEnded, record)
+                self.record(FaultEnded, record)
             self._network.recover(crash.node, outage, memory=crash.memory)
             self._recovered(crash)
 

@@ -19,6 +19,7 @@ only `step` moves, and runs the same network: the same links, faults and draws.
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from copy import deepcopy
 from functools import partial
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
 
 import numpy as np
@@ -193,6 +194,7 @@ class SteppedNetwork:
         self._seed, self._trace, self._clock, self._positions = seed, trace, clock, places
         self._network, (self._queue,) = network, queues
         self._losses: list[tuple[int, int, int, LostMessage]] = []
+        """The losses of this step, each after its time, ns, its transmission and its receiver."""
         self._lost: list[LostMessage] = []
         self._away: dict[int, tuple[Crash, Outage]] = {}
         self._is_unused, self._problem = True, ""
@@ -289,7 +291,7 @@ class SteppedNetwork:
         self._is_unused = False
         with RARE_COLLECTION:
             arrived = self._run(self._pass, Instant(clock, end, Phase.DECISION))
-        self._lost = [lost for *_, lost in sorted(self._losses, key=_order)]
+        self._lost = [lost for *_, lost in sorted(self._losses, key=itemgetter(0, 1, 2))]
         self._losses.clear()
         return arrived
 
@@ -554,8 +556,3 @@ def _size_of(body: Any) -> int:
         return size_of(body)
     except ValueError:
         return HEADER
-
-
-def _order(loss: tuple[int, int, int, LostMessage]) -> tuple[int, int, int]:
-    """Return the time, the transmission and the receiver of a loss."""
-    return loss[:3]

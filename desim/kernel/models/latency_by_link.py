@@ -5,7 +5,7 @@ Each adds to the latency of the link a jitter, which is a model of `desim.kernel
 
 from collections.abc import Iterable
 from dataclasses import replace
-from math import fsum, inf, isnan
+from math import fsum, inf
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -145,7 +145,7 @@ class LatencyMatrix(NamedTable):
                 raise ValueError("nodes should be left out: the file has names")
             data = data | ({"nodes": names} if names else {})
         if isinstance(values, list | tuple) and all(isinstance(row, list | tuple) for row in values):
-            values = [[inf if _is_nan(number) else number for number in row] for row in values]
+            values = [[inf if number is None or number != number else number for number in row] for row in values]
         return data | {"file": None} | ({} if values is None else {"values": values})
 
     @model_validator(mode="after")
@@ -231,10 +231,6 @@ class LatencyMatrix(NamedTable):
         base, jitter = self.base_latencies, mean_latency(self.jitter)
         finite = base[(base < inf) & ~np.eye(len(base), dtype=bool)]
         return None if jitter is None or not len(finite) else fsum(finite) / len(finite) + jitter
-
-
-def _is_nan(number: Any) -> bool:
-    return number is None or (isinstance(number, float) and isnan(number))
 
 
 class _PlayedMatrix:

@@ -53,24 +53,15 @@ class Processing(Value):
     """Processing delay at the receiver, s."""
 
 
-def _completed(value: Any, table: dict[str, Any]) -> Any:
-    """Return a given table, with the keys that it and the tables in it lack filled in from a preset.
+def _completed(value: Any, preset: Any) -> Any:
+    """Return a given table, with the keys that it and the tables in it lack filled in from the table of a preset.
 
-    `table` is the table of the preset. A given value that is not a table, or has another kind, is returned unchanged.
+    A value that is not a table, or has another kind, is returned unchanged.
     """
-    kind = table.get("kind")
-    if not isinstance(value, dict) or value.get("kind", kind) != kind:
+    tables = isinstance(value, dict) and isinstance(preset, dict)
+    if not tables or value.get("kind", preset.get("kind")) != preset.get("kind"):
         return value
-    return table | value | _tables_completed(value, table)
-
-
-def _tables_completed(fields: dict[str, Any], preset: dict[str, Any]) -> dict[str, Any]:
-    """Return the given values of the keys that are tables in a preset, completed from it."""
-    return {
-        key: _completed(fields[key], table)
-        for key, table in preset.items()
-        if key in fields and isinstance(table, dict)
-    }
+    return preset | {key: _completed(part, preset.get(key)) for key, part in value.items()}
 
 
 def _numbered(owner: Owner, names: tuple[str, ...], keys: Iterable[str] = ("latency", "loss")) -> Owner:
@@ -234,7 +225,7 @@ class Links(Value):
         preset = data.get("preset") if isinstance(data, dict) else None
         if not isinstance(preset, str) or preset not in PRESETS:
             return data
-        return PRESETS[preset] | data | _tables_completed(data, PRESETS[preset])
+        return _completed(data, PRESETS[preset])
 
     def _derived(self) -> Set[str]:
         """Return the names of the fields with the value that the preset stands for."""

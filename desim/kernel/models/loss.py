@@ -92,15 +92,11 @@ class GilbertElliott(Value):
     """
 
     @model_validator(mode="after")
-    def _check_common(self) -> Self:
+    def _check_common_and_burst(self) -> Self:
         if self.common and self.advance == "message":
             raise ValueError('common needs advance = "time": links have no messages in common')
         if self.common > (most := max_common(self.share)):
             raise ValueError(f"common should be at most {most:.4f} for a share of {self.share:g} (got {self.common:g})")
-        return self
-
-    @model_validator(mode="after")
-    def _check_burst(self) -> Self:
         min_burst = max(1.0, self.share / (1.0 - self.share))
         if self.advance == "message" and self.burst < min_burst:
             raise ValueError(f"burst should be at least {min_burst:g} messages for this share (got {self.burst:g})")

@@ -19,6 +19,7 @@ from desim.kernel.models.netem_tables import HIGHEST, LONGEST, LOWEST, SCALE, SI
 
 MAX_JITTER = (2**31 - 1) / 1e9
 """Largest jitter in Linux, s."""
+TableNumber = Annotated[int, Field(ge=LOWEST, le=HIGHEST, strict=True)]
 
 
 class Netem(Value):
@@ -42,7 +43,7 @@ class Netem(Value):
     modulo 4096, or modulo 2 `jitter` in ns."""
     distribution: Literal["uniform", "normal", "pareto", "paretonormal"] = "uniform"
     """Distribution of the jitter; the tables of the last three are those of iproute2."""
-    table: Annotated[tuple[Annotated[int, Field(ge=LOWEST, le=HIGHEST, strict=True)], ...], FirstError()] | None = None
+    table: Annotated[tuple[TableNumber, ...], FirstError(), Field(min_length=1, max_length=LONGEST)] | None = None
     """Instead of a distribution: a table of 1 to 16384 numbers, usually 4096."""
     file: str | None = None
     """Instead of a distribution: path of a table NAME.dist, relative to the scenario file. The file is read once, when
@@ -66,8 +67,6 @@ class Netem(Value):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
-        if self.table is not None and not 1 <= len(self.table) <= LONGEST:
-            raise ValueError(f"table should have 1 to {LONGEST} numbers (got {len(self.table)})")
         if self.table is not None and self.distribution != "uniform":
             raise ValueError("should have either a distribution or a table")
         if self.delay == 0.0 and (self.reorder or (self.jitter and self.numbers() is not None)):
