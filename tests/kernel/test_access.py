@@ -1080,12 +1080,16 @@ def test_acknowledgements_count_to_the_duty_cycle(ack_timeout):
             assert np.mean(np.diff(begins[2:])) == pytest.approx(period, abs=30.0)
 
 
-def test_a_node_that_only_acknowledges_waits_with_its_own_frame_for_its_duty_cycle():
-    """Four acknowledgements of 0.5 ms within 6 ms are worth 20 ms with 10 %, from the first one on, at 1.038 ms."""
+@pytest.mark.parametrize("created", [500, 5500])
+def test_a_node_that_acknowledges_waits_with_its_own_frame_for_its_duty_cycle(created):
+    """Four acknowledgements of 0.5 ms within 6 ms are worth 20 ms with 10 %, from the first one on, at 1.038 ms.
+
+    The frame of 0.5 ms contends as the first acknowledgement begins.
+    """
     clock, net, trace = network(CsmaCa(ack=500e-6), size=5, medium={"duty_cycle": 0.1})
     for src in (1, 2, 3, 4):
         at(clock, 1500 * (src - 1), net.send, src, 0, None, size=SIZE)
-    at(clock, 5500, net.publish, 0, None, size=SIZE)
+    at(clock, created, net.publish, 0, None, size=SIZE)
     clock.run()
     assert net.message_counts().lost == 0
     (own,) = (message.t / US for message in trace.of(Broadcast) if message.src == 0)
