@@ -47,8 +47,7 @@ export function start(root, transport, options) {
     const parts = new URLSearchParams();
     joined(now).forEach(each => parts.append("set", each));
     if (pinned === null) parts.append("alone", "");
-    else if (pinned.length) pinned.forEach(each => parts.append("pin", each));
-    else parts.append("pin", "");
+    else (pinned.length ? pinned : [""]).forEach(each => parts.append("pin", each));
     const time = instant ?? replay()?.time ?? shown.time;
     if (time) parts.append("t", +time.toFixed(4));
     const own = `#${parts}`;

@@ -9,11 +9,8 @@ const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowD
 const shiftOf = k => [0, 1].map(axis => wanted[k][axis] - walls[k].offset[axis]);
 /** The outline of a wall where it is asked for, px; of its polygons only, or of all shapes. */
 function wantedOutline(k, isSolid = false) {
-  const way = new Path2D(), [dx, dy] = shiftOf(k);
-  for (const { closed, corners } of walls[k].shapes) if (closed || !isSolid) {
-    corners.forEach(([x, y], i) => way[i ? "lineTo" : "moveTo"](px(x + dx), py(y + dy)));
-    if (closed) way.closePath();
-  }
+  const way = new Path2D();
+  for (const { closed, corners } of walls[k].shapes) if (closed || !isSolid) outline(way, corners, closed, shiftOf(k));
   return way;
 }
 function drawWanted(c) {

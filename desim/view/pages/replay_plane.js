@@ -292,18 +292,22 @@ function addTrail(c, { width, places }, kept, i, from, until) {
   for (let k = upto(kept, from); k < kept.length && kept[k] < until; k++) c.lineTo(x(kept[k]), y(kept[k]));
   c.lineTo(x(until), y(until));
 }
-/** Bring a layer with the trails of groups of players, each with a hue, up to a sample: only what is new is drawn, if it can be. */
-function extendTrails(onto, track, groups, until, wide) {
-  if (onto.state !== view || onto.until > until) { onto.clear(); onto.state = view; onto.until = 0; }
-  if (onto.until === until) return;
-  const c = onto.context, corners = cornersAt(track);
+/** Draw the trails of groups of players, each with a hue, from one sample to another. */
+function strokeTrails(c, track, groups, from, until, wide) {
+  const corners = cornersAt(track);
   c.lineJoin = c.lineCap = "round"; c.lineWidth = wide;
   for (const [hue, players] of groups) {
     c.strokeStyle = hue;
     c.beginPath();
-    for (const i of players) addTrail(c, track, corners[i], i, onto.until, until);
+    for (const i of players) addTrail(c, track, corners[i], i, from, until);
     c.stroke();
   }
+}
+/** Bring a layer with the trails of groups of players, each with a hue, up to a sample: only what is new is drawn, if it can be. */
+function extendTrails(onto, track, groups, until, wide) {
+  if (onto.state !== view || onto.until > until) { onto.clear(); onto.state = view; onto.until = 0; }
+  if (onto.until === until) return;
+  strokeTrails(onto.context, track, groups, onto.until, until, wide);
   onto.until = until;
 }
 /** Draw the last bit of the trails: from a sample to x, y of each player at the time shown. */
@@ -348,14 +352,7 @@ function drawTrails(c) {
   if (recent.state !== state) {
     recent.clear();
     recent.state = state;
-    const from = Math.max(upto(path.t, time - RECENT / TICK) - 1, 0), corners = cornersAt(path), r = recent.context;
-    r.lineJoin = r.lineCap = "round"; r.lineWidth = 2.2;
-    for (const [hue, players] of groups) {
-      r.strokeStyle = hue;
-      r.beginPath();
-      for (const i of players) addTrail(r, path, corners[i], i, from, last);
-      r.stroke();
-    }
+    strokeTrails(recent.context, path, groups, Math.max(upto(path.t, time - RECENT / TICK) - 1, 0), last, 2.2);
   }
   c.globalAlpha = .85;
   recent.show(c);

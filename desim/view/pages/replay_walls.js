@@ -43,17 +43,18 @@ function reachOf(x, y, radius, far) {
   }
   return reach;
 }
-function outline(c, places) { places.forEach(([x, y], k) => k ? c.lineTo(px(x), py(y)) : c.moveTo(px(x), py(y))); c.closePath(); }
+/** Add lines through some places, m, to what is drawn; each is shifted by dx, dy. */
+function outline(way, places, isClosed = true, [dx, dy] = [0, 0]) {
+  places.forEach(([x, y], k) => way[k ? "lineTo" : "moveTo"](px(x + dx), py(y + dy)));
+  if (isClosed) way.closePath();
+}
 function drawWalls(c) {
   for (const { blocks, shapes } of walls) {
     c.strokeStyle = c.fillStyle = blocks.includes("motion") ? colour.ink : colour.soft;
     c.lineWidth = blocks.includes("motion") ? 2.6 : 1.6; c.lineJoin = "round";
     c.setLineDash(blocks.includes("sight") ? [] : [6, 4]);
     c.beginPath();
-    for (const { closed, corners } of shapes) {
-      corners.forEach(([x, y], k) => k ? c.lineTo(px(x), py(y)) : c.moveTo(px(x), py(y)));
-      if (closed) c.closePath();
-    }
+    for (const { closed, corners } of shapes) outline(c, corners, closed);
     if (shapes.some(shape => shape.closed)) { c.globalAlpha = .22; c.fill("evenodd"); }
     c.globalAlpha = .9; c.stroke();
   }
@@ -63,10 +64,7 @@ function drawWalls(c) {
 function drawOtherWalls(c) {
   const own = new Set(walls.map(({ shapes }) => JSON.stringify(shapes)));
   c.beginPath();
-  for (const { shapes } of run.ghost.walls ?? []) if (!own.has(JSON.stringify(shapes))) for (const { closed, corners } of shapes) {
-    corners.forEach(([x, y], k) => k ? c.lineTo(px(x), py(y)) : c.moveTo(px(x), py(y)));
-    if (closed) c.closePath();
-  }
+  for (const { shapes } of run.ghost.walls ?? []) if (!own.has(JSON.stringify(shapes))) for (const { closed, corners } of shapes) outline(c, corners, closed);
   c.stroke();
 }
 /** What is out of radio contact with the selected pursuer, or with the first that is active. */
