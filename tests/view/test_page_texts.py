@@ -188,7 +188,7 @@ def test_a_page_is_given_each_variable_of_its_template_and_no_other(name):
     (rendered,) = (call for call in calls if isinstance(call.func, ast.Attribute) and call.func.attr == "render")
     template = (PAGES / f"{name}.html").read_text(encoding="utf-8")
     environment = Environment(autoescape=True)
-    environment.filters |= {"signs": str, "unit": str}
+    environment.filters |= dict.fromkeys(("signs", "counted", "unit"), str)
     assert {keyword.arg for keyword in rendered.keywords} == meta.find_undeclared_variables(environment.parse(template))
 
 

@@ -15,6 +15,7 @@ from desim.config.whole_files import write_whole
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
 from desim.view.pages.headline import about, conditions, run_name
+from desim.view.pages.replay_columns import ReplayData
 from desim.view.pages.replay_data import replay_data
 from desim.view.pages.replay_plane import is_falling
 
@@ -97,7 +98,7 @@ def replay_page(result: Result, ghost: Result | None = None, *, on_part: Callabl
         palette=palette,
         warnings=list(missing_recordings(result, ghost)),
         run=data,
-        radio_walls=any("radio" in wall.blocks for wall in result.scenario.wall),
+        radio_shadows=_has_shadows(data),
         sight_walls=any("sight" in wall.blocks for wall in result.scenario.wall),
         mixed_walls=any(not {"sight", "motion"} <= {*wall.blocks} for wall in result.scenario.wall),
         style=_file("replay.css"),
@@ -105,6 +106,13 @@ def replay_page(result: Result, ghost: Result | None = None, *, on_part: Callabl
     )
     on_part()
     return text
+
+
+def _has_shadows(data: ReplayData) -> bool:
+    """Return whether the page can show where radio does not reach: walls shorten one range of all, or end any range."""
+    reception, factors = data["reception"], [wall["factor"] for wall in data["walls"] or ()]
+    is_shortened = reception["radius"] is not None and any(factor != 1.0 for factor in factors)
+    return reception["known"] and (is_shortened or None in factors)
 
 
 def _file(name: str) -> str:
