@@ -102,6 +102,9 @@ def _run(
     as_json: bool,
 ) -> None:
     """Run a scenario live, and print the metrics and how the runs went."""
+    from desim.analysis.measuring import summary
+    from desim.analysis.metrics import plain
+    from desim.analysis.tables import batch_table, run_table
     from desim.live.live_runs import runs
     from desim.study.workers.batch import seeds_from
 
@@ -114,7 +117,15 @@ def _run(
     for result in results if out is not None else ():
         assert out is not None
         _write(result, out if count == 1 else out / f"seed-{result.seed}")
-    echo(_document(scenario, results) if as_json else _tables(scenario, results, wall_time, metrics))
+    summaries = [summary(result) for result in results]
+    if as_json:
+        conducts = [result.conduct.document() for result in results]
+        entries = [plain(one) | {"live": conduct} for one, conduct in zip(summaries, conducts, strict=True)]
+        echo(json.dumps({"scenario": scenario.plain(), "runs": entries}, indent=2))
+    else:
+        shown = shown_metrics(scenario, metrics)
+        table = run_table(scenario, summaries[0], wall_time, shown) if count == 1 else None
+        echo(f"{table or batch_table(scenario, summaries, wall_time)}\n{conduct_lines(results)}")
     for result in results:
         for note in result.conduct.notes:
             echo(f"warning: seed {result.seed}: {note}", err=True)
@@ -124,25 +135,6 @@ def _run(
         echo(f"wrote {out}", err=True)
     if any(result.conduct.ends for result in results):
         sys.exit(FAILED)
-
-
-def _document(scenario: "Scenario", results: "Sequence[LiveResult]") -> str:
-    """Return the metrics of runs, and how the runs went, as JSON."""
-    from desim.analysis.measuring import summary
-    from desim.analysis.metrics import plain
-
-    entries = [plain(summary(result)) | {"live": result.conduct.document()} for result in results]
-    return json.dumps({"scenario": scenario.plain(), "runs": entries}, indent=2)
-
-
-def _tables(scenario: "Scenario", results: "Sequence[LiveResult]", wall_time: float, metrics: tuple[str, ...]) -> str:
-    """Return the metrics of runs, and how the runs went, as text."""
-    from desim.analysis.measuring import summary
-    from desim.analysis.tables import batch_table, run_table
-
-    summaries = [summary(result) for result in results]
-    one = len(results) == 1 and run_table(scenario, summaries[0], wall_time, shown_metrics(scenario, metrics))
-    return f"{one or batch_table(scenario, summaries, wall_time)}\n{conduct_lines(results)}"
 
 
 def _write(result: "LiveResult", folder: Path) -> None:

@@ -154,6 +154,7 @@ def _run_several(
 
     from desim.analysis.measuring import summary
     from desim.analysis.metrics import Summary
+    from desim.analysis.tables import batch_table
     from desim.results import provenance, run_folder
     from desim.simulation.run import run as run_scenario
     from desim.study.workers.batch import run_many, seeds_from
@@ -168,7 +169,8 @@ def _run_several(
     try:
         results = run_many(tasks, jobs, scenario.name, measure, simulate, finished.__setitem__, timeout)
     except KeyboardInterrupt as error:
-        _show_finished(scenario, finished, time.perf_counter() - start)
+        if finished:
+            echo(batch_table(scenario, [finished[k] for k in sorted(finished)], time.perf_counter() - start))
         where = f", in {into[0]}/seed-*" if into and finished else ""
         note = f"{len(finished)} of {count} runs have ended{where}{_how_to_keep(file, scenario, count)}"
         notes = getattr(error, "__notes__", [])
@@ -179,14 +181,6 @@ def _run_several(
         with run_folder.writing():
             provenance.write(out, made)
     return results
-
-
-def _show_finished(scenario: "Scenario", finished: "Mapping[int, Summary]", wall_time: float) -> None:
-    """Print the table of the runs that have ended, given their metrics by the number of the run."""
-    from desim.analysis.tables import batch_table
-
-    if finished:
-        echo(batch_table(scenario, [finished[k] for k in sorted(finished)], wall_time))
 
 
 def _how_to_keep(file: Path | None, scenario: "Scenario", count: int) -> str:

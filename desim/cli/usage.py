@@ -78,7 +78,7 @@ def advised(
     """
     context = error.ctx or _context_of(words, of_program)
     if isinstance(error, click.NoSuchOption):
-        return _about_to(error, words)
+        return _about_option(error, words)
     if isinstance(error, click.MissingParameter) and error.param is not None and context is not None:
         return click.UsageError(f"needs {_described(error.param, context)}", context)
     if isinstance(error, click.BadOptionUsage) and context is not None:
@@ -161,31 +161,29 @@ def _taken(context: click.Context, message: str) -> str:
     return f"{taken}; a value with spaces, braces or brackets is in quotes: --set 'fault=[{{kind = \"crash\", ...}}]'"
 
 
-def _about_to(error: click.NoSuchOption, words: Sequence[str]) -> click.NoSuchOption:
+def _about_option(error: click.NoSuchOption, words: Sequence[str]) -> click.NoSuchOption:
     """Return the error with the option, or the key of a scenario, that a wrong option means."""
-    params = [] if error.ctx is None else error.ctx.command.params
+    context = error.ctx
+    params = [] if context is None else context.command.params
     options = {name: param.opts for param in params if isinstance(param, click.Option) for name in param.opts}
-    name = error.option_name.lstrip("-")
-    close = close_to(f"--{name}", [option for option in options if option.startswith("--")], cutoff=0.7)
-    meant = OPTIONS.get(name)
-    possible = ([min(options[meant], key=len)] if meant in options else []) or close
-    advice = f" Did you mean {possible[0]!r}?" if possible else ""
-    keys = _keys(name) if "--set" in options and meant not in options else []
-    if is_known := meant in options or bool(close_to(f"--{name}", close, cutoff=0.9)):
-        keys = []
-    if others := [] if is_known or error.ctx is None else _having(error.option_name, error.ctx):
-        advice = f" It is an option of {', '.join(others)}."
-        keys = [key for key in keys if not key.startswith(("properties.", "sweep."))]
-        if error.ctx is not None and isinstance(error.ctx.command, click.Group):
-            typed = next((word for word in words if word in error.ctx.command.commands), others[0])
-            advice = f" Options follow the command: desim {typed} ... {error.option_name}"
-    if keys:
+    name, long_forms = error.option_name.lstrip("-"), [option for option in options if option.startswith("--")]
+    close, meant = close_to(f"--{name}", long_forms, cutoff=0.7), OPTIONS.get(name)
+    others = [] if context is None else _having(error.option_name, context)
+    if meant in options:
+        advice = f"Did you mean {min(options[meant], key=len)!r}?"
+    elif close_to(f"--{name}", close, cutoff=0.9):
+        advice = f"Did you mean {close[0]!r}?"
+    elif keys := _keys(name, bool(others)) if "--set" in options else []:
         alternatives = f", or {' or '.join(keys[1:])}" if keys[1:] else ""
-        advice = f" A key of the scenario is set by --set {keys[0]}=VALUE{alternatives}."
-    if not advice:
-        there = [form for param in params if isinstance(param, click.Option) for form in param.opts if form[:2] == "--"]
-        advice = f" There are {', '.join(there)}."
-    return click.NoSuchOption(error.option_name, f"No such option {error.option_name!r}.{advice}", ctx=error.ctx)
+        advice = f"A key of the scenario is set by --set {keys[0]}=VALUE{alternatives}."
+    elif others and context is not None and isinstance(context.command, click.Group):
+        typed = next((word for word in words if word in context.command.commands), others[0])
+        advice = f"Options follow the command: desim {typed} ... {error.option_name}"
+    elif others:
+        advice = f"It is an option of {', '.join(others)}."
+    else:
+        advice = f"Did you mean {close[0]!r}?" if close else f"There are {', '.join(long_forms)}."
+    return click.NoSuchOption(error.option_name, f"No such option {error.option_name!r}. {advice}", ctx=context)
 
 
 def _having(option: str, context: click.Context) -> list[str]:
@@ -197,8 +195,11 @@ def _having(option: str, context: click.Context) -> list[str]:
     return [str(command.name) for command in others if any(option in param.opts for param in command.params)]
 
 
-def _keys(option: str) -> list[str]:
-    """Return the outermost keys of scenarios, at most three, whose last part is the name of an option."""
+def _keys(option: str, is_of_others: bool) -> list[str]:
+    """Return the outermost keys of scenarios, at most three, whose last part is the name of an option.
+
+    The keys of properties and sweeps are left out if the option is one of other commands.
+    """
     from desim.config.key_index import homes_of
     from desim.config.key_suggestions import WORDS_FOR_KEYS
     from desim.scenario.scenario import Scenario
@@ -206,7 +207,8 @@ def _keys(option: str) -> list[str]:
     word = option.replace("-", "_")
     names = dict.fromkeys([WORDS_FOR_KEYS.get(word, word), word])
     homes = [key for name in names for key in homes_of(name, Scenario) if key.place[-1] == name]
-    return list(dict.fromkeys(key.dotted for key in homes))[:3]
+    keys = list(dict.fromkeys(key.dotted for key in homes))[:3]
+    return [key for key in keys if not (is_of_others and key.startswith(("properties.", "sweep.")))]
 
 
 def _about_value(message: str, param: click.Parameter) -> str:

@@ -2,6 +2,7 @@
 
 from cmath import rect
 from collections.abc import Iterator
+from functools import partial
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -82,12 +83,8 @@ def check_evader(strategy: Any, *, limit: float = 10.0) -> None:
     # A recorded motion begins where its record does.
     place = {} if hasattr(tested.model, "start") else {"position": (9.0, 8.0)}
     for where, keys, pursuers, evaders in _SITUATIONS:
-
-        def scenario(keys: dict[str, Any] = keys, pursuers: int = pursuers, evaders: int = evaders) -> Scenario:
-            evader = Evader(strategy=tested.model, **place, **keys)
-            return Scenario(horizon=1.0, team=Team(count=pursuers), evader=(evader,) * evaders)
-
-        twice(tested, where, scenario, limit=limit)
+        players = {"team": Team(count=pursuers), "evader": (Evader(strategy=tested.model, **place, **keys),) * evaders}
+        twice(tested, where, partial(Scenario, horizon=1.0, **players), limit=limit)
 
 
 def _check(tested: Subject, case: _Case) -> None:

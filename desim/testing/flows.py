@@ -1,5 +1,6 @@
 """The check of flows: `check_flow`."""
 
+from functools import partial
 from math import inf
 from typing import Any
 
@@ -49,14 +50,10 @@ def check_flow(flow: Any, *, limit: float = 10.0) -> None:
     if isinstance(tested.model, UniformFlow):
         with tested.judged("displacement(begin, end)", limit):
             _check_displacement(tested)
-    for on in ("pursuers", "all"):
-
-        def scenario(on: Any = on) -> Scenario:
-            return Scenario(
-                horizon=1.0, team=Team(count=3, speeds=2.0), environment=Environment(flow=tested.model, on=on)
-            )
-
-        twice(tested, f'a run with the flow on "{on}"', scenario, limit=limit)
+    sides: tuple[Any, ...] = ("pursuers", "all")
+    for on in sides:
+        parts = {"team": Team(count=3, speeds=2.0), "environment": Environment(flow=tested.model, on=on)}
+        twice(tested, f'a run with the flow on "{on}"', partial(Scenario, horizon=1.0, **parts), limit=limit)
 
 
 def _velocities(tested: Subject, places: Points, t: float) -> Points:

@@ -372,16 +372,7 @@ def _form(reply: Any) -> str:
 
 def _run(tested: Subject, nodes: int, **network: Any) -> None:
     """Run a scenario with a model of links twice."""
-
-    def scenario() -> Scenario:
-        return Scenario(
-            horizon=1.0,
-            team=Team(count=nodes),
-            announce=Announcements(heartbeat=0.1),
-            network=Links(**network),
-            record=Recording(messages=True),
-        )
-
+    parts: dict[str, Any] = {"announce": Announcements(heartbeat=0.1), "record": Recording(messages=True)}
     with tested.judged("a scenario with it"):
-        scenario()
-    twice(tested, f"a run of {nodes} pursuers", scenario)
+        scenario = Scenario(horizon=1.0, team=Team(count=nodes), network=Links(**network), **parts)
+    twice(tested, f"a run of {nodes} pursuers", lambda: scenario)

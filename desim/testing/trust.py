@@ -1,5 +1,6 @@
 """The check of trust: `check_trust`."""
 
+from functools import partial
 from math import inf, nan
 from typing import Any
 
@@ -84,22 +85,11 @@ def check_trust(trust: Any, *, limit: float = 10.0) -> None:
         )
         _check_judge(tested, judge, limit)
         _check_forgets(tested, judge, other, limit)
+    usual = {"team": Team(count=5, speeds=2.0), "network": Links(latency=0.05), "record": Recording(messages=True)}
     for where, parts in SITUATIONS.items():
-
-        def scenario(parts: dict[str, Any] = parts) -> Scenario:
-            announce = Announcements(
-                heartbeat=0.1, payload=parts.get("payload", "time"), trust=tested.model, belief_timeout=inf
-            )
-            usual = {
-                "horizon": HORIZON,
-                "team": Team(count=5, speeds=2.0),
-                "announce": announce,
-                "network": Links(latency=0.05),
-                "record": Recording(messages=True),
-            }
-            return Scenario(**usual | {key: value for key, value in parts.items() if key != "payload"})
-
-        twice(tested, where, scenario, limit=limit)
+        payload, others = parts.get("payload", "time"), {key: part for key, part in parts.items() if key != "payload"}
+        announce = Announcements(heartbeat=0.1, payload=payload, trust=tested.model, belief_timeout=inf)
+        twice(tested, where, partial(Scenario, horizon=HORIZON, announce=announce, **usual | others), limit=limit)
 
 
 def _check_judge(tested: Subject, judge: Any, limit: float) -> None:

@@ -113,7 +113,7 @@ REFUSED = {
     "a number beyond the last": ({"pursuer": 2}, "the run has no pursuer 2, or has it already"),
     "a negative number": ({"pursuer": -1}, "the run has no pursuer -1, or has it already"),
     "a number that has joined": ({"pursuer": 1}, "the run has no pursuer 1, or has it already"),
-    "another scenario": ({"pursuer": 0, "digest": "0"}, "the scenario of the run, its code or its data files are others"),
+    "another one": ({"pursuer": 0, "digest": "0"}, "the scenario of the run, its code or its data files are others"),
     "one place": ({"pursuer": 0, "places": ("here",)}, "it does not speak as a pursuer does"),
     "no number": ({"pursuer": "0"}, "it does not speak as a pursuer does"),
 }
