@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from desim import Result, Scenario, run
+from desim import Recording, Result, Scenario, run
 from desim.analysis.activity import active_time, handovers, relays
 from desim.analysis.drawing import palette
 from desim.analysis.hindsight import gains
@@ -23,7 +23,6 @@ from desim.analysis.timeline import timeline
 from desim.analysis.trace_index import ended, started, trace_index
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import SECOND, seconds
-from desim.scenario.scenario import Recording
 from scenarios.studies.study import Options, study
 from scenarios.studies.table1_runs import DELTAS, centralised, configuration, decentralised
 

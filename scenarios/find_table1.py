@@ -19,13 +19,12 @@ import tomli_w
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from desim import Capture, Evader, Recording, Scenario, Team
 from desim.analysis.metrics import active_time
 from desim.analysis.statistics import estimate
 from desim.cli.program import Program
 from desim.config.arrays import Points
 from desim.kernel.core.portable_math import portable_sum
-from desim.scenario.players import Evader, Team
-from desim.scenario.scenario import Capture, Recording, Scenario
 from desim.study.workers.batch import run_many, seeds_from
 from scenarios.studies.study import SCENARIOS
 from scenarios.studies.table1_runs import DELTAS, PUBLISHED, decentralised

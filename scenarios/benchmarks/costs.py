@@ -20,7 +20,7 @@ import numpy as np
 import simpy
 from numpy.typing import NDArray
 
-from desim import Result, Scenario, load, run, summary
+from desim import Announcements, Evader, Links, Motion, Recording, Result, Scenario, Team, Wall, load, run, summary
 from desim.analysis.metrics import end_time
 from desim.analysis.trace_index import messages
 from desim.config.arrays import Floats
@@ -34,15 +34,10 @@ from desim.kernel.models.faults import Crash
 from desim.kernel.models.graphs import Complete
 from desim.kernel.models.interference import CaptureEffect
 from desim.kernel.models.latency import Constant
-from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli, ByDistance, GilbertElliott
 from desim.kernel.models.medium import Bitrate
 from desim.kernel.models.reception import LogDistance
 from desim.kernel.network import Network
-from desim.kernel.walls.wall import Wall
-from desim.pursuit.team.announcements import Announcements
-from desim.scenario.players import Evader, Team
-from desim.scenario.scenario import Motion, Recording
 from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Periodic, SharedSeed

@@ -4,14 +4,12 @@ from collections.abc import Sequence
 from functools import partial
 
 import desim
-from desim import Result, Scenario, run
+from desim import Evader, Recording, Result, Scenario, Team, run
 from desim.kernel.core.portable_math import portable_sum
 from desim.learning.environments import AECPursuit, ParallelPursuit
 from desim.learning.episode import rule_of
 from desim.learning.playing import play
 from desim.pursuit.core.events import Decided
-from desim.scenario.players import Evader, Team
-from desim.scenario.scenario import Recording
 from protocols.rule import SCHEDULES
 from scenarios.benchmarks.measuring import Cost, per_unit
 from scenarios.studies.study import Options

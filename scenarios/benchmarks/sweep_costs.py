@@ -13,11 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from desim import Scenario, run, summary, sweep
+from desim import Recording, Scenario, Team, run, summary, sweep
 from desim.analysis.metrics import Summary
 from desim.cli import main as command_line
-from desim.scenario.players import Team
-from desim.scenario.scenario import Recording
 from desim.study.plan.configurations import SweepGrid
 from desim.study.store.run_table import Row
 from desim.study.store.store import Store

@@ -8,19 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from desim import Result, Scenario
+from desim import Announcements, Constant, Evader, Links, PureEvasion, Result, Scenario, Team
 from desim.analysis.activity import evader_pursuits
 from desim.analysis.metrics import active_time, captured, end_time
 from desim.analysis.statistics import Estimate, estimate, paired
 from desim.config.arrays import Floats
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import seconds
-from desim.kernel.models.latency import Constant
-from desim.kernel.models.links import Links
-from desim.pursuit.evaders.evasion import PureEvasion
 from desim.pursuit.motion.dynamics import Acceleration, Dynamics, Simple, TurnRate
-from desim.pursuit.team.announcements import Announcements
-from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Capture, Motion, Recording
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Rounds, SharedSeed

@@ -9,18 +9,13 @@ from typing import Any, Concatenate, ParamSpec
 
 import numpy as np
 
-from desim import Result, Scenario, Team, bench, load, run
+from desim import Constant, Evader, Links, Motion, PureEvasion, Result, Scenario, Team, bench, load, run
 from desim.analysis.metrics import active_time, end_time, excess_time, idle_time
 from desim.analysis.statistics import Estimate, mean, paired
 from desim.analysis.statistics import share as share_of
-from desim.kernel.models.latency import Constant
-from desim.kernel.models.links import Links
 from desim.pursuit.core.events import Estimated, Sampled
-from desim.pursuit.evaders.evasion import PureEvasion
 from desim.pursuit.team.announcements import Announcements, Start
 from desim.pursuit.team.targeted_faults import ChaserCrash
-from desim.scenario.players import Evader
-from desim.scenario.scenario import Motion
 from desim.study.ablation.imperfections import IMPERFECTIONS, with_perfect_network, without_messages
 from desim.study.comparing.suite import AS_IT_IS
 from protocols.best_response import BestResponse

@@ -6,12 +6,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from desim import Scenario
+from desim import Coherence, Constant, Links, Nakagami, Scenario
 from desim.analysis.statistics import Estimate, estimate
-from desim.kernel.models.coherence import Coherence
-from desim.kernel.models.latency import Constant
-from desim.kernel.models.links import Links
-from desim.kernel.models.reception import Nakagami
 from scenarios.studies import transport_runs
 from scenarios.studies.study import Options
 from scenarios.studies.transport_runs import (

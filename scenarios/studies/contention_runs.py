@@ -9,16 +9,11 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from desim import Result, Scenario
+from desim import Announcements, Bitrate, Links, LoRa, Motion, Recording, Result, Scenario, Team
 from desim.analysis.age import age_mean
 from desim.analysis.metrics import active_time, captured, end_time, messages
 from desim.analysis.statistics import Estimate, estimate
 from desim.kernel.models.access import Aloha, CsmaCa, Ideal, Tdma
-from desim.kernel.models.links import Links
-from desim.kernel.models.medium import Bitrate, LoRa
-from desim.pursuit.team.announcements import Announcements
-from desim.scenario.players import Team
-from desim.scenario.scenario import Motion, Recording
 from protocols.cbba import CBBA
 from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay

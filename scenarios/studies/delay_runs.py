@@ -6,15 +6,11 @@ from functools import partial
 
 import numpy as np
 
-from desim import Scenario
+from desim import Constant, Links, Motion, Recording, Scenario, Team
 from desim.analysis.metrics import active_time, excess_time
 from desim.analysis.statistics import estimate
-from desim.kernel.models.latency import Constant
-from desim.kernel.models.links import Links
 from desim.pursuit.team.agent import Agent, Behaviour, Process
 from desim.pursuit.team.announcements import Announcements, Start
-from desim.scenario.players import Team
-from desim.scenario.scenario import Motion, Recording
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson, Rounds, Schedule, SharedSeed

@@ -13,13 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from desim import Result, Scenario, summary
+from desim import Announcements, Constant, Evader, Links, Recording, Result, Scenario, Team, summary
 from desim.analysis.metrics import Summary, active_time, captured, end_time
 from desim.analysis.statistics import Estimate, estimate, paired, share
 from desim.kernel.core.events import Sent
 from desim.kernel.core.portable_math import portable_sum
-from desim.kernel.models.latency import Constant
-from desim.kernel.models.links import Links
 from desim.pursuit.core.events import Sampled
 from desim.pursuit.evaders.evasion import (
     ConstantHeading,
@@ -34,9 +32,6 @@ from desim.pursuit.evaders.evasion import (
     Zigzag,
 )
 from desim.pursuit.sensing.sensing import Sensing, Sighting
-from desim.pursuit.team.announcements import Announcements
-from desim.scenario.players import Evader, Team
-from desim.scenario.scenario import Recording
 from scenarios.studies.rivals_runs import N, contender
 from scenarios.studies.study import Options
 

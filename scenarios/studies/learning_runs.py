@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from desim import Links, Recording, Result, Scenario, Team, run
+from desim import Announcements, Links, Recording, Result, Scenario, Team, run
 from desim.analysis.metrics import active_time, idle_time
 from desim.analysis.statistics import estimate
 from desim.analysis.tables import aligned
@@ -18,7 +18,6 @@ from desim.config.data_files import content_hash
 from desim.config.json_numbers import from_json, to_json
 from desim.config.whole_files import write_whole
 from desim.kernel.core.seeds import run_seed, stream
-from desim.pursuit.team.announcements import Announcements
 from desim.study.plan.config_hash import identify
 from desim.study.workers.batch import run_many, seeds_from
 from protocols.local_min import LocalMin

@@ -5,19 +5,12 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from desim import Scenario
+from desim import Announcements, Bernoulli, ClockSkew, Links, Lognormal, Recording, Scenario, Team
 from desim.analysis.deception import false_accusations
 from desim.analysis.metrics import active_time, captured, end_time
 from desim.analysis.statistics import Estimate, estimate, paired, share
-from desim.kernel.models.clock_skew import ClockSkew
-from desim.kernel.models.latency import Lognormal
-from desim.kernel.models.links import Links
-from desim.kernel.models.loss import Bernoulli
 from desim.pursuit.byzantine.lies import ByzantineFault, Equivocate, Liar, ReplayAttack, Silent, Spoof
-from desim.pursuit.team.announcements import Announcements
 from desim.pursuit.team.trust import Accusations, Credulous, Plausible, Reputation, Trimmed
-from desim.scenario.players import Team
-from desim.scenario.scenario import Recording
 from protocols.best_response import BestResponse
 from protocols.cbba import CBBA
 from protocols.local_min import LocalMin

@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from desim import Result, Scenario
+from desim import Evader, Result, Scenario, Team
 from desim.analysis.metrics import end_time
 from desim.analysis.statistics import Estimate, estimate, paired, share
 from desim.config.arrays import Floats
 from desim.pursuit.core.events import Captured, Decided, Started
 from desim.pursuit.game.game import optimum, welfare
 from desim.pursuit.motion.capture import capture_time
-from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import PROTOCOLS, Motion, Recording
 from protocols.schedules.periodic import SharedSeed
 from protocols.temperature import ConstantTau, GeometricTau, Temperature

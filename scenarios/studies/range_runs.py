@@ -8,18 +8,14 @@ from typing import Any
 import networkx as nx
 import numpy as np
 
-from desim import Scenario
+from desim import Announcements, Constant, Links, Scenario, Team
 from desim.analysis.metrics import active_time
 from desim.analysis.statistics import Estimate, estimate, paired, share
 from desim.kernel.core.portable_math import portable_sum
-from desim.kernel.models.latency import Constant
-from desim.kernel.models.links import Links
 from desim.kernel.topology.topology import Topology
 from desim.pursuit.game.game import equilibria, greedy_maximal_independent_set
 from desim.pursuit.game.utility import Component, EdgePenalty, LocalMean
 from desim.pursuit.motion.capture import capture_time
-from desim.pursuit.team.announcements import Announcements
-from desim.scenario.players import Team
 from desim.study.workers.batch import seeds_from
 from protocols.dissemination import Flooding
 from protocols.local_min import ArgminKnown, LocalMin

@@ -4,14 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from desim import Result, Scenario, summary
+from desim import Announcements, Constant, Links, Result, Scenario, Team, summary
 from desim.analysis.metrics import Summary, time_to_relay
 from desim.analysis.statistics import Estimate, estimate, paired
 from desim.kernel.core.portable_math import portable_sum
-from desim.kernel.models.latency import Constant
-from desim.kernel.models.links import Links
-from desim.pursuit.team.announcements import Announcements
-from desim.scenario.players import Team
 from desim.scenario.scenario import PROTOCOLS, Motion, Recording
 from protocols.schedules.periodic import Poisson
 from scenarios.studies.study import Options

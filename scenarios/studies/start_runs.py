@@ -6,21 +6,16 @@ from types import MappingProxyType
 
 import numpy as np
 
-from desim import Result, Scenario
+from desim import Constant, Links, Recording, Result, Scenario, Team, summary
 from desim.analysis.activity import evader_pursuits
-from desim.analysis.measuring import summary
 from desim.analysis.metrics import active_time, excess_time
 from desim.analysis.statistics import Estimate, mean, paired
 from desim.analysis.trace_index import started
 from desim.config.arrays import Floats
 from desim.kernel.core.units import SECOND
-from desim.kernel.models.latency import Constant
-from desim.kernel.models.links import Links
 from desim.pursuit.game.utility import Mean, Minimum
 from desim.pursuit.motion.capture import capture_time
 from desim.pursuit.team.announcements import STARTS, Announcements, Start
-from desim.scenario.players import Team
-from desim.scenario.scenario import Recording
 from protocols.best_response import BestResponse
 from protocols.local_min import LocalMin
 from protocols.sap import SpatialAdaptivePlay

@@ -1,9 +1,7 @@
 """The scenarios of Table I of Lee & Bakolas, and its published figures; `python -m scenarios.table1` compares them."""
 
-from desim import Scenario, load
+from desim import Announcements, Motion, Scenario, load
 from desim.pursuit.team.agent import Behaviour
-from desim.pursuit.team.announcements import Announcements
-from desim.scenario.scenario import Motion
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import SharedSeed

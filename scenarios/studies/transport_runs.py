@@ -7,19 +7,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from desim import Result, Scenario
+from desim import Bernoulli, Constant, Evader, GilbertElliott, Links, Motion, Recording, Result, Scenario, Team
 from desim.analysis.age import age_mean
 from desim.analysis.metrics import active_time, captured, end_time, messages, switches
 from desim.analysis.statistics import Estimate, estimate
 from desim.kernel.core.message_size import HEADER
 from desim.kernel.core.portable_math import portable_sum
-from desim.kernel.models.latency import Constant
-from desim.kernel.models.links import Links
-from desim.kernel.models.loss import Bernoulli, GilbertElliott
 from desim.kernel.transport.frames import piece_size
 from desim.pursuit.team.announcements import Announcements, Start
-from desim.scenario.players import Evader, Team
-from desim.scenario.scenario import Motion, Recording
 from protocols.dissemination import CodedOneHop, ReliableOneHop
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules.periodic import Poisson

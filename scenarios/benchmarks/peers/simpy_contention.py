@@ -13,9 +13,7 @@ import numpy as np
 import simpy
 from numpy.typing import NDArray
 
-from desim.kernel.models.access import CsmaCa
-from desim.kernel.models.interference import CaptureEffect
-from desim.kernel.models.latency import Lognormal
+from desim import CaptureEffect, CsmaCa, Lognormal
 from scenarios.benchmarks.peers.workloads import note
 
 Steps = Generator[simpy.Event, Any, None]

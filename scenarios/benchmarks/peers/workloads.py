@@ -13,11 +13,9 @@ import numpy as np
 import simpy
 from scipy.spatial.distance import pdist, squareform
 
+from desim import Constant, Fault, Links, Lognormal
 from desim.kernel.core.seeds import stream
-from desim.kernel.models.faults import Fault
-from desim.kernel.models.latency import Constant, Lognormal
 from desim.kernel.models.link_draws import BLOCK
-from desim.kernel.models.links import Links
 
 TICK = 0.001
 """Time between two turns, s."""
