@@ -17,8 +17,7 @@ from scenarios.studies.bodies_runs import ALL, LATENCIES, MOTIONS, ONE, RULES, S
 from scenarios.studies.study import Options, draw_estimates, study
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from desim.analysis.drawing.plots import Axes, Figure
 
 
 def table(cells: Sequence[Cell], runs: int) -> str:

@@ -35,8 +35,7 @@ from scenarios.studies.contention_runs import (
 from scenarios.studies.study import Options, draw_estimates, study
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from desim.analysis.drawing.plots import Axes, Figure
 
 TICKS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 """Ticks of the heartbeat, s."""

@@ -21,8 +21,7 @@ from desim.analysis.tables import aligned
 from scenarios.studies.study import Options, study
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from desim.analysis.drawing.plots import Axes, Figure
 from scenarios.studies.delay_runs import (
     CRITICAL,
     DELAYS,

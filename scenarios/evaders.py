@@ -45,8 +45,7 @@ from scenarios.studies.rivals_runs import N
 from scenarios.studies.study import Options, draw_estimates, study
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from desim.analysis.drawing.plots import Axes, Figure
 
 
 def table(cells: Sequence[Cell], sight: Sequence[Sighted], runs: int) -> str:

@@ -37,8 +37,7 @@ from scenarios.studies.learning_runs import (
 from scenarios.studies.study import Options, study
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from desim.analysis.drawing.plots import Axes, Figure
 
 WITHOUT, WITH = "trained without delay", f"trained with {DELAY:g} s"
 

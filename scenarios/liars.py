@@ -27,8 +27,7 @@ from scenarios.studies.liars_runs import (
 from scenarios.studies.study import Options, draw_estimates, study
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from desim.analysis.drawing.plots import Axes, Figure
 
 
 THIN: Mapping[str, float] = MappingProxyType({"elinewidth": 0.6})

@@ -35,8 +35,7 @@ from scenarios.studies.many_runs import (
 from scenarios.studies.study import Options, draw_estimates, study
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from desim.analysis.drawing.plots import Axes, Figure
 
 
 def table(games: Sequence[NegotiationSummary], moved: Sequence[PursuitSummary], runs: int) -> str:

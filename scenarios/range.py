@@ -24,8 +24,7 @@ from desim.analysis.tables import aligned
 from scenarios.studies.study import Options, draw_estimates, study
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from desim.analysis.drawing.plots import Axes, Figure
 from scenarios.studies.range_runs import PROTOCOLS, RANGES, REFERENCE, TEAMS, TICKS, Games, N, Pursuits, games, measure
 
 

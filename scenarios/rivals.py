@@ -22,8 +22,7 @@ from scenarios.studies.rivals_runs import LATENCIES, REFERENCE, SHOWN, WORLDS, C
 from scenarios.studies.study import Options, study
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from desim.analysis.drawing.plots import Axes, Figure
 
 
 def table(cells: Sequence[Cell], runs: int) -> str:

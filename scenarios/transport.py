@@ -19,8 +19,7 @@ from scenarios.studies.study import Options, draw_estimates, study
 from scenarios.studies.transport_runs import N_REST, ONCE, REFERENCE, SWEEPS, WAYS, WITH_AGES, Cell, N, measure
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from desim.analysis.drawing.plots import Axes, Figure
 
 LABELS: Mapping[str, str] = MappingProxyType(
     {

@@ -19,10 +19,8 @@ from desim.results.run_folder import can_plot
 from desim.study.workers.batch import run_many, seeds_from
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from desim import Result, Scenario
+    from desim.analysis.drawing.plots import Axes, Figure
 
 Key = TypeVar("Key", bound=tuple[Any, ...])
 Measured = TypeVar("Measured")
