@@ -13,10 +13,10 @@ Prediction: if a round trip lasts m periods, the reports do not yet show the eff
     that ignored these decisions would assume that a pursuer just ordered to chase is still inactive, and its orders
     would oscillate for ever. The server therefore extrapolates each pursuer's last report, using the orders sent since.
     It assumes that each order, the present one included, takes effect after a delay L, which is `me.latency` plus an
-    airtime. The time until the present order takes effect is lost for a pursuer that does not chase the evader; this
-    lost time is added to its capture time phi. With constant latency and no loss the server acts as an omniscient
-    planner whose orders are delayed by L. At L = 0 it acts as the centralised benchmark, deciding at the instants of
-    the reports.
+    airtime. The time until the present order takes effect is lost for a pursuer that does not chase the evader; except
+    in a static world, this lost time is added to its capture time phi. With constant latency and no loss the server
+    acts as an omniscient planner whose orders are delayed by L. At L = 0 it acts as the centralised benchmark, deciding
+    at the instants of the reports.
 Assumes: links in both directions between the host and every other pursuer, and without `takeover` no crashes. While
     the host is down, each pursuer continues with its last order. A host that has lost its memory has lost its orders,
     too, and extrapolates the reported actions until it sends new ones. Reports are extrapolated from their time stamps,
@@ -209,18 +209,17 @@ class Server(Value):
             delay: delay of an order from sending to effect, s.
             present: (M,) the present chasers; empty before the first order.
         """
-        now = nanoseconds(me.now)
-        # In a static world the time left is constant, so an order takes effect without a loss of time.
-        reward = me.time_left()
-        static = me.time_left(delay) == reward
-        effect = now if static else nanoseconds(me.now + delay)
+        now, reward = nanoseconds(me.now), me.time_left()
+        effect = nanoseconds(me.now + delay)
+        loses_time = me.time_left(delay) < reward  # in a static world the time left is constant
         phi: list[dict[int, float]] = []
         for evader in range(1, me.evader_count + 1):
             beliefs = me.beliefs(self.period, evader, orders)
             times = {me.id: me.capture_time(evader)}
             for j, (active, capture_time, _) in beliefs.items():
                 if j in orders:
-                    times[j] = capture_time + seconds(idle(active, orders[j], evader, now, effect))
+                    lost = idle(active, orders[j], evader, now, effect) if loses_time else 0
+                    times[j] = capture_time + seconds(lost)
             phi.append(times)
         chasers = best_chasers(phi, reward)
         chased = {evader: j for evader, j in enumerate(present, start=1) if j is not None and evader in me.evaders()}

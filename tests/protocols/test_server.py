@@ -350,6 +350,12 @@ def test_a_pursuer_that_would_be_late_is_assigned_no_evader():
     assert profile(run(static(Server(), latency=0.05, horizon=0.9))) == (False,) * 6
 
 
+def test_at_rest_no_time_is_lost_while_an_order_is_on_its_way():
+    """The host would be .05 s later than the first pursuer, and obeys an order .12 s earlier."""
+    team = Team(positions=[(1.1, 0.0), (3.1, 0.0), (1.15, 0.0)], speeds=1.0, active_at_start=0.0)
+    assert changes(run(static(Server(host=2), team=team, latency=0.12))) == [(240_000_000, 0, True)]
+
+
 @pytest.mark.whole
 def test_random_static_games_end_in_the_relay_profile():
     """Any host, latency with heavy tails, a quarter of all lost, unequal speeds: 3 games."""
