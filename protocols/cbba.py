@@ -19,7 +19,7 @@ Robust to loss: yes, with heartbeats. Robust to crashes: another pursuer takes o
 
 from collections.abc import Iterator, Sequence
 from math import inf
-from typing import ClassVar, Literal, NamedTuple, Self
+from typing import ClassVar, Literal, NamedTuple
 
 from desim.config.model import Timeout
 from desim.kernel.core.message_size import NUMBER
@@ -32,10 +32,10 @@ from protocols.auction import (
     bid_updater,
     bids_of,
     chosen,
-    falsified_lists,
     lists_of,
     unread,
 )
+from protocols.cbaa import Claim
 
 Verdict = Literal["update", "reset", "leave"]
 """The actions of Table I: adopt the sender's winner and bid; clear winner and bid; change nothing."""
@@ -53,18 +53,7 @@ class StampedClaim(NamedTuple):
     """(N,) s[m]: time stamp (s, clock of m) of the latest announcement of m of which the pursuer knows, either from m
     itself or from the time stamps in the claims of others."""
 
-    @property
-    def news(self) -> tuple[int, tuple[int, ...]]:
-        """The action and the winners; a change of them triggers an announcement."""
-        return self.active, self.winners
-
-    def falsified(self, pursuer: int, action: int, phi: float) -> Self:
-        """Return the claim with which a pursuer pretends to act so, and to bid -phi (s) for the evader `action`."""
-        return self._replace(active=action, **falsified_lists(bids_of(self), pursuer, action, phi))
-
-    def phi(self, pursuer: int) -> float:
-        """Return the capture time, s, in the bid of a pursuer for the evader that it chases; inf if there is none."""
-        return inf if not self.active or self.winners[self.active - 1] != pursuer else -self.amounts[self.active - 1]
+    news, falsified, phi = Claim.news, Claim.falsified, Claim.phi  # type: ignore[misc]  # a tuple cannot inherit them
 
 
 class CBBA(Auction):
