@@ -9,6 +9,7 @@ Robust to loss: as far as it was learned; the ages of the newest announcements a
 
 import json
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache, cached_property, partial
 from math import tanh
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Self
@@ -187,7 +188,7 @@ class Policy(Rule):
 def network(layers: Sequence[Layer], activation: Literal["tanh", "relu"]) -> Callable[[Sequence[float]], list[float]]:
     """Return the function that computes the outputs of a network from its inputs."""
     matrices = [(np.array(layer.weights), np.array(layer.bias)) for layer in layers]
-    squash: Callable[[float], float] = tanh if activation == "tanh" else _rectified
+    squash: Callable[[float], float] = tanh if activation == "tanh" else lambda value: max(value, 0.0)
 
     def outputs(inputs: Sequence[float]) -> list[float]:
         values = np.array(inputs, dtype=float)
@@ -202,35 +203,23 @@ def network(layers: Sequence[Layer], activation: Literal["tanh", "relu"]) -> Cal
     return outputs
 
 
-def _rectified(value: float) -> float:
-    """Return the rectified linear unit of a value."""
-    return max(value, 0.0)
-
-
 class _Blocks:
     """The blocks of the observation of a pursuer at one turn, each computed at its first use."""
 
     def __init__(self, me: Agent):
         self._me = me
-        self._own: Own | None = None
-        self._evaders: dict[int, OfEvader] = {}
-        self._pursuers: list[OfPursuer] | None = None
+        self.evader = cache(partial(evader_block, me))
+        """Returns the block of an evader."""
 
+    @cached_property
     def own(self) -> Own:
-        """Return the block of the pursuer itself."""
-        self._own = self._own or own_block(self._me)
-        return self._own
+        """The block of the pursuer itself."""
+        return own_block(self._me)
 
-    def evader(self, evader: int) -> OfEvader:
-        """Return the block of an evader."""
-        if evader not in self._evaders:
-            self._evaders[evader] = evader_block(self._me, evader)
-        return self._evaders[evader]
-
-    def pursuer(self, pursuer: int) -> OfPursuer:
-        """Return the block of a pursuer."""
-        self._pursuers = self._pursuers or pursuer_blocks(self._me)
-        return self._pursuers[pursuer]
+    @cached_property
+    def pursuers(self) -> list[OfPursuer]:
+        """The blocks of all pursuers."""
+        return pursuer_blocks(self._me)
 
 
 class _Feature(NamedTuple):
@@ -278,9 +267,9 @@ def _reader(name: str) -> Callable[[_Blocks, int], float]:
     block, number, field = _parts(name)
     index = _FIELDS[block].index(field)
     if block == "own":
-        return lambda blocks, _: blocks.own()[index]
+        return lambda blocks, _: blocks.own[index]
     if block == "pursuer":
-        return lambda blocks, _: blocks.pursuer(number or 0)[index]
+        return lambda blocks, _: blocks.pursuers[number or 0][index]
     return lambda blocks, evader: blocks.evader(number or evader)[index]
 
 
