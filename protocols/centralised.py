@@ -49,14 +49,10 @@ class Centralised(Value):
                 for times in phi:
                     times[broken] = inf
             assigned = matching(phi, me.time_left())
-            profile = me.global_state.profile()
-            wanted = [0] * len(profile)
-            for pursuer, action in assigned.items():
-                wanted[pursuer] = action
-            if profile != wanted:
-                for pursuer, action in enumerate(wanted):
-                    if profile[pursuer] != action:
-                        me.global_state.set_action(pursuer, action)
+            for pursuer, present in enumerate(me.global_state.profile()):
+                action = assigned.get(pursuer, 0)
+                if action != present:
+                    me.global_state.set_action(pursuer, action)
 
 
 def matching(phi: Sequence[Sequence[float]], reward: float) -> dict[int, int]:
