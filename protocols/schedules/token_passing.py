@@ -80,31 +80,6 @@ def loss_timeout(me: Agent, holding_time: float, time_outs: Iterable[float]) -> 
     return hops * (longest_hop + holding_time) + portable_sum(time_outs)
 
 
-class Probes:
-    """The probes that one pursuer sends to the absent ones among its neighbours.
-
-    Args:
-        me: the pursuer.
-        time_out: the time-outs of its messages.
-    """
-
-    def __init__(self, me: Agent, time_out: RetransmissionTimer):
-        self._me, self._time_out = me, time_out
-        self._next = 0.0  # the next probe is not sent before this local time, s
-
-    def send_due(self, token: Token) -> Token:
-        """Probe the absent neighbour that is due, if any, and record the probe in the token; return the token.
-
-        A neighbour is due at most once in N hops (`longest_absent`). This pursuer sends at most one probe per time-out.
-        """
-        dst = longest_absent(token, self._me.neighbours())
-        if dst is None or self._me.now < self._next:
-            return token
-        self._next = self._me.now + self._time_out()
-        self._me.send(dst, TokenNotice(*age_of(token), asks=True), PORT)
-        return token._replace(visits=visited(token, dst))
-
-
 class TokenNode:
     """The part of one pursuer in the circulation of the token.
 
@@ -133,7 +108,7 @@ class TokenNode:
         self._time_out = RetransmissionTimer(
             me, sending_time + 5.0 * me.interval(TokenNotice(UNHEARD, 0)), holding_time
         )
-        self._probes = Probes(me, self._time_out)
+        self._next_probe = 0.0  # the next probe is not sent before this local time, s
         self._loss_timeout = loss_timeout(me, holding_time, map(self._time_out, range(attempts)))
         self._deadline = me.now + self._loss_timeout  # local time, s, at which the token is considered lost
 
@@ -292,10 +267,21 @@ class TokenNode:
         me = self._me
         token = token._replace(hop=token.hop + 1, absent=tuple(j for j in token.absent if j not in self._answered))
         self._answered.clear()
-        token = self._probes.send_due(token._replace(visits=visited(token, me.id)))
-        records = me.latest_records().values()
-        token = token._replace(records=(me.record(me.announcement()), *records))
+        token = self._probed(token._replace(visits=visited(token, me.id)))
+        token = token._replace(records=(me.record(me.announcement()), *me.latest_records().values()))
         self._take(token)
         if token.hop % me.team_size == 0 and neglects(token):
             me.send(None, TokenNotice(*age_of(token)), PORT)
         return token
+
+    def _probed(self, token: Token) -> Token:
+        """Probe the absent neighbour that is due, if any, and return the token with a record of the probe.
+
+        A neighbour is due at most once in N hops (`longest_absent`). This pursuer sends at most one probe per time-out.
+        """
+        dst = longest_absent(token, self._me.neighbours())
+        if dst is None or self._me.now < self._next_probe:
+            return token
+        self._next_probe = self._me.now + self._time_out()
+        self._me.send(dst, TokenNotice(*age_of(token), asks=True), PORT)
+        return token._replace(visits=visited(token, dst))
