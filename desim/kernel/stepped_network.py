@@ -167,12 +167,7 @@ class SteppedNetwork:
         places = SteppedPositions(clock, self._nodes)
         if positions is not None:
             places.place(positions)
-        queues: list[MessageQueue] = []
-
-        def create_queue(clock: Clock, size: int) -> MessageQueue:
-            queues.append(MessageQueue(clock, size))
-            return queues[0]
-
+        queue = MessageQueue(clock, size)
         with fresh_copy((self._links, self._faults)) as (links, entries):
             faults = draw_faults(entries, size, self._horizon / SECOND, seed)
             has_faults = bool(faults) or self._can_leave
@@ -185,14 +180,14 @@ class SteppedNetwork:
                 trace=trace,
                 fault_state=FaultState(places, surprises=self._can_leave) if has_faults else None,
                 clocks=node_clocks(clock, entries, size, seed, NEVER) if is_skewed(entries) else (),
-                inboxes=create_queue,
+                inboxes=lambda *_: queue,
                 walls=self._walls,
             )
         inject(faults, clock, network, trace)
         clock.advance(0)  # faults from time 0 also concern messages that are sent before the first step
         network.watch_losses(self._lose)
         self._seed, self._trace, self._clock, self._positions = seed, trace, clock, places
-        self._network, (self._queue,) = network, queues
+        self._network, self._queue = network, queue
         self._losses: list[tuple[int, int, int, LostMessage]] = []
         """The losses of this step, each after its time, ns, its transmission and its receiver."""
         self._lost: list[LostMessage] = []

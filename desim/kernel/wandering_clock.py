@@ -142,12 +142,11 @@ def node_clocks(env: Clock, faults: Iterable[object], size: int, seed: int, unti
         seed: the seed of the run.
         until: the time, ns, up to which the clocks may be read.
     """
-    clocks: list[NodeClock] = []
     errors = clock_errors(faults := list(faults), size, seed)
-    for (offset, drift), walk in zip(errors, clock_walks(faults, errors, seed, until), strict=True):
-        clock = (env, offset, 1.0 + drift)
-        clocks.append(NodeClock(*clock) if walk is None else WanderingClock(*clock, walk))
-    return clocks
+    return [
+        NodeClock(env, offset, 1.0 + drift) if walk is None else WanderingClock(env, offset, 1.0 + drift, walk)
+        for (offset, drift), walk in zip(errors, clock_walks(faults, errors, seed, until), strict=True)
+    ]
 
 
 def clock_walks(

@@ -273,9 +273,7 @@ def _mapping(items: Mapping[Any, Any]) -> Any:
     return _with_attributes(Fields(zip(texts, items.values(), strict=True)), items)
 
 
-@content.register(Set)
-def _sorted(items: Set[Any]) -> Any:
-    return _with_attributes(sorted(map(in_json_types, items), key=_order), items)
+content.register(Set, lambda items: _with_attributes(sorted(map(in_json_types, items), key=_order), items))
 
 
 def _order(value: Any) -> tuple[Any, ...]:

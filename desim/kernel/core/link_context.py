@@ -27,7 +27,6 @@ class LinkContext:
     """Seed of the run."""
     positions: PositionFunction | None = None
     """Returns the current positions of all nodes, m; None: the nodes have no positions."""
-
     known_distances: NDArray[np.float64] | None = None
     """The `distances`, if they are known because no node moves: a read-only array, the same as long as `dst` is."""
 

@@ -191,11 +191,9 @@ class Faded(Value):
         if not overlap.is_correlated:
             return self.gains(overlap.uniforms(frame))
         normals = overlap.channel(frame).normals
-        return rice_powers(self.k, normals) if self.fading == "rice" else nakagami_powers(self._shape, normals)
-
-    @property
-    def _shape(self) -> float:
-        return self.m if self.fading == "nakagami" else 1.0
+        if self.fading == "rice":
+            return rice_powers(self.k, normals)
+        return nakagami_powers(self.m if self.fading == "nakagami" else 1.0, normals)
 
 
 class Collision(Value):

@@ -187,23 +187,12 @@ class Correlated(Value):
 
     def start_run(self, size: int) -> Loss:
         """Create the model of one run with `size` nodes; the model keeps the last number of each link."""
-        return _CorrelatedLosses(self)
+        numbers, limit = CorrelatedNumbers(self.correlation), np.uint64(round(self.p * (RANGE - 1)))
+        return lambda context, rng: bool(limit) and numbers(context, rng) <= limit
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools:
-        """Draw (k,) losses of the first message of each link, without state."""
-        return _CorrelatedLosses(self)(context, rng)
-
-
-class _CorrelatedLosses:
-    """`Correlated` in one run."""
-
-    def __init__(self, model: Correlated):
-        self._numbers = CorrelatedNumbers(model.correlation)
-        self._limit = np.uint64(round(model.p * (RANGE - 1)))
-
-    def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools:
-        """Return the (k,) losses; False if nothing can be lost."""
-        return bool(self._limit) and self._numbers(context, rng) <= self._limit
+        """Draw (k,) losses of the first message of each link, without state; return False if nothing can be lost."""
+        return self.start_run(1)(context, rng)
 
 
 class FourState(Value):

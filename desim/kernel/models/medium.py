@@ -245,18 +245,13 @@ class LoRa(Radio):
     def hears(self, src: int, nodes: Integers) -> Bools:
         """Return (k,) whether the radios of some nodes are tuned to the frames of a node."""
         sent, gateways = self.signal(src), self.gateways or ()
-        signals = [(node, self.signal(node)) for node in nodes.tolist()]
-        return np.array(
-            [
-                node in gateways
-                or (
-                    signal.spreading_factor == sent.spreading_factor
-                    and abs(signal.frequency - sent.frequency) <= TUNING * sent.bandwidth
-                )
-                for node, signal in signals
-            ],
-            dtype=bool,
-        )
+
+        def is_heard_by(node: int) -> bool:
+            signal = self.signal(node)
+            is_near = abs(signal.frequency - sent.frequency) <= TUNING * sent.bandwidth
+            return node in gateways or (is_near and signal.spreading_factor == sent.spreading_factor)
+
+        return np.array([*map(is_heard_by, nodes.tolist())], dtype=bool)
 
     def airtime(self, size: int, node: int) -> float:
         """Return the airtime, s, of a message of `size` bytes that a node transmits."""

@@ -95,7 +95,8 @@ def pareto() -> tuple[int, ...]:
     X has the mean 3/2 and the quantiles (1 - u)^(-1/3), here at u = k / SIZE. Its standard deviation times 4/3 is 1.15;
     because it is cut off, that of the table is 0.82.
     """
-    return _whole(_pareto())
+    quantiles = np.array([(1.0 - k / SIZE) ** (-1.0 / 3.0) for k in range(SIZE)])  # `**` of numpy is not portable
+    return _whole((quantiles - 1.5) * (4.0 / 3.0) * SCALE)
 
 
 @cache
@@ -104,7 +105,7 @@ def paretonormal() -> tuple[int, ...]:
 
     The standard deviation of the table is 0.83.
     """
-    return _whole(np.trunc((_normal() + 3 * np.array(_whole(_pareto()))) / 4))
+    return _whole(np.trunc((_normal() + 3 * np.array(pareto())) / 4))
 
 
 TABLES: Mapping[str, Callable[[], tuple[int, ...]]] = MappingProxyType(
@@ -119,11 +120,6 @@ def _normal() -> Integers:
 
     z = np.asarray(ndtri((np.arange(SIZE) + 0.125) / SIZE))
     return np.rint(np.floor(z * 20_000.0) / 20_000.0 * SCALE).astype(np.int64)
-
-
-def _pareto() -> Floats:
-    quantiles = np.array([(1.0 - k / SIZE) ** (-1.0 / 3.0) for k in range(SIZE)])  # `**` of numpy is not portable
-    return (quantiles - 1.5) * (4.0 / 3.0) * SCALE
 
 
 def _whole(numbers: Floats | Integers) -> tuple[int, ...]:

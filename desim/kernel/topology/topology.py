@@ -78,8 +78,10 @@ class Topology:
     ):
         self.size = size = len(graph)
         _check(graph)
-        if range < inf and positions is None:
-            raise ValueError(f"a range of {range} m needs positions")
+        has_walls = any("radio" in wall.blocks for wall in walls)
+        if positions is None and (range < inf or has_walls):
+            what = f"a range of {range} m needs" if range < inf else "walls that block radio need"
+            raise ValueError(f"{what} positions")
         self._complete = is_complete(graph)
         self._directed = graph.is_directed() and not self._complete
         self._lists: list[list[int]] | _AllOthers = (
@@ -88,15 +90,11 @@ class Topology:
         self._range, self._now = range, now
         self.channel, self.per_link = channel, per_link
         self.walls: RadioWalls | None = None
-        self._range_check = RangeCheck(reception, range, per_link, seed, size)
-        has_walls = any("radio" in wall.blocks for wall in walls)
-        if has_walls and positions is None:
-            raise ValueError("walls that block radio need positions")
+        self._range_check = (WalledRangeCheck if has_walls else RangeCheck)(reception, range, per_link, seed, size)
         self._positions = (
             as_position_source(positions) if positions is not None and (range < inf or has_walls) else None
         )
-        if has_walls and self._positions is not None:
-            self._range_check = WalledRangeCheck(reception, range, per_link, seed, size)
+        if has_walls:
             self.walls, self._bound = RadioWalls(walls, size, self._range_check.exponent), self._range_check.bound
         self._few = 1
         """Number of receivers that `reaches` may take one by one: `FEW` if the source has a fast `distance`, else 1."""
@@ -207,7 +205,7 @@ class Topology:
             if not kept.is_worthwhile(node):
                 return set(), 0.0
             receivers = self._search(node, kept)
-        return set(receivers), kept.until(node) * SECOND
+        return set(receivers), kept.until[node] * SECOND
 
     def _seconds(self, times: int | Integers | None = None) -> float | Floats:
         """Return times in s, given in ns; None: now."""
