@@ -156,15 +156,13 @@ def clock_walks(
 
     `errors` holds the offset (s) and the drift of each clock, as `clock_errors` returns them.
     """
-    walks: list[ClockWalk | None] = []
-    for node, (_, drift) in enumerate(errors):
+
+    def walk_of(node: int, drift: float) -> ClockWalk | None:
         skews = clock_skews(faults, node)
-        parts = [(skew.offset_walk, skew.drift_walk) for skew in skews if skew.offset_walk or skew.drift_walk]
-        if not parts:
-            walks.append(None)
-            continue
-        offset_walk, drift_walk = (
-            sqrt(portable_sum(part * part for part in of_kind)) for of_kind in zip(*parts, strict=True)
-        )
-        walks.append(ClockWalk(offset_walk, drift_walk, 1.0 + drift, until, stream(seed, "clock walk", node)))
-    return walks
+        offset_walk = sqrt(portable_sum(skew.offset_walk * skew.offset_walk for skew in skews))
+        drift_walk = sqrt(portable_sum(skew.drift_walk * skew.drift_walk for skew in skews))
+        if not (offset_walk or drift_walk):
+            return None
+        return ClockWalk(offset_walk, drift_walk, 1.0 + drift, until, stream(seed, "clock walk", node))
+
+    return [walk_of(node, drift) for node, (_, drift) in enumerate(errors)]

@@ -251,6 +251,13 @@ content.register(PurePath, lambda path: path.as_posix())
 content.register(types.ModuleType, lambda module: str(module.__name__))
 for _text in (UserString, Decimal, Fraction, uuid.UUID, datetime.tzinfo):
     content.register(_text, str)
+content.register(
+    functools.partial, lambda of: Fields(class_name="partial", func=of.func, args=of.args, keywords=of.keywords)
+)
+content.register(
+    BaseException,
+    lambda error: Fields({"class_name": type(error).__name__, "args": list(error.args)} | attributes_of(error)),
+)
 for _code in (type, types.MethodType):
     content.register(_code, lambda code: str(code.__qualname__))
 
@@ -290,16 +297,6 @@ def _order(value: Any) -> tuple[Any, ...]:
 @content.register
 def _reference(_: weakref.ref) -> Any:  # type: ignore[type-arg]
     raise ValueError("a weak reference refers to an object that may change")
-
-
-@content.register
-def _call(call: functools.partial) -> Fields:  # type: ignore[type-arg]
-    return Fields(class_name="partial", func=call.func, args=call.args, keywords=call.keywords)
-
-
-@content.register
-def _exception(error: BaseException) -> Fields:
-    return Fields({"class_name": type(error).__name__, "args": list(error.args)} | attributes_of(error))
 
 
 @content.register

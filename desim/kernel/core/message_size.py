@@ -23,7 +23,7 @@ import datetime
 import functools
 import types
 import uuid
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Mapping, Set
 from decimal import Decimal
 from enum import Enum
 from fractions import Fraction
@@ -149,11 +149,7 @@ size.register(memoryview, lambda octets: octets.nbytes)
 size.register(array.array, lambda items: len(items) * items.itemsize)
 size.register(range, lambda numbers: NUMBER * len(numbers))
 size.register(Enum, lambda member: _size(member.value))
-
-
-@size.register(Set)
-def _items(items: Iterable[Any]) -> int:
-    return portable_sum(map(_size, items))
+size.register(Set, lambda items: portable_sum(map(_size, items)))
 
 
 @size.register
@@ -173,8 +169,5 @@ def _array(numbers: np.ndarray) -> int:
 
 @size.register
 def _void(scalar: np.void) -> int:
-    return (
-        scalar.nbytes
-        if scalar.dtype.names is None
-        else portable_sum(_size(scalar[name]) for name in scalar.dtype.names)
-    )
+    names = scalar.dtype.names
+    return scalar.nbytes if names is None else portable_sum(_size(scalar[name]) for name in names)

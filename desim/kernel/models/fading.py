@@ -38,21 +38,15 @@ def rice_survival(k: float, ratios: Floats) -> Floats:
     It is Marcum's Q_1(sqrt(2 K), sqrt(2 (K + 1) x)), the tail of a Poisson mixture of chi-squared distributions. Where
     it is small, the difference from 1 would lose its digits, so the tails of the mixture are summed instead.
     """
-    from scipy.special import chndtr
+    from scipy.special import chndtr, gammaincc
 
     survival: Floats = np.maximum(1.0 - chndtr(2.0 * (k + 1.0) * ratios, 2.0, 2.0 * k), 0.0)
     small = survival < 1e-3
     if small.any():
-        survival[small] = _rice_tail(k, ratios[small])
+        numbers, weights = _poisson(k)
+        tails = weights * gammaincc(numbers + 1.0, (k + 1.0) * ratios[small])
+        survival[small] = np.add.reduce(tails, axis=0)  # row by row
     return survival
-
-
-def _rice_tail(k: float, ratios: Floats) -> Floats:
-    from scipy.special import gammaincc
-
-    numbers, weights = _poisson(k)
-    tail: Floats = np.add.reduce(weights * gammaincc(numbers + 1.0, (k + 1.0) * ratios), axis=0)  # row by row
-    return tail
 
 
 @lru_cache(maxsize=16)

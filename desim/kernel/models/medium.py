@@ -265,9 +265,8 @@ class LoRa(Radio):
 
     def _message(self, size: int, factor: int) -> float:
         full, remainder = divmod(size, MAX_BYTES)
-        return full * self._frame(MAX_BYTES, factor) + (
-            self._frame(remainder, factor) if remainder or not full else 0.0
-        )
+        last = self._frame(remainder, factor) if remainder or not full else 0.0
+        return full * self._frame(MAX_BYTES, factor) + last
 
     def _frame(self, size: int, factor: int) -> float:
         """Return the airtime, s, of one frame: preamble + 4.25 + payload, in symbols, times the duration of a symbol.
