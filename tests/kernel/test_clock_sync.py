@@ -8,7 +8,7 @@ import pytest
 
 from desim import Scenario, run, summary
 from desim.config.errors import KeyedError
-from desim.kernel.clock_sync import Synchroniser, TwoWay
+from desim.kernel.clock_sync import REMEMBERED, Synchroniser, TwoWay
 from desim.kernel.core.clock import Clock, NodeClock
 from desim.kernel.core.events import ClockCorrected, Sent, Trace
 from desim.kernel.core.units import SECOND
@@ -82,6 +82,14 @@ def test_a_request_that_arrives_twice_has_two_answers_with_their_own_times():
     links = Links(duplicate=Bernoulli(p=1.0), medium=Bitrate(bitrate=32_000.0), latency=Constant(value=0.05))
     found, _ = errors(links, TwoWay(interval=0.2, exchanges=2))
     assert found[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_requests_and_answers_that_are_lost_are_forgotten():
+    env = Clock()
+    net = Network(env, nx.path_graph(2), Links(link=(Link(src=0, dst=1, loss=Bernoulli(p=1.0)),)))
+    synchroniser = Synchroniser(env, net, [NodeClock(env), NodeClock(env)], TwoWay(interval=0.01), 0)
+    env.run(2 * SECOND)
+    assert (len(synchroniser._asked[1]), len(synchroniser.answered)) == (REMEMBERED, 2 * REMEMBERED)
 
 
 def test_waiting_for_the_channel_is_no_error_and_messages_are_counted():

@@ -423,6 +423,34 @@ def test_the_first_jam_that_has_not_ended_is_the_cause_of_losses():
     assert state.jammed([0], 0) == ["sparks"]
 
 
+def test_the_first_cut_that_has_not_ended_is_the_cause_of_losses():
+    state = FaultState()
+    ends = [state.partition([[0]], "flood"), state.block(lambda src, dst: dst > 0, "fog"), state.partition([[0]])]
+    assert state.separated(0, [1, 2]) == ["flood", "flood"]
+    ends[0]()
+    assert state.separated(np.array([1, 1]), [0, 2]) == ["partition", "fog"]
+    ends[1]()
+    assert state.separated(1, [0, 2]) == ["partition", None]
+    ends[2]()
+    assert state.separated(1, [0]) is None
+
+
+def test_the_delays_of_several_interceptions_add_up_and_one_may_end_itself():
+    state = FaultState()
+    ends = [state.intercept(lambda *_: ends[0]() or {1: 0.5}, "crowd")]
+    ends += [state.intercept(lambda *_: {1: 0.25, 2: inf}, "thief")]
+    for number, late in ((1, 750_000_000), (2, 250_000_000)):
+        state.note_sent(number, 0, [1, 2, 3], "x")
+        assert state.delayed(number, [1, 2, 3], 100) == [100 + late, 100, 100]
+        assert state.intercepted(number) == {2: "thief"}
+
+
+def test_a_change_that_is_due_at_the_time_of_an_arrival_comes_before_it():
+    state = FaultState()
+    state.plan(5)
+    assert [state.changes_by(time) for time in (4, 5, 6)] == [False, True, True]
+
+
 def test_a_function_is_a_plan():
     """It is called once with the team's size, the horizon and a stream of its own, and what it answers happens."""
     asked = []

@@ -162,6 +162,7 @@ def test_capture_compares_with_each_frame_and_sinr_with_their_sum():
     """Two interferers are each 4.77 dB weaker, and 1.76 dB together: received with 4 dB if compared one by one."""
     apart = [[10.0], [10.0 * 3 ** (1 / 3)], [10.0 * 3 ** (1 / 3)]]
     assert judged(CaptureEffect(threshold=4.0), apart).tolist() == [True]
+    assert judged(CaptureEffect(threshold=0.0), np.array([[3.0], [3.0]])).tolist() == [True]  # equal is enough for 0 dB
     assert judged(Sinr(threshold=4.0, fading="none"), apart).tolist() == [False]
     assert judged(Sinr(threshold=1.7, fading="none"), apart).tolist() == [True]
     assert judged(Sinr(threshold=1.8, fading="none"), apart).tolist() == [False]

@@ -139,6 +139,7 @@ def test_a_duty_cycle_and_the_slots_of_a_tdma_delay_the_next_message():
     ):
         medium = Bitrate(bitrate=8000.0, access=access, duty_cycle=duty_cycle)
         assert medium.interval(10, 3) == pytest.approx(expected)
+    assert Bitrate(bitrate=8000.0, access=slots).interval(0, 3) == pytest.approx(0.15)  # a round for no airtime, too
 
 
 def test_a_message_occupies_the_channel_for_longer_than_its_airtime():
