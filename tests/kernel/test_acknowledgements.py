@@ -213,12 +213,16 @@ def test_a_crash_between_a_frame_and_its_acknowledgement_loses_no_count(t, node)
     assert "z" in [message.body for message in net.inbox(1).drain()]
 
 
-def test_a_node_that_crashes_as_it_waits_for_an_acknowledgement_begins_anew():
-    """All frames are lost, so the message after the crash is transmitted eight times, as one without a crash is."""
+@pytest.mark.parametrize("t", [335, 400])
+def test_a_node_that_crashes_between_two_attempts_begins_anew(t):
+    """All frames are lost, so the message after the crash is transmitted eight times, as one without a crash is.
+
+    The first frame ends at 328 us, and the wait for its acknowledgement at 388 us.
+    """
     clock, links = Clock(), Links(medium=Bitrate(bitrate=8e6, access=access(TIMING)), loss=1.0)
     net = Network(clock, path(2), links, fault_state=FaultState())
     net.send(0, 1, "x", size=300)
-    Instant(clock, 335_000, Phase.FAULT).callbacks.append(lambda _: net.crash(0))
+    Instant(clock, t * 1000, Phase.FAULT).callbacks.append(lambda _: net.crash(0))
     Instant(clock, 20_000_000, Phase.FAULT).callbacks.append(lambda _: net.recover(0))
     Instant(clock, 30_000_000, Phase.DECISION).callbacks.append(lambda _: net.send(0, 1, "y", size=300))
     clock.run()
