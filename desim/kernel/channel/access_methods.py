@@ -229,8 +229,6 @@ class _Tdma(AccessMethod):
         self._slots: list[list[int]] = [[] for _ in clocks]
         for slot, owner in enumerate(owners):
             self._slots[owner].append(slot)
-        self._used = [-1] * len(clocks)
-        """The start of the last slot that each node has used, ns."""
 
     def prepare(self, node: int, now: int, *, arrived: bool) -> None:
         clock = self._clocks[node]
@@ -239,15 +237,10 @@ class _Tdma(AccessMethod):
             turn * self._slots_per_round + slot for turn in range(rounds, rounds + 4) for slot in self._slots[node]
         ):
             start = clock.when(k * self._slot)
-            if start >= now and start > self._used[node]:
+            if start >= now:
                 self._nodes.due[node] = start
                 return
         raise AssertionError("a node has a slot in every round")
-
-    def act(self, due: Integers, now: int) -> tuple[Integers, Integers]:
-        for node in due.tolist():
-            self._used[node] = now
-        return super().act(due, now)
 
 
 def access_method(
