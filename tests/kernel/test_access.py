@@ -620,16 +620,29 @@ def test_slotted_aloha_waits_a_geometric_number_of_slots():
 
 
 @pytest.mark.parametrize("attempts", [1, 3])
-def test_a_nonpersistent_node_gives_up_after_its_attempts_with_the_cause_access(attempts):
+def test_a_nonpersistent_node_gives_up_each_frame_after_its_attempts_with_the_cause_access(attempts):
     """The channel is busy until 10 ms; node 1 senses it at 5 ms, and again after exponential times of mean 0.1 ms."""
     clock, net, trace = network(Csma(backoff=1e-4, attempts=attempts))
     net.publish(0, None, size=10 * SIZE)
-    at(clock, 5000, net.publish, 1, None, size=SIZE)
+    for _ in range(2):
+        at(clock, 5000, net.publish, 1, None, size=SIZE)
     clock.run()
-    rng = stream(SEED, "access")
-    waits = sum(round(float(rng.exponential(1e-4, 1)[0]) * SECOND) for _ in range(attempts - 1))
-    assert losses(trace) == [((5 * MS + waits) / US, 0, "access")]
+    rng, times = stream(SEED, "access"), [5 * MS]
+    for _ in range(2):
+        waits = [round(float(rng.exponential(1e-4, 1)[0]) * SECOND) for _ in range(attempts)]
+        times.append(times[-1] + sum(waits[:-1]))
+    assert losses(trace) == [(t / US, 0, "access") for t in times[1:]]
     assert starts(trace) == [(0, 0.0)]
+
+
+def test_the_channel_is_utilised_while_one_frame_or_several_are_on_the_air():
+    """Frames of 1 ms at 0, 0.5 and 3 ms."""
+    clock, net, _ = network(Aloha())
+    for t, node in ((0, 0), (500, 1), (3000, 0)):
+        at(clock, t, net.publish, node, None, size=SIZE)
+    for t, busy in ((250, 250), (1200, 1200), (2500, 1500), (3500, 2000), (5000, 2500)):
+        clock.run(until=t * US)
+        assert net.message_counts().utilisation == pytest.approx(busy / t)
 
 
 def test_a_nonpersistent_node_transmits_at_the_first_time_at_which_it_senses_an_idle_channel():
