@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.pursuit.motion.capture import NO_SPEED, RadialTime, capture_time, intercept_times, least_capture_time
+from desim.pursuit.motion.capture import NO_SPEED, RadialTime, capture_time, intercept_times
 
 coordinates = st.floats(-20.0, 20.0)
 speeds_of_players = st.floats(0.0, 3.0).map(lambda v: round(v, 6))
@@ -144,14 +144,6 @@ def test_the_formula_of_the_paper_is_the_smallest_root():
         roots = [t.real for t in np.roots([a, 2 * b, c]) if abs(t.imag) < 1e-12 and t.real >= 0.0]
         assert found == pytest.approx(0.0 if c <= 0.0 else min(roots, default=inf), rel=1e-6)
         assert found in {0.0, inf} or hypot(*(e + w * found)) == pytest.approx(v * found + eps, rel=1e-9)
-
-
-@pytest.mark.slow
-@given(speeds_of_players, st.floats(0.0, 2.0), st.floats(0.0, 50.0))
-def test_the_least_time_is_that_of_the_fastest_to_the_last_bit(speed, v_e, distance):
-    """The bound of a claim and the capture time of a pursuer of the greatest speed are one formula."""
-    radial = RadialTime(np.array([speed]), v_e, 0.1)
-    assert least_capture_time(distance, 0.1, speed, v_e) == radial.of(0, distance)
 
 
 @pytest.mark.parametrize("kind", [np.int8, np.int64])

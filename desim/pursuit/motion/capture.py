@@ -57,7 +57,7 @@ class RadialTime:
         self.slow = closing <= NO_SPEED  # (N,) whether each pursuer is no faster than the evader
         self._some_slow = bool(self.slow.any())
         self._closing = np.where(self.slow, 1.0, closing)
-        self._by_pursuer: list[tuple[bool, float]] = list(zip(self.slow.tolist(), self._closing.tolist(), strict=True))
+        self._speeds, self._evader_speed = speeds.tolist(), evader_speed
 
     def __call__(self, distances: Floats) -> Floats:
         """Return the (N,) capture times, s, given (N,) distances, m."""
@@ -69,9 +69,7 @@ class RadialTime:
 
     def of(self, pursuer: int, distance: float) -> float:
         """Return the capture time of one pursuer, s, given its distance, m."""
-        slow, closing = self._by_pursuer[pursuer]
-        gap = distance - self._radius
-        return 0.0 if gap <= 0.0 else inf if slow else gap / closing
+        return least_capture_time(distance, self._radius, self._speeds[pursuer], self._evader_speed)
 
 
 def accelerated_capture_times(
@@ -117,9 +115,6 @@ def least_capture_time(distance: float, radius: float, top_speed: float, evader_
 
     It bounds the capture times that a pursuer can truthfully announce: (d - eps) / (v_max - v_e), inf if no pursuer is
     faster than the evader, and 0 within the capture radius.
-
-    Kept equal to the capture time of the fastest by
-    `tests/pursuit/test_capture.py::test_the_least_time_is_that_of_the_fastest_to_the_last_bit`.
 
     Args:
         distance: the distance d, m.
