@@ -194,7 +194,7 @@ def test_a_teammate_is_reckoned_exactly_while_it_chases_and_after_it_has_stopped
         parts.env.run(until=hundredths * SECOND // 100)
         found = parts.view.reckoned(start, 1.5, parts.env.now - begun, 1, exact=True)
         assert found.position == pytest.approx(parts.state.position(0), abs=1e-9)
-        assert found.course.velocity == pytest.approx(parts.state.course(0).velocity, abs=1e-9)
+        assert found.course.velocity == pytest.approx(parts.state.players.course(0).velocity, abs=1e-9)
     parts.view.set_action(0, 0)
     ended, stopped = parts.env.now, parts.state.motion(0)
     for hundredths in (150, 600):
@@ -204,7 +204,7 @@ def test_a_teammate_is_reckoned_exactly_while_it_chases_and_after_it_has_stopped
         for motion in (chased, stopped):
             found = parts.view.idle(motion, now - ended)
             assert found.position == pytest.approx(parts.state.position(0), abs=1e-9)
-            assert found.course.velocity == pytest.approx(parts.state.course(0).velocity, abs=1e-9)
+            assert found.course.velocity == pytest.approx(parts.state.players.course(0).velocity, abs=1e-9)
 
 
 def test_without_a_course_a_teammate_is_reckoned_as_if_its_motion_were_simple():

@@ -68,7 +68,7 @@ def test_the_sight_of_one_is_that_of_all(dynamics, wall, within_step):
         parts.world.begin()
         parts.env.run(until=SECOND + within_step)
         state = parts.state
-        radius = radius or float(np.median(state.distances(1)))
+        radius = radius or float(np.median(state.body(1).state(state.now).distances))
         of_each = [state.sees(pursuer, 1, radius) for pursuer in range(9)]
         assert of_each == state.in_sight(1, radius).tolist()
         assert 0 < sum(of_each) < 9 or radius < 8.0

@@ -130,10 +130,8 @@ class LyingTeam:
         """Return a function that sends the false accusations of a pursuer or, without any, calls `report`."""
 
         def act() -> None:
-            accusations = [model.accuses() for model in self._active[pursuer]]
-            accused = {
-                suspect for accusation in accusations if accusation is not None for suspect in accusation.accused
-            }
+            accusations = filter(None, [model.accuses() for model in self._active[pursuer]])
+            accused = {suspect for accusation in accusations for suspect in accusation.accused}
             if accused:
                 self.send(pursuer, None, Accusation(tuple(sorted(accused))), port=ACCUSATIONS)
             else:

@@ -129,21 +129,22 @@ class EvaderTrack:
         if self._walled is not None:
             return MotionState(self._walled.advance(place, segment.aim, speed, begin, end, segment.end))
         step, duration = seconds(segment.end - begin), seconds(end - begin)
-        environment = self._environment
-        wind = 0j
-        if self._has_flow:
-            wind = environment.drift_within(place, 0j, begun=segment.begun, now=begin, until=segment.end)
+        wind = self._drift(place, 0j, segment, begin)
         # Guidance is relative to the medium: it aims upstream by the way that the flow carries the pursuer in this
         # step.
         gap, aim = segment.at(begin) - place, segment.aim - place - wind * step
         command = guided_velocity(self._law, gap, aim, segment.velocity - wind, speed)
         if course is not None:
             command = steered_with(self._dynamics, command, course, aim, self._radius)
-        drift = 0j
-        if self._has_flow:
-            drift = environment.drift_within(place, command, begun=segment.begun, now=begin, until=segment.end)
+        drift = self._drift(place, command, segment, begin)
         if course is None:
             return MotionState(place + (command + drift) * duration)
         piece = piece_with(self._dynamics, place, course, command)
         piece = piece._replace(drift=drift) if drift else piece
         return MotionState(piece.at(duration), piece.course_at(duration))
+
+    def _drift(self, place: complex, command: complex, segment: TrackSegment, now: int) -> complex:
+        """Return the mean velocity of the flow, m/s, along the path of a pursuer in the rest of a motion step."""
+        if not self._has_flow:
+            return 0j
+        return self._environment.drift_within(place, command, begun=segment.begun, now=now, until=segment.end)

@@ -299,15 +299,12 @@ class SensedView(LimitedView):
     def report(self) -> None:
         """Broadcast the newest sightings that are at most `track_timeout` old; reported ones only with `relay`."""
         oldest = self._clock.now - self._sensing.track_timeout
-        newest = [
-            sighting
-            for sighting in map(self.newest, self.state.at_large)
-            if sighting is not None and sighting.seen >= oldest
-        ]
         reports = tuple(
             sighting
-            for sighting in newest
-            if self._sensing.relay or sighting is not self._reported.get(sighting.evader)
+            for sighting in map(self.newest, self.state.at_large)
+            if sighting is not None
+            and sighting.seen >= oldest
+            and (self._sensing.relay or sighting is not self._reported.get(sighting.evader))
         )
         if reports:
             self._network.send(self._id, None, reports, port=PORT)

@@ -17,7 +17,7 @@ from desim.kernel.core.units import SECOND
 from desim.pursuit.evaders.evader import EvaderBody
 from desim.pursuit.evaders.recorded import RecordedMotion
 from desim.pursuit.motion.dead_reckoning import MotionState
-from desim.pursuit.motion.dynamics import Course, Dynamics
+from desim.pursuit.motion.dynamics import Dynamics
 from desim.pursuit.motion.environment import Environment
 from desim.pursuit.motion.kinematics import Kinematics
 from desim.pursuit.paths.space import Plane
@@ -103,10 +103,6 @@ class WorldState:
         """Return the position of a pursuer, m."""
         return self.players.position(pursuer)
 
-    def course(self, pursuer: int) -> Course:
-        """Return the course of a pursuer."""
-        return self.players.course(pursuer)
-
     def motion(self, pursuer: int) -> MotionState:
         """Return the position and the course of a pursuer."""
         return MotionState(self.players.position(pursuer), self.players.course(pursuer))
@@ -123,13 +119,9 @@ class WorldState:
         """Return the velocity of an evader, m/s."""
         return self.players.velocity(self.body(evader).player)
 
-    def distances(self, evader: int) -> Floats:
-        """Return the (N,) distances of the pursuers to an evader, m."""
-        return self.body(evader).state(self.now).distances
-
     def in_sight(self, evader: int, radius: float) -> Bools:
         """Return which pursuers see an evader now, (N,): it is within a radius, m, and no wall is between them."""
-        near: Bools = self.distances(evader) <= radius
+        near: Bools = self.body(evader).state(self.now).distances <= radius
         if self.space.blocks_sight:
             near &= self._visible(evader)
         return near

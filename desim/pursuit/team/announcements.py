@@ -93,7 +93,7 @@ class MovingAssignment(NamedTuple):
     @classmethod
     def announced_by(cls, pursuer: int, view: View) -> Self:
         """Return the announcement of a pursuer now, given its view of the world."""
-        located, (velocity, heading) = LocatedAssignment.announced_by(pursuer, view), view.state.course(pursuer)
+        located, (velocity, heading) = LocatedAssignment.announced_by(pursuer, view), view.state.players.course(pursuer)
         return cls(*located, abs(velocity), phase(heading))
 
     @property
