@@ -242,6 +242,14 @@ def test_a_place_to_which_a_pursuer_could_come_first_hides_nobody(speed, heads_f
     assert heading.real * heads_for > 0.5
 
 
+def test_places_that_it_cannot_reach_hide_nobody():
+    """In a closed room, which the places on its outside are hidden from, it flees; a pursuer may be unable to move."""
+    room = ((0.0, 0.0), (6.0, 0.0), (6.0, 6.0), (0.0, 6.0), (0.0, 0.0))
+    space = space_among((Wall(line=room, blocks=("motion", "sight")),))
+    seen = observation(1 + 1j, evader=3 + 3j, speeds=0.0).within(space)
+    assert Hide()(seen, np.random.default_rng(0)) == pytest.approx(rect(1.0, pi / 4.0))
+
+
 def test_a_zigzag_goes_left_and_right_of_straight_away_by_the_clock():
     """With a period of 0.2 s it turns at 0.1 s, 0.2 s, 0.3 s .. to the nanosecond, however often it is asked."""
     strategy = Zigzag(period=0.2, amplitude=0.5)

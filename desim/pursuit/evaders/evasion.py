@@ -176,7 +176,8 @@ class Hide(Fleeing):
         places = space.hiding_places(self.distance)
         nearest = lengths(places - evader).argsort(kind="stable")[:MAX_HIDING_PLACES]
         places = places[nearest][space.hidden(places[nearest], pursuers)]
-        times = space.distances(places, evader) / max(state.speed, SMALLEST)
+        ways = space.distances(places, evader)
+        places, times = places[ways < inf], ways[ways < inf] / max(state.speed, SMALLEST)
         for pursuer, speed in zip(pursuers.tolist(), fled_from.speeds.tolist(), strict=True):
             times[lengths(places - pursuer) <= speed * times] = inf
         if not len(times) or times.min() == inf:
