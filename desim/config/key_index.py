@@ -55,12 +55,10 @@ def _keys(
     for name, field in fields_of(model).items():
         if name == "kind":
             continue
-        choices: list[tuple[str | None, type[BaseModel]]] = [
-            (kind, inner) for choice in choices_of(field) for kind, inner in choice.choices().items()
-        ]
-        yield Key((*above, name), tuple(kind for kind, _ in choices if kind), owner)
+        models = _models_of(field)
+        yield Key((*above, name), tuple(kind for kind, _ in models if kind), owner)
         below = (*above, name, *(["0"] if get_origin(field.annotation) is tuple else []))
-        for kind, inner in choices or [(None, inner) for inner in models_in(field.annotation)]:
+        for kind, inner in models:
             if inner not in outer:
                 yield from _keys(inner, below, kind, (*outer, model))
 
@@ -102,13 +100,12 @@ def unit_of_key(key: str, whole: type[BaseModel]) -> str | None:
     models: list[type[BaseModel]] = [whole]
     for part in (part for part in key.split(".") if not part.isdigit()):
         fields = [fields_of(model)[part] for model in models if part in model.model_fields]
-        models = [model for field in fields for model in _models_of(field)]
+        models = [model for field in fields for _, model in _models_of(field)]
     units = {unit_in(field) for field in fields if field.annotation is not str}
     return units.pop() if len(units) == 1 else None
 
 
-def _models_of(field: FieldInfo) -> Iterator[type[BaseModel]]:
-    """Yield the models that a field may hold."""
-    for choice in choices_of(field):
-        yield from choice.choices().values()
-    yield from models_in(field.annotation)
+def _models_of(field: FieldInfo) -> list[tuple[str | None, type[BaseModel]]]:
+    """Return the models that a field may hold, each with its kind; None if it is selected by none."""
+    choices = [item for choice in choices_of(field) for item in choice.choices().items()]
+    return [*choices] or [(None, model) for model in models_in(field.annotation)]
