@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from math import nan
 
+from desim.analysis.hindsight import value_of
 from desim.analysis.trace_index import captures, traced_events
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.units import seconds
@@ -64,12 +65,10 @@ def damage_per_liar(result: Result, metric: Callable[[Result], float | None]) ->
     Raises:
         ValueError: if no pursuer has a Byzantine fault, or the metric is None in one of the runs.
     """
-    liars, values = len(first_lies(result)), (metric(result), metric(honest_run(result)))
+    liars = len(first_lies(result))
     if not liars:
         raise ValueError(f"no pursuer has a Byzantine fault in the run with seed {result.seed}")
-    if values[0] is None or values[1] is None:
-        raise ValueError(f"the metric has no value in a run with seed {result.seed}")
-    return (values[0] - values[1]) / liars
+    return (value_of(metric, result, "the run") - value_of(metric, honest_run(result), "the honest run")) / liars
 
 
 def captures_lost(result: Result) -> int:

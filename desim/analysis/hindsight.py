@@ -107,9 +107,8 @@ def gains(part: Timeline) -> Floats:
 def _optimal_pursuers(parts: Sequence[Timeline]) -> Integers:
     """Return the (M, k) optimal pursuer of each evader in each piece, or `NO_PURSUER`; see the top of this module."""
     best = np.array([part.phi.argmin(axis=1) for part in parts])
-    best[np.array([_single_potential(part, chaser) for part, chaser in zip(parts, best, strict=True)]) == 0.0] = (
-        NO_PURSUER
-    )
+    worth = np.array([_single_potential(part, chaser) for part, chaser in zip(parts, best, strict=True)])
+    best[worth == 0.0] = NO_PURSUER
     ordered = np.sort(best, axis=0)
     for k in np.flatnonzero(((ordered[1:] == ordered[:-1]) & (ordered[1:] != NO_PURSUER)).any(axis=0)):
         chosen = optimal_assignment(np.transpose([part.phi[k] for part in parts]), parts[0].left[k])
@@ -242,12 +241,12 @@ def network_regret(result: Result, metric: Callable[[Result], float] = potential
     Raises:
         ValueError: if the metric is None in one of the runs.
     """
-    value = _value_of(metric, result, "the run")
+    value = value_of(metric, result, "the run")
     ideal = result.scenario.model_copy(update={"network": Links(), "fault": ()})
-    return value - _value_of(metric, run(ideal, result.seed), "the run on an ideal network")
+    return value - value_of(metric, run(ideal, result.seed), "the run on an ideal network")
 
 
-def _value_of(metric: Callable[[Result], float | None], result: Result, which: str) -> float:
+def value_of(metric: Callable[[Result], float | None], result: Result, which: str) -> float:
     """Return the value of a metric; raise ValueError if it is None."""
     value = metric(result)
     if value is None:

@@ -223,10 +223,9 @@ def _network(metric: str, bounds: Bounds, unit: str) -> Iterator[str]:
     if not difference.mean.count:
         return
     if not difference.differing:
-        most = percent(wilson(0, difference.mean.count)[1]).replace("%", " %")
         yield (
-            f"the network made no difference in {metric}: a {PERFECT} and {SILENT} are equal in every run; up to"
-            f" {most} of all seeds may differ (95 % Wilson interval)"
+            f"the network made no difference in {metric}: a {PERFECT} and {SILENT} are equal in every run;"
+            f" {_others(difference.mean.count)}"
         )
     elif difference.mean.others is not None and not difference.excludes_0():
         yield (
@@ -259,6 +258,9 @@ def _unseen(metric: str, cost: Cost) -> Iterator[str]:
 def _unchanging(metric: str, cost: Cost) -> Iterator[str]:
     """Yield the note on the parts of a cost that are 0 in every run, and on the share of seeds that may differ."""
     if cost.unchanging:
-        most = percent(wilson(0, cost.together.mean.count)[1]).replace("%", " %")
-        names = ", ".join(cost.unchanging)
-        yield f"0 in every run in {metric}: {names}; up to {most} of all seeds may differ (95 % Wilson interval)"
+        yield f"0 in every run in {metric}: {', '.join(cost.unchanging)}; {_others(cost.together.mean.count)}"
+
+
+def _others(count: int) -> str:
+    """Return how many of all seeds may differ if all of `count` are equal."""
+    return f"up to {percent(wilson(0, count)[1]).replace('%', ' %')} of all seeds may differ (95 % Wilson interval)"

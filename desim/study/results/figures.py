@@ -99,7 +99,7 @@ def means(
         return figure
     columns = columns_of(len(panels), size)
     rows = -(-len(panels) // columns)
-    names = [] if abscissa is None else list(dict.fromkeys(line_name(group, named, labels) for group in result.groups))
+    names = _names_of_lines(result, abscissa, named, labels)
     width, height = _inches(size, rows, columns, None if abscissa else len(result.groups))
     if size is None:
         height += height_of_legend(names, width)
@@ -208,21 +208,19 @@ def multiples(result: SweepRuns, metrics: Sequence[str], *, has_legend: bool = T
     rows = -(-len(metrics) // columns)
     height = 2.1 if abscissa else 0.8 + 0.2 * len(result.groups)
     line_keys = [key for key in result.keys if key != abscissa]
-    lines = (
-        {metric: _lines(_points(result, metric, None), abscissa, line_keys) for metric in metrics} if abscissa else {}
-    )
-    names = list(lines[metrics[0]]) if abscissa and has_legend else []
+    names = _names_of_lines(result, abscissa, line_keys) if has_legend else []
     width = 0.4 + 3.0 * columns
     size = (width, 0.3 + height * rows + height_of_legend(names, width))
     with styled(figsize=size, font=8.0) as figure:
         panels = figure.subplots(rows, columns, squeeze=False, sharey=abscissa is None)
         for axes, metric in zip(panels.flat, metrics, strict=False):
             axes.set_title(metric_with_unit(metric, result), loc="left")
+            points = _points(result, metric, None)
             if abscissa is None:
-                _draw_rows(axes, result.keys, _points(result, metric, None))
+                _draw_rows(axes, result.keys, points)
             else:
-                _draw_lines(axes, result, abscissa, lines[metric])
-                if (value := _flat(_points(result, metric, None))) is not None:
+                _draw_lines(axes, result, abscissa, _lines(points, abscissa, line_keys))
+                if (value := _flat(points)) is not None:
                     _mark_flat(axes, value)
         for k, axes in enumerate(panels.flat):
             if k >= len(metrics):
@@ -240,10 +238,9 @@ def legend(result: SweepRuns) -> Figure | None:
     """Draw the legend of the figures of `multiples` on its own; None if their lines have no names."""
     abscissa = next(iter(swept_numbers(result)), None)
     line_keys = [key for key in result.keys if key != abscissa]
-    names = [name for group in result.groups if (name := line_name(group, line_keys))] if abscissa else []
+    names = [name for name in _names_of_lines(result, abscissa, line_keys) if name]
     if not names:
         return None
-    names = list(dict.fromkeys(names))
     width = MAX_ABREAST * 3.0
     with styled(figsize=(width, height_of_legend(names, width)), font=8.0) as figure:
         axes = figure.add_subplot()
@@ -253,6 +250,13 @@ def legend(result: SweepRuns) -> Figure | None:
         add_legend(figure, title_of_legend(line_keys))
         axes.remove()
     return figure
+
+
+def _names_of_lines(
+    result: SweepRuns, abscissa: str | None, by: Sequence[str], labels: Mapping[str, str] = MappingProxyType({})
+) -> list[str]:
+    """Return the names of the lines over a key, in their order; none if each configuration has a row."""
+    return list(dict.fromkeys(line_name(group, by, labels) for group in result.groups)) if abscissa else []
 
 
 def _draw_lines(

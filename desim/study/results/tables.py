@@ -107,12 +107,9 @@ def notes(result: SweepRuns, metrics: Sequence[str]) -> Iterator[str]:
                 f"{words(metric)} has a value in {percent(min(shares))} to {percent(max(shares))} of the runs, so its"
                 f" means are over different, perhaps easier ones{instead}"
             )
-    for group in result.groups:
-        if group.failed:
-            row = group.failed[0]
-            first = f"{group.in_words()}, seed {row.seed}: {row.failure}"
-            yield f"{counted(len(result.failed), 'run')} failed; the first, with {first}"
-            break
+    for group in [group for group in result.groups if group.failed][:1]:
+        first = f"{group.in_words()}, seed {group.failed[0].seed}: {group.failed[0].failure}"
+        yield f"{counted(len(result.failed), 'run')} failed; the first, with {first}"
     yield from (f"warning: {warning}" for warning in result.warnings(metrics))
 
 

@@ -196,17 +196,12 @@ class Scene:
         for name in self._places:
             kind, number = name.split()
             is_evader = kind == "evader"
-            colour = self._evader_colour(int(number)) if is_evader else self._pursuer_colour(int(number), chasers)
+            evader_colour = _colour(EVADER, 0.4 if int(number) in self._captured else 1.0)
+            colour = evader_colour if is_evader else self._pursuer_colour(int(number), chasers)
             size = dict.fromkeys("xyz", self._size)
             body = {"pose": _pose(DIAMOND if is_evader else UPRIGHT), "size": size, "color": colour}
-            label: Message = {
-                "pose": _pose(),
-                "billboard": True,
-                "font_size": 12.0,
-                "scale_invariant": True,
-                "text": number,
-            }
-            label |= {"color": _colour("#000000")}
+            label: Message = {"pose": _pose(), "billboard": True, "font_size": 12.0, "scale_invariant": True}
+            label |= {"text": number, "color": _colour("#000000")}
             parts: dict[str, list[Message]] = {"cubes" if is_evader else "spheres": [body], "texts": [label]}
             players.append(_entity(t, name, parts, frame=name))
         return t, "/players", _scene(players)
@@ -217,9 +212,6 @@ class Scene:
         if not action:
             return _colour(INACTIVE, 0.4)
         return _colour(ACTIVE if chasers[action] == 1 else ACTIVE_WITH_OTHERS)
-
-    def _evader_colour(self, evader: int) -> Message:
-        return _colour(EVADER, 0.4 if evader in self._captured else 1.0)
 
     def _sent(self, event: Broadcast | Sent) -> Iterator[Entry]:
         """Yield the message of a transmission to each receiver, and the lines of those in flight."""

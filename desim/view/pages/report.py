@@ -132,7 +132,8 @@ def report(study: Study) -> str:
     shown = [*SHOWN, *result.units]
     template = files("desim.view.pages").joinpath("report.html").read_text(encoding="utf-8")
     environment = Environment(autoescape=True, keep_trailing_newline=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {"signs": _signs, "counted": counted, "unit": lambda key: unit_of_key(key, Scenario)}
+    environment.filters |= {"signs": lambda cell: cell.replace("+-", "±"), "counted": counted}
+    environment.filters["unit"] = lambda key: unit_of_key(key, Scenario)
     failures = list(_failures(result))
     made = study.made
     key = legend(result) if panels and not drawn else None
@@ -320,10 +321,6 @@ def _origin(made: provenance.Document) -> dict[str, str]:
     if made["unrecorded"]:
         rows["parameters not recorded"] = ", ".join(map(str, made["unrecorded"]))
     return {name: str(value) for name, value in rows.items()}
-
-
-def _signs(cell: str) -> str:
-    return cell.replace("+-", "±")
 
 
 def _inline(figure: "Figure", name: str, label: str) -> "Markup":
