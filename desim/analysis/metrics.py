@@ -11,6 +11,7 @@ metrics of a run.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from math import isnan
 from operator import itemgetter
 from types import MappingProxyType
@@ -131,6 +132,12 @@ def entry(of: Callable[[Result], Any], unit: str = "", note: Any = None, **shown
     return Metric(of, unit, note, **shown)
 
 
+worse = partial(entry, more_is="worse")
+"""Creates a metric of which more is worse. The following also need a recording, or are of some runs only."""
+of_positions = partial(worse, given=positions_known)
+of_messages = partial(worse, given=messages_recorded)
+of_transport = partial(worse, given=has_transport)
+of_trust = partial(worse, given=checks_announcements)
 IN_REPR = ("seed", "captured", "capture_time", "active_time", "messages_sent")
 """The metrics in the `repr` of a summary."""
 
@@ -196,70 +203,45 @@ class Summary(Mapping[str, Any]):
     seed: int = entry(lambda result: result.seed, in_tables=False, is_number=False)
     """Seed of the run."""
     captured: bool = entry(captured, in_tables=False, more_is="better")
-    capture_time: float | None = entry(capture_time, "s", more_is="worse")
+    capture_time: float | None = worse(capture_time, "s")
     capturer: int | None = entry(lambda result: ended(result).capturer, in_tables=False, is_number=False)
     """The pursuer that captured the evader, or the last of several."""
     captures: int = entry(lambda result: len(captures(result)), more_is="better")
     """Number of captured evaders."""
-    mean_capture_time: float | None = entry(mean_capture_time, "s", more_is="worse")
+    mean_capture_time: float | None = worse(mean_capture_time, "s")
     capture_times: Mapping[str, float] = entry(capture_times, in_tables=False, is_number=False)
     """Time of each capture, s, by the number of the evader."""
     capturers: Mapping[str, int] = entry(capturers, in_tables=False, is_number=False)
     """Pursuer that made each capture, by the number of the evader."""
-    end_time: float = entry(end_time, "s", more_is="worse")
-    active_time: float = entry(active_time, "s", "summed over the pursuers", more_is="worse")
-    idle_time: float = entry(idle_time, "s", "no pursuer on an evader at large", more_is="worse")
-    crowded_time: float = entry(crowded_time, "s", "more than one pursuer on an evader", more_is="worse")
-    excess_time: float = entry(excess_time, "s", more_is="worse")
-    misassigned_time: float | None = entry(
-        misassigned_time,
-        "s",
-        "not the relay pursuer alone on each evader",
-        given=positions_known,
-        more_is="worse",
+    end_time: float = worse(end_time, "s")
+    active_time: float = worse(active_time, "s", "summed over the pursuers")
+    idle_time: float = worse(idle_time, "s", "no pursuer on an evader at large")
+    crowded_time: float = worse(crowded_time, "s", "more than one pursuer on an evader")
+    excess_time: float = worse(excess_time, "s")
+    misassigned_time: float | None = of_positions(misassigned_time, "s", "not the relay pursuer alone on each evader")
+    time_to_relay: float | None = of_positions(
+        time_to_relay, "s", "start of a window with the relay pursuer alone on each evader"
     )
-    time_to_relay: float | None = entry(
-        time_to_relay,
-        "s",
-        "start of a window with the relay pursuer alone on each evader",
-        given=positions_known,
-        more_is="worse",
+    potential_gap: float | None = of_positions(
+        potential_gap, "s^2", "below the largest potential, integrated over time"
     )
-    potential_gap: float | None = entry(
-        potential_gap,
-        "s^2",
-        "below the largest potential, integrated over time",
-        given=positions_known,
-        more_is="worse",
-    )
-    regret: float | None = entry(
-        regret,
-        "s",
-        "against the best fixed action, averaged over pursuers",
-        given=positions_known,
-        more_is="worse",
-    )
-    energy: float = entry(
-        energy, "(m/s)^p s", "v^p of active pursuers, p = 2 or `team.power_exponent`", more_is="worse"
-    )
+    regret: float | None = of_positions(regret, "s", "against the best fixed action, averaged over pursuers")
+    energy: float = worse(energy, "(m/s)^p s", "v^p of active pursuers, p = 2 or `team.power_exponent`")
     decisions: int = entry(
         lambda result: len(decisions(result)), note=lambda run: f"{run['switches']:,} of them changed an action"
     )
     """Number of decisions."""
     switches: int = entry(switches)
     handovers: int = entry(handovers, note=lambda run: f"{run['ping_pongs']:,} of them ping-pong", label="handovers")
-    ping_pongs: int = entry(ping_pongs, more_is="worse")
-    messages_sent: int = entry(
-        lambda result: messages(result).sent, note="each receiver of a broadcast counts as one", more_is="worse"
-    )
+    ping_pongs: int = worse(ping_pongs)
+    messages_sent: int = worse(lambda result: messages(result).sent, note="each receiver of a broadcast counts as one")
     """Number of messages; each receiver of a broadcast counts as one."""
     messages_delivered: int = entry(lambda result: messages(result).delivered, note="", label="  delivered")
     """Number of messages that arrived."""
-    messages_lost: int = entry(
+    messages_lost: int = worse(
         lambda result: messages(result).lost,
         note=lambda run: ", ".join(f"{n:,} by {words(cause)}" for cause, n in sorted(run["messages_lost_by"].items())),
         label="  lost",
-        more_is="worse",
     )
     """Number of messages that were lost."""
     messages_lost_by: Mapping[Cause, int] = entry(lambda result: messages(result).lost_by, is_number=False)
@@ -268,12 +250,10 @@ class Summary(Mapping[str, Any]):
         lambda result: messages(result).in_flight, note="at the end of the run", label="  in flight"
     )
     """Number of messages that were under way at the end of the run."""
-    transmissions: int = entry(lambda result: messages(result).transmissions, more_is="worse")
+    transmissions: int = worse(lambda result: messages(result).transmissions)
     """Number of transmissions, whatever the number of receivers, also 0; each attempt on a channel counts."""
-    bytes_sent: int = entry(
-        lambda result: messages(result).bytes_sent,
-        note=lambda run: f"in {run['transmissions']:,} transmissions",
-        more_is="worse",
+    bytes_sent: int = worse(
+        lambda result: messages(result).bytes_sent, note=lambda run: f"in {run['transmissions']:,} transmissions"
     )
     """Number of bytes in all transmissions."""
     utilisation: float = entry(
@@ -282,58 +262,28 @@ class Summary(Mapping[str, Any]):
         silent_at_0=True,
     )
     """Share of the time in which the channels were busy."""
-    share_delivered: float | None = entry(
-        share_delivered,
-        note="of the messages under a transport, by the end of the run",
-        given=has_transport,
-        more_is="better",
+    share_delivered: float | None = of_transport(
+        share_delivered, note="of the messages under a transport, by the end of the run", more_is="better"
     )
-    mean_attempts: float | None = entry(
-        mean_attempts, note="transmissions of a message to each receiver", given=has_transport, more_is="worse"
+    mean_attempts: float | None = of_transport(mean_attempts, note="transmissions of a message to each receiver")
+    delivery_delay: float | None = of_transport(delivery_delay, "s", "from sending to delivery")
+    retransmissions: int | None = of_transport(
+        retransmissions, note=lambda run: f"{run['acknowledgements']:,} acknowledgements"
     )
-    delivery_delay: float | None = entry(
-        delivery_delay, "s", "from sending to delivery", given=has_transport, more_is="worse"
+    acknowledgements: int | None = of_transport(acknowledgements)
+    given_up: int | None = of_transport(
+        given_up, note="messages that some receiver had not acknowledged", silent_at_0=True
     )
-    retransmissions: int | None = entry(
-        retransmissions,
-        note=lambda run: f"{run['acknowledgements']:,} acknowledgements",
-        given=has_transport,
-        more_is="worse",
-    )
-    acknowledgements: int | None = entry(acknowledgements, given=has_transport, more_is="worse")
-    given_up: int | None = entry(
-        given_up,
-        note="messages that some receiver had not acknowledged",
-        given=has_transport,
-        silent_at_0=True,
-        more_is="worse",
-    )
-    deadlines_missed: int | None = entry(
-        deadlines_missed, note="", given=has_transport, silent_at_0=True, more_is="worse"
-    )
-    liveliness_lost: int | None = entry(liveliness_lost, note="", given=has_transport, silent_at_0=True)
-    false_accusations: int | None = entry(
-        false_accusations, note="of honest pursuers by honest ones", given=checks_announcements, more_is="worse"
-    )
-    time_to_detect: float | None = entry(
-        time_to_detect, "s", "from a Byzantine fault to distrust", given=checks_announcements, more_is="worse"
-    )
-    age_mean: float | None = entry(
-        age_mean, "s", "averaged over time and pairs", given=messages_recorded, more_is="worse"
-    )
-    age_peak: float | None = entry(
-        age_peak, "s", "just before a newer record arrived", given=messages_recorded, more_is="worse"
-    )
-    age_at_decision: float | None = entry(
-        age_at_decision, "s", "at the decisions of the reader", given=messages_recorded, more_is="worse"
-    )
-    belief_error: float | None = entry(
-        belief_error, note="share of pairs with a wrong record of the action", given=messages_recorded, more_is="worse"
-    )
-    believed_leaders: float | None = entry(
-        believed_leaders,
-        note="active pursuers that know of no other on the same evader",
-        given=messages_recorded,
+    deadlines_missed: int | None = of_transport(deadlines_missed, note="", silent_at_0=True)
+    liveliness_lost: int | None = of_transport(liveliness_lost, note="", silent_at_0=True, more_is=None)
+    false_accusations: int | None = of_trust(false_accusations, note="of honest pursuers by honest ones")
+    time_to_detect: float | None = of_trust(time_to_detect, "s", "from a Byzantine fault to distrust")
+    age_mean: float | None = of_messages(age_mean, "s", "averaged over time and pairs")
+    age_peak: float | None = of_messages(age_peak, "s", "just before a newer record arrived")
+    age_at_decision: float | None = of_messages(age_at_decision, "s", "at the decisions of the reader")
+    belief_error: float | None = of_messages(belief_error, note="share of pairs with a wrong record of the action")
+    believed_leaders: float | None = of_messages(
+        believed_leaders, note="active pursuers that know of no other on the same evader", more_is=None
     )
 
 
