@@ -206,7 +206,11 @@ class Comparison(TabularResult):
                     "pairs": compared.pairs,
                     "runs": list(compared.runs),
                     "metrics": {
-                        name: dict(zip(("first", "second", "difference"), map(as_json, cell.estimates), strict=True))
+                        name: {
+                            "first": as_json(cell.first),
+                            "second": as_json(cell.second),
+                            "difference": as_json(cell.difference),
+                        }
                         for name, cell in compared.metrics.items()
                     },
                 }
