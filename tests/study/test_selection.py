@@ -2,6 +2,7 @@
 
 from concurrent.futures import Executor, Future
 from dataclasses import replace
+from functools import partial
 from math import floor, sqrt
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 from scipy import stats
 
-from desim import Scenario, race, sweep
+from desim import Scenario, controlled, race, sensitivity, sweep
 from desim.study.selection.kim_nelson import ENOUGH, constants, independent_variances, kim_nelson, two_stage_runs
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep import RunError, job_batches
@@ -428,8 +429,10 @@ def test_what_is_no_race_is_refused(call, why):
 
 
 def test_a_race_of_a_file_says_how_to_load_it():
-    with pytest.raises(TypeError, match=r"race takes a scenario, not a path: race\(load\('game.toml'\)\)"):
-        race("game.toml", COUNTS, zone=0.1)
+    for function in (partial(race, zone=0.1), controlled, sensitivity):
+        name = getattr(function, "func", function).__name__
+        with pytest.raises(TypeError, match=rf"^{name} takes a scenario, not a path: {name}\(load\('game.toml'\)\)"):
+            function("game.toml", COUNTS)
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.seeds import seed_of
 from desim.scenario.scenario import Scenario
 from desim.study.ablation.imperfections import IMPERFECTIONS, with_perfect_network, without_messages
-from desim.study.plan.configurations import Configuration, without_metrics
+from desim.study.plan.configurations import Configuration, distinct, without_metrics
 from desim.study.results.costs import AS_IT_IS, IDEAL, INTERACTION_RISK, PERFECT, SILENT, Bounds, Cost, Saving
 from desim.study.results.explanation import EXPLAINED, Explanation
 from desim.study.store.run_table import Row
@@ -99,28 +99,15 @@ class Variants:
         """
         if (runs := whole(runs, "runs")) < 2:
             raise ValueError(f"an interval needs at least 2 runs, got {runs}")
-        added, scenario = (
-            users_metrics(scenario.record.metrics, {} if metrics is None else metrics),
-            without_metrics(scenario),
-        )
+        added = users_metrics(scenario.record.metrics, {} if metrics is None else metrics)
+        scenario = without_metrics(scenario)
         ideal = reduce(lambda so_far, remove: remove(so_far), IMPERFECTIONS.values(), scenario)
         removed = {name: remove(scenario) for name, remove in IMPERFECTIONS.items()}
         bounds = {PERFECT: with_perfect_network(scenario), SILENT: without_messages(scenario)}
         named = {AS_IT_IS: scenario, **removed, IDEAL: ideal, **bounds}
-        configurations = {name: Configuration({"without": name}, variant) for name, variant in named.items()}
-        distinct: dict[str, Configuration] = {}
-        for configuration in configurations.values():
-            distinct.setdefault(configuration.key, configuration)
-        return cls(
-            SweepPlan(
-                scenario,
-                tuple(distinct.values()),
-                runs,
-                scenario.seed if seed is None else seed_of(seed),
-                metrics=added,
-            ),
-            configurations,
-        )
+        variants = {name: Configuration({"without": name}, variant) for name, variant in named.items()}
+        root = scenario.seed if seed is None else seed_of(seed)
+        return cls(SweepPlan(scenario, distinct(variants.values()), runs, root, metrics=added), variants)
 
     def check_shown(self, shown: Sequence[str]) -> None:
         """Raise ValueError if there is no metric to be shown, or one does not exist or is not numeric."""

@@ -27,7 +27,7 @@ from desim.study.comparing.suite import (
     Suite,
     cost_of_runs,
 )
-from desim.study.plan.configurations import Configuration
+from desim.study.plan.configurations import Configuration, distinct
 from desim.study.store.store import Store
 from desim.study.sweeps.sweep import carry_out, check_ok
 from desim.study.sweeps.sweep_plan import SweepPlan
@@ -166,11 +166,8 @@ class Entrants:
             costs[name] = {} if self.again else _first(self.suite.costs[name], count)
             if not variants:
                 continue
-            distinct: dict[str, Configuration] = {}
-            for variant in variants:
-                distinct.setdefault(variant.key, variant)
             scenario = self.suite.scenarios[name]
-            plan = SweepPlan(scenario, tuple(distinct.values()), count, scenario.seed)
+            plan = SweepPlan(scenario, distinct(variants), count, scenario.seed)
             with Store(None if folder is None else folder / f"{name}.sqlite") as store:
                 plan.register(store, mix_versions=mix_versions)
                 measured = _performed(plan, store, workers)

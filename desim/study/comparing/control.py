@@ -24,7 +24,7 @@ from desim.config.python_numbers import whole
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
 from desim.study.ablation.imperfections import with_perfect_network
-from desim.study.plan.configurations import Configuration, SweepGrid
+from desim.study.plan.configurations import Configuration, SweepGrid, as_source
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import Group, names_of_metrics, text
 from desim.study.store.store import Store
@@ -256,7 +256,7 @@ def controlled(
         StoreError: if a store cannot be written, belongs to another sweep, or has runs of other versions.
         ConnectionError: if a scheduler does not answer or has no workers.
     """
-    plan = SweepPlan.of(scenario, grid, reps, seed, metrics)
+    plan = SweepPlan.of(as_source(scenario, "controlled"), grid, reps, seed, metrics)
     control_plan = ControlPlan.of(plan, control, control_runs)
     shown = names_of_metrics(shown)
     for metric in shown:

@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from desim.config.arguments import value_text
+from desim.config.arguments import scenario_argument, value_text
 from desim.config.data_files import content_hash, in_short
 from desim.config.errors import Problem
 from desim.config.model import Value
@@ -66,6 +66,14 @@ class Configuration:
         return in_words(self.settings)
 
 
+def distinct(listed: Iterable[Configuration]) -> tuple[Configuration, ...]:
+    """Return configurations without those whose runs are those of an earlier one."""
+    by_key: dict[str, Configuration] = {}
+    for configuration in listed:
+        by_key.setdefault(configuration.key, configuration)
+    return tuple(by_key.values())
+
+
 def configurations(
     source: Source, grid: SweepGrid | None = None, design: Design | str | None = None
 ) -> list[Configuration]:
@@ -90,6 +98,18 @@ def configurations(
         return valid_configurations(source, grid, design_settings(grid, sweep.design))
     chosen = (dict(zip(grid, values, strict=True)) for values in product(*grid.values()))
     return valid_configurations(source, grid, chosen)
+
+
+def as_source(scenario: Scenario | Source, function: str) -> Source:
+    """Return the source of a scenario.
+
+    Raises:
+        TypeError: if it is neither; the message says what to write instead, and names a public function.
+    """
+    if isinstance(scenario, Source):
+        return scenario
+    scenario_argument(Scenario).check(scenario, function)
+    return Source.of(scenario)
 
 
 def sweep_of(source: Source, grid: SweepGrid | None, design: Design | str | None = None) -> tuple[Source, Sweep]:

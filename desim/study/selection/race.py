@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any, Self
 
 from desim.analysis.measuring import Metrics, check_numeric
 from desim.analysis.metrics import more_is, unit_of, words
-from desim.config.arguments import naming_arguments, scenario_argument, value_text
+from desim.config.arguments import naming_arguments, value_text
 from desim.config.errors import ArgumentError
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.sweep_table import Design
-from desim.study.plan.configurations import SweepGrid
+from desim.study.plan.configurations import SweepGrid, as_source
 from desim.study.selection.kim_nelson import check_confidence, check_first, check_zone, kim_nelson
 from desim.study.selection.race_result import RaceResult
 from desim.study.store.run_table import Row
@@ -95,9 +95,7 @@ def race(
         StoreError: if the store cannot be used; see `sweep`.
         RunError: if a run fails.
     """
-    if not isinstance(scenario, Source):
-        scenario_argument(Scenario).check(scenario, "race")
-    plan = SweepPlan.of(scenario, grid, most, seed, metrics, design)
+    plan = SweepPlan.of(as_source(scenario, "race"), grid, most, seed, metrics, design)
     rules = RaceRules.of(plan, metric, zone, confidence, maximise, first)
     with workers_for(executor, timeout=timeout) as workers, Store(store) as kept:
         plan.register(kept, mix_versions=mix_versions)

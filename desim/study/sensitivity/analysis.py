@@ -15,7 +15,7 @@ import numpy as np
 
 from desim.analysis.measuring import Metrics, check_numeric, users_metrics
 from desim.analysis.metrics import unit_of
-from desim.config.arguments import naming_arguments, scenario_argument
+from desim.config.arguments import naming_arguments
 from desim.config.arrays import Floats
 from desim.config.errors import ArgumentError
 from desim.config.python_numbers import whole
@@ -26,6 +26,7 @@ from desim.scenario.toml import validate
 from desim.scenario.value_ranges import KeyRange, is_range, setting_at
 from desim.study.plan.configurations import (
     SweepGrid,
+    as_source,
     checked_ranges,
     label,
     sweep_of,
@@ -129,9 +130,7 @@ class Analysis:
         metrics: Metrics | None = None,
     ) -> Self:
         """Return the analysis; for the arguments and the errors see `sensitivity`."""
-        if not isinstance(scenario, Source):
-            scenario_argument(Scenario).check(scenario, "sensitivity")
-        source = scenario if isinstance(scenario, Source) else Source.of(scenario)
+        source = as_source(scenario, "sensitivity")
         base = validate(source)
         source, sweep = sweep_of(source, grid)
         chosen = sweep.grid

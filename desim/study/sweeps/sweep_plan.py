@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 from desim.analysis.measuring import Metrics, UsersMetrics, users_metrics
-from desim.config.arguments import scenario_argument
 from desim.config.python_numbers import whole
 from desim.kernel.core.seeds import run_seed, seed_of
 from desim.results import environment
@@ -17,7 +16,7 @@ from desim.scenario.scenario import Scenario
 from desim.scenario.sweep_table import Design
 from desim.scenario.toml import validate
 from desim.study.plan.config_hash import tables
-from desim.study.plan.configurations import Configuration, SweepGrid, configurations, without_metrics
+from desim.study.plan.configurations import Configuration, SweepGrid, as_source, configurations, without_metrics
 from desim.study.plan.metric_code import units_and_codes
 from desim.study.results.runs import Group, SweepRuns
 from desim.study.store.properties import flat
@@ -68,16 +67,12 @@ class SweepPlan:
             ScenarioError: if the scenario or the grid is invalid; the message lists the errors.
             ValueError: if there are no runs, the seed is negative, or a metric has a wrong name or is not a function.
         """
-        if not isinstance(scenario, Source):
-            scenario_argument(Scenario).check(scenario, "sweep")
-        source = scenario if isinstance(scenario, Source) else Source.of(scenario)
+        source = as_source(scenario, "sweep")
         base = validate(source)
         reps = whole(base.sweep.reps if reps is None else reps, "reps")
         root = base.seed if seed is None else seed_of(seed)
-        added, chosen = (
-            users_metrics(base.record.metrics, {} if metrics is None else metrics),
-            tuple(configurations(source, grid, design)),
-        )
+        added = users_metrics(base.record.metrics, {} if metrics is None else metrics)
+        chosen = tuple(configurations(source, grid, design))
         return cls(without_metrics(base), chosen, reps, root, base.sweep.seeds == "common", added)
 
     def __post_init__(self) -> None:
