@@ -128,8 +128,8 @@ class CorrelatedChannel:
         """Return (k,) the shadowing by what surrounds nodes at their positions, with variance 1."""
         ends = Ends(nodes, nodes, at, at, 0.0)
         phases = self._drawn(OF_NODE, 1, nodes, nodes) if self._kept_of_nodes is None else self._kept_of_nodes.of(nodes)
-        values: Floats = _sum(_phase(self._spectrum[:2], _turned(ends, phases.rotations, 1.0)[:2], phases.waves))[0]
-        return values
+        rows = _turned(ends, phases.rotations, 1.0)[:2]
+        return np.asarray(_sum(_phase(self._spectrum[:2], rows, phases.waves))[0])
 
     @cached_property
     def _spectrum(self) -> Floats:
@@ -227,8 +227,7 @@ def _sum(phases: Floats) -> Floats:
         kept = (count + 1) // 2
         parts[: count - kept] += parts[kept:]
         parts = parts[:kept]
-    total: Floats = parts[0] * math.sqrt(2.0 / len(phases))
-    return total
+    return np.asarray(parts[0] * math.sqrt(2.0 / len(phases)))
 
 
 def _missing(lack: str) -> KeyedError:
@@ -241,9 +240,7 @@ def uncorrelated(seed: int, src: int, dst: Nodes, number: int, *, per_link: bool
     def shadowing() -> Floats:
         from scipy.special import ndtri
 
-        index = 0 if per_link else number + 1
-        deviations: Floats = ndtri(pair_uniform(seed, "shadowing", src, dst, index))
-        return deviations
+        return np.asarray(ndtri(pair_uniform(seed, "shadowing", src, dst, 0 if per_link else number + 1)))
 
     return ChannelState(unknown_fading, shadowing)
 

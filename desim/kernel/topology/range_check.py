@@ -40,13 +40,10 @@ class RangeCheck:
         self._is_certain, self._is_ours = type(self._reception) is Disk, is_ours(type(self._reception))
         traits = ReceptionTraits.of(self._reception)
         self._one, self._border = traits.one, traits.border
+        self.exponent = traits.exponent
+        """The path loss exponent n by which walls shorten the range."""
         self._drawn: dict[int, Floats] = {}
         """By sender, the draws of its pairs with all nodes; up to `ROOM` numbers."""
-
-    @property
-    def exponent(self) -> float:
-        """The path loss exponent n by which walls shorten the range."""
-        return ReceptionTraits.of(self._reception).exponent
 
     @property
     def bound(self) -> float:
@@ -72,11 +69,20 @@ class RangeCheck:
         return self._draws(src, dst, message) <= probability
 
     def through(self, channel: ChannelState, apart: Floats) -> Bools:
-        """Return (k,) which messages are received in the present states of their channels, at (k,) distances, m."""
+        """Return (k,) which messages are received in the present states of their channels, at (k,) distances, m.
+
+        Raises:
+            ValueError: if the model cannot tell, or its answer is not a boolean for each distance.
+        """
         received = ReceptionTraits.of(self._reception).received
         if received is None:
             raise wrong_answer("a model of reception should have a method received", self._reception, self._reception)
-        return _booleans(received(apart, self._range, channel), len(apart), self._reception)
+        booleans = array_of(answer := received(apart, self._range, channel))
+        if booleans.dtype != bool or booleans.shape != apart.shape:
+            raise wrong_answer(
+                f"received should return a boolean for each of {len(apart)} links", answer, self._reception
+            )
+        return booleans
 
     def one(self, src: int, dst: int, apart: float, message: int) -> bool:
         """Return whether one node receives a message.
@@ -138,18 +144,6 @@ class WalledRangeCheck(RangeCheck):
         """Return (k,) which messages are received in the present states of their channels, at (k,) distances, m."""
         audible: Bools = apart < inf
         return audible & super().through(channel, np.where(audible, apart, 1.0))
-
-
-def _booleans(answer: object, count: int, model: ReceptionModel) -> Bools:
-    """Return whether each of `count` messages is received, as a model returned it.
-
-    Raises:
-        ValueError: if these are no booleans, or not one for each link.
-    """
-    received = array_of(answer)
-    if received.dtype != bool or received.shape != (count,):
-        raise wrong_answer(f"received should return a boolean for each of {count} links", answer, model)
-    return received
 
 
 def _probabilities(answer: object, count: int, model: ReceptionModel) -> Floats:
