@@ -118,7 +118,7 @@ def fates(
             left -= STEP
         step(1e-9)  # tells what was lost when it was sent last
         number = {node: k for k, node in enumerate(network.nodes)}
-    told = {*arrivals, *losses, *((row, message.dst) for row, message in enumerate(log) if message.dst is not None)}
+    keys = {*arrivals, *losses, *((row, message.dst) for row, message in enumerate(log) if message.dst is not None)}
     return [
         Fate(
             row,
@@ -129,7 +129,7 @@ def fates(
             "delivered" if (row, dst) in arrivals else losses.get((row, dst), NONE),
             arrivals.get((row, dst), nan),
         )
-        for row, dst in sorted(told, key=lambda key: (key[0], number[key[1]]))
+        for row, dst in sorted(keys, key=lambda key: (key[0], number[key[1]]))
     ]
 
 

@@ -438,7 +438,7 @@ def test_the_first_cut_that_has_not_ended_is_the_cause_of_losses():
 def test_the_delays_of_several_interceptions_add_up_and_one_may_end_itself():
     state = FaultState()
     ends = [state.intercept(lambda *_: ends[0]() or {1: 0.5}, "crowd")]
-    ends += [state.intercept(lambda *_: {1: 0.25, 2: inf}, "thief")]
+    ends += [state.intercept(lambda *_: {1: 0.25, 2: inf}, "thief"), state.intercept(lambda *_: {2: 0.5}, "slow")]
     for number, late in ((1, 750_000_000), (2, 250_000_000)):
         state.note_sent(number, 0, [1, 2, 3], "x")
         assert state.delayed(number, [1, 2, 3], 100) == [100 + late, 100, 100]

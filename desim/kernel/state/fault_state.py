@@ -260,8 +260,8 @@ class FaultState:
         for delays, cause in [*self._interceptions]:  # one may end itself
             answer: Any = delays(src, tuple(receivers), body)
             for node, (delay, *copies) in _checked_delays(answer, receivers, delays).items():
-                before, _ = self._intercepted.setdefault(number, {}).get(node, (0.0, cause))
-                self._intercepted[number][node] = before + delay, cause
+                before, first_cause = self._intercepted.setdefault(number, {}).get(node, (0.0, cause))
+                self._intercepted[number][node] = before + delay, first_cause if before == inf else cause
                 if copies:
                     self._copies.setdefault(number, []).extend((node, late) for late in copies if late < inf)
 
