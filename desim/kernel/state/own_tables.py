@@ -93,7 +93,7 @@ class OwnTables:
                 still_in_flight.append(arrival)
                 still_in_flight.append(record)
             elif stored is None or stored[1][1] < record[1]:  # src and seq, by position for speed
-                store((arrival, record), table, matching, predicate)
+                _store((arrival, record), table, matching, predicate)
         return still_in_flight
 
     def _move_in_any_order(self, node: int, now: int, pending: Iterable[TimedRecord]) -> list[Any]:
@@ -108,11 +108,11 @@ class OwnTables:
             if (stored is None or (stored[1].seq, -stored[0]) < (record.seq, -arrival)) and (
                 shared is None or (shared[1].seq, -shared[0]) < (record.seq, -arrival)
             ):
-                store((arrival, record), table, matching, self._predicate)
+                _store((arrival, record), table, matching, self._predicate)
         return still_in_flight
 
 
-def store(received: TimedRecord, table: Table, matching: Table, predicate: Predicate | None) -> None:
+def _store(received: TimedRecord, table: Table, matching: Table, predicate: Predicate | None) -> None:
     """Store a record in a table, and in the table of matching records if its body satisfies the predicate."""
     src = received[1].src
     table[src] = received

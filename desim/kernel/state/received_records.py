@@ -15,7 +15,7 @@ from collections.abc import Collection, Sequence
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.portable_math import portable_sum
 from desim.kernel.core.records import Arrival, Predicate, Record, Table, TimedRecord
-from desim.kernel.state.own_tables import OwnTables, store
+from desim.kernel.state.own_tables import OwnTables
 
 MAX_UNREAD = 2048
 """Length above which a list of unread records is merged into its table; a flat list has two items per record."""
@@ -220,7 +220,7 @@ class SharedTable:
         """Insert an initial belief at all nodes that have no record of its source."""
         src = received[1].src
         if src not in self.table:
-            store(received, self.table, self.matching, self._predicate)
+            self._store(received)
         for node in self._excepted.get(src, ()):
             self.exceptions[node][src] = self.exceptions[node][src] or received
 
@@ -247,13 +247,23 @@ class SharedTable:
             if present is None or present[1][1] < record[1]:
                 if unreached or self._excepted:
                     self._except(record[0], unreached, present)
-                store(timed, table, self.matching, self._predicate)
+                self._store(timed)
             else:
                 for node in self._excepted.get(record[0], ()):
                     exception = self.exceptions[node][record[0]]
                     if node not in unreached and (exception is None or exception[1][1] < record[1]):
                         self.exceptions[node][record[0]] = timed
         del self.waiting[:arrived]
+
+    def _store(self, received: TimedRecord) -> None:
+        """Store a record in the table, and among the matching records if its body satisfies the predicate."""
+        src = received[1].src
+        self.table[src] = received
+        if self._predicate is not None:
+            if self._predicate(received[1].body):
+                self.matching[src] = received
+            else:
+                self.matching.pop(src, None)
 
     def known_by(self, node: int, src: int) -> TimedRecord | None:
         """Return the record that a node has of a source, an exception or from the table; None if it has no record."""
