@@ -4,7 +4,7 @@ from functools import partial
 from unittest.mock import patch
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from desim.kernel.core.clock import Clock, Instant, Phase
@@ -18,6 +18,7 @@ def put(boxes, arrival, number):
 
 @pytest.mark.slow
 @given(st.lists(st.tuples(st.integers(0, 30), st.integers(1, 3)), max_size=60))
+@example([(1, 2), (1, 1)])  # two that arrive at one instant
 def test_an_inbox_is_drained_in_the_order_of_arrival_however_few_messages_are_new(messages):
     """After each message or few of them what has arrived is drained; the plain way sorts all letters."""
     clock = Clock()
