@@ -635,6 +635,20 @@ def test_a_nonpersistent_node_gives_up_each_frame_after_its_attempts_with_the_ca
     assert starts(trace) == [(0, 0.0)]
 
 
+def test_a_node_that_has_left_the_range_is_sensed_no_more():
+    """Node 1 waits for the frame of 1 ms at 0, and starts during that at 10 ms, from a distance of 50 m."""
+
+    def positions():
+        return np.array([[0.0, 0.0], [5.0 if clock.now < 5 * MS else 50.0, 0.0]])
+
+    clock, net, trace = network(Csma(persistence="p_persistent", p=1.0, slot=1e-5), positions=positions, range=10.0)
+    for t in (0, 10_000):
+        at(clock, t, net.publish, 0, None, size=SIZE)
+        at(clock, t + 500, net.publish, 1, None, size=SIZE)
+    clock.run()
+    assert starts(trace) == [(0, 0.0), (1, 1000.0), (0, 10_000.0), (1, 10_500.0)]
+
+
 def test_the_channel_is_utilised_while_one_frame_or_several_are_on_the_air():
     """Frames of 1 ms at 0, 0.5 and 3 ms."""
     clock, net, _ = network(Aloha())

@@ -384,6 +384,16 @@ def test_a_fully_transmitted_message_survives_a_crash_of_its_transmitter(breakdo
     assert len(radio.inbox(1).drain()) == heard
 
 
+def test_a_queued_message_to_a_node_that_is_not_linked_is_lost():
+    clock = Clock()
+    radio = Network(clock, nx.path_graph(3), Links(medium=BYTE))
+    for dst in (1, 2):
+        radio.send(0, dst, None, size=2)
+    clock.run()
+    counts = radio.message_counts()
+    assert (counts.delivered, counts.lost_by) == (1, {"out_of_range": 1})
+
+
 def test_a_node_that_leaves_the_range_while_a_message_is_queued_does_not_receive_it():
     """While A is on the air for 2 s the receiver leaves the range; B, which waits, is lost to it."""
     clock = Clock()
