@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from math import sqrt
+from typing import Literal
 
 import networkx as nx
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from scipy.optimize import brentq
 
 from desim.config.errors import KeyedError
+from desim.config.model import Value
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.models.access import CsmaCa
 from desim.kernel.models.links import Links
@@ -211,6 +213,34 @@ def test_a_crash_between_a_frame_and_its_acknowledgement_loses_no_count(t, node)
     counts = net.message_counts()
     assert counts.sent == counts.delivered + counts.lost == 3
     assert "z" in [message.body for message in net.inbox(1).drain()]
+
+
+def test_a_node_that_crashes_as_it_acknowledges_is_not_heard():
+    """The message is delivered at 328 us, the acknowledgement ends at 388 us, and the receiver is down from 359 us."""
+    clock, links = Clock(), Links(medium=Bitrate(bitrate=8e6, access=access(TIMING)))
+    net = Network(clock, path(2), links, fault_state=FaultState())
+    net.send(0, 1, "x", size=300)
+    Instant(clock, 359_000, Phase.FAULT).callbacks.append(lambda _: net.crash(1))
+    clock.run()
+    counts = net.message_counts()
+    assert (counts.transmissions, counts.delivered, counts.lost) == (8, 1, 0)
+
+
+class LostIfLong(Value):
+    """Loses what is longer than 50 bytes on the way back."""
+
+    kind: Literal["lost_if_long"] = "lost_if_long"
+
+    def __call__(self, context, rng):
+        return context.size > 50 and context.src == 1
+
+
+def test_an_acknowledgement_is_lost_as_a_frame_of_its_own_size():
+    clock, links = Clock(), Links(medium=Bitrate(bitrate=8e6, access=access(TIMING)), loss=LostIfLong())
+    net = Network(clock, path(2), links)
+    net.send(0, 1, "x", size=300)
+    clock.run()
+    assert net.message_counts().transmissions == 1
 
 
 @pytest.mark.parametrize("t", [335, 400])

@@ -287,6 +287,11 @@ def test_a_latency_that_stands_for_no_answer_is_refused_or_told():
         assert LatencyTrace(table=f"t,value\n0,1\n1,{cell}\n").measurements.is_missing.tolist() == [False, True]
 
 
+def of_links(*times):
+    """Return the rows of links to node 9, one from each of the nodes 0, 1, ... with some times."""
+    return "".join(f"{t},{src},9,1\n" for src, of_link in enumerate(times) for t in of_link)
+
+
 @pytest.mark.parametrize(
     ("rows", "end"),
     [
@@ -295,6 +300,8 @@ def test_a_latency_that_stands_for_no_answer_is_refused_or_told():
         ("0,0,1,1\n3,0,1,1\n4,0,1,1\n", 6.0),  # a mean interval of 2 s
         ("0,0,1,1\n0.5,1,0,1\n1,0,1,1\n1.5,1,0,1\n", 2.0),  # by turns, each link has an interval of 1 s
         ("0,0,1,1\n0.5,1,0,1\n1,0,1,1\n1.5,1,0,1\n9,2,1,1\n", 11.25),  # the last time, and a mean interval of 2.25 s
+        (of_links([0, 10], [0, 5, 10], [0, 10]), 20.0),  # the median link lasts as long, with an interval of 10 s
+        (of_links([0, 10], [0, 5, 10], [0, 5, 10]), 15.0),  # the longest link is not the median
     ],
 )
 def test_the_last_measurement_holds_for_a_mean_interval(rows, end):
