@@ -97,6 +97,22 @@ def test_each_link_has_rows_of_its_own():
         run(LinkContext(2, np.array([1, 0]), 0.2), None)
 
 
+@pytest.mark.parametrize(("after", "first"), [("repeat", 0.3), ("hold", 0.2)])
+def test_before_its_first_row_a_link_has_its_last_value_if_the_trace_repeats(after, first):
+    table = "t,src,dst,value\n0,0,1,0.1\n0.5,0,2,0.2\n0.8,0,2,0.3\n"
+    trace = LatencyTrace(table=table, after=after)
+    assert [latency(trace, now, 0, 2) for now in (0.2, 0.5, 0.9)] == [first, 0.2, 0.3]
+
+
+def test_receivers_that_stay_the_same_have_the_latencies_of_each_time_and_sender():
+    """A network keeps the array of the receivers of a broadcast."""
+    table = "t,src,dst,value\n0,0,2,0.1\n0,1,2,0.2\n1,0,2,0.3\n1,1,2,0.4\n"
+    run, receivers = LatencyTrace(table=table).start_run(3), np.array([2])
+    receivers.setflags(write=False)
+    contexts = [LinkContext(src, receivers, now) for now in (0.0, 1.0, 0.0) for src in (0, 1)]
+    assert [run(context, None).item() for context in contexts] == [0.1, 0.2, 0.3, 0.4, 0.1, 0.2]
+
+
 def test_rows_of_both_ways_hold_for_the_way_back():
     trace = LatencyTrace(table="t,src,dst,value\n0,0,1,0.1\n1,0,1,0.4\n", both_ways=True)
     assert [latency(trace, now, *way) for now in (0.0, 1.0) for way in ((0, 1), (1, 0))] == [0.1, 0.1, 0.4, 0.4]
