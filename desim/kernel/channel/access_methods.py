@@ -199,13 +199,11 @@ class _CsmaCa(AccessMethod):
         return bool(again)
 
     def _start(self, nodes: Integers | int) -> Integers:
-        start: Integers = self._idle_from(nodes) + self._left[nodes] * self._slot
-        return start
+        return self._idle_from(nodes) + self._left[nodes] * self._slot
 
     def _idle_from(self, nodes: Integers | int) -> Integers:
         """Return the time from which nodes count slots, ns."""
-        since: Integers = self._nodes.idle_since[nodes] + self._difs + self._extensions[nodes]
-        return since
+        return self._nodes.idle_since[nodes] + self._difs + self._extensions[nodes]
 
     def note(self, nodes: Integers, received: Bools) -> None:
         self._extensions[nodes] = np.where(received, 0, self._extension)

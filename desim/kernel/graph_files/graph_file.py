@@ -7,7 +7,7 @@ matrix, or else an edge list.
 
 import json
 import re
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -157,8 +157,7 @@ def _from_json(text: str) -> "nx.Graph[Any]":
     if "adjacency" in data and "nodes" in data:
         check_once((node["id"] for node in data["nodes"]), NODES)
         _check_ends({node["id"] for node in data["nodes"]}, (edge["id"] for row in data["adjacency"] for edge in row))
-        adjacency: nx.Graph[Any] = nx.adjacency_graph(data)
-        return adjacency
+        return nx.adjacency_graph(data)
     if data.get("edges") and data.get("links"):
         raise ValueError("it should have edges or links, and has both")
     key = "edges" if "edges" in data else "links"  # networkx before 3.4 writes "links"
@@ -173,8 +172,7 @@ def _from_json(text: str) -> "nx.Graph[Any]":
     names = [_hashable(node.get("id", k)) for k, node in enumerate(data["nodes"])]
     check_once(names, NODES)
     _check_ends(set(names), (_hashable(edge[end]) for edge in data[key] for end in ("source", "target")))
-    graph: nx.Graph[Any] = nx.node_link_graph({**data, "multigraph": True}, edges=key)  # keeps parallel edges
-    return graph
+    return nx.node_link_graph({**data, "multigraph": True}, edges=key)  # keeps parallel edges
 
 
 def _of_graphology(data: dict[str, Any]) -> dict[str, Any]:
@@ -262,56 +260,49 @@ def _check_plain(xml: bytes) -> None:
 def _from_graphml(root: "Element", content: bytes) -> "nx.Graph[Any]":
     import networkx as nx
 
-    graphs = list(root.iter(_like(root, "graph")))
+    graphs = root.findall(".//{*}graph")
     if len(graphs) != 1:
         raise ValueError(f"it should have one graph, and has {len(graphs)}, with those inside of nodes")
-    for key in root.iter(_like(root, "key")):
-        if key.get("for", "all") == "all" and key.find(_like(root, "default")) is not None:
+    for key in root.iterfind(".//{*}key"):
+        if key.get("for", "all") == "all" and key.find("{*}default") is not None:
             raise ValueError(f"the key {key.get('id')!r} with a default should be for edge or for node, not for all")
-    _check_elements(root, graphs[0])
-    names = {key.get("id"): key.get("attr.name") or key.get("id") for key in root.iter(_like(root, "key"))}
-    for element in _nodes_and_edges(root, graphs[0]):
-        check_once((names.get(data.get("key")) for data in element.findall(_like(root, "data"))), _name_of(element))
+    names = {key.get("id"): key.get("attr.name") or key.get("id") for key in root.iterfind(".//{*}key")}
+    for element in _elements(graphs[0]):
+        check_once((names.get(data.get("key")) for data in element.findall("{*}data")), _name_of(element))
     return _with_defaults(_quietly(lambda: nx.read_graphml(BytesIO(content))))
 
 
 def _from_gexf(root: "Element", content: bytes) -> "nx.Graph[Any]":
     import networkx as nx
 
-    graph = root.find(_like(root, "graph"))
+    graph = root.find("{*}graph")
     if graph is None:
         raise ValueError("it has no graph")
     if graph.get("mode") == "dynamic":
         raise ValueError("a graph that changes in time (mode dynamic) is not read")
-    _check_elements(root, graph)
     titles: dict[tuple[str | None, str | None], str | None] = {}
-    for attributes in graph.iter(_like(root, "attributes")):
-        for attribute in attributes.iter(_like(root, "attribute")):
+    for attributes in graph.iterfind("{*}attributes"):
+        for attribute in attributes.iterfind("{*}attribute"):
             titles[attributes.get("class"), attribute.get("id")] = attribute.get("title")
-    for element in _nodes_and_edges(root, graph):
+    for element in _elements(graph):
         kind = element.tag.rpartition("}")[2]
-        values = element.findall(f"{_like(root, 'attvalues')}/{_like(root, 'attvalue')}")
+        values = element.findall("{*}attvalues/{*}attvalue")
         check_once((titles.get((kind, value.get("for") or value.get("id"))) for value in values), _name_of(element))
     content = content.replace(b"http://www.gexf.net/1.3", b"http://gexf.net/1.3")  # the name that networkx knows
     return _with_defaults(_quietly(lambda: nx.read_gexf(BytesIO(content))))
 
 
-def _like(root: "Element", tag: str) -> str:
-    """Return a tag in the namespace of an element."""
-    return f"{root.tag[: root.tag.rfind('}') + 1]}{tag}"
+def _elements(graph: "Element") -> list["Element"]:
+    """Return the nodes and the edges of a graph.
 
-
-def _check_elements(root: "Element", graph: "Element") -> None:
-    """Raise ValueError if a node is declared twice, or an edge ends at a node that is not declared."""
-    nodes = [node.get("id") for node in graph.iter(_like(root, "node"))]
-    check_once(nodes, NODES)
-    edges = graph.iter(_like(root, "edge"))
-    _check_ends(set(nodes), (edge.get(end) for edge in edges for end in ("source", "target")))
-
-
-def _nodes_and_edges(root: "Element", graph: "Element") -> Iterator["Element"]:
-    for kind in ("node", "edge"):
-        yield from graph.iter(_like(root, kind))
+    Raises:
+        ValueError: if a node is declared twice, or an edge ends at a node that is not declared.
+    """
+    nodes, edges = graph.findall(".//{*}node"), graph.findall(".//{*}edge")
+    names = [node.get("id") for node in nodes]
+    check_once(names, NODES)
+    _check_ends(set(names), (edge.get(end) for edge in edges for end in ("source", "target")))
+    return [*nodes, *edges]
 
 
 def _name_of(element: "Element") -> str:

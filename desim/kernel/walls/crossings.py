@@ -128,8 +128,7 @@ def _sides(starts: Floats, ends: Floats, segments: Segments) -> tuple[Floats, Fl
 
 
 def _cross(x: Floats, y: Floats, u: Floats, v: Floats) -> Floats:
-    product: Floats = x * v - y * u
-    return product
+    return x * v - y * u
 
 
 def _apart(first: Floats, second: Floats, least: Floats) -> Bools:
@@ -221,8 +220,7 @@ def _touching(first: Segments, second: Segments) -> Bools:
     lower, upper = np.minimum(second.starts, second.ends), np.maximum(second.starts, second.ends)
     # The boxes decide where both edges are on one line.
     near = ((low[:, np.newaxis] <= upper) & (lower <= high[:, np.newaxis])).all(axis=2)
-    touched: Bools = near & ~separated
-    return touched
+    return near & ~separated
 
 
 def repeated_corner(corners: Sequence[tuple[float, float]], *, closed: bool) -> int | None:
