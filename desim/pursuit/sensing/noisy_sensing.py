@@ -21,7 +21,7 @@ from desim.pursuit.core.events import Estimated
 from desim.pursuit.sensing.correction import StateVector, Upper
 from desim.pursuit.sensing.fusion import InformedTrack, fused, informed
 from desim.pursuit.sensing.noise import Covariance, Noiseless, covariance_of
-from desim.pursuit.sensing.sensing import PORT, LimitedView, Sensing, Sighting, TeamSensor
+from desim.pursuit.sensing.sensing import PORT, LimitedView, Sensing, Sensors, Sighting, TeamSensor
 from desim.pursuit.sensing.tracking import Filter, Measurement, Track, Unfiltered
 from desim.pursuit.sensing.views import EvaderEstimate, Prune
 
@@ -50,14 +50,11 @@ class Tracked(NamedTuple):
     covariance: Upper
 
 
-class NoisySensor:
+class NoisySensor(Sensors):
     """The sensors of a team whose sightings have errors; it takes the place of `sensing.TeamSensor`.
 
     Args:
-        sensing: the parameters.
-        state: the true state of the world.
-        prune: which pursuers may not chase an evader.
-        network: the network that delivers reports.
+        sensing, state, prune, network: see `Sensors`.
         clocks: (N,) the local clocks.
         env: the clock of the simulation.
         seed: the seed of the run.
@@ -77,13 +74,14 @@ class NoisySensor:
         seed: int,
     ):
         assert not isinstance(sensing.noise, Noiseless)
-        self.sensing, self._state, self._env, self._noise = sensing, state, env, sensing.noise
+        super().__init__(sensing, state, prune, network)
+        self._env, self._noise = env, sensing.noise
         self._covariance_at = partial(covariance_of, sensing.noise)
         self._streams = [stream(seed, "sight", j) for j in range(state.evader_count)]
         self._predicted: dict[int, tuple[Tracked, InformedTrack]] = {}
         """By `id` of a report, the report and its track at `_predicted_at`, ns."""
         self._predicted_at: int | None = None
-        self.views = [TrackingView(state, prune, pursuer, self, network, clock) for pursuer, clock in enumerate(clocks)]
+        self.views = [TrackingView(self, pursuer, clock) for pursuer, clock in enumerate(clocks)]
         self._measure()
         env.process(self._measurements())
 
@@ -102,8 +100,8 @@ class NoisySensor:
         """
         if not self.sensing.has_covariances:
             return
-        for pursuer in (~self._state.broken).nonzero()[0].tolist():
-            for evader in self._state.at_large:
+        for pursuer in (~self.state.broken).nonzero()[0].tolist():
+            for evader in self.state.at_large:
                 track = self.views[pursuer].track(evader)
                 if track is not None and track.covariance is not None:
                     (x, y, _, _), (xx, xy, _, _, yy, *_) = track.state, track.covariance
@@ -135,7 +133,7 @@ class NoisySensor:
 
     def _measure(self) -> None:
         """Let each pursuer that is up measure each evader in its range; the draws do not depend on these."""
-        state, radius = self._state, self.sensing.radius
+        state, radius = self.state, self.sensing.radius
         for evader, rng in enumerate(self._streams, start=1):
             draws = rng.standard_normal((state.size, 2)).tolist()
             if evader not in state.at_large:
@@ -157,21 +155,10 @@ Sensor = TeamSensor | NoisySensor
 
 
 class TrackingView(LimitedView):
-    """The view of one pursuer whose sightings have errors.
+    """The view of one pursuer whose sightings have errors."""
 
-    The arguments are those of `LimitedView`, with the sensors of the team in place of the parameters.
-    """
-
-    def __init__(
-        self,
-        state: "WorldState",
-        prune: Prune,
-        pursuer: int,
-        sensor: NoisySensor,
-        network: Network,
-        clock: NodeClock,
-    ):
-        super().__init__(state, prune, pursuer, sensor.sensing, network, clock)
+    def __init__(self, sensor: NoisySensor, pursuer: int, clock: NodeClock):
+        super().__init__(sensor, pursuer, clock)
         self._sensor = sensor
         self._last: dict[int, Measurement] = {}
         """By evader, the newest sighting of its own."""

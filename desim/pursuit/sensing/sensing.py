@@ -141,7 +141,21 @@ class Sighting(NamedTuple):
         return complex(self.velocity_x, self.velocity_y)
 
 
-class TeamSensor:
+class Sensors:
+    """What the sensors of a team, exact or not, have in common.
+
+    Args:
+        sensing: the parameters.
+        state: the true state of the world.
+        prune: which pursuers may not chase an evader.
+        network: the network that delivers reports.
+    """
+
+    def __init__(self, sensing: Sensing, state: "WorldState", prune: Prune, network: Network):
+        self.sensing, self.state, self.prune, self.network = sensing, state, prune, network
+
+
+class TeamSensor(Sensors):
     """The sensors of the whole team, sampled once every motion step for all pursuers and evaders together.
 
     Attributes:
@@ -151,17 +165,17 @@ class TeamSensor:
     def __init__(
         self, sensing: Sensing, state: "WorldState", prune: Prune, network: Network, clocks: Iterable[NodeClock]
     ):
-        self.sensing, self._state = sensing, state
+        super().__init__(sensing, state, prune, network)
         shape = state.evader_count, state.size
         self._seen: NDArray[np.int64] = np.full(shape, NEVER, dtype=np.int64)
         self._positions: Points = np.full(shape, NOWHERE)
         self._velocities: Points = np.zeros(shape, dtype=complex)
-        self.views = [SensedView(state, prune, pursuer, self, network, clock) for pursuer, clock in enumerate(clocks)]
+        self.views = [SensedView(self, pursuer, clock) for pursuer, clock in enumerate(clocks)]
         self.look(state.now)
 
     def look(self, now: int) -> None:
         """Record, for each pursuer that is not down, a sighting at `now` (ns) of each evader in its sensing range."""
-        state, able = self._state, ~self._state.broken
+        state, able = self.state, ~self.state.broken
         for evader in state.at_large:
             seeing = able & state.in_sight(evader, self.sensing.radius)
             row = evader - 1
@@ -171,9 +185,9 @@ class TeamSensor:
 
     def blind(self, actions: "Actions") -> list[int]:
         """Return the pursuers that do not see their evader now, given the (N,) actions."""
-        unseen = np.zeros(self._state.size, dtype=bool)
-        for evader in self._state.at_large:
-            unseen |= (actions == evader) & ~self._state.in_sight(evader, self.sensing.radius)
+        unseen = np.zeros(self.state.size, dtype=bool)
+        for evader in self.state.at_large:
+            unseen |= (actions == evader) & ~self.state.in_sight(evader, self.sensing.radius)
         pursuers: list[int] = np.flatnonzero(unseen).tolist()
         return pursuers
 
@@ -191,27 +205,16 @@ class LimitedView(View):
     """The view of a pursuer that does not always know the true position of an evader: common part of such views.
 
     Args:
-        state: the true state of the world.
-        prune: which pursuers may not chase an evader.
+        sensor: the sensors of the team.
         pursuer: the id of the pursuer.
-        sensing: the parameters.
-        network: the network that delivers reports.
         clock: the local clock of the pursuer.
     """
 
     unlimited: ClassVar[bool] = False
 
-    def __init__(
-        self,
-        state: "WorldState",
-        prune: Prune,
-        pursuer: int,
-        sensing: Sensing,
-        network: Network,
-        clock: NodeClock,
-    ):
-        super().__init__(state, prune)
-        self._id, self._sensing, self._network, self._clock = pursuer, sensing, network, clock
+    def __init__(self, sensor: Sensors, pursuer: int, clock: NodeClock):
+        super().__init__(sensor.state, sensor.prune)
+        self._id, self._sensing, self._network, self._clock = pursuer, sensor.sensing, sensor.network, clock
 
     def newest(self, evader: int) -> Sighting | None:
         """Return the newest sighting of an evader, the pursuer's own or a reported one; None if there is none."""
@@ -257,20 +260,11 @@ class SensedView(LimitedView):
     """The view of one pursuer with limited sensing.
 
     An evader is seen, tracked (its newest sighting is at most `track_timeout` old), lost (the sighting is older), or
-    unknown (there is no sighting). The arguments are those of `LimitedView`, with the sensors of the team, which keep
-    the pursuer's own sightings, in place of the parameters.
+    unknown (there is no sighting). The sensors of the team keep the pursuer's own sightings.
     """
 
-    def __init__(
-        self,
-        state: "WorldState",
-        prune: Prune,
-        pursuer: int,
-        sensor: TeamSensor,
-        network: Network,
-        clock: NodeClock,
-    ):
-        super().__init__(state, prune, pursuer, sensor.sensing, network, clock)
+    def __init__(self, sensor: TeamSensor, pursuer: int, clock: NodeClock):
+        super().__init__(sensor, pursuer, clock)
         self._sensor = sensor
         self._reported: dict[int, Sighting] = {}
 
