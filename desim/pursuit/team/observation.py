@@ -8,11 +8,11 @@ each pursuer (`OfPursuer`). The name of a number is that of its block and of its
 from collections.abc import Iterator, Sequence
 from itertools import chain
 from math import isnan, nan, tanh
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from desim.kernel.core.units import seconds
 from desim.pursuit.team.agent import Agent
-from desim.pursuit.team.announcements import Assignment, Located, TimedAssignment, action_in_game
+from desim.pursuit.team.announcements import Located, TimedAssignment, action_in_game
 
 LATE = 5.0
 """The time, s, by which a capture has to be late or early for `OfEvader.late` to be 0.76 or -0.76."""
@@ -163,30 +163,15 @@ def pursuer_blocks(me: Agent, *, omniscient: bool = False) -> list[OfPursuer]:
         record, place = records.get(j), None if sensed is None else sensed[j]
         age, action, claim = 0.0, 0, 0.0
         if record is not None:
-            body, age = record.body, now - seconds(record.stamp)
-            if not 0.0 <= age <= horizon:  # by clocks that differ
-                age = min(max(age, 0.0), horizon)
-            if type(body) is Assignment:  # as a rule; the questions below take longer
-                action = body.active
-            else:
-                action, place, claim = _announced(me, body, place)
+            body, age = record.body, min(max(now - seconds(record.stamp), 0.0), horizon)  # clocks may differ
+            action = action_in_game(body, me.evader_count) or 0
+            if place is None and isinstance(body, Located):
+                place = complex(body.x, body.y)
+            if isinstance(body, TimedAssignment):
+                claim = min(body.capture_time, horizon)
         offset = 0j if place is None else place - here
         blocks.append(OfPursuer(record is not None, age, action, place is not None, offset.real, offset.imag, claim))
     return blocks
-
-
-def _announced(me: Agent, body: Any, place: complex | None) -> tuple[int, complex | None, float]:
-    """Return what an announcement says: the action, the position, m, and the capture time, s.
-
-    Args:
-        me: the agent of the pursuer that observes.
-        body: the body of the announcement.
-        place: the position, m, if it is sensed; then it counts and not the announced one.
-    """
-    if place is None and isinstance(body, Located):
-        place = complex(body.x, body.y)
-    claim = min(body.capture_time, me.horizon) if isinstance(body, TimedAssignment) else 0.0
-    return action_in_game(body, me.evader_count) or 0, place, claim
 
 
 def observation(me: Agent, *, omniscient: bool = False) -> list[float]:
