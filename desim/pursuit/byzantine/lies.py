@@ -18,7 +18,6 @@ import numpy as np
 from pydantic import model_validator
 
 from desim.config.answers import wrong_answer
-from desim.config.arguments import value_text
 from desim.config.choice import OneOf
 from desim.config.model import Duration, Extent, FirstError, Flag, NotEmpty, Probability, Rate, Value
 from desim.config.python_numbers import as_complex, real
@@ -143,9 +142,8 @@ class FalseAnnouncements(ByzantineFault):
         answer: Any = self.position(truth, me.rng)  # type: ignore[misc]  # one is given
         place = as_complex(answer)
         if not isfinite(place):
-            raise ValueError(
-                f"a false position should be a finite complex number, x + yj in m (got {value_text(answer)})"
-            )
+            expected = "a false position should be a finite complex number, x + yj in m"
+            raise wrong_answer(expected, answer, self.position)
         return place
 
 
