@@ -64,10 +64,7 @@ class PlausibleTime(Value):
 
 
 FALSE_TIMES = OneOf(
-    ConstantTime,
-    ScaledTime,
-    RandomTime,
-    PlausibleTime,
+    *(ConstantTime, ScaledTime, RandomTime, PlausibleTime),
     takes=("truth", "least", "rng"),
     number=("constant", "value"),
 )

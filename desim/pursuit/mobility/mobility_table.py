@@ -82,7 +82,7 @@ class MobilityTable(MobilityFile):
         *,
         needs_times: bool = True,
     ):
-        self._file, width = file, len(header.names)
+        self.file, width = file, len(header.names)
         if not (needs_times or header.columns("t")):
             header = header.extended("t", *([] if header.columns("node") else ["node"]))
         self._header, self._header_line = header, f"{file}, line {first + 1}"
@@ -117,7 +117,7 @@ class MobilityTable(MobilityFile):
         if len(indices) > 1 and key != "z":
             names = [self._header.names[k] for k in indices]
             which = f"several columns {names[0]!r}" if len(set(names)) == 1 else f"columns {' and '.join(names)}"
-            raise ValueError(f"{self._file} has {which}: which of them is {key}? Leave out the others")
+            raise ValueError(f"{self.file} has {which}: which of them is {key}? Leave out the others")
         return indices[0] if indices else None
 
     def _points(self, rows: Iterator[tuple[int, list[str]]], delimiter: str) -> Iterator[tuple[int, list[str]]]:
@@ -125,7 +125,7 @@ class MobilityTable(MobilityFile):
         if delimiter not in {";", "\t"}:
             return rows
         used = [column for column in self._columns.values() if column is not None]
-        return with_points(rows, lambda cells: [cells[k] for k in used if k < len(cells)], str(self._file))
+        return with_points(rows, lambda cells: [cells[k] for k in used if k < len(cells)], str(self.file))
 
     def _check_columns(self) -> None:
         """Raise ValueError if a column is missing."""
@@ -134,7 +134,7 @@ class MobilityTable(MobilityFile):
             return
         names = self._header.names
         if DEGREES & set(names):
-            raise ValueError(f"{self._file} has positions in degrees; project them to m, as columns x and y")
+            raise ValueError(f"{self.file} has positions in degrees; project them to m, as columns x and y")
         raise ValueError(
             f"{self._header_line}: has no column {missing[0]}; the first line should name the columns, t, x and y (s,"
             f" m), and those of several nodes also node; it has {', '.join(filter(None, names))}"
@@ -157,12 +157,10 @@ class MobilityTable(MobilityFile):
         groups = {tuple(cells[k] for k in node_columns) for _, cells in rows}
         if any(len({group[k] for group in groups}) < len(groups) for k in range(len(node_columns))):
             listed = " and ".join(names[k] for k in node_columns)
-            raise ValueError(
-                f"{self._file}: the columns {listed} may name the nodes, and differ: leave out all but one"
-            )
+            raise ValueError(f"{self.file}: the columns {listed} may name the nodes, and differ: leave out all but one")
         if self._columns["node"] is None and (name := _column_of_names(self._header, [cells for _, cells in rows])):
             raise ValueError(
-                f"{self._file}: column {name!r} has several texts: if they name the nodes, call it node, else leave it"
+                f"{self.file}: column {name!r} has several texts: if they name the nodes, call it node, else leave it"
                 " out"
             )
 
@@ -172,14 +170,14 @@ class MobilityTable(MobilityFile):
             if unit and not re.fullmatch(SAME_UNIT["m"], unit, re.IGNORECASE):
                 name = self._header.names[k]
                 hint = "name it without its unit, and set scale"
-                raise ValueError(f"{self._file}: column {name!r} is in {unit}, and should be in m; {hint}")
+                raise ValueError(f"{self.file}: column {name!r} is in {unit}, and should be in m; {hint}")
 
     def _check_nodes_have_tracks(self) -> None:
         """Raise ValueError if each row has another node and another time: the column of nodes then counts the rows."""
         is_single = len(self._rows) > 1 and all(len(rows) == 1 for rows in self._rows.values())
         if is_single and len({self._time(rows[0]) for rows in self._rows.values()}) > 1:
             name = self._header.names[self._columns["node"] or 0]
-            raise ValueError(f"{self._file}: column {name!r} is different in each row, so it does not name the nodes")
+            raise ValueError(f"{self.file}: column {name!r} is different in each row, so it does not name the nodes")
 
     def _unit_of(self, name: str, first: str) -> Unit:
         """Return the unit of the times, given that of the header, which may have none, and the first time."""
@@ -188,15 +186,15 @@ class MobilityTable(MobilityFile):
                 return cast("Unit", unit)
         if name and not re.fullmatch(NO_UNIT, name, re.IGNORECASE):
             allowed = f"{', '.join(TIME_UNITS)}, or dates"
-            raise ValueError(f"{self._file}: the times are in {name}, and should be in {allowed}")
+            raise ValueError(f"{self.file}: the times are in {name}, and should be in {allowed}")
         return clock_unit(first)
 
     def _time(self, row: tuple[int, list[str]]) -> Decimal:
         line, cells = row
-        return converted(partial(time_of, unit=self._unit), cells[self._t], f"{self._file}, line {line}")
+        return converted(partial(time_of, unit=self._unit), cells[self._t], f"{self.file}, line {line}")
 
     def _track(self, node: NodeName) -> NodeTrack:
-        start = start_of((self._time(row) for rows in self._rows.values() for row in rows), self._file)
+        start = start_of((self._time(row) for rows in self._rows.values() for row in rows), self.file)
         z = self._columns["z"]
         waypoints, is_high = list[Waypoint](), False
         for line, cells in self._rows[str(node)]:

@@ -43,10 +43,8 @@ class EvaderEstimate(NamedTuple):
 
     def distance(self, position: complex, space: Plane = PLANE) -> float:
         """Return the distance, m, from a position to the evader: the mean over its errors, or the greatest."""
-        return (
-            expected_distance(space.distance(position, space.free_place(self.position)), self.deviation)
-            + self.uncertainty
-        )
+        distance = space.distance(position, space.free_place(self.position))
+        return expected_distance(distance, self.deviation) + self.uncertainty
 
     def distances(self, positions: Points, space: Plane = PLANE) -> Floats:
         """Return the (N,) distances, m, from positions to the evader; see `distance`."""
