@@ -54,32 +54,20 @@ class Voice(Protocol):
         """Send a message to a pursuer, or to all neighbours."""
 
 
-MEANT = MappingProxyType(
-    {
-        "act": "assign(action)",
-        "chase": "assign(action)",
-        "clock": "now",
-        "delay": "sleep(duration)",
-        "get": "mail()",
-        "inbox": "mail()",
-        "index": "id",
-        "messages": "mail()",
-        "number": "id",
-        "pos": "position()",
-        "random": "rng",
-        "receive": "mail()",
-        "recv": "mail()",
-        "set_action": "assign(action)",
-        "target": "evader()",
-        "time": "now",
-        "timeout": "sleep(duration)",
-        "velocity": "speed",
-        "wait": "sleep(duration)",
-        "x": "position().real",
-        "xy": "position()",
-        "y": "position().imag",
-    }
-)
+_TRIED = {
+    "assign(action)": "act chase set_action",
+    "evader()": "target",
+    "id": "index number",
+    "mail()": "get inbox messages receive recv",
+    "now": "clock time",
+    "position()": "pos xy",
+    "position().imag": "y",
+    "position().real": "x",
+    "rng": "random",
+    "sleep(duration)": "delay timeout wait",
+    "speed": "velocity",
+}
+MEANT = MappingProxyType({name: instead for instead, names in _TRIED.items() for name in names.split()})
 """Names that users try on an agent, and what it has instead."""
 
 
