@@ -52,7 +52,8 @@ class Speaker:
         true = self.view.state.profile[self.id]
         if says == "truth" or (says == "chase" and true):
             return true
-        return 0 if says == "stay" or true else self._closest()
+        # The evader that it could capture first.
+        return 0 if says == "stay" or true else min(self.view.state.at_large, key=self.phi, default=0)
 
     def phi(self, evader: int) -> float:
         """Return its true capture time for an evader, s; with 0, the least one for any evader at large."""
@@ -74,7 +75,3 @@ class Speaker:
             ),
             default=inf,
         )
-
-    def _closest(self) -> int:
-        """Return the evader at large that it could capture first; 0 if there is none."""
-        return min(self.view.state.at_large, key=self.phi, default=0)

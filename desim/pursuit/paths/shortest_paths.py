@@ -72,13 +72,10 @@ class ShortestPaths:
             self._apart, self._before = dijkstra(graph, directed=False, return_predecessors=True)
         """(C, C) the distance of each two corners, m, and the corner before the second on the path from the first."""
         self._sight = lru_cache(MAX_SIGHTS)(self._sight_at)
-        self._kept_route = lru_cache(MAX_ROUTES)(self._route)
-
-    def route(self, source: complex, target: complex) -> Route:
-        """Return the shortest path between two places, without the corners between the first and the last."""
-        return self._kept_route(source, target)
+        self.route = lru_cache(MAX_ROUTES)(self._route)
 
     def _route(self, source: complex, target: complex) -> Route:
+        """Return the shortest path between two places, without the corners between the first and the last."""
         if self.obstacles.clear(source, np.array([target]))[0]:
             return Route(abs(target - source))
         return self._bent(source, target)

@@ -7,7 +7,7 @@ closed form, by the Schur complement of the velocity.
 
 from collections.abc import Sequence
 from math import prod
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, cast
 
 from desim.pursuit.sensing.correction import StateVector, Upper, corrected_by_state, decorrelated, full_rows
 from desim.pursuit.sensing.tracking import Track
@@ -157,6 +157,4 @@ def determinant_of(covariance: Upper) -> float:
 
 
 def _scaled(matrix: Upper, factor: float) -> Upper:
-    xx, xy, xu, xv, yy, yu, yv, uu, uv, vv = matrix
-    xx, xy, xu, xv, yy = factor * xx, factor * xy, factor * xu, factor * xv, factor * yy
-    return xx, xy, xu, xv, yy, factor * yu, factor * yv, factor * uu, factor * uv, factor * vv
+    return cast("Upper", tuple(factor * entry for entry in matrix))

@@ -130,16 +130,6 @@ class Sighting(NamedTuple):
     velocity_y: float
     """m/s"""
 
-    @property
-    def position(self) -> complex:
-        """Position of the evader at the sighting, m."""
-        return complex(self.x, self.y)
-
-    @property
-    def velocity(self) -> complex:
-        """Velocity of the evader at the sighting, m/s."""
-        return complex(self.velocity_x, self.velocity_y)
-
 
 class Sensors:
     """What the sensors of a team, exact or not, have in common.
@@ -236,15 +226,16 @@ class LimitedView(View):
         age = max(self._clock.now - sighting.seen, 0.0)
         worst = sensing.estimate == "worst_case"
         uncertainty = self.state.body(evader).speed * age if worst else 0.0
-        velocity = sighting.velocity if sensing.estimate == "constant_velocity" else 0j
+        place, velocity = complex(sighting.x, sighting.y), 0j
+        if sensing.estimate == "constant_velocity":
+            velocity = complex(sighting.velocity_x, sighting.velocity_y)
         if age <= sensing.track_timeout:
-            return EvaderEstimate(sighting.position + velocity * age, velocity, uncertainty)
+            return EvaderEstimate(place + velocity * age, velocity, uncertainty)
         if sensing.on_lost == "stay":
             return None
         off = self._search(age, evader)
-        return EvaderEstimate(
-            sighting.position + velocity * sensing.track_timeout + off, 0j, uncertainty + abs(off) if worst else 0.0
-        )
+        lost = place + velocity * sensing.track_timeout
+        return EvaderEstimate(lost + off, 0j, uncertainty + abs(off) if worst else 0.0)
 
     def _search(self, age: float, evader: int) -> complex:
         """Return the place of the search, m from the last estimated position, if the newest sighting is `age` s old."""
