@@ -267,10 +267,8 @@ class HintedAttributes(HintedItems):
 
 def missing_attribute(owner: object, name: str) -> AttributeError:
     """Return the error for an attribute that an object does not have; the message says what to write instead."""
-    text, instead_of = (
-        f"{with_article(type(owner).__name__)} has no {name!r}",
-        getattr(type(owner), "_instead_of", None),
-    )
+    text = f"{with_article(type(owner).__name__)} has no {name!r}"
+    instead_of = getattr(type(owner), "_instead_of", None)
     if instead_of is not None and not name.startswith("_"):
         text += f": {instead_of(owner, name)}"
     return AttributeError(text, name=name, obj=owner)

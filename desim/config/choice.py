@@ -229,8 +229,8 @@ class OneOf:
             return
         if type(value) is base or positions(base, "__call__"):
             return
-        theirs = (name for ancestor in type(value).__mro__ if not is_ours(ancestor) for name in vars(ancestor))
-        for name in dict.fromkeys(name for name in theirs if name == "__call__" or name[0] != "_"):
+        users_names = (name for ancestor in type(value).__mro__ if not is_ours(ancestor) for name in vars(ancestor))
+        for name in dict.fromkeys(name for name in users_names if name == "__call__" or name[0] != "_"):
             models_with_it = [
                 model for model in self.models if positions(model, name) and callable(getattr(model, name, None))
             ]

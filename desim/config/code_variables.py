@@ -75,14 +75,11 @@ def _variables(function: FunctionType) -> Iterator[tuple[str, Read]]:
     code = function.__code__
     arguments = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
     defaults = function.__defaults__ or ()
-    held: dict[str, Read] = {}
-    for name, value in zip(arguments[code.co_argcount - len(defaults) :], defaults, strict=False):
-        held[name] = partial(_itself, value)
-    for name, value in (function.__kwdefaults__ or {}).items():
-        held[name] = partial(_itself, value)
-    for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
-        held[name] = partial(_contents, cell)
-    for name, read in held.items():
+    pairs = zip(arguments[code.co_argcount - len(defaults) :], defaults, strict=False)
+    cells = zip(code.co_freevars, function.__closure__ or (), strict=True)
+    variables = {name: partial(_itself, value) for name, value in (*pairs, *(function.__kwdefaults__ or {}).items())}
+    variables |= {name: partial(_contents, cell) for name, cell in cells}
+    for name, read in variables.items():
         if not only_adds(code, name):
             yield f"{name} of {function.__qualname__}", read
     for module, place, names in _modules_of(function):
@@ -96,9 +93,9 @@ def _modules_of(function: FunctionType) -> Iterator[tuple[str, dict[str, Any], C
     place = function.__globals__
     names, imports, globals_ = _words_of(function.__code__)
     yield module_of(function), place, globals_
-    held = [place.get(name) for name in globals_] + [_contents(cell) for cell in function.__closure__ or ()]
-    held += [sys.modules.get(name) for name in imports]
-    modules = {id(value): value for value in held if isinstance(value, ModuleType) and not _is_installed(value)}
+    values = [place.get(name) for name in globals_] + [_contents(cell) for cell in function.__closure__ or ()]
+    values += [sys.modules.get(name) for name in imports]
+    modules = {id(value): value for value in values if isinstance(value, ModuleType) and not _is_installed(value)}
     for module in modules.values():
         yield module.__name__, vars(module), names & vars(module).keys()
 
@@ -109,8 +106,8 @@ def reached_code(objects: Iterable[Any]) -> list[Any]:
     Each is there once.
     """
     reached: dict[int, Any] = {}
-    held = list(objects)
-    for value in held:
+    values = list(objects)
+    for value in values:
         for definition in _definitions_of(value):
             if id(definition) in reached or _is_of_package(definition):
                 continue
@@ -118,12 +115,12 @@ def reached_code(objects: Iterable[Any]) -> list[Any]:
             if isinstance(definition, CACHED):
                 continue
             if isinstance(definition, FunctionType):
-                held += [_contents(cell) for cell in definition.__closure__ or ()]
-                held += [*defaults_of(definition), *vars(definition).values()]
+                values += [_contents(cell) for cell in definition.__closure__ or ()]
+                values += [*defaults_of(definition), *vars(definition).values()]
                 for _, place, names in _modules_of(definition):
-                    held += [place[name] for name in names if name in place]
+                    values += [place[name] for name in names if name in place]
             else:
-                held += vars(definition).values()  # pydantic may still complete the class
+                values += vars(definition).values()  # pydantic may still complete the class
     return [*reached.values()]
 
 

@@ -317,18 +317,18 @@ class Value(BaseModel, metaclass=_ValueType):
             ValueError: if that version had a key that does not exist.
         """
         super().__setstate__(state)
-        fields, held = type(self).model_fields, self.__dict__
-        if held.keys() == fields.keys():
+        fields, values = type(self).model_fields, self.__dict__
+        if values.keys() == fields.keys():
             return
-        beside = (name for name in held if name not in fields and name[0] != "_" and not hasattr(type(self), name))
+        beside = (name for name in values if name not in fields and name[0] != "_" and not hasattr(type(self), name))
         if _is_built_in(type(self)) and (unknown := [*beside]):
             raise ValueError(
                 f"{with_article(type(self).__name__)} cannot be unpickled: it has no key {unknown[0]} any more, so the"
                 " pickle is of another version of desim; keep scenarios as files, or as run.json"
             )
         for name, field in fields.items():
-            if name not in held and not field.is_required():
-                held[name] = field.get_default(call_default_factory=True)
+            if name not in values and not field.is_required():
+                values[name] = field.get_default(call_default_factory=True)
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Raise KeyedError, because a value is immutable; private attributes can be set."""
@@ -503,12 +503,12 @@ def models_within(
     """Yield a model and all models in its fields, or in those that a function names, with the place of each."""
     yield place, model
     for name in fields(type(model)):
-        for inner, part in parts_of(getattr(model, name)):
+        for inner, part in indexed_parts(getattr(model, name)):
             if isinstance(part, BaseModel):
                 yield from models_within(part, (*place, name, *inner), fields)
 
 
-def parts_of(value: Any) -> Iterator[tuple[KeyPath, Any]]:
+def indexed_parts(value: Any) -> Iterator[tuple[KeyPath, Any]]:
     """Yield the value of a field or, if it is a list, each item with its index."""
     if isinstance(value, tuple):
         yield from (((index,), item) for index, item in enumerate(value))

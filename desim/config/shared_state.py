@@ -103,9 +103,9 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
 def _carried(reads: Sequence[tuple[Any, str, Read]], before: Sequence[Any]) -> set[str]:
     """Return the names of the variables that the last run has changed and that nobody has reset since."""
     carried = set()
-    for (owner, name, _), now in zip(reads, before, strict=True):
+    for (owner, name, _), state in zip(reads, before, strict=True):
         first, last = _runs.get(owner, {}).get(name, (None, None))
-        if None not in (first, last) and first != last == now:
+        if None not in (first, last) and first != last == state:
             carried.add(name)
     return carried
 
@@ -152,12 +152,12 @@ def _cached(function: Any, snapshot: Callable[[Any], Any]) -> dict[int, Any]:
     """
     if not 0 < function.cache_info().currsize <= TABLE:
         return {}
-    held = [item for item in get_referents(function) if item is not vars(function) and not callable(item)]
+    values = [item for item in get_referents(function) if item is not vars(function) and not callable(item)]
     if function.cache_parameters()["maxsize"] is None:  # then the dict of the cache has the values
-        held = [value for item in held if type(item) is dict for value in item.values()]
+        values = [value for item in values if type(item) is dict for value in item.values()]
     else:  # the dict of the cache has the links of a list, whose items the function lists, too
-        held = [item for item in held if not (type(item) is dict and item and all(map(_is_link, item.values())))]
-    return {id(item): snapshot(item) for item in held}
+        values = [item for item in values if not (type(item) is dict and item and all(map(_is_link, item.values())))]
+    return {id(item): snapshot(item) for item in values}
 
 
 def _is_link(value: Any) -> bool:

@@ -63,8 +63,8 @@ def is_stateless(value: Any, *, alone: bool = False) -> bool:
     """Return whether a value is a constant, or a function, class or module without state; see `fresh_copy`."""
     kind = type(value)
     if kind is FunctionType:
-        held = *defaults_of(value), *(value.__closure__ or ())
-        return _is_ours(value) or all((not alone and is_collection(item)) or _is_constant(item) for item in held)
+        inner = *defaults_of(value), *(value.__closure__ or ())
+        return _is_ours(value) or all((not alone and is_collection(item)) or _is_constant(item) for item in inner)
     if kind is BuiltinFunctionType:
         return isinstance(value.__self__, ModuleType | NoneType)
     return kind in CONSTANTS or isinstance(value, type | ModuleType | CodeType)

@@ -200,8 +200,8 @@ def is_passed_on(value: Any, name: str) -> bool:
     kind: type = type(value)
     if not hasattr(kind, "__getattr__") or isinstance(value, BaseModel):
         return False
-    held = object.__getattribute__(value, "__dict__") if kind.__dictoffset__ else {}
-    return not positions(kind, name) and name not in held
+    namespace = object.__getattribute__(value, "__dict__") if kind.__dictoffset__ else {}
+    return not positions(kind, name) and name not in namespace
 
 
 def check_inherited_flag(value: Any, flag: str, methods: Iterable[str], effect: str) -> None:
@@ -235,8 +235,8 @@ def _replaced(model: type, names: tuple[str, ...]) -> str | None:
     """Return the first of some methods that is not as the built-in class has defined it; None: all are."""
     for name in _methods_in(model, names):
         function = getattr(model, name)
-        theirs = function if isinstance(function, FunctionType) else type(function)
-        if module_of(theirs).partition(".")[0] not in OURS:
+        owner = function if isinstance(function, FunctionType) else type(function)
+        if module_of(owner).partition(".")[0] not in OURS:
             return name
     return None
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from desim.config.model import RESOLUTION, Counted, Recurring, Value, markers_of, models_within, parts_of
+from desim.config.model import RESOLUTION, Counted, Recurring, Value, indexed_parts, markers_of, models_within
 from desim.kernel.clock_sync import Unsynchronised
 from desim.scenario.assumptions import violations
 from desim.scenario.latency_warnings import latency_warnings
@@ -120,7 +120,7 @@ def _numbers(scenario: Scenario) -> Iterator[tuple[str, float, Sequence[Any]]]:
     """Yield the key, the value and the markers of every number in a scenario."""
     for place, model in models_within(scenario):
         for name in type(model).model_fields:
-            for inner, part in parts_of(getattr(model, name)):
+            for inner, part in indexed_parts(getattr(model, name)):
                 if isinstance(part, int | float):
                     yield ".".join(map(str, (*place, name, *inner))), part, _markers(type(model), name)
 

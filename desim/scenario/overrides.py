@@ -77,8 +77,8 @@ class Source:
         """
         lines = self.lines or {}
         dotted = tuple(part for key in place for part in (key.split(".") if isinstance(key, str) else [key]))
-        known = lines.keys() | self.origins.keys()
-        if place not in known and dotted in known:  # TOML reads an unquoted dotted key as nested tables
+        places = lines.keys() | self.origins.keys()
+        if place not in places and dotted in places:  # TOML reads an unquoted dotted key as nested tables
             place = dotted
         within = [place[:end] for end in range(len(place), 0, -1)]
         set_by = [text for key, text in self.origins.items() if key in within]
@@ -88,8 +88,8 @@ class Source:
             return set_by[-1], 0
         if self.lines is None:
             return self.name, 0
-        known_place = next((outer for outer in within if outer in lines), ())
-        return self.files.get(known_place, self.name), lines.get(known_place, 1)
+        nearest = next((outer for outer in within if outer in lines), ())
+        return self.files.get(nearest, self.name), lines.get(nearest, 1)
 
     def copy(self) -> Self:
         """Return a copy that can be changed independently."""
@@ -293,8 +293,8 @@ def _table(value: Any, info: FieldInfo) -> Any:
     if isinstance(value, tuple) and not callable(value):  # a model of a user may be a named tuple
         return [_table(item, info) for item in value]
     choices = choices_of(info)
-    known = not choices or any(choice.holds(value) for choice in choices)
-    return _tables(value) if isinstance(value, Value) and known else _copied(value)
+    is_installed = not choices or any(choice.holds(value) for choice in choices)
+    return _tables(value) if isinstance(value, Value) and is_installed else _copied(value)
 
 
 def _replaced(model: Any, parts: list[str], value: Any) -> Any:
