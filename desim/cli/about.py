@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -11,9 +10,6 @@ from desim.cli.options import ALLOW_IMPORT, FILE, limited, out_to, overriding
 from desim.cli.output import echo, fail, making
 from desim.cli.plot import picture_paths, write_picture
 from desim.cli.sources import protocol_of, source_of
-
-if TYPE_CHECKING:
-    from desim.scenario.scenario import Scenario
 
 
 @click.command()
@@ -38,20 +34,15 @@ def check(file: Path, draws: bool, out: Path | None, overrides: tuple[str, ...])
         except ScenarioError as error:
             fail(str(error))
     if draws:
-        _draw_links(scenario, file, out)
+        paths = picture_paths(file, out, "trajectory", "links")
+        with making("picture"):
+            from desim.analysis.drawing.plots import save
+            from desim.view.pictures.link_traces import link_traces
+
+            figure = link_traces(scenario)
+            write_picture(lambda: [save(figure, path, dpi=200) for path in paths], paths, err=True)
     echo(dump(scenario), end="")
     echo(f"{file} is valid", err=True)
-
-
-def _draw_links(scenario: "Scenario", file: Path, out: Path | None) -> None:
-    """Draw the measured links of a scenario, and print the paths of the files."""
-    paths = picture_paths(file, out, "trajectory", "links")
-    with making("picture"):
-        from desim.analysis.drawing.plots import save
-        from desim.view.pictures.link_traces import link_traces
-
-        figure = link_traces(scenario)
-        write_picture(lambda: [save(figure, path, dpi=200) for path in paths], paths, err=True)
 
 
 @click.command()

@@ -1,7 +1,6 @@
 """`desim bench`: protocols compared in the scenarios of the benchmark."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -11,10 +10,6 @@ from desim.cli.output import echo, fail, make_folder, storing
 from desim.cli.result_files import present, show
 from desim.cli.sources import protocol_of
 from desim.cli.usage import problem
-
-if TYPE_CHECKING:
-    from desim.study.comparing.scores import Benchmark
-    from desim.study.comparing.suite import Suite
 
 
 @click.command()
@@ -47,6 +42,8 @@ def bench(
 
     Without --protocol and --again it prints the table of the version.
     """
+    from desim.study.comparing.bench import bench as compared
+    from desim.study.comparing.bench import frozen_matches
     from desim.study.comparing.suite import Suite
 
     try:
@@ -54,44 +51,19 @@ def bench(
     except ValueError as error:
         raise click.BadParameter(str(error), param_hint="--version") from error
     entered = [protocol_of(text, "--protocol") for text in protocols]
-    if not (entered or again):
-        show(_measured(suite, [], runs, execution), as_json=as_json)
-        return
-    folder = Path("out") / "bench" / f"v{suite.version}" if out is None else out
-    make_folder(folder)
-    if not again:
-        _check_repeats(suite)
-    benchmark = _measured(suite, entered, runs, execution, folder, again=again)
-    present(benchmark, folder, "bench", as_json=as_json, is_drawn=bool(benchmark.kept))
-
-
-def _check_repeats(suite: "Suite") -> None:
-    """Warn if runs of this desim do not have the frozen costs of a version."""
-    from desim.study.comparing.bench import frozen_matches
-
-    if not frozen_matches(suite):
+    folder = None
+    if entered or again:
+        folder = Path("out") / "bench" / f"v{suite.version}" if out is None else out
+        make_folder(folder)
+    if entered and not again and not frozen_matches(suite):
         echo(
             "warning: this desim does not repeat the frozen runs of the built-in protocols, so the rows differ in more"
             " than the protocols: --again performs all runs",
             err=True,
         )
-
-
-def _measured(
-    suite: "Suite",
-    entered: list[Any],
-    runs: int | None,
-    execution: Execution,
-    folder: Path | None = None,
-    *,
-    again: bool = False,
-) -> "Benchmark":
-    """Return the costs of all protocols; end the program if a run fails, or an option is invalid."""
-    from desim.study.comparing.bench import bench as compared
-
     with storing(folder), failures_told(lambda: f"the finished runs are in {folder}"):
         try:
-            return compared(
+            benchmark = compared(
                 entered,
                 runs,
                 execution.executor,
@@ -103,3 +75,7 @@ def _measured(
             )
         except ValueError as error:
             fail(problem(error))
+    if folder is None:
+        show(benchmark, as_json=as_json)
+    else:
+        present(benchmark, folder, "bench", as_json=as_json, is_drawn=bool(benchmark.kept))

@@ -173,13 +173,11 @@ def _stated(text: str | None, scenario: "Scenario", folder: Path) -> "Property":
     """
     from desim.scenario.properties import property_of
 
-    named: dict[str, Property] = {prop.label: prop for prop in scenario.properties}
-    if text is None:
-        if not named:
-            example = '--property "idle at most 2 in total against centralised"'
-            raise ValueError(f"the scenario has no properties: give one, for instance {example}")
-        return next(iter(named.values()))
-    return named[text] if text in named else property_of(text, folder=folder)
+    named = {prop.label: prop for prop in scenario.properties}
+    if text is None and not named:
+        example = '--property "idle at most 2 in total against centralised"'
+        raise ValueError(f"the scenario has no properties: give one, for instance {example}")
+    return scenario.properties[0] if text is None else named.get(text) or property_of(text, folder=folder)
 
 
 @dataclass(frozen=True)

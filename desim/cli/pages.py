@@ -9,7 +9,7 @@ import click
 
 from desim.cli.options import AGAINST, PATH, SEED, limited, out_to, overriding
 from desim.cli.output import echo, fail, making, of_option, page_at, storing, write
-from desim.cli.recorded import SOURCES, check_no_run, is_recorded, result_of
+from desim.cli.recorded import SOURCES, is_recorded, result_of
 from desim.cli.sources import source_of
 from desim.config.file_names import STORE, STORE_PARTS, TRACE
 
@@ -95,8 +95,7 @@ def report(folder: Path, out: Path | None, against: tuple[tuple[str, str], ...])
         file = shlex.quote(str(folder))
         fail(f"{folder}: is a scenario file; make a sweep first: desim sweep {file} -o DIR, then desim report DIR")
     path = page_at(out, folder / "report.html")
-    _check_merged(folder)
-    check_no_run(folder)
+    _check_sweep(folder)
     with making("report"):
         with storing(folder):
             study = replace(Study.read(folder), against=dict(against) or None)
@@ -109,10 +108,16 @@ def report(folder: Path, out: Path | None, against: tuple[tuple[str, str], ...])
     echo(f"{path}: {counted(len(groups), 'configuration')}, {counted(study.runs, 'run')}, {len(page) / 1000:,.0f} kB")
 
 
-def _check_merged(folder: Path) -> None:
-    """End the program if a folder has stores of the shards of a sweep but no merged store."""
-    parts = sorted(part.name for part in folder.glob(STORE_PARTS))
-    if parts and not (folder / STORE).exists():
+def _check_sweep(folder: Path) -> None:
+    """End the program if a folder has no store of a sweep, but stores of its shards, or recorded runs."""
+    if (folder / STORE).exists():
+        return
+    if parts := sorted(part.name for part in folder.glob(STORE_PARTS)):
         names = f"{', '.join(parts[:3])}{' ...' if len(parts) > 3 else ''}"
         where = shlex.quote(str(folder))
         fail(f"{folder}: holds parts of a sweep ({names}); merge them first: desim merge {where} -o {where}")
+    traces = [trace for trace in (folder / TRACE, *sorted(folder.glob(f"*/{TRACE}"))) if trace.exists()]
+    if traces:
+        number = "a single run" if traces[0].parent == folder else "single runs"
+        page = f"desim replay {shlex.quote(str(traces[0].parent))}"
+        fail(f"{folder}: is the folder of {number}, not of a sweep; make a page that plays a run: {page}")

@@ -21,13 +21,6 @@ from desim.config.packages import HiddenPackageError
 from desim.simulation.watchdog import OUT_OF_MEMORY, TimedOut
 
 
-def _echo_calls(error: Exception) -> None:
-    """Print an error in a user's metric after the calls in the user's code that led to it."""
-    cause = error.__cause__
-    calls = [] if cause is None else extract_tb(cause.__traceback__)[2:]  # the first two calls are in desim
-    echo("".join([*format_list(calls), str(error)]), err=True)
-
-
 def released(error: BaseException | None) -> None:
     """Let go of what the calls of an exception, and of those before it, hold: a message about it needs memory, too."""
     while error is not None:
@@ -68,7 +61,9 @@ class Program(click.Command):
             echo(" ".join([str(error), *getattr(error, "__notes__", ())]), err=True)
             ctx.exit(RAISED)
         except MetricError as error:
-            _echo_calls(error)
+            cause = error.__cause__
+            calls = [] if cause is None else extract_tb(cause.__traceback__)[2:]  # the first two are in desim
+            echo("".join([*format_list(calls), str(error)]), err=True)
             ctx.exit(RAISED)
         except ValueError as error:
             from desim.kernel.measured.playback import TraceEndError  # slow to import

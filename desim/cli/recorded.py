@@ -10,7 +10,7 @@ import click
 from desim.cli.options import PATH, is_import_allowed
 from desim.cli.output import fail
 from desim.cli.sources import source_of
-from desim.config.file_names import STORE, TRACE
+from desim.config.file_names import TRACE
 from desim.config.suggestion import did_you_mean
 
 if TYPE_CHECKING:
@@ -56,17 +56,6 @@ def result_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Re
             f" desim report {shlex.quote(str(source))}; to see a run of it, repeat the run: desim replay FILE -s SEED"
         )
     return results
-
-
-def check_no_run(folder: Path) -> None:
-    """End the program if a folder has no store of a sweep, but it or one of its subfolders has a recorded run."""
-    if (folder / STORE).exists():
-        return
-    traces = [trace for trace in (folder / TRACE, *sorted(folder.glob(f"*/{TRACE}"))) if trace.exists()]
-    if traces:
-        number = "a single run" if traces[0].parent == folder else "single runs"
-        page = f"desim replay {shlex.quote(str(traces[0].parent))}"
-        fail(f"{folder}: is the folder of {number}, not of a sweep; make a page that plays a run: {page}")
 
 
 def results_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result | SweepResult":

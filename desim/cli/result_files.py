@@ -41,9 +41,8 @@ def adding_to(folder: Path) -> Iterator["Store"]:
     with storing(folder), Store(folder / STORE) as store:
         before = len(store)
         yield store
-        performed = f"{counted(store.added, 'run')} {'was' if store.added == 1 else 'were'} performed"
-        stored = f"{before:,} {'was' if before == 1 else 'were'} already stored"
-        echo(f"{performed}, {stored}; store: {folder / STORE}", err=True)
+        performed = f"{counted(store.added, 'run')} performed"
+        echo(f"{performed}, {before:,} already stored; store: {folder / STORE}", err=True)
 
 
 def record_command(store: "Store", into: Path, *made: Any, **more: Any) -> None:

@@ -112,10 +112,10 @@ def add_metrics(source: "Source", metrics: tuple[str, ...]) -> None:
     from desim.analysis.metrics import METRICS
     from desim.scenario.named_metrics import installed_metrics
 
-    listed = source.at(["record", "metrics"])
-    of_file = (
-        {text.rpartition(":")[2] for text in listed if isinstance(text, str)} if isinstance(listed, list) else set()
-    )
+    present = source.at(["record", "metrics"])
+    present = [] if present is None else present
+    texts = [text for text in present if isinstance(text, str)] if isinstance(present, list) else []
+    of_file = {text.rpartition(":")[2] for text in texts}
     for metric in metrics:
         try:
             if ":" not in metric:
@@ -123,13 +123,10 @@ def add_metrics(source: "Source", metrics: tuple[str, ...]) -> None:
         except ValueError as error:
             fail(f"{metric_option()} {metric}: {error}, and MODULE:FUNCTION")
     added = [name for name in metrics if name not in METRICS and name not in of_file]
-    table = source.tables.setdefault("record", {}) if added else None
-    named = table.get("metrics", []) if isinstance(table, dict) else None
-    if isinstance(table, dict) and isinstance(named, list):
-        table["metrics"] = [*named, *added]
-        source.origins.update(
-            (("record", "metrics", k), f"{metric_option()} {name}") for k, name in enumerate(added, len(named))
-        )
+    if added and isinstance(present, list) and isinstance(table := source.tables.setdefault("record", {}), dict):
+        table["metrics"] = [*present, *added]
+        for k, name in enumerate(added, len(present)):
+            source.origins["record", "metrics", k] = f"{metric_option()} {name}"
 
 
 def shown_metrics(scenario: "Scenario", metrics: tuple[str, ...], usual: tuple[str, ...] = ()) -> tuple[str, ...]:

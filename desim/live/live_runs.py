@@ -2,8 +2,9 @@
 
 import asyncio
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, wait
 from contextlib import contextmanager, suppress
+from threading import Thread
 from typing import Any, Literal, get_args
 
 from desim.config.arguments import naming_arguments, scenario_argument, value_text
@@ -84,25 +85,17 @@ def runs(
     told: tuple[Any, ...] = (tell, tell if finished is None else finished)
     if not all(map(callable, told)):
         raise ValueError(f"tell and finished should be functions (got {value_text(tell)} and {value_text(finished)})")
-    if hosts is not None:
-        _check_hosts(hosts, size)
+    listed: Any = hosts
+    is_list = isinstance(listed, Sequence) and not isinstance(listed, str) and len(listed) == size
+    if hosts is not None and not (is_list and all(isinstance(host, str) and host for host in listed)):
+        raise ValueError(
+            f"hosts should be the names or addresses of {size} hosts, one for each pursuer (got {value_text(hosts)})"
+        )
     if hosts is not None and links != "drawn":
         raise ValueError('hosts have real links between them, so links should be "drawn"')
     with _places(scenario, links, hosts) as places:
         options: Any = {"hosts": places.hosts, "namespaces": places.namespaces, "draws": links != "netem"}
         return _play(scenario, seeds, at_once, finished, tell=tell, **options)
-
-
-def _check_hosts(hosts: Any, size: int) -> None:
-    """Raise ValueError if the hosts are not one for each pursuer, each a text."""
-    if isinstance(hosts, str) or not isinstance(hosts, Sequence) or not all(isinstance(host, str) for host in hosts):
-        raise ValueError(
-            f"hosts should be a list of names or addresses, ['192.168.0.2', ...] (got {value_text(hosts)})"
-        )
-    if len(hosts) != size:
-        raise ValueError(f"hosts should be one for each of the {size} pursuers (got {len(hosts)})")
-    if not all(hosts):
-        raise ValueError(f"a host should have a name or an address (got {value_text(hosts)})")
 
 
 def _play(
@@ -161,11 +154,21 @@ def _run(play: Callable[[], Any]) -> Any:
         asyncio.get_running_loop()
     except RuntimeError:
         return run_here()
-    with ThreadPoolExecutor(1) as thread:
+    outcome: Future[Any] = Future()
+
+    def run_there() -> None:
         try:
-            return thread.submit(run_here).result()
-        except BaseException:
-            with suppress(RuntimeError, TimeoutError):  # it has just ended, or has not begun
-                loop, task = running.result(timeout=1.0)
+            outcome.set_result(run_here())
+        except BaseException as error:
+            outcome.set_exception(error)
+
+    try:
+        Thread(target=run_there).start()
+        return outcome.result()
+    except BaseException:
+        with suppress(TimeoutError):  # it has not begun
+            loop, task = running.result(timeout=5.0)
+            with suppress(RuntimeError):  # it has just ended
                 loop.call_soon_threadsafe(task.cancel)
-            raise
+            wait([outcome])
+        raise

@@ -30,7 +30,9 @@ def check_live(scenario: Scenario) -> None:
 def reasons(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the keys of a scenario that cannot run live, each with the reason."""
     yield from _of_protocol(scenario)
-    yield from _of_world(scenario)
+    for k, evader in enumerate(scenario.evaders):
+        if evader.listens:
+            yield f"evader.{k}.strategy", "the evader would overhear transmissions, which reach pursuers only"
     yield from _of_network(scenario)
     for k, fault in enumerate(scenario.fault):
         if is_lie(fault):
@@ -49,12 +51,6 @@ def _of_protocol(scenario: Scenario) -> Iterator[tuple[str, str]]:
         yield "team.count", f"a datagram can name {MAX_NODES} pursuers"
     if not scenario.sight_is_perfect:
         yield "sensing", "the referee moves a pursuer that sees no evader, and does not know where it searches"
-
-
-def _of_world(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    for k, evader in enumerate(scenario.evaders):
-        if evader.listens:
-            yield f"evader.{k}.strategy", "the evader would overhear transmissions, which reach pursuers only"
 
 
 def _of_network(scenario: Scenario) -> Iterator[tuple[str, str]]:

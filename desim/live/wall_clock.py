@@ -119,7 +119,7 @@ class WallClock:
         if self._over.processed:
             self.ended.set_result(None)
         elif self._timer is None and due < float("inf"):
-            self._timer = self._loop.call_later(max(due - self.now(), 0) / SECOND, self._ring)
+            self._timer = self._loop.call_later((due - self.now()) / SECOND, self._ring)
         self._due = due
 
     def _ring(self) -> None:

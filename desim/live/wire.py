@@ -199,9 +199,8 @@ class Wire:
             return Kind.ACKNOWLEDGEMENT, next(self._sent), 0, frame.expected, None
         if isinstance(frame, Skip):
             return Kind.SKIP, next(self._sent), 0, frame.base, None
-        kinds, attempt, second = (Kind.SEGMENT, Kind.SEGMENT_OF_RECORD), 0, 0
         if isinstance(frame, Segment):
-            attempt, second = frame.attempt, frame.base
+            kinds, attempt, second = (Kind.SEGMENT, Kind.SEGMENT_OF_RECORD), frame.attempt, frame.base
         else:
             kinds, attempt, second = (Kind.PIECE, Kind.PIECE_OF_RECORD), frame.part, frame.part
         record = self._only_record(frame.body, size - HEADER - NUMBER)

@@ -75,6 +75,11 @@ class _Body:
         """Compare the positions of a piece with its velocities, and these with the limits."""
         piece = self.piece(call)
         require, command = self.tested.require, call.command
+        require(
+            not self.model.is_simple
+            or (piece.velocity_at(0.0) == command and piece.at(1.0) == call.position + command),
+            f"is_simple is True, so that no piece is asked for, but {call} does not move at its command",
+        )
         start = piece.at(0.0)
         require(
             abs(start - call.position) <= TOLERANCE, f"{call} begins at {start:.6g}, expected the position of the call"
@@ -146,14 +151,14 @@ class _Body:
             if call.command:
                 continue
             piece = self.piece(call)
-            if not call.course.velocity:
-                way = abs(piece.at(1.0) - call.position)
-                self.tested.require(way <= TOLERANCE, f"{call} moves by {way:.3g} m in 1 s: expected to stay at rest")
-            left = piece.velocity_at(piece.curved)
+            way, left = abs(piece.at(1.0) - call.position), piece.velocity_at(piece.curved)
+            self.tested.require(
+                call.course.velocity or way <= TOLERANCE,
+                f"{call} moves by {way:.3g} m in 1 s: expected to stay at rest",
+            )
             self.tested.require(
                 abs(left) <= TOLERANCE, f"{call} goes on at {left:.4g} m/s for ever, expected to come to rest"
             )
-            way = abs(piece.at(1.0) - call.position)
             self.tested.require(
                 may_coast or way <= TOLERANCE,
                 f"{call} moves by {way:.3g} m, expected to stop at once as from 1 m/s: a body that coasts does so from"
@@ -277,8 +282,6 @@ def check_body(body: Any, *, limit: float = 10.0) -> None:
     tested = subject(body, DYNAMICS, "body")
     with tested.judged("body(position, course, command)", limit), tested.fresh() as model:
         checked = _Body(tested, model)
-        if model.is_simple:
-            _check_simple(checked)
         for call in _calls():
             checked.check_motion(call)
             checked.check_joint(call)
@@ -292,13 +295,3 @@ def check_body(body: Any, *, limit: float = 10.0) -> None:
         ("a run of an evader with it", {"evader": Evader(dynamics=tested.model), "team": Team(count=4)}),
     ):
         twice(tested, where, partial(Scenario, horizon=1.0, **parts), limit=limit)
-
-
-def _check_simple(body: _Body) -> None:
-    """Require that dynamics that say so take commanded velocities at once."""
-    for call in _calls():
-        piece = body.piece(call)
-        straight = piece.velocity_at(0.0) == call.command and piece.at(1.0) == call.position + call.command
-        body.tested.require(
-            straight, f"is_simple is True, so that no piece is asked for, but {call} does not move at its command"
-        )

@@ -10,7 +10,7 @@ the events of a finished trace. A new watcher is needed for each run. The invari
 
 from cmath import phase
 from math import fsum
-from typing import TYPE_CHECKING, Any, TypeGuard
+from typing import TYPE_CHECKING, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +35,6 @@ from desim.testing.opacity import OpacityWatcher
 from desim.testing.paths import PathWatcher
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from desim.config.arrays import Points
 
 ROUNDING = 1e-9
@@ -90,19 +88,22 @@ class ActiveTimeWatcher:
         self._since: list[int] = []
         """(N,) start of the present action, ns."""
         self.end = 0
-        self._handlers: dict[type, Callable[[Any], None]] = {
-            Started: self._start,
-            Decided: lambda event: self._change(event, event.pursuer, event.active),
-            BrokeDown: lambda event: self._change(event, event.pursuer, 0),
-            Captured: self._release,
-            Ended: self._finish,
-        }
 
     def __call__(self, event: Event) -> None:
         """Process an event."""
-        handler = self._handlers.get(type(event))
-        if handler is not None:
-            handler(event)
+        if isinstance(event, Started):
+            self.profile, self._speeds = list(event.active), event.speeds
+            self._stopped, self._since = [0] * len(self.profile), [event.t] * len(self.profile)
+        elif isinstance(event, Decided):
+            self._change(event, event.pursuer, event.active)
+        elif isinstance(event, BrokeDown):
+            self._change(event, event.pursuer, 0)
+        elif isinstance(event, Captured):
+            for pursuer, action in enumerate(self.profile):
+                if action == event.evader:
+                    self._change(event, pursuer, 0)
+        elif isinstance(event, Ended):
+            self.end = event.t
 
     def until(self, t: int) -> NDArray[np.int64]:
         """Return the (N,) active times, ns, of the pursuers up to time t (ns), which is not before the last event."""
@@ -115,22 +116,10 @@ class ActiveTimeWatcher:
         _require_same("active time", active_time(result), float(active_times.sum()))
         _require_same("energy", energy(result), fsum(np.square(self._speeds) * active_times))
 
-    def _start(self, event: Started) -> None:
-        self.profile, self._speeds = list(event.active), event.speeds
-        self._stopped, self._since = [0] * len(self.profile), [event.t] * len(self.profile)
-
     def _change(self, event: Event, pursuer: int, action: int) -> None:
         if self.profile[pursuer]:
             self._stopped[pursuer] += event.t - self._since[pursuer]
         self.profile[pursuer], self._since[pursuer] = action, event.t
-
-    def _release(self, event: Captured) -> None:
-        for pursuer, action in enumerate(self.profile):
-            if action == event.evader:
-                self._change(event, pursuer, 0)
-
-    def _finish(self, event: Ended) -> None:
-        self.end = event.t
 
 
 class MotionWatcher:

@@ -354,7 +354,7 @@ def test_runs_are_in_the_order_of_their_seeds_and_told_as_they_end(monkeypatch):
 
     assert asyncio.run(within_a_loop()) == 6
     for wrong, why in (
-        ({"hosts": ["127.0.0.1"]}, "hosts should be one for each of the 2 pursuers"),
+        ({"hosts": ["127.0.0.1"]}, "hosts should be the names or addresses of 2 hosts, one for each"),
         ({"hosts": ["127.0.0.1"] * 2, "links": "netem"}, 'links should be "drawn"'),
     ):
         with pytest.raises(ValueError, match=why):

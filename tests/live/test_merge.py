@@ -93,3 +93,12 @@ def test_a_message_that_nobody_reports_is_in_flight_unless_its_receiver_has_cras
     run.send(10, 0, (3,), to_one=True)
     *_, counts, _ = run.merged(messages=True)
     assert (counts.in_flight, counts.lost) == ((1, 0) if cause is None else (0, 1))
+
+
+@pytest.mark.parametrize(("t", "in_flight"), [(9, 0), (10, 1), (11, 1)])
+def test_a_message_is_lost_at_the_socket_if_a_later_one_was_read(t, in_flight):
+    run = Run({})
+    run.send(10, 0, (1,), (1, 12))
+    run.send(t, 0, (1,), to_one=True)
+    *_, counts, _ = run.merged(messages=True)
+    assert (counts.in_flight, counts.lost) == (in_flight, 1 - in_flight)

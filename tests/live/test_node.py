@@ -121,6 +121,16 @@ def test_foreign_replayed_and_malformed_datagrams_are_dropped_and_counted():
     assert len(node.link.outcomes) == 1
 
 
+def test_a_replay_is_known_among_the_last_datagrams_of_a_sender(monkeypatch):
+    monkeypatch.setattr("desim.live.link.REMEMBERED", 3)
+    node = node_with(loss=Bernoulli())
+    replayed = []
+    for seq in (1, 2, 3, 1, 4, 2, 1, 3):
+        node.link.receive(announcement(seq), 0)
+        replayed.append(node.link.drops.replayed)
+    assert replayed == [0, 0, 0, 1, 1, 2, 2, 3]  # 4 takes the place of 1, and 1 that of 2
+
+
 def test_a_stamp_that_is_ahead_delays_a_message_by_the_latency_only():
     """The clock of another host may be ahead; the latency is 0.1 s."""
     node = node_with(loss=Bernoulli())
@@ -695,9 +705,9 @@ WRONG_RUNS = {
     "at_once should be": [{"at_once": 0}, {"at_once": "1"}, {"at_once": 1.5}, {"at_once": nan}],
     "links should be 'drawn', 'namespaces', 'netem'": [{"links": "real"}, {"links": None}, {"links": 1}],
     "tell and finished should be functions": [{"tell": None}, {"finished": 3}, {"finished": 0}],
-    "hosts should be a list of names": [{"hosts": "abc"}, {"hosts": 3}, {"hosts": [1, 2, 3]}, {"hosts": [None] * 3}],
-    "a host should have a name": [{"hosts": [""] * 3}],
-    "hosts should be one for each of the 3": [{"hosts": ["127.0.0.1"]}],
+    "hosts should be the names or addresses of 3 hosts": [
+        *({"hosts": hosts} for hosts in ("abc", 3, [1, 2, 3], [None] * 3, [""] * 3, ["127.0.0.1"]))
+    ],
 }
 
 
