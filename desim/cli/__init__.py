@@ -9,22 +9,18 @@ import sys
 import click
 
 from desim.cli.about import check, keys, metrics, protocols, schema
+from desim.cli.analyses import explain, race, sensitivity
 from desim.cli.bench import bench
 from desim.cli.breaking import break_
 from desim.cli.compare import compare, crossover, ls
-from desim.cli.explain import explain
 from desim.cli.export import export
-from desim.cli.fates import fates
+from desim.cli.links import fates, netem
 from desim.cli.live import live
 from desim.cli.merge import merge
-from desim.cli.netem import netem
-from desim.cli.pages import replay, report
-from desim.cli.play import play
+from desim.cli.pages import play, replay, report
 from desim.cli.plot import plot
 from desim.cli.program import Program
-from desim.cli.race import race
 from desim.cli.run import run
-from desim.cli.sensitivity import sensitivity
 from desim.cli.start import examples, new
 from desim.cli.submit import status, submit
 from desim.cli.sweep import sweep
