@@ -1,4 +1,4 @@
-"""Pages: `desim replay` plays a run, `desim report` tells of a sweep, and `desim play` lets the user change a scenario."""
+"""Pages: `desim replay` plays a run, `desim report` tells of a sweep, and `desim play` lets users change a scenario."""
 
 import os
 import shlex

@@ -167,6 +167,9 @@ def test_a_frame_says_when_it_was_transmitted_and_not_only_when_its_message_was_
     parcel = wire.decode(datagram)
     assert parcel.content == message
     assert 0 <= parcel.start - later < 1000  # never before it was transmitted
+    after = {"size": len(datagram), "to_one": not frame.to_all, "now": later + wire_module.CYCLE}
+    again = wire.decode(wire.encode(message, FRAMES, **after))  # 71 min later, the time counts from 0 again
+    assert (again.content, again.start) == (message, parcel.start)
 
 
 def test_an_answer_about_the_time_carries_the_clock_at_its_transmission():
@@ -429,6 +432,7 @@ def test_whatever_bytes_arrive_they_are_read_or_malformed(wire):
         lambda octets: b"\0" + octets[1:],  # without the mark
         lambda octets: octets[:16] + (3).to_bytes(8, "big"),  # an evader that does not exist
         lambda octets: bytes([octets[0] | 0x7F]) + octets[1:],  # a node that does not exist
+        lambda octets: octets[:8] + ((1 << 62) + 1).to_bytes(8, "big") + octets[16:],  # a time of no clock
     ],
 )
 def test_a_wrong_datagram_is_malformed(wire, change):

@@ -6,13 +6,14 @@ import warnings
 
 import numpy as np
 import pytest
+from scipy.stats import binomtest
 
 from desim import run
 from desim.config.model import Time, Value
 from desim.kernel.core.events import Broadcast
 from desim.kernel.models.latency import Constant, Uniform
 from desim.testing import ContractError, check_latency, check_loss, links
-from desim.testing.judging import are_more, is_off
+from desim.testing.judging import CHANCE, are_more, is_off
 
 
 class Milliseconds(Value):
@@ -340,6 +341,14 @@ def test_few_losses_blame_no_model_that_is_right(draws, tell):
     all_lost, none = np.ones(draws, bool), np.zeros(draws, bool)
     assert are_more(all_lost, none) == are_more(none, all_lost) == tell
     assert not are_more(all_lost, all_lost)
+
+
+@pytest.mark.parametrize("differing", [21, 22, 60])
+def test_the_probability_of_a_difference_is_that_of_a_binomial_test(differing):
+    for fewer in range(differing // 2):
+        first = np.arange(100) < fewer
+        second = (np.arange(100) >= fewer) & (np.arange(100) < differing)
+        assert are_more(first, second) == (binomtest(fewer, differing).pvalue < CHANCE)
 
 
 @pytest.mark.slow

@@ -192,6 +192,10 @@ BODIES = {
         loose(at_once, capture_times=lambda self, *given: len(given[0]) * Simple().capture_times(*given)),
         r"among 8, and .* s alone: expected equal times",
     ),
+    "late within reach": (
+        loose(at_once, capture_times=lambda self, *given: np.maximum(Simple().capture_times(*given), 0.01)),
+        r"of a pursuer of 2\.0 m/s at 0\.05 m is 0\.01 s, expected 0 within the capture radius",
+    ),
     "overwrites": (
         loose(at_once, capture_times=overwritten),
         r"changes one of its arrays; copy it",
@@ -282,6 +286,7 @@ LATE = {
     "too late": "check_capture_times",
     "no times": "check_capture_times",
     "together": "check_capture_times",
+    "late within reach": "check_capture_times",
     "overwrites": "check_capture_times",
 }
 """Methods that are checked late, each with the part that checks them."""
