@@ -57,10 +57,10 @@ def flight(links: Links, seed: int) -> "Iterator[tuple[NDArray[np.float64], NDAr
             yield x.copy(), headings
 
 
-def _mean_heard(network: SteppedNetwork, boid: int, own: complex) -> complex:
-    """Return the mean of the headings that a boid has heard of late; its own if there are none."""
-    told = [told.body for told in network.latest(boid).values() if network.now - told.sent <= MEMORY]
-    return portable_sum(told) / len(told) if told else own
+def _mean_heard(network: SteppedNetwork, boid: int, heading: complex) -> complex:
+    """Return the mean of the headings that a boid has heard of late; its own heading if there are none."""
+    recent = [message.body for message in network.latest(boid).values() if network.now - message.sent <= MEMORY]
+    return portable_sum(recent) / len(recent) if recent else heading
 
 
 def _normalised(headings: "NDArray[np.complex128]") -> "NDArray[np.complex128]":
@@ -102,8 +102,8 @@ def main(options: Options) -> None:
     orders = {name: np.array([order(links, seed) for seed in seeds]) for name, links in NETWORKS.items()}
     rows: list[Sequence[str]] = [("network", "order after 2 s", "5 s", f"{DURATION:g} s")]
     for name, flights in orders.items():
-        found = [mean(flights[:, round(t / DT) - 1]) for t in (2.0, 5.0, DURATION)]
-        rows.append((name, *(f"{value:.2f}" for value in found)))
+        means_at = [mean(flights[:, round(t / DT) - 1]) for t in (2.0, 5.0, DURATION)]
+        rows.append((name, *(f"{value:.2f}" for value in means_at)))
     means = {name: flights.mean(axis=0) for name, flights in orders.items()}
     document = {"step": DT, "order": {name: mean.tolist() for name, mean in means.items()}}
     options.show(document, aligned(rows), lambda: picture(means, seeds[0]))

@@ -24,8 +24,8 @@ def differences(measured: Benchmark, suite: Suite) -> Iterator[str]:
     for scenario, by_protocol in suite.costs.items():
         for protocol, by_network in by_protocol.items():
             for network, costs in by_network.items():
-                now = measured.costs[scenario].get(protocol, {}).get(network)
-                if now is None or not np.array_equal(now, costs[: measured.runs]):
+                repeated = measured.costs[scenario].get(protocol, {}).get(network)
+                if repeated is None or not np.array_equal(repeated, costs[: measured.runs]):
                     yield f"{scenario}, {protocol}, {network}: differs"
 
 

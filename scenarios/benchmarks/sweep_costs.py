@@ -97,13 +97,13 @@ def write_halves(folder: Path, count: int, seed: int) -> None:
         with Store(folder / f"sweep.{part}-of-2.sqlite") as store:
             plan.register(store)
             for k in range(0, len(jobs), WRITTEN):
-                some = jobs[k : k + WRITTEN]
-                numbers = rng.random((len(some), len(names))).tolist()
+                batch = jobs[k : k + WRITTEN]
+                numbers = rng.random((len(batch), len(names))).tolist()
                 store.add_all(
                     plan.root,
                     [
                         (configuration.key, Row(number, plan.root + number, "ok", _changed(usual, names, values)))
-                        for (configuration, number), values in zip(some, numbers, strict=True)
+                        for (configuration, number), values in zip(batch, numbers, strict=True)
                     ],
                 )
 

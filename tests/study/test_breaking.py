@@ -189,7 +189,9 @@ def test_a_copy_should_arrive():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("latency", [0.1, {"kind": "gamma", "shape": 0.5, "scale": 0.5}], ids=["in order", "overtaking"])
+@pytest.mark.parametrize(
+    "latency", [0.1, {"kind": "gamma", "shape": 0.5, "scale": 0.5}], ids=["in order", "overtaking"]
+)
 def test_a_message_is_read_in_time_if_its_receiver_looks_before_a_newer_one_arrives(latency):
     result = run(SMALL.with_({"announce.trigger": "revision", "network.latency": latency}), 2)
     sent, seen = copies(result), looks(result)

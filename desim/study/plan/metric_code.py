@@ -40,9 +40,9 @@ def _source_hash(metric: Metric) -> str:
     return hashlib.sha256(source.encode()).hexdigest()[:16]
 
 
-def _functions(of: Any) -> list[Any]:
+def _functions(metric: Any) -> list[Any]:
     """Return the function of a metric and the functions of `desim.analysis.captures` that it calls, even indirectly."""
-    functions = [of]
+    functions = [metric]
     for function in functions:
         called = [function.__globals__.get(name) for name in sorted(globals_read(function.__code__))]
         functions += [

@@ -96,10 +96,8 @@ def _package(name: str, file: Path) -> Mapping[str, str]:
     return {name: content_hash(json.dumps(hashes).encode()), **_versions([*distributions, *sorted(needed)])}
 
 
-@cache
-def _distributions() -> Mapping[str, list[str]]:
-    """Return the names of the distributions of each installed package."""
-    return packages_distributions()
+_distributions = cache(packages_distributions)
+"""Returns the names of the distributions of each installed package."""
 
 
 def _versions(distributions: Iterable[str]) -> dict[str, str]:

@@ -112,8 +112,8 @@ class LockFile:
         try:
             while True:
                 _rewrite(file, self._content())
-                if (held := _published(draft, file, self.path)) >= 0:
-                    self._hold(held)
+                if (lock := _published(draft, file, self.path)) >= 0:
+                    self._hold(lock)
                     return None
                 if (holder := _holder(self.path, os.fstat(file).st_mtime)) is None:
                     continue  # it was released meanwhile

@@ -188,7 +188,7 @@ def record_of(job: ArrayJob, number: str) -> ArrayJob:
 
 def states(jobs: Sequence[str]) -> Mapping[int, str]:
     """Return the state of each part that waits or runs, such as RUNNING; none if there is no Slurm."""
-    found: dict[int, str] = {}
+    by_part: dict[int, str] = {}
     for number in jobs:
         try:
             lines = slurm("squeue", "--noheader", "--array", "--format=%K %T", f"--jobs={number}").splitlines()
@@ -197,8 +197,8 @@ def states(jobs: Sequence[str]) -> Mapping[int, str]:
         for line in lines:
             part, _, state = line.strip().partition(" ")
             if part.isdecimal():
-                found[int(part)] = state
-    return found
+                by_part[int(part)] = state
+    return by_part
 
 
 def slurm(*words: str) -> str:

@@ -51,16 +51,16 @@ class SweepStatus:
         return self.planned is not None and self.done >= self.planned
 
     def __str__(self) -> str:
-        of = "" if self.planned is None else f" of {self.planned:,}"
+        of_planned = "" if self.planned is None else f" of {self.planned:,}"
         failed = f", {counted(self.failed, 'run')} failed" if self.failed else ""
         count = len([part for part in self.parts if part.state.startswith("RUNNING")])
         running = f", {counted(count, 'part')} running" if count else ""
-        runs = "run is" if self.done == 1 and not of else "runs are"
-        head = f"{self.name}: {self.done:,}{of} {runs} done{failed}{running}"
+        runs = "run is" if self.done == 1 and not of_planned else "runs are"
+        head = f"{self.name}: {self.done:,}{of_planned} {runs} done{failed}{running}"
         rows = [
             (
                 part.name,
-                "-" if part.planned is None else str(part.planned),
+                str("-" if part.planned is None else part.planned),
                 str(part.done),
                 str(part.failed),
                 part.state,

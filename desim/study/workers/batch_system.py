@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from desim.config.arguments import value_text
 from desim.config.python_numbers import whole
 from desim.study.workers.workers import Workers
 
@@ -48,12 +47,11 @@ class JobWorkers(Workers):
     batch_time, batch_size, shares = JOB_TIME, JOB_SIZE, 1
 
     def __init__(self, executor: JobExecutor, jobs: int | None = None):
-        self.executor: Any = executor
-        self._name = value_text(executor)
         number = 0 if jobs is None else whole(jobs, "the number of jobs")
         if number < 0:
             raise ValueError(f"the number of jobs should be at least 0, got {number}")
-        self.count = self.max_pending = number or os.cpu_count() or 1
+        super().__init__(executor, number or os.cpu_count())  # type: ignore[arg-type]
+        self.max_pending = self.count
 
     def done(self, futures: Collection["Future[Any]"]) -> "set[Future[Any]]":
         """Wait until at least one of the jobs has ended, and return all that have."""

@@ -90,8 +90,8 @@ async def _referee(traffic: Traffic, ends: list[socket.socket], begin: float) ->
     lines = [(await loop.create_connection(_Sink, sock=end))[0] for end in ends]
 
     def show() -> None:
-        for each in lines:
-            each.write(frame)
+        for line in lines:
+            line.write(frame)
 
     _repeat(show, begin, 0.0, traffic.duration, traffic.frames)
     return await _spent(traffic, begin)
