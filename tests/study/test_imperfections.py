@@ -672,19 +672,19 @@ def test_without_latency_frames_of_one_instant_still_do_not_collide():
     assert without_latency(still).network.processing == Processing()
 
 
-@pytest.mark.parametrize("own", ["link", "edge"])
-def test_processing_stays_if_a_link_has_a_latency_of_its_own(own):
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"link": (Link(src=0, dst=1, latency=LATE),)},
+        {"graph": Edges.of(nx.Graph([(0, 1, {"latency": 0.5}), (1, 2, {}), (0, 2, {})]))},
+        {"latency": 0.5},
+        {"processing": Processing(sender=0.1, receiver=0.2)},
+        None,
+    ],
+    ids=["a link", "an edge", "all links", "receivers", "nothing"],
+)
+def test_processing_stays_if_something_else_has_a_latency(other):
     """Without contention, latency at the sender alone is that of the medium; see `without_contention`."""
-    edges = Edges.of(nx.Graph([(0, 1, {"latency": 0.5}), (1, 2, {}), (0, 2, {})]))
-    links = {"link": (Link(src=0, dst=1, latency=LATE),)} if own == "link" else {"graph": edges}
-    kept, dropped = (
-        without_contention(
-            Scenario(
-                team=Team(count=3),
-                network=Links(medium=Bitrate(bitrate=1e5, access=Csma()), processing=Processing(sender=0.1), **changes),
-            )
-        ).network.processing
-        for changes in (links, {})
-    )
-    assert kept == Processing(sender=0.1)
-    assert dropped == Processing()
+    links = {"medium": Bitrate(bitrate=1e5, access=Csma()), "processing": Processing(sender=0.1)} | (other or {})
+    processing = without_contention(Scenario(team=Team(count=3), network=Links(**links))).network.processing
+    assert processing == (Processing() if other is None else links["processing"])
