@@ -278,6 +278,38 @@ def test_an_exception_of_a_run_has_the_same_text_wherever_it_runs(scenario, clus
             ]
 
 
+def test_a_traceback_keeps_the_innermost_calls(scenario):
+    def fail():
+        raise ValueError("deep")
+
+    def measure(_, depth=2 * INNERMOST):
+        return measure(_, depth - 1) if depth else fail()
+
+    ((_, outcome),) = drive([(scenario, 1)], InProcess(), measure)
+    assert ", in fail\n" in outcome.traceback
+    assert ", in _outcome\n" not in outcome.traceback
+
+
+class CountsCalls:
+    """A protocol with state, of which each run has a copy."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self, me):
+        self.calls += 1
+        yield me.sleep(1.0)
+
+
+def test_the_result_of_a_run_has_the_scenario_of_the_caller():
+    """Not that with copies of its objects, whose state the run has changed."""
+    scenario = desim.Scenario(protocol=CountsCalls(), horizon=1.0)
+    ((_, outcome),) = drive([(scenario, 1)], InProcess(), lambda result: (result.scenario.protocol.calls, result))
+    calls, result = outcome.value
+    assert (calls, scenario.protocol.calls) == (0, 0)
+    assert result.scenario is scenario
+
+
 @pytest.mark.whole
 def test_an_exception_is_passed_on_if_it_can_be_pickled(scenario):
     def fail(how, _):
