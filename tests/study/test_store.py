@@ -23,6 +23,7 @@ from pydantic_core import core_schema
 
 import desim.study.store.file as module
 from desim.analysis.measuring import summary
+from desim.analysis.metrics import Summary
 from desim.kernel.models.latency import Constant
 from desim.kernel.models.links import Links
 from desim.results import environment
@@ -261,6 +262,16 @@ def test_a_failed_run_is_replaced_by_any_and_a_successful_one_by_none(file):
             store.add(plan.configurations[0].key, 0, run_of(0, status, text))
             expected = "three" if text == "four" else text
             assert {each[2] for each in statuses(store, plan)} == {expected}
+
+
+def test_a_run_that_is_repeated_receives_only_the_metrics_that_it_lacks():
+    with Store() as store:
+        plan = SweepPlan.of(Scenario(), {"team.count": [3]}, 1)
+        plan.register(store)
+        for values in ({"end_time": 1.0}, {"end_time": 2.0, "active_time": 3.0}):
+            store.add(plan.configurations[0].key, 0, Row(0, 0, "ok", Summary(values)))
+        (row,) = store.runs(plan.configurations[0].key, 0)
+    assert dict(row.summary) == {"end_time": 1.0, "active_time": 3.0}
 
 
 @pytest.mark.whole
