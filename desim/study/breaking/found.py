@@ -104,12 +104,10 @@ def search_text(search: Search, prop: Property) -> str:
     """Return what a search has found and what it has seen."""
     lines: list[str] = []
     if (violation := search.violation) is not None:
-        verb, told = (
-            "failed" if violation.failure else "violated",
-            told_text(violation.verdict, violation.failure, prop),
-        )
+        verb = "failed" if violation.failure else "violated"
+        outcome = told_text(violation.verdict, violation.failure, prop)
         lines += [
-            f"{verb} in case {violation.searched}: seed {violation.seed}, {told}",
+            f"{verb} in case {violation.searched}: seed {violation.seed}, {outcome}",
             f"smallest after {counted(violation.shrunk, 'more run')}: {case_text(violation.case)}",
         ]
     else:

@@ -39,7 +39,7 @@ from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.simulation.run import Result
 from desim.study.breaking.case_log import FAILED
 from desim.study.breaking.copies import MessageCopy, ReadingTime, copies, looks, readings
-from desim.study.breaking.judging import failure_of, judging, outcomes_of
+from desim.study.breaking.judging import failure_of, judging, outcomes_of, with_messages
 from desim.study.breaking.loss_table import FATES, FatalLosses, LossTable, MessageFate, message_faults
 from desim.study.breaking.search import GENERATION, checked_property
 from desim.study.workers.dispatch import Outcome
@@ -103,7 +103,7 @@ def fatal_losses(
     if not table.seeds:
         raise ArgumentError("seeds", "should not be empty")
     skips = prune and hides_old_news(scenario, prop)
-    observed = recording(scenario, [prop]).with_({"record.messages": True})
+    observed = with_messages(scenario, prop)
     with workers_for(jobs, GENERATION, timeout) as workers, progress(0, "losses", "run") as bar:
 
         def ran(count: int) -> None:

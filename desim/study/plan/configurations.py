@@ -119,8 +119,8 @@ def sweep_of(source: Source, grid: SweepGrid | None, design: Design | str | None
         ScenarioError: if the scenario is invalid, or the grid is empty.
         TypeError: if the grid is not a mapping.
     """
-    given_grid: Any = grid
-    if not isinstance(given_grid, Mapping | None):
+    unchecked: Any = grid
+    if not isinstance(unchecked, Mapping | None):
         form = "{'network.latency.value': [0.0, 0.1]}"
         raise TypeError(f"the grid should be lists of values by key, {form} for instance (got {value_text(grid)})")
     if grid is not None or design is not None:
@@ -253,12 +253,10 @@ def _check_distinct(chosen: Sequence[Configuration], source: Source, grid: Sweep
         if same is not configuration:
             other, why = same, f"'{configuration}' is the same configuration as '{same}'"
         elif namesake is not configuration:
-            other, why = (
-                namesake,
-                (
-                    f"several configurations have the name '{configuration}': give functions distinct names"
-                    " (__name__), and objects a class with fields: a dataclass, or a desim.config.model.Value"
-                ),
+            other = namesake
+            why = (
+                f"several configurations have the name '{configuration}': give functions distinct names (__name__), and"
+                " objects a class with fields: a dataclass, or a desim.config.model.Value"
             )
         else:
             continue

@@ -116,11 +116,9 @@ def _base(path: Path, sweep: SweepResult, other: SweepResult) -> dict[str, str]:
     Keys in the grids of both sweeps are left out. A key with one value in this grid only has that of a configuration.
     """
     with Store(_file_in(path) if path.is_dir() else path, read_only=True) as store:
-        base = store.read_property("scenario", dict[str, Any]) if "scenario" in store.about else {}
+        shared = store.read_property("scenario", dict[str, Any]) if "scenario" in store.about else {}
         (row,) = store.rows("configurations", "ORDER BY place LIMIT 1")
         whole = flat(store.read(adapter_of(Json[dict[str, Any]]), "configurations", row, SCENARIO))
-    left_out = tuple(f"{key}." for key in (*sweep.keys, "sweep", "seed"))
-    shared = {key: value for key, value in flat(base).items() if not f"{key}.".startswith(left_out)}
     only_here = tuple(f"{key}." for key in sweep.keys if key not in other.keys)
     shared |= {key: value for key, value in whole.items() if f"{key}.".startswith(only_here)}
     return {key: json.dumps(value) for key, value in shared.items()}
