@@ -41,6 +41,6 @@ class RetransmissionTimer:
 
 def arrival_or_timeout(me: Agent, port: str, until: float) -> Waiting:
     """Wait for a message at a port, at most until a time on the local clock, s; return whether that time is reached."""
-    alarm = me.at(max(until, me.now))
+    alarm = me.at(until)
     yield FirstOf(me.arrival(port), alarm)
     return bool(alarm.processed)
