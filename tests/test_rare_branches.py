@@ -92,6 +92,7 @@ from desim.view.formats.trace_table import _is_event
 from desim.view.pages.play_server import _Handler
 from protocols.schedules.periodic import Rounds
 from protocols.schedules.synchronous import Synchronous
+from protocols.schedules.token import TokenRing
 from tests.test_kinds import families
 
 SHORT = Scenario(horizon=0.01, team={"count": 2})
@@ -325,7 +326,7 @@ VALUES = {
     "texts that are no times": lambda: (_increase(["a", "b"]), True),
     "late news": lambda: (NewsFault(start=0.0, delay=0.5).label, "news late"),
     "lost news": lambda: (NewsFault(start=0.0).label, "news lost"),
-    "a schedule of all": lambda: (Synchronous().for_all(), Synchronous()),
+    "a schedule of all": lambda: ((ring := Synchronous(schedule=TokenRing())).for_all(), ring),
     "rounds of all": lambda: (Rounds(period=0.5, participation=0.25).for_all(), Rounds(period=0.5)),
     "an estimate without an error": lambda: (
         ControlledEstimate(1.0, 0.0, 5, mean([1.0, 2.0, 3.0]), 0.5, 0.1, 3, 2.0).worth,

@@ -3,6 +3,7 @@
 from collections import Counter
 from functools import partial
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -160,6 +161,14 @@ def test_the_mean_slot_counts_the_airtime_of_requests_and_replies():
     run(Scenario(horizon=0.1, team=Team(count=5), protocol=protocol, network=slow), 0)
     (slot,) = slots
     assert slot == pytest.approx((1.0 / 5.0 + 2.0 * 0.02 + 352 * 8 / 9600) / 5)
+
+
+def test_a_neighbourhood_makes_at_most_one_decision_per_latency():
+    """With a latency of 1 s, five among whom each has four neighbours take 5 s for a decision of each, not .2 + 2 s."""
+    me = SimpleNamespace(
+        id=0, team_size=5, mean_degree=4, latency=1.0, airtime=lambda _: 0.0, announcement=lambda: None
+    )
+    assert LocalMutex(rate=5.0).mean_slot(me) == 1.0
 
 
 def test_no_request_is_repeated_while_messages_wait_for_the_slots_of_a_tdma():

@@ -20,6 +20,7 @@ from desim.kernel.models.latency import Constant, Lognormal, Uniform
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
 from desim.kernel.models.medium import Bitrate
+from desim.kernel.state.inbox import Message
 from desim.pursuit.core.events import BrokeDown, Captured, Decided, Started
 from desim.pursuit.game.game import greedy_assignment, optimal_assignment, relay_profile
 from desim.pursuit.motion.capture import capture_time
@@ -29,7 +30,7 @@ from desim.scenario.assumptions import violations
 from desim.scenario.players import Evader, Team
 from desim.scenario.scenario import Motion, Recording
 from protocols.centralised import Centralised
-from protocols.server import Server, TeamOrder
+from protocols.server import Server, TeamOrder, idle, most_chasers, new_orders
 from tests.many import LOSSY, at_rest, by_evader, chased, times
 from tests.omniscient import RoundTrip
 
@@ -511,6 +512,29 @@ def test_a_server_with_trust_and_several_evaders_decides_to_the_end(seed):
     assert orders(run(Scenario(protocol=Server(), horizon=4.0, record=Recording(messages=True), **given), seed))
 
 
+def test_an_order_that_arrives_twice_is_new_once():
+    twice = [Message(3, 10, TeamOrder(7, (1,)))] * 2
+    assert list(new_orders(twice, {})) == [(3, TeamOrder(7, (1,)))]
+
+
+def test_the_time_without_a_chase_is_that_of_each_nanosecond():
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        starts = sorted(rng.integers(0, 16, size=rng.integers(0, 4)).tolist())
+        ordered = [(start, int(rng.integers(3))) for start in starts]
+        begun = [(-1, int(rng.integers(3))), *ordered]
+        actions = [[action for start, action in begun if start <= now][-1] for now in range(16)]
+        for now in range(17):
+            assert idle(begun[0][1], ordered, 1, now, 16) == sum(action != 1 for action in actions[now:])
+
+
+def test_as_many_evaders_as_possible_are_chased_though_fewer_would_be_caught_earlier():
+    """Two pairs with phi = 0 leave the third evader to nobody; of the silent one only its place counts."""
+    late, silent = 9.9, {3: 4}
+    assert most_chasers([{0: 0.0, 1: late}, {1: 0.0, 2: late}, {0: late}], {}, 10.0) == {1: 1, 2: 2, 3: 0}
+    assert most_chasers([{0: 0.0}, {1: 0.0}, {0: late}], silent, 10.0) == {1: 0, 2: 1, 3: 4}
+
+
 def static_with_crash(protocol, node, end, **given):
     """Return a static game of six with a latency of .1 s, in which a pursuer is down from 1 s on."""
     return static(protocol, latency=0.1, horizon=6.0, fault=[Crash(node=node, start=1.0, end=end)], **given)
@@ -539,6 +563,16 @@ def test_a_host_that_is_up_again_is_the_server_again():
     servers = [(event.t, event.src) for event in result.trace.of(Sent) if isinstance(event.body, TeamOrder)]
     assert {src for t, src in servers if 2 * SECOND < t < 3 * SECOND} == {1}
     assert {src for t, src in servers if t > 3.3 * SECOND} == {0}
+
+
+def test_a_server_follows_another_one_before_it_in_turn():
+    """Pursuer 1 is the server in the place of the host, 2 while 1 is down, and then 1 again."""
+    faults = (Crash(node=0, start=0.0), Crash(node=1, start=2.0, end=4.0))
+    result = run(static(Server(takeover=True), count=4, latency=0.02, horizon=5.0, fault=faults))
+    servers = [(sent.t / SECOND, sent.src) for sent in orders(result)]
+    assert {src for t, src in servers if t < 2.0} == {1}
+    assert {src for t, src in servers if 2.0 < t < 4.0} == {2}
+    assert {src for t, src in servers if t > 4.1} == {1}
 
 
 def test_each_side_of_a_partition_has_a_server():

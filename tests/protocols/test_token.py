@@ -40,6 +40,7 @@ from protocols.schedules.token_messages import (
     TokenReceipt,
     age_of,
     longest_absent,
+    neglects,
     not_absent,
 )
 from protocols.schedules.token_passing import TokenNode, circulate, full_token
@@ -577,6 +578,12 @@ def test_an_absent_pursuer_is_due_after_as_many_hops_as_there_are_pursuers():
     token = Token((1, 0, 0.0), 10, (10, 7, 6, 5), (1, 2, 3), ())
     assert [longest_absent(token, [j]) for j in (0, 1, 2, 3)] == [None, None, 2, 3]
     assert longest_absent(token, [1, 2, 3]) == 3
+
+
+@pytest.mark.parametrize(("last", "absent", "is_neglected"), [(6, (), False), (5, (), True), (5, (3,), False)])
+def test_a_pursuer_is_neglected_after_more_hops_than_there_are_pursuers(last, absent, is_neglected):
+    """In a round of four on a complete graph each is visited every fourth hop."""
+    assert neglects(Token((1, 0, 0.0), 10, (10, 9, 8, last), absent, ())) == is_neglected
 
 
 def test_a_receipt_of_an_earlier_hop_does_not_bring_back_a_pursuer_that_falls_silent():
