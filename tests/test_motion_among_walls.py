@@ -142,8 +142,9 @@ def test_pursuers_expect_the_time_of_the_path():
 def test_nothing_is_captured_through_a_wall():
     """At a distance of .04 m, within the radius: the evader stands still, so the time is the length of the way."""
     near = {"team.positions": [[-0.02, 0.0]], "evader.position": [0.02, 0.0], "evader.strategy": {"kind": "still"}}
+    near |= {"wall": [LINE | {"line": [[0.0, -1.0], [0.0, 50.0]]}]}
     made = scenario(near)
-    assert summary(watched(made, 0)).capture_time == pytest.approx((10.0 - RADIUS) / SPEED, abs=1e-3)
+    assert summary(watched(made, 0)).capture_time == pytest.approx((2.0 - RADIUS) / SPEED, abs=1e-3)
     assert summary(run(scenario(near, wall=[]), 0)).capture_time == 0.0
     sampled = scenario(near, **{"capture.test": "sample", "motion.step": 0.01})
     assert 0.0 <= summary(run(sampled, 0)).capture_time - summary(run(made, 0)).capture_time <= 0.01
