@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 from itertools import chain
 from typing import Any
 
-from desim.kernel.core.records import Predicate, Table, TimedRecord, pairs
+from desim.kernel.core.records import Predicate, Record, Table, TimedRecord, pairs
 
 
 class OwnTables:
@@ -46,6 +46,14 @@ class OwnTables:
         self.relayed: set[int] = set()
         self.relayed_up_to: defaultdict[int, dict[int, int]] = defaultdict(dict)
 
+    def put(self, nodes: Iterable[int], times: Iterable[int], records: Iterable[Record]) -> None:
+        """Add unread records, each for a node and with its arrival time, ns."""
+        unread = self.unread
+        for node, when, record in zip(nodes, times, records, strict=False):  # the records may be one, repeated
+            pending = unread[node]
+            pending.append(when)  # two calls of `append` are faster than one of `extend`
+            pending.append(record)
+
     def forget(self, node: int) -> None:
         """Delete the table of a node."""
         self.tables[node].clear()
@@ -74,7 +82,7 @@ class OwnTables:
                 still_in_flight.append(record)
             else:  # in the order of transmission, so newer than the record in the table
                 table[record[0]] = received = (arrival, record)  # src and body, by position for speed
-                if predicate is not None:
+                if predicate is not None:  # as in `_store`, whose call takes a sixth of the time of a record
                     if predicate(record[3]):
                         matching[record[0]] = received
                     else:

@@ -11,10 +11,11 @@ other records are stored at each node that they reach (`desim.kernel.state.own_t
 from bisect import insort
 from collections import defaultdict
 from collections.abc import Collection, Sequence
+from itertools import repeat
 
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.portable_math import portable_sum
-from desim.kernel.core.records import Arrival, Predicate, Record, Table, TimedRecord
+from desim.kernel.core.records import Arrival, Predicate, Record, Table, TimedRecord, per_receiver
 from desim.kernel.state.own_tables import OwnTables
 
 MAX_UNREAD = 2048
@@ -60,17 +61,9 @@ class Records:
             arrival: the arrival times, ns.
             unreached: the nodes that the record does not reach.
         """
-        if not isinstance(arrival, int):
-            times = arrival
-        elif self.share(record, len(receivers) + len(unreached), arrival, unreached):
+        if isinstance(arrival, int) and self.share(record, len(receivers) + len(unreached), arrival, unreached):
             return
-        else:
-            times = [arrival] * len(receivers)
-        unread = self._own.unread
-        for node, when in zip(receivers, times, strict=True):
-            pending = unread[node]
-            pending.append(when)  # two calls of `append` are faster than one of `extend`
-            pending.append(record)
+        self._own.put(receivers, per_receiver(arrival, len(receivers)), repeat(record))
         self._note_unread()
 
     def share(self, record: Record, transmitted: int, arrival: int, unreached: Collection[int]) -> bool:
@@ -109,11 +102,7 @@ class Records:
 
     def receive(self, nodes: list[int], times: list[int], records: Sequence[Record]) -> None:
         """Store transmitted records, in any order: record k reached node `nodes[k]` at `times[k]`, ns; see `insert`."""
-        unread = self._own.unread
-        for node, when, record in zip(nodes, times, records, strict=True):
-            pending = unread[node]
-            pending.append(when)
-            pending.append(record)
+        self._own.put(nodes, times, records)
         self._own.out_of_order.update(nodes)
         self._note_unread(len(nodes))
 
