@@ -33,7 +33,7 @@ class KeptReceivers:
     def __init__(self, size: int, max_speed: float, now: Callable[[], float]):
         self._closing, self._now = ROUNDING * 2.0 * max_speed, now
         self._receivers: list[list[int]] = [[] for _ in range(size)]
-        self.until = [-inf] * size
+        self._until = [-inf] * size
         """By node, the time, s, before which its receivers are certain."""
         self._pause = self._left = 0
         """Number of queries for which nothing is kept, and how many of them are left."""
@@ -42,10 +42,14 @@ class KeptReceivers:
 
     def of(self, node: int) -> list[int] | None:
         """Return the nodes that receive from a node now, read-only; None: they have to be searched for."""
-        if self._now() >= self.until[node]:
+        if self._now() >= self._until[node]:
             return None
         self._pause = self._left = 0
         return self._receivers[node]
+
+    def until(self, node: int) -> float:
+        """Return the time, s, before which the receivers of a node that are kept are certain."""
+        return self._until[node]
 
     def is_worthwhile(self, node: int) -> bool:
         """Count a query, and return whether to search for its answer and keep it.
@@ -63,5 +67,5 @@ class KeptReceivers:
     def keep(self, node: int, receivers: list[int], margin: float) -> None:
         """Keep what a search has found now, given the least distance, m, of a link from its border."""
         self._receivers[node] = receivers
-        self.until[node] = self._now() + (margin - MIN_SIDE) / self._closing if self._closing else inf
+        self._until[node] = self._now() + (margin - MIN_SIDE) / self._closing if self._closing else inf
         self._pause = self._left = min(2 * self._pause + 1, MAX_PAUSE)

@@ -205,7 +205,7 @@ class Topology:
             if not kept.is_worthwhile(node):
                 return set(), 0.0
             receivers = self._search(node, kept)
-        return set(receivers), kept.until[node] * SECOND
+        return set(receivers), kept.until(node) * SECOND
 
     def _seconds(self, times: int | Integers | None = None) -> float | Floats:
         """Return times in s, given in ns; None: now."""
