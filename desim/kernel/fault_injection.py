@@ -119,10 +119,7 @@ class _Site:
         return undo
 
     def begin(self, fault: Fault) -> Undo:
-        if not isinstance(fault, Fault):
-            raise ValueError(
-                f"begin(fault) should be given a fault, such as Crash(start=1.0, node=0) (got {value_text(fault)})"
-            )
+        _require(isinstance(fault, Fault), "begin(fault)", "a fault, such as Crash(start=1.0, node=0)", fault)
         _require_named_nodes(fault, self.size)
         part = replace(self, fault=fault, _inherited_cause=self._stated_cause)
         part.record(FaultStarted)
@@ -135,10 +132,7 @@ class _Site:
         return end
 
     def crash(self, crash: Crash) -> Undo:
-        if not isinstance(crash, Crash):
-            raise ValueError(
-                f"crash(crash) should be given a Crash, such as Crash(start=1.0, node=0) (got {value_text(crash)})"
-            )
+        _require(isinstance(crash, Crash), "crash(crash)", "a Crash, such as Crash(start=1.0, node=0)", crash)
         _require_nodes([crash.node], self.size, "crash: ")
         # A fault that is recorded as a crash takes down the node that it names, and is in the trace already. A crash by
         # any other fault is recorded here: metrics, replays and invariants read who is down, and who forgets, from it.
@@ -169,24 +163,24 @@ class _Site:
         return self._network.fault_state.partition(partition.groups, self._cause)
 
     def block(self, is_blocked: Callable[[int, int], bool]) -> Undo:
-        if not callable(is_blocked):
-            raise ValueError(
-                f"block(is_blocked) should be given a function of two nodes (got {value_text(is_blocked)})"
-            )
+        _require(callable(is_blocked), "block(is_blocked)", "a function of two nodes", is_blocked)
         check_call(is_blocked, ("src", "dst"), is_blocked)
         return self._network.fault_state.block(is_blocked, self._cause)
 
     def intercept(self, delays: Delays) -> Undo:
-        given = cast("Any", delays)
-        if not callable(given):
-            expected = "a function of sender, receivers and body"
-            raise ValueError(f"intercept(delays) should be given {expected} (got {value_text(given)})")
-        check_call(given, ("src", "receivers", "body"), given)
+        _require(callable(delays), "intercept(delays)", "a function of sender, receivers and body", delays)
+        check_call(delays, ("src", "receivers", "body"), delays)
         return self._network.fault_state.intercept(delays, self._cause)
 
     def jam(self, centre: tuple[float, float], radius: float) -> Undo:
         jamming = Jamming(start=0.0, centre=centre, radius=radius)  # checks the arguments
         return self._network.fault_state.jam((jamming.centre, jamming.radius), self._cause)
+
+
+def _require(is_right: bool, call: str, expected: str, given: object) -> None:
+    """Raise ValueError if a call of a user's fault has not been given what it takes."""
+    if not is_right:
+        raise ValueError(f"{call} should be given {expected} (got {value_text(given)})")
 
 
 def _require_named_nodes(fault: Fault, size: int) -> None:

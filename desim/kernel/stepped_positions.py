@@ -114,8 +114,7 @@ class SteppedPositions(PositionSource):
         assert self._change is not None
         share = np.asarray((times - self._begin) / (self._end - self._begin))[..., np.newaxis]
         between = self._first[nodes] + self._change[nodes] * share
-        positions: Floats = np.where(share < 1.0, between, self._last[nodes])  # at the end without rounding
-        return positions
+        return np.asarray(np.where(share < 1.0, between, self._last[nodes]))  # at the end without rounding
 
     def _read(self, positions: Any) -> Floats:
         """Return a read-only copy of the positions at one instant."""

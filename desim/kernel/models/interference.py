@@ -279,8 +279,7 @@ class Sinr(Faded):
                 if other.begin <= instant < other.end:
                     interference += power
             worst = np.maximum(worst, interference)
-        enough: Bools = received >= 10.0 ** (self.threshold / 10.0) * worst
-        return enough
+        return np.asarray(received >= 10.0 ** (self.threshold / 10.0) * worst)
 
     def _power(self, overlap: Overlap, frame: Frame) -> Floats:
         power: Floats = self.power * exp(-self.exponent * _log(overlap.distances(frame)))

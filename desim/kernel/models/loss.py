@@ -264,8 +264,7 @@ class _FourStates:
         limits = self._limits[row.value.astype(np.intp)]
         state = (rng.random(len(limits))[:, np.newaxis] >= limits).sum(axis=1)
         row.value[:] = state
-        lost: Bools = state >= 2
-        return lost
+        return np.asarray(state >= 2)
 
 
 class ByDistance(Value):

@@ -57,8 +57,7 @@ class RadioWalls:
     def decibels(self, starts: Floats, ends: Floats) -> Floats:
         """Return the (k,) losses, dB, on the straight lines between (k, 2) or (1, 2) positions, m; inf if opaque."""
         crossed = crossed_by(starts, ends, self._corners)
-        total: Floats = np.add.reduce(np.where(crossed, self._losses, 0.0), axis=0)  # wall by wall
-        return total
+        return np.asarray(np.add.reduce(np.where(crossed, self._losses, 0.0), axis=0))  # wall by wall
 
     def stretched(
         self, src: int | Nodes, dst: Nodes, starts: Floats, ends: Floats, apart: Floats, farthest: float = inf

@@ -377,12 +377,8 @@ def _candidate_finder(
 ) -> Callable[[int], Nodes]:
     """Return a function from a node to the nodes that may receive from it now, and the node itself, ascending.
 
-    Args:
-        lists: by node, the nodes that the graph links it to.
-        size: number of nodes.
-        positions: the current positions of the nodes.
-        bound: the distance, m, beyond which nothing is received; inf if there is none.
-        now: as in `Topology`.
+    `lists` has the nodes that the graph links each node to, and `bound` is the distance, m, beyond which nothing is
+    received. The other arguments are as in `Topology`.
     """
     if isinstance(lists, list):
         return [_with_linked(node, linked) for node, linked in enumerate(lists)].__getitem__
