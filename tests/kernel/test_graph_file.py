@@ -356,6 +356,7 @@ NO_GRAPHS = {
     "cut.metis": ("4 2\n2\n1 3\n", "its first line should have the number of the lines below"),
     "once.graph": ("3 2\n2\n3\n\n", "the edge between the nodes 1 and 2 should be in both lines .*graph of METIS; if"),
     "count.metis": ("2 2\n2\n1\n", "line 1: says 2 edges, but has 1"),
+    "fewer.metis": ("2 0\n2\n1\n", "line 1: says 0 edges, but has 1"),
     "far.metis": ("2 1\n2\n3\n", "line 3: 3 is no other node from 1 to 2, or is there twice"),
     "word.metis": ("2 1\nb\n1\n", "line 2: should have the numbers of the neighbours of node 1"),
     "unclear.csv": (

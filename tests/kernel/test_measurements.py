@@ -487,7 +487,7 @@ def test_a_missing_value_may_be_written_in_several_ways(cell):
 
 TRACE = {"kind": "trace", "table": PER_LINK}
 ONE_WAY = TRACE | {"table": PER_LINK.replace("0,1,0,0.3\n", "")}
-FAR = TRACE | {"table": f"{PER_LINK}2,0,5,0.1\n"}
+FAR = TRACE | {"table": f"{PER_LINK}2,0,3,0.1\n"}
 OWN = {"src": 1, "dst": 2, "both_ways": True}
 
 
@@ -497,7 +497,7 @@ OWN = {"src": 1, "dst": 2, "both_ways": True}
         ({"latency": TRACE}, "network.latency: the table has no row for the link from 0 to 2"),
         ({"loss": TRACE}, "network.loss: the table has no row for the link from 0 to 2"),
         ({"duplicate": TRACE}, "network.duplicate: the table has no row for the link from 0 to 2"),
-        ({"latency": FAR}, r"network.latency: the table, line 5: there is no node 5: the nodes are 0 \.\. 2"),
+        ({"latency": FAR}, r"network.latency: the table, line 5: there is no node 3: the nodes are 0 \.\. 2"),
         (
             {"link": [OWN | {"order": "fifo"}, {"src": 0, "dst": 2, "loss": TRACE}]},
             "network.link.1.loss: .*from 0 to 2",

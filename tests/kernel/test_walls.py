@@ -316,6 +316,7 @@ UNFILLED = {
     '<g fill="none" stroke="red"><path d="M8 8H9"/></g><path DATA/>': True,
     "<style>.room, #hall {fill: none; stroke: red}</style><path class='a room' DATA/>": False,
     "<style>.room, #hall {fill: none; stroke: red}</style><path id='hall' fill='grey' DATA/>": False,
+    "<style>#hall {fill: none; stroke: red} .room {fill: red}</style><path class='room' id='hall' DATA/>": False,
     "<style>path {fill: none; stroke: red}</style><path style='fill:#ccc' DATA/>": True,
     "<style>.room {fill: none; stroke: red}</style><path class='solid' DATA/>": True,
     "<style>.a {fill: none} .b {fill: none} .a {fill: none} .b {fill: red}</style><path class='b a' DATA/>": True,
