@@ -206,6 +206,7 @@ READ = {
     },
     "duplicate 1%": {"duplicate": {"kind": "bernoulli", "p": 0.01}},
     "rate 1mbit": {"medium": {"kind": "bitrate", "bitrate": 1e6, "header": 42}},
+    "rate 125kbps": {"medium": {"kind": "bitrate", "bitrate": 1e6, "header": 42}},
     "rate 1MBps -42 limit 11": {"medium": {"kind": "bitrate", "bitrate": 8e6, "header": 0, "queue_limit": 10.0}},
     "rate 1gbit delay 2ms 1ms": {
         "latency": {"kind": "uniform", "low": 0.001, "high": 0.003},

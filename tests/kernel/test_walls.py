@@ -1,6 +1,7 @@
 """Walls: their shapes from numbers and texts, their materials, and which lines cross them."""
 
 from fractions import Fraction
+from itertools import permutations
 from math import exp, inf, nan, pi, sqrt
 from types import SimpleNamespace
 
@@ -462,6 +463,15 @@ def test_a_ray_crosses_a_wall_between_its_ends():
     assert crossed((-1, 0), (1, 0), wall) == crossed((1, 0), (-1, 0), wall) == 1
     assert crossed((-1, 0), (-0.5, 0), wall) == crossed((-1, 2), (1, 2), wall) == crossed((0, 2), (0, 3), wall) == 0
     assert crossed((-1, 0), (-1, 0), wall) == 0
+
+
+def test_a_ray_and_its_reverse_cross_the_same_walls():
+    """All rays and all walls between nine points, so that many corners lie exactly on a ray."""
+    points = np.array([[x, y] for x in range(3) for y in range(3)], dtype=float)
+    starts, ends = (points[[pair[k] for pair in permutations(range(9), 2)]] for k in (0, 1))
+    crossed = crossings(starts, ends, Segments.of(starts, ends))
+    assert (crossed == crossings(ends, starts, Segments.of(starts, ends))).all()
+    assert 500 < crossed.sum() < 4000
 
 
 @pytest.mark.parametrize("turn", range(8))
