@@ -100,10 +100,9 @@ class Witness:
         passed = max(self._clock.stamp - record.stamp, 0)
         # The time of a pursuer that is inactive may be that for any evader that was at large when it was announced, so
         # it is too short only if it is so for all.
-        targets = [
-            target for target in state.bodies if target.captured is None or target.captured >= state.now - passed
-        ]
-        evaders = [action] if action else [target.number for target in targets]
+        since = state.now - passed
+        large = [body.number for body in state.bodies if body.captured is None or body.captured >= since]
+        evaders = [action] if action else large
         if not all(self._view.unlimited or self._view.sees(evader) for evader in evaders):
             return False
         age, least = passed / SECOND, inf

@@ -84,15 +84,12 @@ class Ns2File(MobilityFile):
                 node, line = start[2] or start[3], motion.start[axis][1]
                 raise ValueError(f"{place}: sets {axis}_ of node {node} again; line {line} has set it")
             motion.start[axis] = coordinate(start[5], place), number
-        elif move := MOVE.fullmatch(statement):
-            numbers = move[5].split()
+        elif (move := MOVE.fullmatch(statement)) and len(numbers := move[5].split()) in {3, 4}:
             if len(numbers) == 4:
                 raise ValueError(
                     f"{place}: a setdest with a height (x y z speed) is not read: motion is in the plane, and without"
                     " the height the speed is another one"
                 )
-            if len(numbers) != 3:
-                raise ValueError(f"{place}: should have the form {FORMS}")
             x, y = coordinate(numbers[0], place), coordinate(numbers[1], place)
             converted(time_of, move[1], place)  # refused here, with the line
             self._motion(move, 2, place).moves.append((move[1], Move(0.0, x, y, speed(numbers[2], place), number)))

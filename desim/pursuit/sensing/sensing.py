@@ -268,14 +268,13 @@ class SensedView(LimitedView):
         self._read_reports()
         reported = self._reported.get(evader)
         if self.sees(evader):
-            return _sighting(evader, self._clock.now, self.state.body(evader).position, self.state.velocity(evader))
-        when, place, velocity = self._sensor.last(self._id, evader)
-        if when == NEVER:
-            return reported
-        seen_at = self._clock.at(when)
-        if reported is not None and reported.seen > seen_at:
-            return reported
-        return _sighting(evader, seen_at, place, velocity)
+            seen, place, velocity = self._clock.now, self.state.body(evader).position, self.state.velocity(evader)
+        else:
+            stamp, place, velocity = self._sensor.last(self._id, evader)
+            if stamp == NEVER or (reported is not None and reported.seen > self._clock.at(stamp)):
+                return reported
+            seen = self._clock.at(stamp)
+        return Sighting(evader, seen, place.real, place.imag, velocity.real, velocity.imag)
 
     def estimate(self, evader: int) -> EvaderEstimate | None:
         """Return the estimate of an evader; None if it is unknown, or lost and not searched for (`on_lost`)."""
@@ -326,7 +325,3 @@ def spiral(length: float, apart: float) -> complex:
         slope = hypot(1.0, angle)
         angle -= (0.5 * (angle * slope + asinh(angle)) - scaled) / slope
     return rect(apart * angle / (2.0 * pi), angle)
-
-
-def _sighting(evader: int, seen: float, place: complex, velocity: complex) -> Sighting:
-    return Sighting(evader, seen, place.real, place.imag, velocity.real, velocity.imag)

@@ -147,12 +147,10 @@ def pursuer_blocks(me: Agent, *, omniscient: bool = False) -> list[OfPursuer]:
         omniscient: whether it knows their true positions and actions.
     """
     if omniscient:
-        places = me.global_state.state.positions().tolist()
+        offsets = (me.global_state.state.positions() - me.position()).tolist()
         return [
-            OfPursuer(1.0, 0.0, action, 1.0, place.real, place.imag, 0.0)
-            for action, place in zip(
-                me.global_state.profile(), (place - me.position() for place in places), strict=True
-            )
+            OfPursuer(1.0, 0.0, action, 1.0, offset.real, offset.imag, 0.0)
+            for action, offset in zip(me.global_state.profile(), offsets, strict=True)
         ]
     now, horizon, here, sensed = me.now, me.horizon, me.position(), me.sensed_positions()
     records, blocks = me.latest_records(), []
