@@ -547,6 +547,19 @@ def test_restarts_count_the_restarts_of_a_protocol(scope, memory, restarts):
     assert last == [restarts[-1]]
 
 
+def test_a_breakdown_with_memory_keeps_it_after_one_without():
+    begun = []
+
+    def protocol(me):
+        if me.id == 1:
+            begun.append(me.restarts)
+            yield me.at(3.5)
+
+    crashes = (Crash(node=1, start=t, end=t + 0.5, memory=memory) for t, memory in ((1.0, False), (2.0, True)))
+    play(protocol, *crashes)
+    assert begun == [0, 1]
+
+
 def test_a_broken_pursuer_cannot_be_sent_by_a_centre():
     """Without a body of its own the protocol of pursuer 0 goes on, and orders pursuer 1, which is down, to chase."""
 

@@ -505,3 +505,26 @@ def test_the_trend_of_a_harmonic_flow_bounds_its_oscillation_and_no_less_would(b
     times = begin + np.linspace(0.0, 2.0, 401)
     displacements = np.array([flow.displacement(begin, time) for time in times]) - mean * (times - begin)
     assert np.abs(displacements[:, None] - displacements).max() == pytest.approx(bound, rel=1e-4)
+
+
+def test_a_pursuer_hovers_against_the_wind_where_it_has_lost_the_evader():
+    """It sees the evader, which is faster, no more after 0.1 s, flies to where it was seen last, and stays there."""
+
+    def chase(me):
+        me.assign(True)
+        yield me.sleep(100.0)
+
+    scenario = Scenario(
+        horizon=8.0,
+        prune="none",
+        team=Team(positions=[(0.0, 0.0)], speeds=0.5),
+        evader=Evader(position=(2.0, 0.0), speed=0.9),
+        sensing={"radius": 2.04, "track_timeout": 20.0, "estimate": "hold"},
+        environment=Environment(flow=SteadyFlow(velocity=(0.0, 0.3)), on="pursuers"),
+        protocol=chase,
+        record={"trajectory": 0.01},
+    )
+    samples = run(scenario).trace.of(Sampled)
+    places = [complex(*sample.pursuers[0]) for sample in samples if sample.t > 7 * SECOND]
+    assert max(abs(place - places[0]) for place in places) < 1e-9
+    assert min(abs(complex(*sample.evaders[0]) - places[0]) for sample in samples) < 1e-9

@@ -149,6 +149,8 @@ def test_a_filter_is_compared_with_an_evader_that_turns_at_once(evader, diffusio
         ({"fault": [{"kind": "clock_skew", "drift": 0.01}]}, True),
         ({"fault": [{"kind": "clock_skew", "offset_walk": 0.055}]}, True),
         ({"fault": [{"kind": "clock_skew", "drift_walk": 0.0032}]}, True),
+        ({"fault": [{"kind": "clock_skew", "offset_walk": 0.048}]}, False),
+        ({"fault": [{"kind": "clock_skew", "drift_walk": 0.0027}]}, False),
         ({"fault": [{"kind": "clock_skew", "offset": 0.3}], "sensing": {"noise": "range_bearing"}}, True),
         ({"fault": [{"kind": "clock_skew", "offset": 0.25}]}, False),
         ({"fault": [{"kind": "clock_skew", "offset": 0.3}], "team": {"count": 1, "speeds": 2.0}}, False),
@@ -162,6 +164,12 @@ def test_a_filter_that_takes_wrong_time_stamps_for_exact_is_warned_of(parts, is_
     sensing = {"noise": 0.5, "estimator": "kalman", "estimate": "hold"} | parts.get("sensing", {})
     found = dict(warned(**parts | {"sensing": sensing}))
     assert ("a filter takes time stamps for exact" in found.get("sensing.estimator", "")) == is_warned_of
+
+
+def test_a_slot_that_an_announcement_just_fills_is_long_enough():
+    assert Scenario(network=Links(medium=FAST | {"access": Tdma(slot=0.0011, guard=0.0001)}))
+    with pytest.raises(ValueError, match=r"an announcement of 24 bytes takes 0\.001 s .* at least 0\.0011 s"):
+        Scenario(network=Links(medium=FAST | {"access": Tdma(slot=0.001099, guard=0.0001)}))
 
 
 class Sonar:
