@@ -136,13 +136,13 @@ def test_a_folder_of_which_some_files_are_removed_has_no_run_json(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["trace.jsonl"]
 
 
-@pytest.mark.slow
 def test_each_of_several_evaders_begins_where_the_seed_puts_it(tmp_path):
     result = run(SCENARIO.with_({"evader.count": 2}), 3)
     write(result, tmp_path, drawn=False)
     assert read(tmp_path).trace == result.trace
 
 
+@pytest.mark.slow
 def test_files_of_others_in_the_folder_stay(seen, tmp_path):
     (tmp_path / "trajectory.csv").write_text("precious")
     (tmp_path / "notes.txt").write_text("precious")
