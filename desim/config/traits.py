@@ -244,12 +244,9 @@ def _replaced(model: type, names: tuple[str, ...]) -> str | None:
 @lru_cache(maxsize=256)
 def _methods_in(model: type, names: tuple[str, ...]) -> tuple[str, ...]:
     """Return those of some names that are methods of a class."""
-    return tuple(name for name in names if _is_method(model, name))
-
-
-def _is_method(model: type, name: str) -> bool:
-    attribute = next((vars(base)[name] for base in model.__mro__ if name in vars(base)), None)
-    return callable(attribute) and not isinstance(attribute, type | classmethod | staticmethod)
+    namespace = {name: value for base in reversed(model.__mro__) for name, value in vars(base).items()}
+    functions = (name for name in names if callable(namespace.get(name)))
+    return tuple(name for name in functions if not isinstance(namespace[name], type | classmethod | staticmethod))
 
 
 def is_ours(model: type) -> bool:

@@ -39,13 +39,6 @@ class Speeds(Value):
     """Speed of the last pursuer, m/s."""
 
 
-def _speeds_in(speeds: Any) -> tuple[float, ...]:
-    """Return the different speeds, m/s, that `team.speeds` contains."""
-    if isinstance(speeds, Speeds):
-        return speeds.default, speeds.last
-    return speeds if isinstance(speeds, tuple) else (speeds,)
-
-
 class Team(Value):
     """The pursuers: number, initial positions, speeds, initial actions and guidance."""
 
@@ -168,8 +161,9 @@ class Team(Value):
     @field_validator("dynamics")
     @classmethod
     def _can_move(cls, dynamics: Dynamics, info: ValidationInfo) -> Dynamics:
-        speeds = info.data.get("speeds")
-        if not dynamics.is_simple and speeds is not None and not max(_speeds_in(speeds), default=0.0):
+        speeds: Any = info.data.get("speeds")
+        values = dict(speeds).values() if isinstance(speeds, Speeds) else np.atleast_1d(speeds)
+        if not dynamics.is_simple and speeds is not None and not any(values):
             raise ValueError("has no effect, because all speeds (team.speeds) are 0")
         return dynamics
 
