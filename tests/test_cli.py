@@ -134,7 +134,7 @@ def test_an_override_in_two_words_is_refused_before_they_count_as_arguments(file
         ("latency = 0.1", "latency: unknown key, did you mean network.latency?; "),
         ("latncy = 0.1", "latncy: unknown key, did you mean network.latency?; "),
         ("radius = 0.1", "radius: unknown key, did you mean sensing.radius or capture.radius?; "),
-        ("lost_after = 0.1", "lost_after: unknown key, did you mean sensing.track_timeout?; "),
+        ("sight = 0.1", "sight: unknown key, did you mean evader.sensing_range?; "),
         ("speed = 0.1", "speed: unknown key, did you mean 'seed' or evader.speed?; "),
         ("memory = true", "memory: unknown key, did you mean fault.0.memory?; "),
         ("network.seed = 1", "network.seed: unknown key, did you mean seed at the top?; "),
