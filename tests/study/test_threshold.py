@@ -32,7 +32,8 @@ def test_without_scatter_of_the_ratio_the_threshold_is_where_the_line_meets_it()
         " on (95 % interval 0.25 to 0.25 s); at 0.4 s it is +40 % (+40 to +40 %; Fieller, 3 runs with the same seeds at"
         " each value)"
     )
-    assert threshold_of(BASE * (1.0 - np.array(X)), -0.1).at == pytest.approx(0.1)
+    less = threshold_of(BASE * (1.0 - np.array(X)), -0.1)
+    assert (less.at, less.is_beyond) == (pytest.approx(0.1), True)
 
 
 def test_a_share_that_is_not_reached_has_no_threshold():

@@ -244,6 +244,7 @@ def test_the_flow_is_that_at_the_points_of_the_grid():
         result = run(scenario, 1)
         shown, places = flow_data(result, lambda t: t.tolist()), all_places(result)
         velocities = column(shown["velocities"], "<f4").reshape(times, -1, shown["columns"], 2)
+        assert shown["t"][-1] == (ended(result).t if times > 1 else 0)
         (left, low), edge = shown["start"], shown["edge"]
         assert (left, low) == tuple(places.min(axis=(0, 1)) - FLOW_MARGIN)
         grid = np.add.outer(
