@@ -71,18 +71,6 @@ class TabularResult:
         return "".join([*tables, *(f"<p>{html.escape(note)}</p>" for note in self._notes())])
 
 
-def check_format(format: str) -> None:  # noqa: A002 - as the argument that it checks
-    """Check the name of a format.
-
-    Raises:
-        ValueError: if there is no such format.
-    """
-    if format not in get_args(TableFormat):
-        near = close_to(str(format), get_args(TableFormat))
-        hint = f", did you mean {near[0]}?" if near else ""
-        raise ValueError(f"format should be {', '.join(get_args(TableFormat))}, got {value_text(format)}{hint}")
-
-
 def formatted(
     tables: Iterable[Table],
     notes: Iterable[str],
@@ -100,7 +88,10 @@ def formatted(
     Raises:
         ValueError: if there is no such format.
     """
-    check_format(format)
+    if format not in get_args(TableFormat):
+        near = close_to(str(format), get_args(TableFormat))
+        hint = f", did you mean {near[0]}?" if near else ""
+        raise ValueError(f"format should be {', '.join(get_args(TableFormat))}, got {value_text(format)}{hint}")
     if format == "text":
         return "\n\n".join([*(f"{title}\n{aligned(rows, right_from)}" for title, rows in tables), *notes])
     parts = [(_latex if format == "latex" else _markdown)(title, rows, right_from) for title, rows in tables]

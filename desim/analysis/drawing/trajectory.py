@@ -72,17 +72,17 @@ def draw_trajectory(axes: Axes, result: Result) -> None:
     pursuers = np.array([sample.pursuers for sample in samples])  # (samples, N, 2)
     captured = captures(result)
     capturers = list(dict.fromkeys(capture.capturer for capture in captured))
-    idle = [i for i in range(pursuers.shape[1]) if np.ptp(pursuers[:, i], axis=0).any() and i not in capturers]
+    others = [i for i in range(pursuers.shape[1]) if np.ptp(pursuers[:, i], axis=0).any() and i not in capturers]
     set_plane(axes)
     draw_walls(axes, result.scenario.wall)
     axes.plot(*pursuers[0].T, PURSUER_MARK, mfc="white", mec=INACTIVE, ms=5, label="pursuer at the start")
-    for i in idle:
-        label = "pursuer that chased for a while" if i == idle[0] else None
+    for i in others:
+        label = "pursuer that chased for a while" if i == others[0] else None
         axes.plot(*pursuers[:, i].T, color=ACTIVE_WITH_OTHERS, lw=1.4, label=label)
     several = len(evaders[0]) > 1
     for capturer in capturers:
-        label = None if capturer != capturers[0] else "pursuer that captures"
-        label = label if several else f"pursuer {capturer}, which captures"
+        of_first = "pursuer that captures" if capturer == capturers[0] else None
+        label = of_first if several else f"pursuer {capturer}, which captures"
         axes.plot(*pursuers[:, capturer].T, color=ACTIVE, lw=2.0, label=label, zorder=3)
     for k, path in enumerate(evaders.transpose(1, 0, 2), start=1):
         axes.plot(*path.T, lw=1.6, ms=5, label="evader" if k == 1 else None, **EVADER_PATH)

@@ -299,7 +299,7 @@ def undecided_parts(x: Sequence[float], apart: Floats, confidence: float) -> lis
     merged: list[CrossoverInterval] = []
     for low, high in parts:  # they ascend, as `x` does
         if merged and low <= merged[-1][1] + 1e-12 * (x[-1] - x[0]):
-            merged[-1] = merged[-1][0], max(merged[-1][1], high)
+            merged[-1] = merged[-1][0], high
         else:
             merged.append((low, high))
     return merged
