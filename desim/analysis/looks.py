@@ -26,7 +26,6 @@ times the runs.
 
 from collections.abc import Sequence
 from math import ceil, inf, isnan
-from typing import TypeGuard
 
 from desim.analysis.statistics import Share, mean_or_share
 
@@ -90,7 +89,7 @@ def next_look(values: Sequence[float | None], target: float, *, at_most: int, fi
         raise ValueError(f"the half width to reach should be positive, got {target}")
     if at_most < 1 or first_look < 2:
         raise ValueError(f"at_most should be at least 1 and first_look at least 2, got {at_most} and {first_look}")
-    count, present = len(values), [value for value in values if _is_present(value)]
+    count, present = len(values), [value for value in values if value is not None and not isnan(value)]
     if count >= at_most:
         return count
     if count < first_look:
@@ -105,10 +104,6 @@ def next_look(values: Sequence[float | None], target: float, *, at_most: int, fi
     predicted = count * wanted / max(len(present), 1)
     least, most = count + ceil(count / 10), 2 * count
     return min(max(least, ceil(min(most, predicted))), at_most)
-
-
-def _is_present(value: float | None) -> TypeGuard[float]:
-    return value is not None and not isnan(value)
 
 
 def _half_width(values: Sequence[float]) -> float:

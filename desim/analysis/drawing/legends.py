@@ -18,10 +18,9 @@ def uncover_data(figure: Figure) -> bool:
 
     In a small figure of a study with other data than its author saw, no place within the axes may be free.
     """
-    covering = [axes for axes in figure.axes if (box := _legend_box(axes)) and covers_data(figure, box)]
-    for axes in covering:
-        legend = axes.get_legend()
-        assert legend is not None
+    legends = [(axes, legend) for axes in figure.axes if (legend := axes.get_legend()) is not None]
+    covering = [pair for pair in legends if covers_data(figure, pair[1].get_window_extent())]
+    for axes, legend in covering:
         texts, title = [text.get_text() for text in legend.get_texts()], legend.get_title().get_text()
         size = legend.get_texts()[0].get_fontsize()
         of_label = handles_of([axes])  # with marks, which the handles may lack
@@ -37,12 +36,6 @@ def uncover_data(figure: Figure) -> bool:
 def handles_of(panels: Iterable[Axes]) -> dict[str, Any]:
     """Return what a legend shows of the lines of several panels, by name."""
     return {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-
-
-def _legend_box(axes: Axes) -> Bbox | None:
-    """Return the place of a legend, in pixels; None if the axes have none."""
-    legend = axes.get_legend()
-    return None if legend is None else legend.get_window_extent()
 
 
 def covers_data(figure: Figure, box: Bbox) -> bool:

@@ -76,14 +76,11 @@ class Crossover:
 
         None: the two are not told apart up to the greatest value of the key, or at no value beyond `at`.
         """
-        if self.high == inf or not self.is_told_apart or (self.at is None and self._is_never_apart):
+        is_never_apart = any(low <= self.span[0] and high >= self.span[1] for low, high in self.undecided)
+        if self.high == inf or not self.is_told_apart or (self.at is None and is_never_apart):
             return None
         other = next((name for name in self.names if name != self.least), self.least)
         return other if self.more_is == "better" else self.least
-
-    @property
-    def _is_never_apart(self) -> bool:
-        return any(low <= self.span[0] and high >= self.span[1] for low, high in self.undecided)
 
     @property
     def _together(self) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import AfterValidator
 
@@ -22,9 +22,6 @@ from desim.kernel.core.units import seconds
 from desim.pursuit.core.events import Sampled, Started
 from desim.results.run_folder import EVENTS, StreamedResult
 from desim.simulation.run import Result
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 Row = dict[str, Any]
 """A row: the values of its columns by name, without empty ones."""
@@ -178,15 +175,10 @@ class Parquet(_Table):
         count, remaining = 0, rows(result.trace, self.events)
         with file.open("wb") as stream, ParquetWriter(stream, schema) as writer:
             while batch := list(islice(remaining, BATCH)):
-                writer.write_table(_arrow_table(batch, schema))
+                columns = {name: [_in_unicode(row.get(name)) for row in batch] for name in schema.names}
+                writer.write_table(pa.table(columns, schema=schema))
                 count += len(batch)
         return count
-
-
-def _arrow_table(batch: Sequence[Row], schema: "pa.Schema") -> "pa.Table":
-    import pyarrow as pa
-
-    return pa.table({name: [_in_unicode(row.get(name)) for row in batch] for name in schema.names}, schema=schema)
 
 
 def _in_unicode(value: Any) -> Any:

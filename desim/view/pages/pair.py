@@ -76,10 +76,11 @@ def _differences(key: str, first: Any, second: Any) -> Iterator[Difference]:
     """Yield the differences between two values of a key."""
     if first == second:
         return
+    is_pair_of_lists = isinstance(first, list) and isinstance(second, list)
     if _is_alike(first, second):
         for name in dict.fromkeys([*first, *second]):
             yield from _differences(f"{key}.{name}".lstrip("."), first.get(name), second.get(name))
-    elif isinstance(first, list) and isinstance(second, list) and _pairs_up(first, second):
+    elif is_pair_of_lists and len(first) == len(second) and all(map(_is_alike, first, second)):
         for k, (first_entry, other_entry) in enumerate(zip(first, second, strict=True)):
             yield from _differences(f"{key}.{k}", first_entry, other_entry)
     else:
@@ -90,11 +91,6 @@ def _differences(key: str, first: Any, second: Any) -> Iterator[Difference]:
 def _is_alike(first: Any, second: Any) -> bool:
     """Return whether two values are tables of the same kind, or without kinds."""
     return isinstance(first, dict) and isinstance(second, dict) and first.get("kind") == second.get("kind")
-
-
-def _pairs_up(first: list[Any], second: list[Any]) -> bool:
-    """Return whether two lists have tables of the same kinds in the same order."""
-    return len(first) == len(second) and all(map(_is_alike, first, second))
 
 
 def _is_number(value: Any) -> bool:
