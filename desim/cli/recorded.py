@@ -59,13 +59,18 @@ def result_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Re
 
 
 def results_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result | SweepResult":
-    """Read the run or the sweep in a folder, or run a scenario file; end the program if the source is unreadable.
+    """Read the run or the sweep in a folder, or run a scenario file with messages and trajectories recorded.
+
+    End the program if the source cannot be read.
 
     Raises:
         click.UsageError: if a seed or overrides are given for recorded results.
     """
     if not is_recorded(source):
-        return _simulated(source, seed, overrides)
+        from desim.simulation.run import run
+        from desim.view.pages.replay import with_recordings
+
+        return run(with_recordings(source_of(source, overrides)[1]), seed)
     check_recorded_options(seed, overrides)
     from desim.study.sweeps.folder import open as open_results
 
@@ -85,28 +90,18 @@ def check_recorded_options(seed: int | None, overrides: tuple[str, ...]) -> None
         raise click.UsageError("--seed and --set apply to a scenario FILE only: the results in a DIR are recorded")
 
 
-def _simulated(file: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
-    """Run a scenario file with messages and trajectories recorded, and return the result."""
-    from desim.simulation.run import run
-    from desim.view.pages.replay import with_recordings
-
-    return run(with_recordings(source_of(file, overrides)[1]), seed)
-
-
 def labels_of(result: "SweepResult", labels: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """Return the texts of the options --label by value."""
-    return dict(_split_at_value(result, *pair) for pair in labels)
+    """Return the texts of the options --label by value.
 
-
-def _split_at_value(result: "SweepResult", first: str, second: str) -> tuple[str, str]:
-    """Return the value and the text of a --label; `first` and `second` are its parts before and after the first "=".
-
-    A value of the sweep may contain "=", so the label is split after its shortest beginning that is a value of the
-    sweep. If no beginning is a value, the label is split at the first "=".
+    A label is split at its first "="; as a value may contain "=", also at a later one, after its shortest beginning
+    that is a value of the sweep.
     """
     from desim.study.results.runs import text
 
-    values = {text(value) for key in result.keys for value in result.values(key)}
-    parts = f"{first}={second}".split("=")
-    splits = [("=".join(parts[:k]), "=".join(parts[k:])) for k in range(1, len(parts))]
-    return next((split for split in splits if split[0] in values), (first, second))
+    values, texts = {text(value) for key in result.keys for value in result.values(key)}, dict[str, str]()
+    for pair in labels:
+        parts = "=".join(pair).split("=")
+        splits = [("=".join(parts[:k]), "=".join(parts[k:])) for k in range(1, len(parts))]
+        value, label = next((split for split in splits if split[0] in values), pair)
+        texts[value] = label
+    return texts

@@ -99,9 +99,9 @@ class Mirror:
 
     def set_action(self, action: int) -> None:
         """Let the pursuer itself act otherwise from now on."""
-        actions = self.state.actions.copy()
-        actions[self._pursuer] = action
-        self._replace(actions.tolist())
+        profile = list(self.state.profile)
+        profile[self._pursuer] = action
+        self._replace(profile)
 
     def _act(self, frame: WorldFrame) -> None:
         """Take over the actions of a frame, but not that of the pursuer while its last order is under way."""

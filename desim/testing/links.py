@@ -99,8 +99,6 @@ class _Links:
 
     def shaped(self, reply: Any, count: int, call: str, noun: str) -> NDArray[Any]:
         """Return a reply, one value or one for each link, as an array."""
-        if isinstance(reply, np.ndarray) and reply.shape == (count,):  # as a rule; `broadcast_to` takes its time
-            return reply
         if np.shape(reply) not in {(), (count,)}:
             form = f"{_form(reply)}, expected one {noun}, or an array of shape ({count},): one per receiver"
             self.tested.fail(f"{call} returns {form}")

@@ -362,13 +362,11 @@ class PotentialWatcher:
 
     def __call__(self, event: Event) -> None:
         """Process an event."""
+        before = self._active.profile.copy()
+        self._active(event)
         if isinstance(event, Decided):
-            before = self._active.profile.copy()
-            self._active(event)
             self._pending.append((event, before, self._active.profile.copy()))
-        else:
-            self._active(event)
-        if isinstance(event, Started):
+        elif isinstance(event, Started):
             self._speeds = np.array(event.speeds)
         if isinstance(event, Started | Sampled):
             pursuers = complex_points(event.pursuers)
