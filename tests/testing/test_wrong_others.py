@@ -2,6 +2,7 @@
 
 import random
 import re
+from contextlib import nullcontext
 from math import nan
 from pathlib import Path
 from typing import ClassVar
@@ -12,8 +13,11 @@ import pytest
 import desim.testing
 from desim import Crash, Fault, Scenario
 from desim.config.model import Value
+from desim.kernel.core.events import Lost
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.latency_by_link import LATENCIES
+from desim.kernel.models.traced_faults import FaultEnded, FaultStarted
+from desim.pursuit.byzantine.lies import PURSUER_FAULTS
 from desim.pursuit.motion.flow import SteadyFlow, UniformFlow
 from desim.pursuit.team.judges import Judge
 from desim.testing import (
@@ -30,6 +34,7 @@ from desim.testing import (
     check_trust,
     watched,
 )
+from desim.testing.faults import _Ends
 from desim.testing.judging import subject
 from tests.command import JARGON
 from tests.golden import golden
@@ -70,6 +75,18 @@ FAULTS = [
 def test_a_wrong_fault_is_told_what_is_wrong(fault, why):
     with pytest.raises((ContractError, ValueError), match=why):
         check_fault(fault, limit=60.0)
+
+
+@pytest.mark.parametrize(("late", "is_told"), [(2_000_000, False), (3_000_000, True)])
+def test_a_loss_up_to_two_milliseconds_after_the_last_fault_is_of_it(late, is_told):
+    """A message that is in flight when a fault ends may be lost by it; its latency is 1 ms."""
+    crash = Crash(node=0, start=0.1, end=0.2)
+    ends = _Ends(subject(crash, PURSUER_FAULTS, "fault"), "a run")
+    ends(FaultStarted(100_000_000, crash))
+    ends(Lost(150_000_000, 1, 0, 1, "crash"))
+    ends(FaultEnded(200_000_000, crash))
+    with pytest.raises(ContractError, match="when no fault is active") if is_told else nullcontext():
+        ends(Lost(200_000_000 + late, 2, 0, 1, "crash"))
 
 
 def test_a_right_fault_of_a_user_passes():
@@ -174,6 +191,7 @@ FLOWS = [
     (flow(lambda self, places, t: np.zeros((len(places), 2))), "should return an array"),
     (flow(lambda self, places, t: places / 10.0, top_speed=1.0), "expected at most top_speed = 1 m/s"),
     (flow(lambda self, places, t: places * 0 + 1.0 / len(places)), "should depend on the place and the time only"),
+    (flow(lambda self, places, t: np.arange(len(places)) + 0j), "should depend on the place and the time only"),
     (flow(lambda self, places, t: np.random.random(len(places)) + 0j), "global generator|returns others"),  # noqa: NPY002
     (flow(lambda self, places, t: places.__imul__(0.0)), "changes the places"),
     (flow(lambda self, places, t: 1 / 0), "raises ZeroDivisionError"),

@@ -238,8 +238,8 @@ EVADERS = {
     "nothing": (lambda state, rng: None, r"returns None, expected a heading"),
     "truth": (lambda state, rng: True, r"returns True, expected a heading"),
     "a velocity": (
-        lambda state, rng: 1.5j,
-        r"returns 1\.5j of length 1\.5, expected at most 1: the velocity is the heading times the speed",
+        lambda state, rng: 1.001j,
+        r"returns 1\.001j of length 1\.001, expected at most 1: the velocity is the heading times the speed",
     ),
     "nan": (
         lambda state, rng: complex(np.nan, 0.0),
