@@ -297,9 +297,10 @@ class _Results:
         self._end(document, texts, is_violated=bool(table.fatal or table.broken))
 
     def _remove_earlier(self) -> None:
-        """Remove the smallest violation of an earlier search, unless it is the scenario of this one."""
-        for suffix in (".toml", ".html", *PICTURE_SUFFIXES):
-            if self.smallest.resolve() != self.file.resolve():
+        """Remove the smallest violation of an earlier search, unless it is the scenario of this one, or a kept case."""
+        is_kept = self.keep is not None and self.keep.resolve() == self.folder.resolve()
+        if not is_kept and self.smallest.resolve() != self.file.resolve():
+            for suffix in (".toml", ".html", *PICTURE_SUFFIXES):
                 self.smallest.with_suffix(suffix).unlink(missing_ok=True)
 
     def _write_smallest(self, text: str, protocol: str, seed: int) -> None:
