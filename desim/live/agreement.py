@@ -6,7 +6,7 @@ from math import copysign, inf
 from typing import Any, NamedTuple, get_args
 
 from desim.analysis.measuring import summary
-from desim.analysis.metrics import METRICS, Summary
+from desim.analysis.metrics import METRICS
 from desim.analysis.statistics import Estimate, mean, paired, t_quantile
 from desim.analysis.tables import aligned, decimals_of, number
 from desim.config.arguments import scenario_argument
@@ -96,7 +96,12 @@ class Agreement:
         live, simulated = [list(map(summary, results)) for results in (self.live, self.simulated)]
         orders = [late for result in self.live for late in result.conduct.orders]
         margin = portable_sum(orders) / SECOND / len(self.live)
-        return [_row(name, live, simulated, margin) for name in SHOWN]
+        rows = []
+        for name in SHOWN:
+            first, second = [[getattr(run, name) for run in runs] for runs in (live, simulated)]
+            late = margin if (unit := METRICS[name].unit) == "s" else 0.0
+            rows.append(Row(name, unit, mean(first), mean(second), paired(first, second), late))
+        return rows
 
     @property
     def agrees(self) -> bool | None:
@@ -157,12 +162,6 @@ class Agreement:
         ]
         late = {name: self.late(name)._asdict() for name in get_args(LateKind)}
         return {"runs": len(self.live), "agrees": self.agrees, "level": FALSE_ALARMS, **late, "rows": rows}
-
-
-def _row(name: str, live: Sequence[Summary], simulated: Sequence[Summary], margin: float) -> Row:
-    values, others = [[getattr(run, name) for run in runs] for runs in (live, simulated)]
-    unit = METRICS[name].unit
-    return Row(name, unit, mean(values), mean(others), paired(values, others), margin if unit == "s" else 0.0)
 
 
 def compare(

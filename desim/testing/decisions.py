@@ -270,10 +270,10 @@ def _process() -> tuple[int | None, Any]:
 
 def _memory_of(protocol: Any) -> bytes | None:
     """Return the attributes of an object, without what is computed once, as bytes; None if it has none."""
-    held = getattr(protocol, "__dict__", {})
-    cached = {name for name in held if isinstance(getattr(type(protocol), name, None), cached_property)}
+    attributes = getattr(protocol, "__dict__", {})
+    cached = {name for name in attributes if isinstance(getattr(type(protocol), name, None), cached_property)}
     try:
-        return bytes(cloudpickle.dumps({name: value for name, value in held.items() if name not in cached}))
+        return bytes(cloudpickle.dumps({name: value for name, value in attributes.items() if name not in cached}))
     except Exception:  # code of an object may raise anything
         return None
 

@@ -1,7 +1,6 @@
 """The check of strategies of evaders: `check_evader`."""
 
 from cmath import rect
-from collections.abc import Iterator
 from functools import partial
 from itertools import product
 from typing import Any, NamedTuple
@@ -56,10 +55,6 @@ class _Case(NamedTuple):
         return EvaderObservation(state, speeds, 0.9, 0.1, self.heading, 0.01 if self.heading else 0.0, self.handover)
 
 
-def _cases() -> Iterator[_Case]:
-    yield from map(_Case._make, product((0, 1, 2, 5), (0j, rect(1.0, 0.7)), (False, True), (False, True)))
-
-
 @naming_arguments
 def check_evader(strategy: Any, *, limit: float = 10.0) -> None:
     """Check the strategy of an evader; if you are unsure whether yours is right, run this.
@@ -78,7 +73,7 @@ def check_evader(strategy: Any, *, limit: float = 10.0) -> None:
     """
     tested = subject(strategy, STRATEGIES, "strategy of an evader")
     with tested.judged("strategy(state, rng)", limit):
-        for case in _cases():
+        for case in map(_Case._make, product((0, 1, 2, 5), (0j, rect(1.0, 0.7)), (False, True), (False, True))):
             _check(tested, case)
     # A recorded motion begins where its record does.
     place = {} if hasattr(tested.model, "start") else {"position": (9.0, 8.0)}

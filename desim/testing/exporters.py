@@ -50,10 +50,10 @@ def _refusals(tested: Subject, where: str, parts: dict[str, Any], folder: Path) 
         write(result, folder / "run", drawn=False)
         results[1] = streamed(folder / "run", allow_import=True)
     call = f"exporter(result, file) of {where}"
-    for given, file in zip(results, files, strict=True):
+    for exported, file in zip(results, files, strict=True):
         try:
             with tested.fresh() as model:
-                count = model(given, file)
+                count = model(exported, file)
         except ValueError as error:
             return [str(error)]
         tested.require(file.exists(), f"{call} does not write the file that it is given")

@@ -17,15 +17,16 @@ import numpy as np
 import pytest
 
 import desim
-from desim import Constant, Evader, Scenario, Team, load, summary
+from desim import Constant, Evader, Scenario, Team, load
 from desim.analysis.statistics import mean, paired
 from desim.config.model import Value
 from desim.kernel.core.events import LOST, Broadcast, ClockCorrected, Delivered, Lost, MessageCounts, Sent
 from desim.kernel.models.traced_faults import FaultStarted
-from desim.live.agreement import FALSE_ALARMS, GATE, SHOWN, Row, _row, compare
+from desim.live.agreement import FALSE_ALARMS, GATE, SHOWN, Agreement, Row, compare
 from desim.live.live_runs import run, runs
 from desim.live.lobby import LiveError
 from desim.live.namespaces import NamespaceError
+from desim.live.result import Conduct, LiveResult
 from desim.pursuit.core.events import Sampled
 from desim.results import run_folder
 from desim.scenario.toml import dump
@@ -404,8 +405,10 @@ def _difference(values: list[float], zeros: list[float]) -> Row:
 
 @pytest.mark.slow
 def test_late_actions_explain_differences_of_times_only():
-    runs = [summary(desim.run(game("sap"), seed)) for seed in (1, 2)]
-    margins = {name: _row(name, runs, runs, 0.5).margin for name in SHOWN}
+    simulated = [desim.run(game("sap"), seed) for seed in (1, 2)]
+    late = Conduct(orders=[500_000_000])
+    live = [LiveResult(result.scenario, result.seed, result.trace, late) for result in simulated]
+    margins = {row.metric: row.margin for row in Agreement(game("sap"), live, simulated).rows}
     assert {name for name, margin in margins.items() if margin} == {name for name in SHOWN if name.endswith("_time")}
 
 
