@@ -146,20 +146,12 @@ def drawn(
         elif rng.random() < 0.5:
             case[name] = draw(rng, scenario)
         if name == "team" and name in case:
-            scenario = scenario.with_(case[name]) if _takes(scenario, case[name]) else scenario
+            scenario = changed_or_none(scenario, {name: case[name]}) or scenario
     return case
 
 
 CHANGED = 1 / 3
 """The share of the features in which a case differs from its parent."""
-
-
-def _takes(scenario: Scenario, changes: NewValues) -> bool:
-    try:
-        scenario.with_(changes)
-    except ValueError:
-        return False
-    return True
 
 
 def applied(scenario: Scenario, case: Mapping[str, NewValues]) -> Scenario:

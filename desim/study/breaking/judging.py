@@ -127,7 +127,6 @@ def with_messages(scenario: Scenario, prop: Property) -> Scenario:
 
 def outcomes_of(tasks: Sequence[Task], workers: Workers, measure: Measurement) -> list[Outcome]:
     """Return the outcome of each run, in the order of the tasks."""
-    by_place: dict[int, Outcome] = {}
     with closing(drive(tasks, workers, measure)) as outcomes:
-        by_place.update(outcomes)
+        by_place = dict(outcomes)
     return [by_place[place] for place in range(len(tasks))]

@@ -175,13 +175,9 @@ class Benchmark(TabularResult):
         pairs = max(rivals * (rivals - 1), 1)  # ordered: the better one of two is not known before
         return difference.mean > 0.0 and difference.excludes_0(1.0 - 2.0 * RISK / pairs)
 
-    def _bounds(self, scenario: str) -> tuple[Floats, Floats]:
-        reference = self.costs[scenario][REFERENCE]
-        return reference[PERFECT], reference[SILENT]
-
     def _score(self, name: str, scenario: str) -> Score:
-        perfect, silent = self._bounds(scenario)
-        costs, width = self.costs[scenario][name], silent - perfect
+        costs, reference = self.costs[scenario][name], self.costs[scenario][REFERENCE]
+        silent, width = reference[SILENT], reference[SILENT] - reference[PERFECT]
         return Score(*(Ratio.of(silent - costs[network], width) for network in (AS_IT_IS, PERFECT)))
 
     def tables(self) -> list[Table]:

@@ -40,12 +40,11 @@ def design_settings(grid: Mapping[str, Sequence[Any]], design: Design) -> Iterat
     Settings that have occurred are left out, as several points may have the same of few values.
     """
     drawn = drawn_keys(grid, design)
-    lists = [values for key, values in grid.items() if key not in drawn]
-    others = [key for key in grid if key not in drawn]
+    others = {key: values for key, values in grid.items() if key not in drawn}
     yielded = set()
     for point in unit_points(design, len(drawn)).tolist():
         at_point = {key: setting_at(grid[key], share) for key, share in zip(drawn, point, strict=True)}
-        for values in product(*lists):
+        for values in product(*others.values()):
             chosen = at_point | dict(zip(others, values, strict=True))
             settings = {key: chosen[key] for key in grid}
             if repr(settings) not in yielded:
