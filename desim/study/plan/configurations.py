@@ -147,13 +147,10 @@ def check_grid(source: Source) -> None:
     if sweep.design is None and any(map(is_range, grid.values())):
         lists = ({key: value} for key, values in grid.items() if not is_range(values) for value in values)
         first = {key: values_to_try(values)[0] for key, values in grid.items()}
-        valid_configurations(source, grid, _distinct(first | changed for changed in [{}, *lists]))
+        chosen = [first | changed for changed in [{}, *lists]]
+        valid_configurations(source, grid, {repr(settings): settings for settings in chosen}.values())
     else:
         configurations(source)
-
-
-def _distinct(chosen_settings: Iterable[Settings]) -> Iterable[Settings]:
-    return {repr(settings): settings for settings in chosen_settings}.values()
 
 
 def checked_ranges(source: Source, grid: SweepGrid) -> SweepGrid:

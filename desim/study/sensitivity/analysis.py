@@ -169,7 +169,8 @@ class Analysis:
         kept, count = list(range(keys)), 0
         if self.trajectories:
             at = morris_points(self.trajectories, keys, stream(0, "morris"))
-            few = [k for k, (first, *_) in enumerate(self.grid.values()) if not _is_continuous(first)]
+            firsts = [first for first, *_ in self.grid.values()]
+            few = [k for k, first in enumerate(firsts) if not isinstance(first, KeyRange) or first.is_whole]
             at[:, :, few] = among_items(at[:, :, few], stream(0, "items"))
             values = values_at(at.reshape(-1, keys))
             count += values.size
@@ -226,8 +227,3 @@ class Analysis:
 
     def _settings(self, shares: Sequence[float]) -> dict[str, Any]:
         return {key: setting_at(values, share) for (key, values), share in zip(self.grid.items(), shares, strict=True)}
-
-
-def _is_continuous(value: Any) -> bool:
-    """Return whether the first value of a key in a grid is a range with more than whole numbers."""
-    return isinstance(value, KeyRange) and not value.is_whole

@@ -196,7 +196,9 @@ class StoreFile:
         """Create the tables, with a write-ahead log if the file system supports it, else with a rollback journal."""
         reason = "" if network else use_write_ahead_log(self.database)
         if reason or network:
-            self._use_rollback_journal(path, network)
+            self.database.close()
+            use_rollback_journal(path, network)
+            self.database = connected(path, network=network)
         self.database.executescript(f"BEGIN IMMEDIATE; {TABLES} {view_of(())}; COMMIT")
         if network:
             warn_caller(
@@ -207,11 +209,6 @@ class StoreFile:
                 f"{path}: this file system allows no write-ahead log ({reason}), so the store has a rollback journal:"
                 " let only one sweep at a time use it",
             )
-
-    def _use_rollback_journal(self, path: Path | None, network: str) -> None:
-        self.database.close()
-        use_rollback_journal(path, network)
-        self.database = connected(path, network=network)
 
     def _check_content(self) -> None:
         """Raise StoreError if the file is corrupt, or a run has no configuration."""

@@ -95,7 +95,9 @@ class Store(SweepProperties, RunRows):
     @naming_the_file
     def commands(self) -> list[tuple[str, list[str]]]:
         """The working folder and the words of each command that added runs, oldest first."""
-        return [(row[0], self.read(adapter_of(ARGV), "commands", row, 1)) for row in self.rows("commands", ROWID)]
+        return [
+            (row[0], self.read(adapter_of(Json[list[str]]), "commands", row, 1)) for row in self.rows("commands", ROWID)
+        ]
 
     def add(self, key: str, root: int, row: Row) -> None:
         """Add a run; see `add_all`."""
@@ -151,7 +153,8 @@ class Store(SweepProperties, RunRows):
     def configurations(self) -> list[tuple[str, dict[str, Any]]]:
         """Return the key and the settings of each configuration, in order."""
         rows = self.rows("configurations", "ORDER BY place")
-        return [(row[0], self.read(adapter_of(SETTINGS), "configurations", row, 2)) for row in rows]
+        settings = adapter_of(Json[dict[str, bool | int | float | str]])
+        return [(row[0], self.read(settings, "configurations", row, 2)) for row in rows]
 
     @property
     @naming_the_file
@@ -208,8 +211,3 @@ class Store(SweepProperties, RunRows):
             )
             for row in other.rows("runs"):
                 self.copy_run(other, row)
-
-
-ARGV = Json[list[str]]
-SETTINGS = Json[dict[str, bool | int | float | str]]
-"""`ARGV`, `SETTINGS`: the types of the words of a command, and of a configuration's settings."""
