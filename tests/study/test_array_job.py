@@ -9,10 +9,15 @@ from dataclasses import asdict
 
 import pytest
 
+from desim import Scenario, run, status, summary
 from desim.cli import main
+from desim.study.store.run_table import Row
+from desim.study.store.store import Store
 from desim.study.sweeps import array_job
 from desim.study.sweeps.array_job import ArrayJob, _ranges
+from desim.study.sweeps.planned import PlannedRuns, entries
 from desim.study.sweeps.status import SweepStatus
+from desim.study.sweeps.sweep_plan import SweepPlan
 from tests.command import accepted, refused
 from tests.study import slurm
 from tests.study.sweeps import count, rows
@@ -205,3 +210,39 @@ def test_the_command_and_the_scripts_ask_for_the_same_resources_by_default():
     assert {name: defaults[name] for name in ("time", "cpus", "memory")} == {
         name: value for name, value in asked.items() if name != "options"
     }
+
+
+# Runs in several stores.
+
+
+def stored(folder, *parts):
+    """Write a store for each part of a sweep, given the state of its runs by replication; return the sweep."""
+    plan = SweepPlan.of(Scenario(horizon=0.1, team={"count": 2}), {"team.count": [2]}, 3)
+    numbers = summary(run(plan.configurations[0].scenario, 0))
+    for number, states in enumerate(parts, start=1):
+        with Store(folder / f"sweep.{number}-of-{len(parts)}.sqlite") as store:
+            plan.register(store)
+            for k, state in states.items():
+                store.add(plan.configurations[0].key, 0, Row(k, k, state, numbers if state == "ok" else None))
+    return plan
+
+
+def test_a_run_that_failed_in_one_store_and_ended_in_another_is_done(tmp_path):
+    stored(tmp_path, {0: "error", 1: "ok", 2: "error"}, {0: "ok", 1: "ok"})
+    counted = status(tmp_path)
+    assert (counted.done, counted.failed, counted.planned) == (2, 1, None)
+    assert [(part.done, part.failed) for part in counted.parts] == [(1, 2), (2, 0)]
+
+
+def test_a_plan_of_fewer_runs_than_are_done_is_that_of_another_sweep(tmp_path, monkeypatch):
+    stored(tmp_path, {0: "ok", 1: "ok"})
+    for number, known in ((1, None), (2, 2), (3, 3)):
+        monkeypatch.setattr("desim.study.sweeps.status._planned", lambda _, number=number: PlannedRuns(number))
+        assert status(tmp_path).planned == known
+
+
+def test_a_sweep_planned_the_runs_below_its_number_of_the_configurations_it_had():
+    document = {"what": "sweep", "runs": 4} | entries(["a", "b"], 2, None)
+    includes = PlannedRuns.of(document).includes([["c", "a"], ["b", "a", "c"]])
+    assert [includes((key, k)) for key in "abc" for k in (1, 2)] == [True, False, True, False, False, False]
+    assert PlannedRuns.of(document).includes([["a", "c"]]) is None
