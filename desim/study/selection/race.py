@@ -22,7 +22,6 @@ from desim.scenario.sweep_table import Design
 from desim.study.plan.configurations import SweepGrid, as_source
 from desim.study.selection.kim_nelson import check_confidence, check_first, check_zone, kim_nelson
 from desim.study.selection.race_result import RaceResult
-from desim.study.store.run_table import Row
 from desim.study.store.store import Store
 from desim.study.sweeps.metric_values import metric_value
 from desim.study.sweeps.sweep import check_ok, job_batches
@@ -187,7 +186,8 @@ class _Samples:
     def __call__(self, systems: Sequence[int], replication: int) -> list[float]:
         if any((system, replication) not in self._rows for system in systems):
             self._perform(systems, replication)
-        return [self._value(system, self._rows[system, replication]) for system in systems]
+        rows = ((self._plan.configurations[system], self._rows[system, replication]) for system in systems)
+        return [metric_value(self._metric, configuration, row) for configuration, row in rows]
 
     @property
     def are_truths(self) -> bool:
@@ -212,11 +212,3 @@ class _Samples:
                 for configuration, row in batch:
                     check_ok(configuration, row)
                     self._rows[self._places[configuration.key], row.replication] = row
-
-    def _value(self, system: int, row: Row) -> float:
-        """Return the value of the metric in a run.
-
-        Raises:
-            ValueError: if there is none, or it is infinite.
-        """
-        return metric_value(self._metric, self._plan.configurations[system], row.seed, row.value(self._metric))

@@ -8,6 +8,7 @@ from desim.analysis.metrics import words
 from desim.config.arrays import Floats
 from desim.study.plan.configurations import Configuration
 from desim.study.results.result import SweepResult
+from desim.study.store.run_table import Row
 from desim.study.sweeps.sweep_plan import SweepPlan
 
 
@@ -15,13 +16,13 @@ class NoMeanError(ValueError):
     """Raised if a run has no value, or an infinite one, of a metric of which a mean is needed."""
 
 
-def metric_value(metric: str, configuration: Configuration, seed: int, value: float | None) -> float:
+def metric_value(metric: str, configuration: Configuration, row: Row) -> float:
     """Return the value of a metric in a run, as a finite number.
 
     Raises:
         NoMeanError: if there is none, or it is infinite.
     """
-    where = f"{words(metric)}: the run of {configuration} with seed {seed}"
+    where, value = f"{words(metric)}: the run of {configuration} with seed {row.seed}", row.value(metric)
     if value is None:
         instead = "; end_time counts the horizon where there is no capture" if "capture_time" in metric else ""
         raise NoMeanError(f"{where} has no value, and a mean over all seeds needs one in every run{instead}")
@@ -40,5 +41,5 @@ def metric_values(plan: SweepPlan, result: SweepResult, metric: str) -> Floats:
     for of_configuration, configuration, group in zip(values, plan.configurations, result.groups, strict=True):
         for row in group.rows:
             if row.replication < plan.reps:
-                of_configuration[row.replication] = metric_value(metric, configuration, row.seed, row.value(metric))
+                of_configuration[row.replication] = metric_value(metric, configuration, row)
     return values
