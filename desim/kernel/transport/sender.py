@@ -4,7 +4,7 @@ A flow is the messages of one node at one port to one receiver, or to all its ne
 whatever the number of its messages.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from heapq import heappop, heappush
@@ -135,7 +135,7 @@ class ReliableSender:
         self._acknowledged[node] = stamp
         now, received = self._endpoint.env.now, set(acknowledgement.received)
         acts = False
-        for entry in list(self._sent()):
+        for entry in self._sent():
             owed = entry.owed.get(node)
             if owed is None:
                 continue
@@ -156,7 +156,7 @@ class ReliableSender:
         now = self._endpoint.env.now
         while self._entries and (first := next(iter(self._entries.values()))).expires <= now:
             self._drop(first, "lifespan")
-        for entry in list(self._sent()):
+        for entry in self._sent():
             for node, owed in [(node, owed) for node, owed in entry.owed.items() if owed.due <= now]:
                 self._act(entry, node, owed)
         while self._unsent < self._next and self._unsent < next(iter(self._entries), self._unsent) + self._model.window:
@@ -177,12 +177,14 @@ class ReliableSender:
         for entry in list(self._entries.values()):
             self._drop(entry, "memory_loss")
 
-    def _sent(self) -> Iterator[Entry]:
-        """Yield the messages that have been transmitted and are not acknowledged by all, ascending."""
+    def _sent(self) -> list[Entry]:
+        """Return the messages that have been transmitted and are not acknowledged by all, ascending."""
+        sent: list[Entry] = []
         for entry in self._entries.values():
             if entry.seq >= self._unsent:
-                return
-            yield entry
+                break
+            sent.append(entry)
+        return sent
 
     def _next_due(self) -> int:
         """Return the time of the next action, ns, or `NEVER`."""
