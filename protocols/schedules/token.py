@@ -94,7 +94,6 @@ def metropolis(rng: np.random.Generator, me: Agent, token: Token) -> int | None:
     Pursuer i is the present holder, and d_i the number of its neighbours that are not absent.
     """
     candidates = not_absent(token, me.neighbours())
-    degrees = [len(candidates), *(len(not_absent(token, me.neighbours(j))) for j in candidates)]
-    shares = [1.0 / max(degrees[0], degree, 1) for degree in degrees[1:]]
+    shares = [1.0 / max(len(candidates), len(not_absent(token, me.neighbours(j)))) for j in candidates]
     index = int(np.searchsorted(np.cumsum(shares), rng.random(), side="right"))
     return candidates[index] if index < len(candidates) else None
