@@ -86,15 +86,6 @@ def bids_of(claim: Any) -> list[Bid]:
     return list(map(Bid, claim.winners, claim.amounts))
 
 
-def falsified_lists(bids: Sequence[Bid], pursuer: int, action: int, phi: float) -> dict[str, Any]:
-    """Return the lists of a claim, by field, in which a pursuer bids -phi for the evader `action` (0: for none)."""
-    remaining = [NO_BID if bid.winner == pursuer else bid for bid in bids]
-    winners, amounts = lists_of(
-        [Bid(pursuer, -phi) if j == action else bid for j, bid in enumerate(remaining, start=1)]
-    )
-    return {"winners": winners, "amounts": amounts}
-
-
 def bid_updater(me: Agent, evader: int = 1) -> Callable[[Bid], Bid]:
     """Return the function that updates a bid for an evader to the -phi of its bidder as sensed at this instant.
 

@@ -27,7 +27,7 @@ from math import inf
 from typing import ClassVar, Literal, NamedTuple, Self
 
 from desim.pursuit.team.agent import Agent
-from protocols.auction import NO_BID, Auction, Bid, bid_updater, bids_of, chosen, falsified_lists, lists_of, unread
+from protocols.auction import NO_BID, Auction, Bid, bid_updater, bids_of, chosen, lists_of, unread
 from protocols.rule import Rule
 
 
@@ -46,8 +46,11 @@ class Claim(NamedTuple):
         return self.active, self.winners
 
     def falsified(self, pursuer: int, action: int, phi: float) -> Self:
-        """Return the claim with which a pursuer pretends to act so, and to bid -phi (s) for the evader `action`."""
-        return self._replace(active=action, **falsified_lists(bids_of(self), pursuer, action, phi))
+        """Return the claim with which a pursuer pretends to act so, and to bid -phi (s) for the evader `action` only."""
+        others = [NO_BID if bid.winner == pursuer else bid for bid in bids_of(self)]
+        bids = [Bid(pursuer, -phi) if evader == action else bid for evader, bid in enumerate(others, start=1)]
+        winners, amounts = lists_of(bids)
+        return self._replace(active=action, winners=winners, amounts=amounts)
 
     def phi(self, pursuer: int) -> float:
         """Return the capture time, s, in the bid of a pursuer for the evader that it chases; inf if there is none."""
