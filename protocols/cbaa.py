@@ -46,7 +46,7 @@ class Claim(NamedTuple):
         return self.active, self.winners
 
     def falsified(self, pursuer: int, action: int, phi: float) -> Self:
-        """Return the claim with which a pursuer pretends to act so, and to bid -phi (s) for the evader `action` only."""
+        """Return the claim of a pursuer that pretends to act so, and to bid -phi (s) for the evader `action` only."""
         others = [NO_BID if bid.winner == pursuer else bid for bid in bids_of(self)]
         bids = [Bid(pursuer, -phi) if evader == action else bid for evader, bid in enumerate(others, start=1)]
         winners, amounts = lists_of(bids)
