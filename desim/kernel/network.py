@@ -76,7 +76,8 @@ class ReceivingNodes:
 
         The record is ignored if the node is its source, or has this or a newer record of the same source.
         """
-        node = self._node(node)
+        if not (type(node) is int and 0 <= node < self._size):  # a call less for each copy that is flooded
+            node = self._node(node)
         if record.src != node and self._records.is_news(node, record):  # most copies of what is flooded are not
             body = self._own(record.body)
             self._records.relay(node, record if body is record.body else record._replace(body=body))
