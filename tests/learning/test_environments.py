@@ -259,6 +259,27 @@ def test_agents_live_to_the_end_unless_they_may_leave():
     assert not truncations["pursuer_1"]  # one that has left is not truncated, too
 
 
+def test_a_pursuer_that_has_left_keeps_its_action_when_its_robot_is_up_again():
+    scenario = small(**{"protocol.schedule": Rounds(period=0.2), "fault": (Crash(node=1, start=0.5, end=1.0),)})
+    env = desim.parallel_env(scenario, 3, agents_leave=True)
+    env.reset()
+    while env.agents:
+        env.step(dict.fromkeys(env.agents, 1))
+    late = {event.pursuer: event.active for event in env.result.trace.of(Decided) if event.t > 1_000_000_000}
+    assert late[1] == 0  # as since its crash; nobody asks the learner for it
+    assert late[0] == 1
+
+
+def test_the_bounds_of_places_are_those_that_a_player_can_reach():
+    scenario = small()
+    env = desim.env(scenario, 3)
+    low, high = (bound[env.state_names.index("evader_1.x")] for bound in (env.state_space.low, env.state_space.high))
+    boxes = [scenario.team.box, scenario.evaders[0].box]
+    path = max(scenario.team.top_speed, scenario.evaders[0].speed) * scenario.horizon
+    assert low == pytest.approx(min(map(min, boxes)) - path - 1.0)
+    assert high == pytest.approx(max(map(max, boxes)) + path + 1.0)
+
+
 @pytest.mark.parametrize("schedule", ["shared_seed", "rounds"])
 def test_rewards_add_up_between_turns(schedule):
     """In a static game, utilities change with actions only: their integral is a sum over the decisions of the trace."""
