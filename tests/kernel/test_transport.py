@@ -40,6 +40,7 @@ from desim.kernel.network import Network
 from desim.kernel.state.fault_state import FaultState
 from desim.kernel.state.inbox import Message
 from desim.kernel.transport.frames import Acknowledgement, CodedPiece, Segment, Skip
+from desim.kernel.transport.receiver import CodedReceiver
 from desim.kernel.wandering_clock import ClockWalk, WanderingClock
 from desim.pursuit.team.announcements import Assignment, Eavesdropper, Forwarded
 from desim.scenario.scenario import Clocks
@@ -305,6 +306,14 @@ def test_a_sender_that_lost_its_memory_begins_a_new_session():
     assert lab.counts.given_up == {"memory_loss": 1}
 
 
+def test_messages_of_before_a_loss_of_memory_that_are_late_are_ignored():
+    """The second one would have the number that the receiver expects next in the new session."""
+    latency = lambda context, rng: 2.0 if context.src == 0 and context.now < 0.2 else L  # noqa: E731
+    lab = Lab(SELECTIVE, faults=[Crash(node=0, start=0.3, end=0.4, memory=False)], latency=latency)
+    lab.send(0.0, "a").send(0.1, "b").send(1.0, "c").run()
+    assert lab.delivered() == [(pytest.approx(1.1), "c")]
+
+
 @pytest.mark.parametrize("ordered", [False, True])
 def test_a_receiver_that_lost_its_memory_gets_what_was_not_acknowledged(ordered):
     """The second message is lost; the third, which is held in order, is forgotten with the crash and comes again."""
@@ -349,6 +358,12 @@ def test_any_k_of_n_pieces_suffice(lost):
     there = [0.2 * part + L for part in range(4) if part not in lost]
     assert lab.delivered() == ([(pytest.approx(there[1]), "a")] if len(there) > 1 else [])
     assert (lab.counts.attempts, lab.counts.retransmissions, lab.counts.acknowledgements) == (4, 0, 0)
+
+
+def test_a_piece_that_comes_twice_decodes_nothing_and_delivers_nothing_again():
+    receiver = CodedReceiver(0, 2)
+    pieces = [CodedPiece("", False, 0, 1, part, "x") for part in (1, 1, 2, 2, 1, 3)]
+    assert [len([*receiver.receive(0, 0, piece)]) for piece in pieces] == [0, 0, 1, 0, 0, 0]
 
 
 def test_a_receiver_remembers_a_bounded_number_of_messages():
