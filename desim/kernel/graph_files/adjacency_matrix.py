@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from desim.kernel.measured.csv_tables import plain_rows
-from desim.kernel.measured.measurements import UnclearNamesError, counts_of, names_beside, number_or_nan
+from desim.kernel.measured.latency_file import UnclearNamesError, counts_of, names_beside
+from desim.kernel.measured.measurements import number_or_nan
 
 if TYPE_CHECKING:
     import networkx as nx

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from desim.config.number_files import check_comments, number_of, text_of_file, words_of
+from desim.config.number_files import check_comments, is_number_text, number_of, text_of_file, words_of
 from desim.config.number_texts import counted
 from desim.kernel.measured.csv_tables import DECIMAL, plain_rows
-from desim.kernel.measured.measurements import names_beside, number_or_nan
+from desim.kernel.measured.measurements import MISSING, number_or_nan
 from desim.kernel.measured.ping import probes_of
 
 AMBIGUOUS = re.compile(
@@ -73,6 +73,53 @@ def _items(row: str, file: Path, line: int) -> list[str]:
             why = "may be one number or several: write decimal points, and white space between numbers"
             raise ValueError(f"{file}, line {line}: {word!r} {why}")
     return words_of(" ".join(words).replace(",", " "))
+
+
+class UnclearNamesError(ValueError):
+    """The first line and the first column of a matrix may be names, or numbers of the matrix."""
+
+
+def names_beside(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """Return the names in the first line and the first column of a square matrix; none if it has none.
+
+    The cell above the names of the lines is empty or a text. Names that are numbers are different integers. A matrix
+    that lacks its diagonal has an empty first cell without names, too; its numbers are names only if they are 0 .. n-1,
+    which as values would have a 0 beside the diagonal.
+
+    Raises:
+        UnclearNamesError: if both may be numbers of a symmetric matrix.
+        ValueError: if the first line and the first column have different names, or an empty one.
+    """
+    if len(rows) < 3 or not rows[0] or is_number_text(rows[0][0]):
+        return ()
+    names, begins = tuple(rows[0][1:]), tuple(row[0] for row in rows[1:])
+    if names == begins:
+        if not all(names):
+            raise ValueError("a node has no name in the first line and in the first column")
+        if not all(map(is_number_text, names)):
+            return names
+        if not all(map(str.isdecimal, names)) or len({*names}) < len(names):
+            return ()
+        numbers, counts = [*map(int, names)], counts_of(len(names))
+        lacks_diagonal = all(len(row) > k and row[k].lower() in MISSING for k, row in enumerate(rows))
+        if lacks_diagonal and (numbers == counts[1] or sorted(numbers) not in counts):
+            return ()
+        inner = [row[1:] for row in rows[1:]]
+        is_symmetric = [*map(list, zip(*inner, strict=False))] == inner
+        if numbers not in counts and (lacks_diagonal or (rows[0][0].lower() in MISSING and is_symmetric)):
+            raise UnclearNamesError(
+                f"{', '.join(names)[:40]} may be the names of the nodes, or numbers of a matrix whose first cell is"
+                " empty: write a text into it if they are names, and 0 if not"
+            )
+        return names
+    if len(names) == len(begins) and not any(map(is_number_text, names + begins)):
+        raise ValueError("the names of the first line and of the first column should be equal")
+    return ()
+
+
+def counts_of(size: int) -> list[list[int]]:
+    """Return the first numbers from 0 and from 1 on."""
+    return [[*range(begin, begin + size)] for begin in (0, 1)]
 
 
 class NamedMatrix(NamedTuple):
