@@ -155,5 +155,5 @@ def _shapes_of(wall: Wall) -> tuple[WallShape, ...]:
 
 def blocking(walls: Sequence[Wall], use: What) -> Segments:
     """Return the edges of the walls that block something; their owners are the indices of the walls."""
-    blocks = ((index, wall) for index, wall in enumerate(walls) if use in wall.blocks)
-    return segments_of((index, shape) for index, wall in blocks for shape in wall.shapes)
+    barriers = ((index, wall) for index, wall in enumerate(walls) if use in wall.blocks)
+    return segments_of((index, shape) for index, wall in barriers for shape in wall.shapes)
