@@ -28,6 +28,8 @@ from desim.kernel.stepped_network import SteppedNetwork
 from desim.pursuit.byzantine.lying import LyingTeam
 from desim.pursuit.core.events import Captured, Decided
 from desim.pursuit.game.utility import EdgePenalty, LocalMean, Mean
+from desim.pursuit.motion.environment import Environment
+from desim.pursuit.motion.flow import SteadyFlow
 from desim.pursuit.sensing.views import View
 from desim.pursuit.team.agent import Agent, Voice, repeat
 from desim.pursuit.team.announcements import STARTS, Announcements, Assignment, own_records, relayed_records
@@ -543,6 +545,27 @@ def test_what_a_server_believes_of_its_orders_is_not_shared_with_who_has_given_n
     assert len(plain) == 2
     assert ordered == pytest.approx([time - 0.3 for time in plain])
     assert again == plain
+
+
+def test_nothing_moves_before_an_announcement_whose_sender_has_a_clock_that_is_ahead():
+    """In wind, 0 says at 1 s, by its clock 2 s, where it is; at 1.25 s it is estimated there, and not carried back."""
+    seen = []
+
+    def protocol(me):
+        if me.id == 0:
+            yield me.sleep(1.0)
+            me.announce()
+        if me.id == 1:
+            yield me.at(1.25)
+            seen.extend(me.team_estimate().positions.tolist())
+
+    play(
+        protocol,
+        announce=Announcements(payload="state", trigger="revision", start="silent"),
+        environment=Environment(flow=SteadyFlow(velocity=(0.5, 0.0))),
+        fault=(ClockSkew(offset=1.0, node=0),),
+    )
+    assert seen == pytest.approx([1.5, 2.625])
 
 
 @pytest.mark.parametrize("reckoning", ["exact", "straight_line"])
