@@ -233,10 +233,16 @@ def test_first_captures_are_those_of_the_first():
     assert times == pytest.approx([4.9 / 2.5, 4.9 / 0.5])
 
 
-@pytest.mark.parametrize(("speed", "heads_for"), [(0.2, -1.0), (9.0, 1.0)])
-def test_a_place_to_which_a_pursuer_could_come_first_hides_nobody(speed, heads_for):
-    """All hiding places are on the left of a wall, and the pursuer is between it and the evader."""
+@pytest.mark.parametrize(("share", "heads_for"), [(0.2, -1.0), (0.999, -1.0), (1.001, 1.0), (9.0, 1.0)])
+def test_a_place_to_which_a_pursuer_could_come_first_hides_nobody(share, heads_for):
+    """All hiding places are on the left of a wall, and the pursuer is between it and the evader.
+
+    With the speed of which it has a share it comes first to all of them.
+    """
     space = space_among((Wall(line=((0.0, -1.0), (0.0, 1.0)), blocks=("sight",)),))
+    places = space.hiding_places(0.5)
+    places = places[space.hidden(places, np.array([1 + 0j]))]
+    speed = share * (abs(places - 1.0) / abs(places - 2.0)).max()
     seen = observation(1 + 0j, evader=2 + 0j, speeds=speed).within(space)
     heading = Hide()(seen, np.random.default_rng(0))
     assert heading.real * heads_for > 0.5

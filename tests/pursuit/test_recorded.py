@@ -1,6 +1,6 @@
 """Recorded motion of evaders and relays: they are where the record says, and captures stay exact."""
 
-from math import isclose
+from math import inf, isclose
 
 import pytest
 from hypothesis import assume, given, settings
@@ -120,6 +120,14 @@ def test_nobody_waits_for_a_relay_to_capture_an_evader(world):
         "team": team,
         **world,
     }
+    times = []
+
+    def protocol(me):
+        times.append((me.id, me.capture_time(), me.global_state.capture_times(1)[me.id]))
+        yield me.sleep(9.0)
+
+    run(Scenario.model_validate(table | {"protocol": protocol}), 1)
+    assert [time for pursuer, *both in times if pursuer == 1 for time in both] == [inf, inf]
     found = summary(run(Scenario.model_validate(table), 1))
     assert (found.idle_time, found.misassigned_time, found.time_to_relay, found.potential_gap) == (0.0, 0.0, 0.0, 0.0)
 
