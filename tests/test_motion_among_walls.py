@@ -386,6 +386,20 @@ def test_an_evader_hides_behind_a_wall():
     assert places[-1] != places[0]
 
 
+def test_the_way_to_an_evader_that_moves_is_measured_anew():
+    """Also from where a pursuer stands; its time is asked alone and as one of all."""
+    times = []
+
+    def protocol(me):
+        for k in range(4):
+            yield me.at(0.1 * k + 0.05)
+            times.append((me.capture_time(), me.global_state.capture_times(1)[me.id]))
+
+    run(scenario({"team.active_at_start": 0.0, "protocol": protocol, "horizon": 1.0}), 0)
+    assert all(alone == pytest.approx(of_all) for alone, of_all in times)
+    assert len({alone for alone, _ in times}) == 4
+
+
 @pytest.mark.slow
 def test_a_long_look_leads_out_of_a_dead_end():
     """In a pocket, straight flight ends at its bottom; a look ahead sees the way out, if there is time."""

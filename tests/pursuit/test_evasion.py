@@ -233,6 +233,17 @@ def test_first_captures_are_those_of_the_first():
     assert times == pytest.approx([4.9 / 2.5, 4.9 / 0.5])
 
 
+def test_max_geodesic_looks_at_all_pursuers_that_may_come_near():
+    """Against the candidates of a team in the plane, each with the distance of the nearest pursuer after the way."""
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        team = rng.uniform(-4.0, 4.0, (4, 2)) @ (1.0, 1.0j)
+        heading = heading_of(MaxGeodesic(look_ahead=2.0), *team)
+        ends = 2.0 * heading_of(PureEvasion(), *team) * np.exp(2j * pi * np.arange(16) / 16)
+        nearest = abs(ends[:, np.newaxis] - team).min(axis=1)
+        assert abs(2.0 * heading - team).min() == pytest.approx(nearest.max())
+
+
 @pytest.mark.parametrize(("share", "heads_for"), [(0.2, -1.0), (0.999, -1.0), (1.001, 1.0), (9.0, 1.0)])
 def test_a_place_to_which_a_pursuer_could_come_first_hides_nobody(share, heads_for):
     """All hiding places are on the left of a wall, and the pursuer is between it and the evader.

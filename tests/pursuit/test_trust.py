@@ -14,6 +14,7 @@ from desim import Scenario, run, summary
 from desim.kernel.core.records import Record
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.clock_skew import ClockSkew
+from desim.kernel.models.faults import Crash
 from desim.kernel.models.latency import Lognormal
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
@@ -174,6 +175,16 @@ def test_accusations_block_if_enough_pursuers_make_them():
     judge = Accusations(quorum=2).judge(observer(refuted={(1, 1)}, mail=[letter(1, 5), letter(2, 5)]))
     assert not judge.believes(record(1, 1))
     assert judge.believes(record(5, 1))
+
+
+@pytest.mark.parametrize(("memory", "count"), [(True, 1), (False, 2)])
+def test_a_pursuer_that_loses_its_memory_finds_a_liar_anew(memory, count):
+    """A liar is blocked for good, and 11, which crashes from 1 to 1.5 s, blocks it again if it has forgotten it."""
+    crash = Crash(node=11, start=1.0, end=1.5, memory=memory)
+    trace = run(team(Accusations(), *liars(1), crash, horizon=4.0, evader=Evader(speed=1.4)), 1).trace
+    assert [(event.suspect, event.distrusted) for event in trace.of(Distrusted) if event.pursuer == 11] == [
+        (0, True)
+    ] * count
 
 
 def test_a_reputation_is_the_mean_of_a_beta_distribution_that_forgets():
