@@ -259,6 +259,23 @@ def test_a_spoofed_announcement_is_believed_to_be_of_the_victim():
     assert sequence == sorted(set(sequence))  # each next record of 1, forged or not, is newer
 
 
+def test_a_spoofed_announcement_is_where_the_victim_is():
+    """All stand still: of what is not falsified, 5 says what 1 would say."""
+    still = {"motion": {"static": True}, "payload": "state"}
+    result = go(team(Spoof(node=5, victim=1, start=0.0, action="stay"), **still), 1)
+    forged = {(src, body) for src, body in said(result, 5, 1)}
+    assert {body[1:] for _, body in forged} == {body[1:] for _, body in said(result, 1, 1)}
+    assert {src for src, _ in forged} == {1}
+
+
+def test_a_fault_of_a_pursuer_ends_without_another_one_that_lasts():
+    """Silent up to 0.5 s, it then says up to 1 s that it chases."""
+    chases = Liar(node=0, start=0.0, end=1.0, action="chase", acts="stay")
+    result = go(team(chases, Silent(node=0, start=0.0, end=0.5)), 1, 2.0)
+    assert not said(result, 0, 0, HALF - 1)
+    assert {body.active for _, body in said(result, 0, HALF, 2 * HALF - 1)} == {1}
+
+
 def _records(event):
     return records_in(event) if isinstance(event, Broadcast) or (isinstance(event, Sent) and event.dst == 0) else ()
 
