@@ -1,5 +1,6 @@
 """State that a model shares with other runs: what its code changes in classes, functions, collections and globals."""
 
+import pickle
 import random
 import sys
 import threading
@@ -166,8 +167,7 @@ def _is_link(value: Any) -> bool:
 
 def _global_generators() -> dict[str, Any]:
     """Return the states of the random generators that all code of a process shares, by the names of their modules."""
-    state = np.random.get_state(legacy=False)  # noqa: NPY002
-    return {"random": random.getstate(), "numpy.random": (bytes(state["state"]["key"]), state["state"]["pos"])}
+    return {"random": random.getstate(), "numpy.random": pickle.dumps(np.random.get_state(legacy=False))}  # noqa: NPY002
 
 
 def _generator_warnings(before: Mapping[str, Any], outside: Outside) -> Iterator[str]:

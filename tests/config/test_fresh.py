@@ -1034,6 +1034,16 @@ def test_a_first_run_that_draws_from_a_global_generator_is_warned_of(draw, modul
     assert generators_warned_of(draw) == ([] if module is None else [module])
 
 
+def test_the_global_generator_may_be_any_of_numpy():
+    usual = np.random.get_bit_generator()
+    np.random.set_bit_generator(np.random.PCG64(3))
+    try:
+        assert generators_warned_of(np.random.normal) == ["numpy.random"]
+        assert generators_warned_of(lambda: 1.0) == []
+    finally:
+        np.random.set_bit_generator(usual)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("draw", "module"), GLOBALLY)
 def test_draws_of_another_thread_are_not_those_of_the_run(draw, module):
