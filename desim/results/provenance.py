@@ -266,8 +266,8 @@ def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
     elif (parameters := parameters_of(node)) is not None:
         inner = parameters
         yield from (".".join((*place, name)) for name in not_kept(node))
-    elif isinstance(node, tuple) and not callable(node):
-        inner = {str(k): entry for k, entry in enumerate(node)}
+    elif isinstance(node, tuple | dict) and not callable(node):  # such as the grid of a sweep
+        inner = {str(k): entry for k, entry in (node.items() if isinstance(node, dict) else enumerate(node))}
     else:
         if callable(node) and not isinstance(node, FunctionType | type) and _has_state(node):
             yield ".".join(place)
@@ -276,7 +276,7 @@ def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
         yield from _unrecorded(value, (*place, name))
         field = getattr(type(node), "model_fields", {}).get(name)
         is_chosen = field is not None and choices_of(field)  # a model, which its name selects
-        if not (isinstance(node, tuple) or is_ours(type(node)) or is_chosen) and is_named_only(value):
+        if not (isinstance(node, tuple | dict) or is_ours(type(node)) or is_chosen) and is_named_only(value):
             yield ".".join((*place, name))
 
 

@@ -208,8 +208,10 @@ def test_a_model_whose_parameters_are_not_recorded_is_named(latency, known):
     links = Links(
         latency=latency, link=[{"src": 0, "dst": 1, "order": "fifo"}, {"src": 0, "dst": 2, "latency": latency}]
     )
-    made = document("run", Scenario(team=Team(count=3), network=links), seed=0)
-    assert made["unrecorded"] == ([] if known else ["network.latency", "network.link.1.latency"])
+    swept = {"grid": {"network.latency": [0.5, latency]}}
+    made = document("run", Scenario(team=Team(count=3), network=links, sweep=swept), seed=0)
+    unrecorded = ["network.latency", "network.link.1.latency", "sweep.grid.network.latency.1"]
+    assert made["unrecorded"] == ([] if known else unrecorded)
     assert differences(made, made) == [f"the parameters of {key} are not recorded" for key in made["unrecorded"]]
 
 
