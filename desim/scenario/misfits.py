@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from desim.config.choice import choices_of
 from desim.config.errors import KeyedError
 from desim.config.field_docs import annotated
-from desim.config.model import Value, models_within
+from desim.config.model import Value, models_in, models_within
 from desim.config.traits import is_ours
 from desim.kernel.clock_sync import TwoWay
 from desim.kernel.core.units import nanoseconds, seconds
@@ -72,8 +72,9 @@ def _derived_tables(scenario: AnyScenario) -> Iterator[Misfit]:
 
 @cache
 def _fields_of_tables(kind: type[BaseModel]) -> tuple[str, ...]:
-    """Return the names of the fields that hold no models with a kind."""
-    return tuple(name for name, field in kind.model_fields.items() if not choices_of(field))
+    """Return the names of the fields that hold tables, and no models with a kind."""
+    fields = kind.model_fields.items()
+    return tuple(name for name, field in fields if [*models_in(field.annotation)] and not choices_of(field))
 
 
 def _overridden(kind: type[BaseModel]) -> Iterator[str]:

@@ -232,7 +232,8 @@ class RelayTraits(Traits):
     def check(cls, value: Any) -> None:
         """Raise ValueError if a class has its own `__call__` only, which moves an evader, and not a relay."""
         super().check(value)
-        if "velocity" in cls.outdated(type(value)) | cls.passed_on(value):
+        model: type = type(value)
+        if "velocity" in cls.outdated(model) | cls.passed_on(value):
             raise ValueError(
                 f"{name_of(value)} has its own __call__, which moves an evader: a relay moves with"
                 " velocity(now, position), so it should have its own, too"
