@@ -184,7 +184,9 @@ def test_what_is_no_result_is_told_beside_the_results(simulated, tmp_path, monke
     monkeypatch.setattr("desim.live.live_runs.runs", lambda *_, **__: live)
     done = CliRunner().invoke(main, ["live", RELAY, "-n", "2", "--json", "-o", str(tmp_path / "out")])
     assert done.exit_code == 0
-    assert json.loads(done.stdout)
+    document = json.loads(done.stdout)
+    assert document["scenario"] == load(RELAY).plain()
+    assert [(entry["seed"], entry["live"]["notes"]) for entry in document["runs"]] == [(0, ["a note"]), (1, ["a note"])]
     assert done.stderr.count("a note") == 2
     assert f"wrote {tmp_path / 'out'}" in done.stderr
     assert {path.name for path in (tmp_path / "out").iterdir()} == {f"seed-{result.seed}" for result in live}
