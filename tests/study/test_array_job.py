@@ -227,6 +227,7 @@ def stored(folder, *parts):
     return plan
 
 
+@pytest.mark.slow
 def test_a_run_that_failed_in_one_store_and_ended_in_another_is_done(tmp_path):
     stored(tmp_path, {0: "error", 1: "ok", 2: "error"}, {0: "ok", 1: "ok"})
     counted = status(tmp_path)
@@ -234,6 +235,7 @@ def test_a_run_that_failed_in_one_store_and_ended_in_another_is_done(tmp_path):
     assert [(part.done, part.failed) for part in counted.parts] == [(1, 2), (2, 0)]
 
 
+@pytest.mark.slow
 def test_a_plan_of_fewer_runs_than_are_done_is_that_of_another_sweep(tmp_path, monkeypatch):
     stored(tmp_path, {0: "ok", 1: "ok"})
     for number, known in ((1, None), (2, 2), (3, 3)):

@@ -286,10 +286,14 @@ def test_the_table_of_one_lost_message_of_four_pursuers():
 def test_a_table_that_would_be_too_long_is_refused():
     with pytest.raises(ValueError, match="choices of 1 messages, more than the limit of 5 runs"):
         fatal_losses(SMALL, "crowded at most 0.4 in total", limit=5, jobs=1)
+
+
+@pytest.mark.slow
+def test_the_limit_of_a_table_is_that_of_each_seed():
     small = SMALL.with_({"horizon": 0.3})
     most = max(fatal_losses(small, "crowded at most 0.1 in total", seeds=[seed], jobs=1).runs for seed in (1, 2))
     both = fatal_losses(small, "crowded at most 0.1 in total", seeds=[1, 2], limit=most, jobs=1)
-    assert both.runs > most  # the limit is that of each seed
+    assert both.runs > most
 
 
 @pytest.mark.parametrize(

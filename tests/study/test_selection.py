@@ -203,6 +203,7 @@ def test_systems_that_differ_by_the_same_are_compared_when_few_may_differ():
     assert len(selected(samples, first=10).samples[0]) < ENOUGH
 
 
+@pytest.mark.slow
 def test_equal_systems_do_not_drop_each_other():
     """Nor once it is known that they are equal, while a third one, just behind, is still left."""
     rng = np.random.default_rng(3)
