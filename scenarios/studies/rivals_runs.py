@@ -133,11 +133,8 @@ def cell(
 ) -> Cell:
     """Return the results of one protocol, and their differences from other runs with the same seeds.
 
-    Args:
-        key: name in `WORLDS`, protocol and latency (s).
-        outcomes: the summary and the time to relay of each run.
-        reference: the same for Spatial Adaptive Play.
-        prompt: the same for this protocol at latency 0.
+    An outcome is the summary and the time to relay of a run; `reference` holds those of Spatial Adaptive Play, and
+    `prompt` those of this protocol at latency 0.
     """
     runs = [run for run, _ in outcomes]
     relays = [time for _, time in outcomes if time is not None]

@@ -60,15 +60,13 @@ class SweepProperties(StoreFile):
         Raises:
             StoreError: as `check_versions`.
         """
-        self.check_versions(versions, subject, mix=mix)
         if all(version in self.versions for version in versions):
             return
         with self.writing() as database:
             self.check_versions(versions, subject, mix=mix)
             present = self.versions
             whole = present + [version for version in versions if version not in present]
-            row = (VERSIONS, json.dumps(whole))
-            database.execute("INSERT OR REPLACE INTO about VALUES (?, ?)", row)
+            database.execute("INSERT OR REPLACE INTO about VALUES (?, ?)", (VERSIONS, json.dumps(whole)))
 
     @naming_the_file
     def read_property(self, name: str, kind: Any) -> Any:
