@@ -48,11 +48,9 @@ def measure(options: Options) -> list[Cell]:
 
 def spread(cells: list[Cell], along: str) -> float:
     """Return the greatest ratio of active times between cells that differ in `along` ("slot" or "step") alone."""
-    ratios = []
-    for fixed in VALUES:
-        line = [cell.active_time for cell in cells if (cell.step if along == "slot" else cell.slot) == fixed]
-        ratios.append(max(line) / min(line))
-    return max(ratios)
+    fixed = "step" if along == "slot" else "slot"
+    lines = [[cell.active_time for cell in cells if getattr(cell, fixed) == value] for value in VALUES]
+    return max(max(line) / min(line) for line in lines)
 
 
 def table(cells: list[Cell], runs: int) -> str:
@@ -103,11 +101,8 @@ def picture(cells: list[Cell]) -> "Figure":
 def main(options: Options) -> None:
     """Measure, compare and show."""
     cells = measure(options)
-    document = {
-        "cells": cells,
-        "spread_along_slot": spread(cells, "slot"),
-        "spread_along_step": spread(cells, "step"),
-    }
+    by_slot, by_step = spread(cells, "slot"), spread(cells, "step")
+    document = {"cells": cells, "spread_along_slot": by_slot, "spread_along_step": by_step}
     options.show(document, table(cells, options.runs), lambda: picture(cells))
 
 

@@ -34,17 +34,14 @@ def draw_sensitivity(
     Raises:
         ValueError: if the size or the style is invalid.
     """
-    panels = [
-        *(["effects"] if effects is not None else []),
-        *(["indices"] if indices is not None else []),
-    ]
+    panels = [panel for panel in (effects, indices) if panel is not None]
     columns = columns_of(len(panels), size, beside=1.6)
     rows = len(panels) // columns
     usual = (1.6 + 3.2 * columns, 1.3 * rows + 0.42 * rows * len(keys))
     with styled(usual, size, style=style) as figure:
         shared = figure.subplots(rows, columns, squeeze=False, sharey=True)
         for axes, panel in zip(shared.flat, panels, strict=True):
-            if panel == "effects" and effects is not None:
+            if panel is effects:
                 _draw_bars(axes, effects.mean_absolute, range(len(keys)), 0.0, GREY)
                 axes.set_xlabel(axis_label(f"effect on {words(metric)}", unit))
             elif indices is not None:

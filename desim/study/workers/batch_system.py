@@ -7,7 +7,7 @@ start, so it performs runs for about a minute.
 import os
 import time
 from collections.abc import Callable, Collection
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol
 
 from desim.config.python_numbers import whole
 from desim.study.workers.workers import Workers
@@ -23,7 +23,6 @@ JOB_SIZE = 10_000
 """The largest number of runs in a job."""
 
 
-@runtime_checkable
 class JobExecutor(Protocol):
     """An executor whose `submit` returns jobs, as those of submitit do."""
 
