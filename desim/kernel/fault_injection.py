@@ -177,10 +177,10 @@ class _Site:
         return self._network.fault_state.jam((jamming.centre, jamming.radius), self._cause)
 
 
-def _require(is_right: bool, call: str, expected: str, given: object) -> None:
+def _require(is_right: bool, call: str, expected: str, value: object) -> None:
     """Raise ValueError if a call of a user's fault has not been given what it takes."""
     if not is_right:
-        raise ValueError(f"{call} should be given {expected} (got {value_text(given)})")
+        raise ValueError(f"{call} should be given {expected} (got {value_text(value)})")
 
 
 def _require_named_nodes(fault: Fault, size: int) -> None:

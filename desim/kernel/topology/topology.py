@@ -80,8 +80,8 @@ class Topology:
         _check(graph)
         has_walls = any("radio" in wall.blocks for wall in walls)
         if positions is None and (range < inf or has_walls):
-            what = f"a range of {range} m needs" if range < inf else "walls that block radio need"
-            raise ValueError(f"{what} positions")
+            needs = f"a range of {range} m needs" if range < inf else "walls that block radio need"
+            raise ValueError(f"{needs} positions")
         self._complete = is_complete(graph)
         self._directed = graph.is_directed() and not self._complete
         self._lists: list[list[int]] | _AllOthers = (
