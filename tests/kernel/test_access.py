@@ -649,6 +649,15 @@ def test_a_node_that_has_left_the_range_is_sensed_no_more():
     assert starts(trace) == [(0, 0.0), (1, 1000.0), (0, 10_000.0), (1, 10_500.0)]
 
 
+@pytest.mark.parametrize(
+    ("access", "medium", "time"),
+    [(Ideal(), {}, 0.001), (Aloha(), {"duty_cycle": 0.1}, 0.01), (Tdma(slot=0.002), {}, 0.008)],
+)
+def test_a_message_keeps_its_sender_from_sending_for_its_airtime_its_silence_or_a_round(access, medium, time):
+    _, net, _ = network(access, size=4, medium=medium)
+    assert net.estimates.sending_time(SIZE) == pytest.approx(time)
+
+
 def test_the_channel_is_utilised_while_one_frame_or_several_are_on_the_air():
     """Frames of 1 ms at 0, 0.5 and 3 ms."""
     clock, net, _ = network(Aloha())
