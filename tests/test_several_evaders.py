@@ -313,3 +313,8 @@ def test_a_start_at_random_chases_every_evader_alike():
     of_two = (first[first != 3] == 1).mean()
     assert abs(of_two - 1 / 3) > 4 * 0.0075
     assert (first == 0).sum() == 0
+
+
+def test_a_team_that_is_active_at_the_start_chases_each_of_the_evaders():
+    scenario = Scenario(team=Team(count=60), evader=Evader(count=3, speed=0.1), horizon=0.01)
+    assert set(desim.run(scenario, 1).trace.of(Started)[0].active) == {1, 2, 3}

@@ -403,3 +403,13 @@ def test_whether_a_comparison_can_hold_or_be_violated_is_that_of_the_values_of_i
                 for hold in (True, False):
                     possible = any(compare(value, number) == hold for value in values)
                     assert comparison.can(scenario, hold=hold) == possible, (name, sign, number, hold)
+
+
+def test_a_reference_that_takes_longer_leaves_more_of_the_limit():
+    limited = property_of("idle never longer than 2 against centralised")
+    assert (limited.margin(3.0), limited.margin(3.0, 1.5)) == (-1.0, 0.5)
+
+
+def test_one_of_several_comparisons_may_fail_alone_and_all_have_to_hold_together():
+    assert property_of("always idle >= 0 and active <= 1").can_fail(SMALL)
+    assert not property_of("idle >= 0 and active < 0 never longer than 1").can_fail(SMALL)

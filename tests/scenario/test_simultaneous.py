@@ -1,6 +1,8 @@
 """What happens at one instant, on every channel: lost by most is warned of, and nothing else is."""
 
+import re
 from collections import Counter, defaultdict
+from math import erf, exp
 from typing import Any
 
 import pytest
@@ -212,3 +214,27 @@ def test_clocks_that_differ_separate_rounds(skew, is_warned):
         }
     )
     assert ("protocol.schedule" in {key for key, text in warnings(scenario) if "overlap" in text}) is is_warned
+
+
+@pytest.mark.parametrize(
+    ("count", "changes", "share"),
+    [
+        (
+            3,
+            {"network.processing.sender": {"kind": "shifted_exponential", "mean": 0.001}},
+            lambda time: 1.0 - exp(-2.0 * time / 0.001),
+        ),
+        (
+            2,
+            {"fault": [{"kind": "clock_skew", "drift": 0.0001}], "horizon": 8.0},
+            lambda time: erf(time / (2.0 * 0.0004)),
+        ),
+    ],
+    ids=["random delays", "clocks"],
+)
+def test_the_share_that_overlaps_is_that_of_its_distribution(count, changes, share):
+    """The differences of two delays are a Laplace distribution, and those of two clocks a normal one."""
+    scenario = scenario_of("aloha", "rounds").with_({"team.count": count} | changes)
+    (why,) = [why for key, why in warnings(scenario) if "of their frames overlap" in why]
+    expected = 100.0 * share(scenario.announcement_airtime)
+    assert int(re.search(r"up to (\d+) %", why)[1]) == pytest.approx(expected, abs=2.0)
