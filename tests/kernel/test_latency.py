@@ -11,6 +11,7 @@ import pytest
 from pydantic import ValidationError
 from scipy import stats
 
+from desim.config.model import MAX_TIME
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.models.latency import (
     Constant,
@@ -23,7 +24,7 @@ from desim.kernel.models.latency import (
     mean_latency,
 )
 from desim.kernel.models.latency_by_link import LatencyMatrix, PerPair
-from desim.kernel.models.link_draws import as_seconds
+from desim.kernel.models.link_draws import as_nanoseconds, as_seconds
 from desim.kernel.models.links import Links
 from desim.kernel.models.netem import Netem
 from desim.kernel.models.traits import LinkTraits
@@ -633,3 +634,9 @@ def test_decimal_commas_between_commas_are_refused(tmp_path, text):
 def test_a_boolean_or_a_text_is_no_latency(answer):
     with pytest.raises(ValueError, match="latencies should be finite times"):
         as_seconds(answer, test_a_boolean_or_a_text_is_no_latency)
+
+
+def test_a_latency_that_is_longer_than_any_run_is_as_long_as_the_longest():
+    """In nanoseconds, 1e10 s is no integer of 64 bits."""
+    times = as_nanoseconds(np.array([0.5, MAX_TIME, 1e10, 1e300]), None)
+    assert times.tolist() == [500_000_000, *[round(MAX_TIME * 1e9)] * 3]
