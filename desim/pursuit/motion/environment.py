@@ -62,6 +62,17 @@ class Environment(Value):
             raise wrong_answer(f"a flow should return {expected}", velocities, self.flow)
         return checked.astype(complex)
 
+    def relative(self, target: complex, places: Points, t: float) -> Points:
+        """Return the (k,) velocities, m/s, at which the flow moves an evader at `target` relative to pursuers.
+
+        Args:
+            target: the position of the evader, m.
+            places: (k,) positions of the pursuers, m.
+            t: the time, s.
+        """
+        relative = -self.velocities(places, t)
+        return relative + self.velocities(np.array([target]), t) if self.on == "all" else relative
+
     def drifts(self, places: Points, commands: Points, begin: int, duration: float) -> Points:
         """Return the (k,) mean velocities of the flow, m/s, along the paths of players within a motion step.
 

@@ -60,9 +60,7 @@ def capture_times_in_flow(
     offsets, flight = bearings * distances, bearings * evader_speed
     if is_uniform(flow) and flow.top_acceleration > 0.0 and environment.on == "pursuers":
         return _drifting_capture_times(offsets, flight, speeds, radius, flow, now / SECOND)
-    relative = -environment.velocities(places, now / SECOND)
-    if environment.on == "all":
-        relative = relative + environment.velocities(np.array([target]), now / SECOND)
+    relative = environment.relative(target, places, now / SECOND)
     return intercept_times(offsets, flight + relative, speeds, radius)
 
 
