@@ -6,9 +6,12 @@ import sys
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib import import_module
+from io import BytesIO
 from itertools import count, cycle, repeat
 from math import inf, isnan
 from pathlib import Path
+from queue import SimpleQueue
 from types import ModuleType, SimpleNamespace
 from typing import ClassVar
 
@@ -28,6 +31,7 @@ from desim.cli.usage import _context_of
 from desim.config import calls, fresh, packages, stateless, trust
 from desim.config.arguments import missing_attribute
 from desim.config.code_variables import _modules_of
+from desim.config.copier import Describer
 from desim.config.errors import KeyedError, NoMetricError, Problem
 from desim.config.json_numbers import to_json
 from desim.config.key_errors import _with_file
@@ -347,6 +351,7 @@ VALUES = {
         and (type(error), error.name, str(error)),
         (NoMetricError, "heat", "no heat"),
     ),
+    "a queue that cannot be read": lambda: (Describer(BytesIO()).reducer_override(SimpleQueue()), (int, (0,))),
     "a missing attribute that is sent": lambda: (
         [(error := missing_attribute(3, "nope")).name, pickle.loads(pickle.dumps(error)).args],
         ["nope", ("an int has no 'nope'",)],
@@ -628,8 +633,13 @@ def imported_inside():
     return counter_of_users.calls
 
 
-def test_a_module_that_a_function_imports_while_it_runs_is_looked_through(monkeypatch):
+def imported_by_text():
+    return import_module("counter_of_users").calls
+
+
+@pytest.mark.parametrize("function", [imported_inside, imported_by_text])
+def test_a_module_that_a_function_imports_while_it_runs_is_looked_through(function, monkeypatch):
     module = ModuleType("counter_of_users")
     module.calls, module.others = [], []
     monkeypatch.setitem(sys.modules, module.__name__, module)
-    assert {name: set(names) for name, _, names in _modules_of(imported_inside)}["counter_of_users"] == {"calls"}
+    assert {name: set(names) for name, _, names in _modules_of(function)}["counter_of_users"] == {"calls"}

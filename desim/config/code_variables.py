@@ -21,6 +21,8 @@ ADDING = {"append", "extend", "add", "update", "put", "put_nowait"}
 """The methods that add to a collection and return nothing."""
 Read = Callable[[], Any]
 """Reads a variable; None if it has no value."""
+BY_TEXT = {"globals", "vars", "getattr", "setattr", "delattr", "__dict__", "__globals__", "modules", "import_module"}
+"""What finds a variable of a module by a text."""
 CACHED = type(lru_cache(int))
 """The type of functions with a cache."""
 CODE = (
@@ -89,15 +91,21 @@ def _variables(function: FunctionType) -> Iterator[tuple[str, Read]]:
 
 
 def _modules_of(function: FunctionType) -> Iterator[tuple[str, dict[str, Any], Collection[str]]]:
-    """Yield name and namespace of each module of users to which a function refers, and the names that it uses there."""
-    place = function.__globals__
-    names, imports, globals_ = _words_of(function.__code__)
-    yield module_of(function), place, globals_
+    """Yield the name and the namespace of each module of users that a function refers to, and the names that it uses.
+
+    A function that finds variables by texts, as in `globals()["calls"]`, uses the names that are among its constants.
+    """
+    code, place = function.__code__, function.__globals__
+    names, texts, imports, globals_ = _words_of(code)
+    by_text = texts | names if names & BY_TEXT else frozenset()
+    if names & {"exec", "eval"}:
+        by_text |= {word for text in texts for word in re.findall(r"\w+", text)}
+    yield module_of(function), place, globals_ | (by_text & place.keys())
     values = [place.get(name) for name in globals_] + [_contents(cell) for cell in function.__closure__ or ()]
-    values += [sys.modules.get(name) for name in imports]
+    values += [sys.modules.get(name) for name in imports | by_text]
     modules = {id(value): value for value in values if isinstance(value, ModuleType) and not _is_installed(value)}
     for module in modules.values():
-        yield module.__name__, vars(module), names & vars(module).keys()
+        yield module.__name__, vars(module), (names | by_text) & vars(module).keys()
 
 
 def reached_code(objects: Iterable[Any]) -> list[Any]:
@@ -179,6 +187,8 @@ class CodeWords(NamedTuple):
 
     names: frozenset[str]
     """The names of the global variables and attributes that they use."""
+    texts: frozenset[str]
+    """The texts that are constants."""
     imports: frozenset[str]
     """The names of the modules that they import."""
     globals: frozenset[str]
@@ -191,6 +201,7 @@ def _words_of(code: CodeType) -> CodeWords:
     instructions = [(item.opname, item.argval) for item in get_instructions(code)]
     outer = CodeWords(
         frozenset(code.co_names),
+        frozenset(item for item in code.co_consts if isinstance(item, str)),
         frozenset(name for operation, name in instructions if operation == "IMPORT_NAME"),
         frozenset(name for operation, name in instructions if operation.endswith("_GLOBAL")),
     )

@@ -4,7 +4,10 @@ A copy refers to what it shares with the original: what has no state, code, and 
 """
 
 import pickle
+import queue
+import threading
 from collections.abc import Iterator
+from contextvars import ContextVar
 from functools import lru_cache
 from io import BytesIO
 from itertools import count, repeat
@@ -103,12 +106,22 @@ class Describer(Copier):
     """
 
     def persistent_id(self, value: Any) -> int | None:
-        """Return a number also for a function of Python."""
+        """Return a number also for a function of Python, and None for objects that copies share but that change."""
+        if isinstance(value, SHARED):
+            return None
         is_of_python = isinstance(value, FunctionType) and is_foreign(value)
         return super().persistent_id(_Kept(value) if is_of_python else value)
 
     def reducer_override(self, value: Any) -> Any:
         """Return what describes an object."""
+        if isinstance(value, threading.local):
+            return dict, (vars(value),)
+        if isinstance(value, ContextVar):
+            return list, ([value.name, value.get(None)],)
+        if isinstance(value, queue.Queue):
+            return list, ([*value.queue],)
+        if isinstance(value, queue.SimpleQueue):
+            return int, (value.qsize(),)
         if isinstance(value, GeneratorType):
             frame = value.gi_frame
             return list, ([id(value), frame and frame.f_lasti, repr(frame and frame.f_locals)],)
@@ -125,6 +138,8 @@ class Describer(Copier):
         return reduced
 
 
+SHARED = (threading.local, ContextVar, queue.Queue, queue.SimpleQueue)
+"""The types of objects that copies share, although they hold something."""
 _described: set[int] = set()
 """The numbers of the iterators that were described."""
 

@@ -11,6 +11,7 @@ import sys
 import threading
 import weakref
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from contextvars import ContextVar
 from types import FunctionType, ModuleType
 from typing import ClassVar
 from warnings import catch_warnings, simplefilter
@@ -557,13 +558,18 @@ def generating(state, rng):
 # State that is found by text, in descriptors, tables and caches, or that cannot be copied.
 
 STATE = ModuleType("state_of_a_user")
-STATE.calls = 0
+STATE.calls = STATE.other = 0
 STATE.seen = [0]
 CYCLE = itertools.cycle([1j, -1j])
 CHAIN = itertools.chain([1j], itertools.repeat(-1j))
 SLICE = itertools.islice(itertools.count(), 10**6)
 MAPPED = map(float, range(10**6))
+BY_TEXT = BY_CODE = BY_MODULE = 0
 IN_PROPERTY, IN_CACHED_PROPERTY, IN_STATIC, DISPATCHED = [0], [0], [0], [0]
+CONTEXT = ContextVar("CONTEXT", default=0)
+THREAD = threading.local()
+THREAD.calls = 0
+QUEUE = queue.Queue()
 GRAPH = networkx.path_graph(2)
 STEP = Remembering().turn
 PART = functools.partial(Remembering())
@@ -683,8 +689,24 @@ def table(number):
     return [1j] * number
 
 
+def by_text():
+    globals()["BY_TEXT"] += 1
+
+
+def by_code():
+    exec("BY_CODE += 1", globals())
+
+
+def by_module():
+    sys.modules[__name__].BY_MODULE += 1
+
+
 def in_a_module():
     STATE.calls += 1
+
+
+def by_name_in_a_module():
+    setattr(STATE, "other", STATE.other + 1)  # noqa: B010
 
 
 def in_an_imported_module():
@@ -699,6 +721,19 @@ def in_a_cache():
 
 def in_a_bounded_cache():
     bounded_memory(1)[0] += 1
+
+
+def in_a_context():
+    CONTEXT.set(CONTEXT.get() + 1)
+
+
+def in_a_thread():
+    THREAD.calls += 1
+
+
+def in_a_queue():
+    QUEUE.put(0)
+    return QUEUE.qsize()
 
 
 def in_a_graph():
@@ -731,10 +766,17 @@ HIDDEN = {
     "CHAIN": lambda: next(CHAIN),
     "SLICE": lambda: next(SLICE),
     "MAPPED": lambda: next(MAPPED),
+    "BY_TEXT": by_text,
+    "BY_CODE": by_code,
+    "BY_MODULE": by_module,
     "state_of_a_user.calls": in_a_module,
+    "state_of_a_user.other": by_name_in_a_module,
     "state_of_a_user.seen": in_an_imported_module,
     "memory": in_a_cache,
     "bounded_memory": in_a_bounded_cache,
+    "CONTEXT": in_a_context,
+    "THREAD": in_a_thread,
+    "QUEUE": in_a_queue,
     "GRAPH": in_a_graph,
     "STEP": lambda: STEP(),
     "PART": lambda: PART(),
