@@ -21,7 +21,7 @@ from desim.config.errors import KeyedError, KeyPath, Problem
 from desim.config.field_docs import fields_of
 from desim.config.key_index import unit_in
 from desim.config.key_suggestions import other_key, suggestion
-from desim.config.model import markers_of, models_in
+from desim.config.model import Value, markers_of, models_in
 from desim.config.number_texts import counted, why_no_number
 from desim.config.python_numbers import as_python
 from desim.config.tables import holds, value_at
@@ -144,7 +144,8 @@ class Wording:
             return f"a call has nested tables, {outer}={{{inner!r}: ...}}, and Scenario.with_ takes dotted keys"
         more = self.more(place) if self.more and owner is self.whole else ()
         allowed = allowed or (sorted([*owner.model_fields, *more]) if owner else [])
-        return f"unknown key{other_key(place, allowed, self.whole)}; allowed: {', '.join(allowed)}"
+        replaced = owner._replaced.get(key) if owner and issubclass(owner, Value) else None
+        return f"unknown key{replaced or other_key(place, allowed, self.whole)}; allowed: {', '.join(allowed)}"
 
     def _no_table(self, error: ErrorDetails, place: KeyPath, info: FieldInfo | None) -> str:
         """Return the text about a value in place of a table."""

@@ -1,4 +1,4 @@
-"""What a wrong key or kind may have meant: similar words, other words for it, the same key in another table."""
+"""What a wrong key or kind may have meant: similar words, renamed keys, the same key in another table."""
 
 from collections.abc import Sequence
 from types import MappingProxyType
@@ -12,25 +12,41 @@ from desim.config.suggestion import close_to
 
 MAX_HOMES = 3
 """The largest number of tables that an error message suggests for a key."""
-WORDS_FOR_KEYS = {
+RENAMED = {
     "at": "start",
     "delay": "latency",
     "deviation": "cv",
+    "floor": "min_timeout",
+    "forget_after": "belief_timeout",
     "frozen": "static",
+    "heeds": "flees_from",
     "hold": "holding_time",
+    "lost_after": "track_timeout",
+    "needed": "captures_to_end",
+    "of": "schedule",
+    "otherwise": "normally",
     "packet_loss": "loss",
     "packetloss": "loss",
+    "pass_on": "relay",
+    "patience": "winner_timeout",
     "pursuer": "node",
     "q": "participation",
+    "reach": "reception",
+    "reaction": "reaction_delay",
     "robot": "node",
     "sight": "sensing_range",
     "sigma": "cv",
+    "spread": "dissemination",
     "std": "cv",
     "stddev": "cv",
+    "surprises": "reheat_on",
+    "then": "during_handover",
+    "together": "synchronous",
     "until": "end",
+    "when_lost": "on_lost",
 }
-"""Words for keys in other programs and papers, each with the key to suggest."""
-WORDS_FOR_KINDS = MappingProxyType(
+"""Keys and kinds that are not valid, and the valid ones to suggest."""
+MEANT = MappingProxyType(
     {
         "auction": ("cbaa", "cbba"),
         "consensus": ("cbaa", "cbba"),
@@ -59,7 +75,7 @@ def _similar(word: str, allowed: Sequence[str]) -> list[str]:
     """Return the allowed words to suggest for an invalid one, mostly one; an empty list if none is similar."""
     plain = word.lower().replace("-", "_").replace(" ", "_")
     initials = "".join(part[0] for part in plain.split("_") if part)  # spatial_adaptive_play is sap
-    meant = [WORDS_FOR_KEYS.get(plain, plain), *WORDS_FOR_KINDS.get(plain, ()), initials]
+    meant = [RENAMED.get(plain, plain), *MEANT.get(plain, ()), *([initials] if len(initials) > 1 else [])]
     return [name for name in meant if name in allowed] or close_to(plain, allowed)
 
 
@@ -74,17 +90,17 @@ def other_key(place: KeyPath, allowed: Sequence[str], whole: type[BaseModel]) ->
     """Return a hint for an unknown key: a similar key of its table, or the same key in another table or kind."""
     word = str(place[-1]).split(".")[-1]
     close = _similar(word, allowed)
-    homes, meant_key = homes_of(word, whole), WORDS_FOR_KEYS.get(word)
+    homes, renamed = homes_of(word, whole), RENAMED.get(word)
     is_elsewhere = any(key.place[-1] == word for key in homes)
-    if meant_key and not is_elsewhere:
-        homes = homes_of(meant_key, whole) or homes
+    if renamed and not is_elsewhere:
+        homes = homes_of(renamed, whole) or homes
     is_loose = close == close_to(word, allowed) and not close_to(word, allowed, cutoff=0.8)
     if is_loose and is_elsewhere:
         close = []  # the same name in another table is surer than one that is hardly similar in this
-    if meant_key not in close and any(key.place[-1] == meant_key for key in homes):
-        close = []  # so is the key that the word stands for
-    if close:  # then suggest other tables only for a key of exactly this name, and none for another word for one
-        homes = [key for key in homes if key.place[-1] == word and close != [meant_key]]
+    if renamed not in close and any(key.place[-1] == renamed for key in homes):
+        close = []  # so is the new name
+    if close:  # then suggest other tables only for a key of exactly this name, and none for a renamed key
+        homes = [key for key in homes if key.place[-1] == word and close != [renamed]]
     here = [part for part in place if isinstance(part, str)]
     same = [key for key in homes if [part for part in key.place if part != "0"] == here]
     if kinds := list(dict.fromkeys(key.owner for key in same if key.owner)):

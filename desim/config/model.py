@@ -6,7 +6,7 @@ from functools import cache, cached_property
 from operator import attrgetter
 from pathlib import PurePath
 from types import FunctionType, MappingProxyType, UnionType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -209,6 +209,9 @@ class Value(BaseModel, metaclass=_ValueType):
         ser_json_bytes="hex",
         defer_build=True,  # a run uses few models, and building all of them takes longer than a short run
     )
+
+    _replaced: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    """For keys of older versions: the part of the error message that says what replaces them."""
 
     @property
     def unused_fields(self) -> Mapping[str, str]:

@@ -17,6 +17,7 @@ from desim.config.errors import KeyedError
 from desim.kernel.models.latency import Constant as ConstantLatency
 from desim.kernel.models.links import Links
 from desim.kernel.models.loss import Bernoulli
+from desim.pursuit.team.announcements import STARTS, Announcements
 from desim.scenario.checks import warnings
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.players import Evader, Speeds, Team
@@ -826,29 +827,75 @@ def test_an_incomplete_user_model_is_refused_in_a_file_too(own_models, written):
         load(file, allow_import=True)
 
 
-WORDS = {
+OLD = {
+    "announce.forget_after": "belief_timeout",
+    "announce.spread": "dissemination",
+    "capture.needed": "captures_to_end",
+    "evader.reaction": "reaction_delay",
     "evader.sight": "sensing_range",
+    "evader.strategy.heeds": "flees_from",
     "fault.0.at": "start",
     "fault.0.until": "end",
     "motion.frozen": "static",
+    "network.reach": "reception",
+    "protocol.patience": "winner_timeout",
+    "protocol.schedule.floor": "min_timeout",
     "protocol.schedule.hold": "holding_time",
+    "protocol.schedule.of": "schedule",
     "protocol.schedule.q": "participation",
+    "protocol.tau.surprises": "reheat_on",
+    "sensing.lost_after": "track_timeout",
+    "sensing.pass_on": "relay",
+    "sensing.when_lost": "on_lost",
 }
-"""By key with a word of other programs in its place: the key that it stands for."""
+"""Former keys, and their names now."""
 KINDS_OF = {
+    "evader.strategy.heeds": "max_min",
     "fault.0.at": "crash",
     "fault.0.until": "crash",
+    "protocol.patience": "cbba",
+    "protocol.schedule.floor": "local_mutex",
     "protocol.schedule.hold": "token_ring",
+    "protocol.schedule.of": "synchronous",
     "protocol.schedule.q": "rounds",
+    "protocol.tau.surprises": "adaptive",
 }
 
 
-@pytest.mark.parametrize("key", WORDS)
-def test_a_word_for_a_key_is_refused_with_the_key(key, written):
+@pytest.mark.parametrize("key", OLD)
+def test_an_old_key_is_refused_with_the_new_one(key, written):
     table, _, name = key.rpartition(".")
     kind = f'kind = "{KINDS_OF[key]}"\n' if key in KINDS_OF else ""
     head = f"[[{table.removesuffix('.0')}]]" if ".0." in key else f"[{table}]"
     above = '[protocol]\nkind = "sap"\n' if table.startswith("protocol.") else ""
     file = written(f"{above}{head}\n{kind}{name} = 1\n")
-    with pytest.raises(ScenarioError, match=rf"{re.escape(key)}: unknown key, did you mean '{WORDS[key]}'\?"):
+    with pytest.raises(ScenarioError, match=rf"{re.escape(key)}: unknown key, did you mean '{OLD[key]}'\?"):
         load(file)
+
+
+def test_an_old_key_with_other_values_is_refused_with_the_value_to_write_instead(written):
+    """In files, overrides and Python; each of the three values is one that the new key takes."""
+    says = re.escape('unknown key, use start: "known" instead of true, "silent" instead of false, or the default "ann')
+    with pytest.raises(ScenarioError, match=rf"\.toml:2: announce\.warm_start: {says}"):
+        load(written("[announce]\nwarm_start = false\n"))
+    with pytest.raises(ScenarioError, match=says):
+        load(written(""), ["announce.warm_start=true"])
+    for make in (lambda: Announcements(warm_start=True), lambda: Scenario(announce={"warm_start": False})):
+        with pytest.raises(KeyedError, match=says):
+            make()
+    assert {Announcements(start=start).start for start in STARTS} == {"known", "silent", "announced"}
+
+
+@pytest.mark.parametrize(
+    ("text", "new"),
+    [
+        ('[protocol]\nkind = "sap"\n[protocol.schedule]\nkind = "together"', "synchronous"),
+        ('[evader.strategy]\nkind = "listener"\nthen = { kind = "still" }', "during_handover"),
+        ('[evader.strategy]\nkind = "listener"\notherwise = { kind = "still" }', "normally"),
+        ('network.fading = "frozen"', "per_link"),
+        ('announce.reckoning = "cheap"', "straight_line"),
+    ],
+)
+def test_an_old_kind_or_value_is_refused_with_the_new_one(text, new, written):
+    with pytest.raises(ScenarioError, match=rf"did you mean '{new}'\?|should be .*'{new}'"):
+        load(written(text))

@@ -7,10 +7,11 @@ prediction over a time is the same whether sightings divide this time or not.
 """
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from math import sqrt
 from operator import attrgetter
-from typing import Annotated, Literal, NamedTuple
+from types import MappingProxyType
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
@@ -144,6 +145,12 @@ class Unfiltered(Value):
 class _Diffusing(Value):
     """A filter for an evader whose velocity diffuses."""
 
+    _replaced: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {
+            "acceleration": ", use velocity_diffusion instead, in m/s per sqrt(s), which does not depend on the"
+            " interval between sightings; an acceleration a at an interval T has about that of a sqrt(T)"
+        }
+    )
     velocity_diffusion: VelocityDiffusion = 0.3
     """Diffusion of the velocity of the evader per axis, m/s per sqrt(s): after a time t the velocity has changed by
     velocity_diffusion sqrt(t) (standard deviation), however many sightings there were.

@@ -4,7 +4,7 @@ from cmath import phase, rect
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from math import inf
-from typing import Annotated, Any, Literal, NamedTuple, Self, get_args
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, get_args
 
 import numpy as np
 from pydantic import Field, Tag
@@ -246,6 +246,9 @@ def one_hop() -> Any:
 class Announcements(Value):
     """The content of announcements, when they are sent, and how long they are believed."""
 
+    _replaced: ClassVar[Mapping[str, str]] = {
+        "warm_start": ', use start: "known" instead of true, "silent" instead of false, or the default "announced"'
+    }
     payload: Literal["action", "time", "state", "course"] = "action"
     """action: only the action is announced, positions are sensed (the paper); time: the action and the capture time at
     sending; state: the action, the position and the speed at sending; course: as state, and the velocity and the
