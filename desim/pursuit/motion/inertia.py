@@ -98,14 +98,8 @@ class InertialKinematics(Kinematics):
         """Replace all motions by those of the same players elsewhere, as they were observed a moment ago."""
         super().observe(since, places, courses, commands, drifts)
         flow = [0j] * len(places) if drifts is None else drifts.tolist()
-        motions = zip(
-            self._dynamics,
-            places.tolist(),
-            map(Course, *(part.tolist() for part in courses)),
-            commands.tolist(),
-            flow,
-            strict=True,
-        )
+        observed = map(Course, *(part.tolist() for part in courses))
+        motions = zip(self._dynamics, places.tolist(), observed, commands.tolist(), flow, strict=True)
         self._pieces = [
             piece_with(dynamics, place, course, command)._replace(drift=drift)
             for dynamics, place, course, command, drift in motions

@@ -112,14 +112,12 @@ class Track(NamedTuple):
     @property
     def position(self) -> complex:
         """The position, m."""
-        x, y, _, _ = self.state
-        return complex(x, y)
+        return complex(*self.state[:2])
 
     @property
     def velocity(self) -> complex:
         """The velocity, m/s."""
-        _, _, vx, vy = self.state
-        return complex(vx, vy)
+        return complex(*self.state[2:])
 
     @property
     def position_covariance(self) -> Covariance:

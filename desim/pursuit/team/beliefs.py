@@ -170,12 +170,10 @@ class Beliefs(Knowledge):
                 and then with the ordered actions.
         """
         now, records = self._clock.stamp, self.trusted(period)
-        motions = self._motions(
-            {j: record for j, record in records.items() if isinstance(record.body, Located)}, orders
-        )
-        times = dict(
-            zip(motions, self._view.capture_times_from(list(motions), list(motions.values()), evader), strict=True)
-        )
+        located = {j: record for j, record in records.items() if isinstance(record.body, Located)}
+        motions = self._motions(located, orders)
+        reckoned = self._view.capture_times_from(list(motions), list(motions.values()), evader)
+        times = dict(zip(motions, reckoned, strict=True))
         for j in records.keys() - times.keys():
             times[j] = self._capture_time(records[j], evader)
         beliefs = {
