@@ -73,6 +73,7 @@ def test_the_gain_uses_the_records_that_have_arrived():
             for t in (0.0, 1.2, 1.25, 1.3):
                 yield me.at(t)
                 seen[t] = (me.believed_active(), round(me.gain(), 9), me.time_left())
+                assert me.time_left(0.5) == pytest.approx(me.time_left() - 0.5)
 
     play(protocol, latency=0.5)
     assert seen[0.0] == ([], 6.1, 10.0)
