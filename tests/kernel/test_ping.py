@@ -57,6 +57,7 @@ PING6(56=40+8+8 bytes) ::1 --> ::1
 """
 WINDOWS_IPV6 = (
     "Pinging ::1 with 32 bytes of data:\nReply from ::1: time<1ms \nRequest timed out.\nReply from ::1: time=3ms\n"
+    "Destination host unreachable.\n"
 )
 WINDOWS = """\
 Pinging 1.1.1.1 with 32 bytes of data:
@@ -64,9 +65,10 @@ Reply from 1.1.1.1: bytes=32 time=12ms TTL=57
 Request timed out.
 Reply from 1.1.1.1: bytes=32 time<1ms TTL=57
 Reply from 192.168.0.2: Destination host unreachable.
+PING: transmit failed. General failure.
 
 Ping statistics for 1.1.1.1:
-    Packets: Sent = 4, Received = 2, Lost = 2 (50% loss),
+    Packets: Sent = 5, Received = 2, Lost = 3 (60% loss),
 """
 OUTPUTS = {
     LINUX: [(0.0, 0.0123), (0.2, 1.003), (0.4, None), (0.6, 0.000045), (0.8, None), (1.0, None)],
@@ -79,8 +81,8 @@ OUTPUTS = {
     BUSYBOX: [(0.0, 0.003611)],
     FIRST_LOST: [(0.0, None), (1.0, 0.003611), (2.0, None)],
     FIRST_LOST_IPV6: [(0.0, None), (1.0, 0.003611), (2.0, None)],
-    WINDOWS_IPV6: [(0.0, 0.001), (1.0, None), (2.0, 0.003)],
-    WINDOWS: [(0.0, 0.012), (1.0, None), (2.0, 0.001), (3.0, None)],
+    WINDOWS_IPV6: [(0.0, 0.001), (1.0, None), (2.0, 0.003), (3.0, None)],
+    WINDOWS: [(0.0, 0.012), (1.0, None), (2.0, 0.001), (3.0, None), (4.0, None)],
 }
 
 
@@ -111,6 +113,7 @@ def test_sequence_numbers_go_on_after_the_last_and_a_log_may_begin_later():
     text = "".join(reply.format(seq % WRAP) for seq in (WRAP - 2, WRAP - 1, WRAP + 1))
     assert [rtt for _, rtt in probes_of(text)] == [0.001, 0.001, None, 0.001]
     assert [rtt for _, rtt in probes_of(f"PING a\n{reply.format(3)}")] == [None, None, 0.001]
+    assert [rtt for _, rtt in probes_of("Pinging a\nReply from a: time=1ms\n")] == [0.001]
 
 
 @pytest.mark.parametrize("text", ["", "0.1 0.2", "time=0.1", "a table\nwith time=0.1 and time<1\n"])

@@ -3,7 +3,7 @@
     64 bytes from 10.0.0.2: icmp_seq=1 ttl=64 time=12.3 ms
     Reply from 10.0.0.2: bytes=32 time=12ms TTL=64
 
-A probe is lost if no reply has its sequence number or, on Windows, where a line reports a failure.
+A probe is lost if no reply has its sequence number. Windows prints no sequence numbers, but a line for each lost probe.
 """
 
 import re
@@ -17,10 +17,12 @@ REPLY = re.compile(
     re.ASCII,
 )
 """Matches the line of a reply; Windows prints no bytes for IPv6."""
-FAILURE = re.compile(r"Request timed out\.|Reply from \S+: (?:Destination|TTL expired).*|General failure\.?")
-"""Matches a line of Windows about a probe without a reply."""
-OTHER = re.compile(r".*\b(?:icmp_)?seq[= ](\d+)\b.*", re.ASCII)
-"""Matches a line of other systems about a probe without a reply."""
+FAILURE = re.compile(
+    r"Request timed out\.|(?:Reply from \S+: )?(?:Destination|TTL expired).*|(?:PING: .* )?General failure\.?"
+)
+"""Matches the line of Windows for a lost probe."""
+NO_REPLY = re.compile(r".*\b(?:icmp_)?seq[= ](\d+)\b.*", re.ASCII)
+"""Matches a line of the other systems that names a probe without a reply, or whose reply is late."""
 TOTAL = re.compile(r"(\d+) packets transmitted, .*?(?:, time (\d+) ?ms)?", re.ASCII)
 """Matches the line with the number of probes and, on Linux, the time that they took."""
 RECEIVED = re.compile(
@@ -28,13 +30,14 @@ RECEIVED = re.compile(
 )
 """Matches the line with the number of replies."""
 START = re.compile(r"(?:PING |PING6?\(\d+=|Pinging ).*")
+"""Matches the first line."""
 FROM_0 = re.compile(r"PING .*: \d+ data bytes.*|PING6?\(\d+=.*")
 """Matches the first line of macOS, BSD and BusyBox, which number probes from 0; Linux numbers them from 1."""
 INTERVAL = 1.0
 """Time between probes, s, if the output has no times."""
 MAX_PROBES = 10**7
 WRAP = 2**16
-"""The number of sequence numbers."""
+"""Sequence numbers have 16 bits: 0 follows 65535."""
 
 
 class Probe(NamedTuple):
@@ -53,7 +56,7 @@ def ping_table(text: str, name: str) -> str | None:
     lost, 0 or 1.
 
     Raises:
-        ValueError: if the text, which has a name, is the output of several pings, or a summary only.
+        ValueError: as `probes_of`; the message begins with `name`.
     """
     rows = [
         f"{probe.sent:.6f},,1" if probe.rtt is None else f"{probe.sent:.6f},{1e3 * probe.rtt:.9g},0"
@@ -65,8 +68,8 @@ def ping_table(text: str, name: str) -> str | None:
 def probes_of(text: str, name: str = "the text") -> list[Probe]:
     """Return the probes in the output of ping, in order of their sequence numbers; none if the text is anything else.
 
-    The times are those of `ping -D`, and a lost probe has one between those of its neighbours. Without it, probes are
-    sent in equal intervals, which follow from the last line of the output on Linux, and are 1 s elsewhere.
+    With `ping -D`, the times of replies are known, and those of lost probes are interpolated. Without -D, the interval
+    between probes is constant: on Linux it follows from the summary, elsewhere it is 1 s.
 
     Raises:
         ValueError: if the text is the output of several pings, a summary only, or of more than `MAX_PROBES` probes.
@@ -97,21 +100,22 @@ def probes_of(text: str, name: str = "the text") -> list[Probe]:
             replies.setdefault(last, (float(stamp) - seconds if stamp else None, seconds))  # the first, of duplicates
         elif FAILURE.fullmatch(line):
             lost.add(len(replies) + len(lost))
-        elif other := OTHER.fullmatch(line):
-            last = _unwrapped(int(other[1]), last)
+        elif no_reply := NO_REPLY.fullmatch(line):
+            last = _unwrapped(int(no_reply[1]), last)
             lost.add(last)
         elif total := TOTAL.fullmatch(line):
             count, duration = int(total[1]), float(total[2]) / 1e3 if total[2] else None
     numbers = {*replies, *lost}
-    # A log without its first line may begin later.
-    first = min(numbers | {0 if any(map(FROM_0.fullmatch, lines)) else 1}) if starts else min(numbers)
+    first = min(numbers, default=1)
+    if starts:  # the first probes may be lost; a log without its start may begin with any number
+        first = min(first, 0 if any(map(FROM_0.fullmatch, lines)) else 1)
     end = max(numbers | {first + count - 1})
     if end - first >= MAX_PROBES:
         raise ValueError(f"{name} has more than {MAX_PROBES:,} probes")
     stamps = {seq: stamp for seq, (stamp, _) in replies.items() if stamp is not None}
     interval = _interval(stamps, count, duration)
     earliest, latest = min(stamps, default=first), max(stamps, default=first)
-    stamps |= {
+    stamps |= {  # extrapolated; the times of all others are interpolated
         first: stamps.get(earliest, 0.0) - interval * (earliest - first),
         end: stamps.get(latest, 0.0) + interval * (end - latest),
     }
@@ -121,7 +125,7 @@ def probes_of(text: str, name: str = "the text") -> list[Probe]:
 
 
 def _interval(stamps: dict[int, float], count: int, duration: float | None) -> float:
-    """Return the time between probes, s, from the times of some, or from the number of all and the time they took."""
+    """Return the time between probes, s, from the times of some, or from the number of all and their duration, s."""
     if len(stamps) > 1:
         return (max(stamps.values()) - min(stamps.values())) / (max(stamps) - min(stamps))
     return duration / (count - 1) if duration and count > 1 else INTERVAL
