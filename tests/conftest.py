@@ -205,6 +205,20 @@ def pytest_runtest_call(item):
     return answer
 
 
+@pytest.fixture
+def default_signals():
+    """Handle signals as Python does at its start, also where a parent such as `nohup` lets them be ignored."""
+    handlers = {
+        signal.SIGINT: signal.default_int_handler,
+        signal.SIGTERM: signal.SIG_DFL,
+        signal.SIGHUP: signal.SIG_DFL,
+    }
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
 @pytest.fixture(scope="session")
 def run_of():
     """Return a function from a scenario file, overrides and a seed to the result of that run, simulated only once.

@@ -10,6 +10,8 @@ from pydantic import BaseModel, Discriminator, Tag
 from desim.config.interrupts import Terminated, deferred, exit_code, raising
 from desim.config.model import Value
 
+pytestmark = pytest.mark.usefixtures("default_signals")
+
 
 def form(value):
     """Interrupt the serialization; return the tag of a number."""
@@ -35,31 +37,24 @@ def test_an_interrupt_of_a_serialization_is_raised_after_it():
 
 def test_the_first_of_several_signals_is_raised_when_the_outermost_block_ends():
     seen = []
-    before = signal.signal(signal.SIGTERM, lambda number, _: seen.append(number))
-    try:
+    signal.signal(signal.SIGTERM, lambda number, _: seen.append(number))
+    with deferred():
         with deferred():
-            with deferred():
-                signal.raise_signal(signal.SIGTERM)
-                signal.raise_signal(signal.SIGINT)
-            assert seen == []
-        assert seen == [signal.SIGTERM]
-    finally:
-        signal.signal(signal.SIGTERM, before)
+            signal.raise_signal(signal.SIGTERM)
+            signal.raise_signal(signal.SIGINT)
+        assert seen == []
+    assert seen == [signal.SIGTERM]
 
 
 def test_an_ignored_signal_takes_the_place_of_no_other():
     """As SIGHUP under nohup, which comes first when a terminal is closed."""
     seen = []
-    ignored = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    before = signal.signal(signal.SIGTERM, lambda number, _: seen.append(number))
-    try:
-        with deferred():
-            signal.raise_signal(signal.SIGHUP)
-            signal.raise_signal(signal.SIGTERM)
-        assert seen == [signal.SIGTERM]
-    finally:
-        signal.signal(signal.SIGHUP, ignored)
-        signal.signal(signal.SIGTERM, before)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda number, _: seen.append(number))
+    with deferred():
+        signal.raise_signal(signal.SIGHUP)
+        signal.raise_signal(signal.SIGTERM)
+    assert seen == [signal.SIGTERM]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -102,14 +97,11 @@ def test_a_block_in_another_thread_changes_no_handler(block):
 
 
 def test_a_signal_without_a_handler_raises_while_the_block_runs_and_an_ignored_one_does_not():
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        with raising():
-            signal.raise_signal(signal.SIGHUP)
-            with pytest.raises(Terminated, match="by SIGTERM") as ended:
-                signal.raise_signal(signal.SIGTERM)
-        assert exit_code(ended.value) == 128 + 15
-        assert exit_code(KeyboardInterrupt()) == 128 + 2
-        assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
-    finally:
-        signal.signal(signal.SIGHUP, before)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    with raising():
+        signal.raise_signal(signal.SIGHUP)
+        with pytest.raises(Terminated, match="by SIGTERM") as ended:
+            signal.raise_signal(signal.SIGTERM)
+    assert exit_code(ended.value) == 128 + 15
+    assert exit_code(KeyboardInterrupt()) == 128 + 2
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL

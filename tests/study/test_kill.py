@@ -14,7 +14,7 @@ from tests.study.test_workers import command
 
 pytestmark = [
     pytest.mark.timeout(300),  # a cluster takes its time to replace a worker
-    pytest.mark.usefixtures("_undrawn"),
+    pytest.mark.usefixtures("_undrawn", "default_signals"),
 ]
 
 
@@ -150,29 +150,21 @@ def test_a_handled_interrupt_is_not_repeated_and_an_ignored_one_has_no_effect():
             cleaned.append("up")
 
     cleaned = []
-    before = signal.signal(signal.SIGTERM, signal.SIG_DFL), signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        with pytest.raises(Terminated, match=r"^by SIGTERM$"), raising():
-            end()
-        with raising():
-            signal.raise_signal(signal.SIGHUP)
-        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
-    finally:
-        signal.signal(signal.SIGTERM, before[0])
-        signal.signal(signal.SIGHUP, before[1])
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    with pytest.raises(Terminated, match=r"^by SIGTERM$"), raising():
+        end()
+    with raising():
+        signal.raise_signal(signal.SIGHUP)
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     assert cleaned == ["up"]
 
 
 def test_ctrl_c_is_left_as_it_is():
     """Python gives SIGINT its handler, so that a program without one has chosen to be ended at once."""
-    before = signal.signal(signal.SIGINT, signal.SIG_DFL), signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    try:
-        with raising():
-            assert signal.getsignal(signal.SIGINT) is signal.SIG_DFL
-            assert signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL
-    finally:
-        signal.signal(signal.SIGINT, before[0])
-        signal.signal(signal.SIGTERM, before[1])
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    with raising():
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_DFL
+        assert signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL
 
 
 @pytest.mark.whole
