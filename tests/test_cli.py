@@ -261,7 +261,8 @@ def test_an_interrupted_command_shows_what_has_ended_and_how_to_keep_all(into, t
             raise KeyboardInterrupt
         return run(scenario, seed)
 
-    monkeypatch.setattr("desim.study.workers.dispatch.simulation", lambda *_: interrupted_in_the_third)
+    monkeypatch.setattr("desim.simulation.run.run", interrupted_in_the_third)
+    monkeypatch.setattr("desim.results.run_folder.simulate_below", lambda _, *task: interrupted_in_the_third(*task))
     monkeypatch.setattr("desim.results.run_folder.write_below", lambda _, result, **__: summary(result))
     stopped = desim("run", path, "-n", 5, "-s", 2, "--set", "evader.speed=0.3", "--allow-import", *into)
     assert stopped.exit_code == 130
