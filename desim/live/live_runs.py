@@ -166,8 +166,8 @@ def _run(play: Callable[[], Any]) -> Any:
         Thread(target=run_there).start()
         return outcome.result()
     except BaseException:
-        with suppress(TimeoutError):  # it has not begun
-            loop, task = running.result(timeout=5.0)
+        if not running.cancel():  # a coroutine that has not begun fails to tell that it runs
+            loop, task = running.result()
             with suppress(RuntimeError):  # it has just ended
                 loop.call_soon_threadsafe(task.cancel)
             wait([outcome])

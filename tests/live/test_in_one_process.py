@@ -559,3 +559,24 @@ def test_an_interrupt_in_a_notebook_ends_the_run_before_it_is_raised():
     finally:
         loop.close()
         signal.signal(signal.SIGUSR1, before)
+
+
+def test_a_run_in_a_notebook_that_is_interrupted_before_it_begins_does_not_begin(monkeypatch):
+    begun, late = [], []
+
+    class LateThread(SimpleNamespace):
+        def start(self):
+            late.append(self.target)
+            raise KeyboardInterrupt
+
+    async def play():
+        begun.append(True)
+
+    async def cell():
+        with pytest.raises(KeyboardInterrupt):
+            runs_module._run(play)
+
+    monkeypatch.setattr(runs_module, "Thread", LateThread)
+    asyncio.run(cell())
+    late[0]()
+    assert not begun
