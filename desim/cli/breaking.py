@@ -223,7 +223,8 @@ class _Results:
                 lines.append("nothing else was searched: mend it, or move the file away")
                 echo(lines[-1], err=self.as_json)
                 violation = {"seed": case.seed, "verdict": verdict._asdict(), "failure": failure, "file": str(file)}
-                self._remove_earlier()
+                if not (self.smallest.is_file() and _case_in(self.smallest) == _case_in(file)):
+                    self._remove_earlier()
                 as_text = self._write({"runs": 0, "violation": violation}, lines)
                 if self.as_json:
                     echo(as_text)
@@ -309,8 +310,7 @@ class _Results:
 
         write(text.encode(), self.smallest)
         if self.keep is not None:
-            _, _, content = text.partition("\n\n")  # without the comment, which names the command
-            name = f"{protocol}-{self.prop.label[:40]}-{seed}-{content_hash(content.encode())[:8]}.toml"
+            name = f"{protocol}-{self.prop.label[:40]}-{seed}-{content_hash(_case_in(self.smallest))[:8]}.toml"
             write(text.encode(), self.keep / name.replace(":", "-"))
 
     def _drawn(self, scenario: "Scenario", violation: "Violation | FatalLosses") -> str:
@@ -352,3 +352,8 @@ class _Results:
         write_whole(self.folder / "break.json", f"{as_text}\n".encode())
         write_whole(self.folder / "break.txt", ("\n".join(texts) + "\n").encode())
         return as_text
+
+
+def _case_in(file: Path) -> bytes:
+    """Return what a file of a violation has after its comment, which names the command that found it."""
+    return file.read_bytes().partition(b"\n\n")[2]

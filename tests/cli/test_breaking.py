@@ -84,7 +84,11 @@ def test_a_violation_is_written_and_kept_with_all_that_repeats_it(folder):
     assert again.exit_code == VIOLATED
     assert re.match(rf"kept: kept/cbaa-idle_at_most_0_in_total-{smallest.seed}-\w{{8}}\.toml: violates: ", again.stdout)
     assert "cases" not in again.stdout
+    shown = {Path("found/smallest.toml"), Path("found/smallest.html")}
+    assert {*Path("found").glob("smallest.*")} >= shown  # they are of this case
+    Path("found/smallest.toml").write_text("# of another case\n\nhorizon = 1.0\n")
     again = desim(*command, "--json")
+    assert not {*Path("found").glob("smallest.*")}
     (kept,) = Path("kept").iterdir()
     expected = {"seed": smallest.seed, "verdict": violation["verdict"], "failure": "", "file": str(kept)}
     document = strict_json(again.stdout)
