@@ -33,7 +33,6 @@ from desim.simulation import watchdog
 from desim.simulation.run import run
 from desim.simulation.watchdog import TimedOut, code_place_of, within
 from desim.study.sweeps.sweep import sweep
-from desim.study.workers import dispatch
 
 
 def spin(me):
@@ -411,7 +410,6 @@ def test_the_time_limit_of_a_recorded_batch_ends_before_its_first_run(tmp_path, 
         active.pop()
 
     monkeypatch.setattr(watchdog, "within", limit)
-    monkeypatch.setattr(dispatch, "simulation", lambda timeout, simulate: simulate)
     monkeypatch.setattr(run_module, "run", lambda *task: found.append(bool(active)) or run(*task))
     scenario = Scenario(horizon=0.01, team=Team(count=2))
     provenance.write(tmp_path, provenance.document(provenance.RUN, scenario, seed=0, runs=runs, folder=tmp_path))
