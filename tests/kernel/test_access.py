@@ -44,7 +44,7 @@ SEED = 3
 def network(access, size=2, *, graph=None, seed=SEED, clocks=None, positions=None, faults=None, medium=None, **links):
     """Return a clock, a network whose frames of `SIZE` take 1 ms, and its trace."""
     clock, trace = Clock(), Trace()
-    radio = Bitrate(bitrate=800_000.0, access=access, **(medium or {}))
+    radio = Bitrate(**{"bitrate": 800_000.0, "access": access} | (medium or {}))
     net = Network(
         clock,
         complete_graph(size) if graph is None else graph,
@@ -720,6 +720,14 @@ def test_each_node_transmits_one_frame_at_the_beginning_of_its_slot(slots, expec
     clock.run()
     assert starts(trace) == expected
     assert net.message_counts().lost == 0
+
+
+def test_a_slot_has_one_frame_even_if_its_airtime_rounds_to_0():
+    clock, net, trace = network(Tdma(slot=0.002), 3, medium={"bitrate": 1e13})
+    for _ in range(3):
+        net.publish(0, None, size=SIZE)
+    clock.run()
+    assert starts(trace) == [(0, 0.0), (0, 6000.0), (0, 12000.0)]
 
 
 @pytest.mark.slow

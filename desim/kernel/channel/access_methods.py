@@ -227,6 +227,8 @@ class _Tdma(AccessMethod):
         self._slots: list[list[int]] = [[] for _ in clocks]
         for slot, owner in enumerate(owners):
             self._slots[owner].append(slot)
+        self._used: Integers = np.full(len(clocks), -1)
+        """The start of the last slot that each node has used, ns; the airtime of a frame may be 0."""
 
     def prepare(self, node: int, now: int, *, arrived: bool) -> None:
         clock = self._clocks[node]
@@ -235,10 +237,14 @@ class _Tdma(AccessMethod):
             turn * self._slots_per_round + slot for turn in range(rounds, rounds + 4) for slot in self._slots[node]
         ):
             start = clock.when(k * self._slot)
-            if start >= now:
+            if start >= now and start > self._used[node]:
                 self._nodes.due[node] = start
                 return
         raise AssertionError("a node has a slot in every round")
+
+    def act(self, due: Integers, now: int) -> tuple[Integers, Integers]:
+        self._used[due] = now
+        return super().act(due, now)
 
 
 def access_method(
