@@ -126,6 +126,13 @@ def test_curves_that_do_not_cross_have_no_crossing():
     assert crossing.document()["interval"] is None
 
 
+@pytest.mark.parametrize("last", [0.15, 0.21, 0.34])
+def test_curves_that_no_value_tells_apart_are_undecided_up_to_the_last_value(last):
+    """0.05 + (0.21 - 0.05) is less than 0.21: such an end would count as one that the values bound."""
+    (interval,) = undecided_parts([0.05, last], np.array([[1.0, -2.0], [-2.0, 1.0], [1.0, 2.0], [-1.0, -2.0]]), 0.95)
+    assert interval == (0.05, last)
+
+
 def test_a_few_runs_without_scatter_decide_nothing():
     """Three runs that all differ by 1 s: by 2^(1 - 3) as chance has it. The control are the eight of the test above."""
     crossing = sweep_of(EIGHT[:3] + 1.0, EIGHT[:3]).crossover("active_time", KEY, A, B)

@@ -284,15 +284,16 @@ def undecided_parts(x: Sequence[float], apart: Floats, confidence: float) -> lis
     q = t_quantile(runs - 1, confidence) ** 2 / runs
     spreads = np.ptp(apart, axis=0).tolist()
     parts: list[CrossoverInterval] = []
-    for k in range(len(x) - 1):
+    for k, (left, right) in enumerate(pairwise(x)):
         if not (spreads[k] or spreads[k + 1]) and chance_of_one_sign(runs) > 1.0 - confidence:
-            parts.append((x[k], x[k + 1]))  # a few runs without scatter decide nothing, see `Estimate.excludes_0`
+            parts.append((left, right))  # a few runs without scatter decide nothing, see `Estimate.excludes_0`
             continue
         start, rise = apart[:, k], apart[:, k + 1] - apart[:, k]
         v, c, w = covariance(start, start), covariance(start, rise), covariance(rise, rise)
         m, slope = float(start.mean()), float(rise.mean())
         shares = _not_positive(slope * slope - q * w, 2.0 * (m * slope - q * c), m * m - q * v)
-        parts += [(x[k] + low * (x[k + 1] - x[k]), x[k] + high * (x[k + 1] - x[k])) for low, high in shares]
+        width = right - left  # rounded, so that left + width may not be right
+        parts += [(left + low * width, left + high * width if high < 1.0 else right) for low, high in shares]
     merged: list[CrossoverInterval] = []
     for low, high in parts:  # they ascend, as `x` does
         if merged and low <= merged[-1][1] + 1e-12 * (x[-1] - x[0]):
