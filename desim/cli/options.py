@@ -15,7 +15,21 @@ from desim.simulation.watchdog import checked_limit, within
 COUNT = click.IntRange(1, 1_000_000)
 """The number of runs, with the bounds of `sweep.reps`, which is slow to import."""
 
-PATH = click.Path(path_type=Path)
+
+class _PathType(click.Path):
+    """The type of paths of which the system says whether they exist; a folder without permission hides its files."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """Return the path; raise a usage error if nothing is known of it."""
+        path = Path(value)
+        try:
+            path.exists()
+        except OSError as error:
+            self.fail(f"{value}: {error.strerror}", param, ctx)
+        return path
+
+
+PATH = _PathType()
 FILE = click.argument("file", type=PATH)
 
 

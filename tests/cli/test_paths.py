@@ -8,6 +8,7 @@ import pytest
 import desim
 from desim.results.run_folder import write
 from tests.command import desim as command
+from tests.command import refused
 from tests.golden import golden
 
 SHORT = desim.Scenario(name="short", horizon=0.01, team={"count": 2})
@@ -100,3 +101,9 @@ def test_what_commands_say_of_wrong_paths_is_golden(folder, monkeypatch):
         assert (words, result.exit_code) == (words, 2)
     golden("refused_paths.txt", parts)
     assert sorted(Path().rglob("*")) == before
+
+
+@pytest.mark.parametrize("words", ["run", "plot", "ls", "merge -o x", "run --from", "netem --from"])
+def test_a_path_of_which_the_system_says_nothing_is_refused(words):
+    """As it does of a path in a folder that is closed to the user."""
+    assert "a" * 300 in refused(*words.split(), "a" * 300)
