@@ -31,11 +31,11 @@ OF_SWEEPS: Mapping[str, Sequence[str]] = {
 }
 """The kinds of pictures of a sweep, with the options of each kind; `SweepResult.usual_kind` is the default."""
 OF_MEANS = ("x", "by", "against", "labels", "xlabel", "ylabel")
-"""The options that ask for means, whatever the usual kind."""
+"""The options that select means if --kind is absent."""
 SUFFIXES = {"film": [".gif", ".mp4"], "perfetto": [".json"]}
 """The file suffixes of the kinds of pictures that are not diagrams."""
 NAMES = {"perfetto": "trace.perfetto"}
-"""File names (without suffix) that differ from the name of the kind."""
+"""The names of files, without suffix, of the kinds whose files are not named after them."""
 
 
 def _ids(text: str) -> tuple[int, ...]:
@@ -119,9 +119,11 @@ def plot(
     A scenario FILE is run first, once. In Python, the method `plot` of a result draws the same diagrams; films and
     Perfetto traces are in `desim.view`.
     """
-    if kind in OF_SWEEPS and not is_recorded(source):
-        fail(f"--kind {kind} draws a sweep, which {source} is not: make one with `desim sweep {source} -o DIR`")
-    if kind is not None:
+    if not is_recorded(source):
+        if kind in OF_SWEEPS:
+            fail(f"--kind {kind} draws a sweep, which {source} is not: make one with `desim sweep {source} -o DIR`")
+        kind = kind or next(iter(OF_RUNS))
+    if kind is not None:  # a wrong option is refused before the scenario is run
         _check_options(kind)
         picture_paths(source, out, kind, "")
     with making("picture"):
@@ -184,11 +186,11 @@ def _draw_sweep(result: "SweepResult", kind: str, source: Path, out: Path | None
     from desim.study.results.figures import file_name
     from desim.study.results.tables import notes
 
-    for name, key in [("x", key) for key in (options.get("x"),) if key] + [
-        ("by", key) for key in options.get("by", ())
-    ]:
-        with of_option(name, key):
-            result.values(key)
+    options_of_keys = {"x": [options["x"]] if "x" in options else [], "by": options.get("by", [])}
+    for name, keys in options_of_keys.items():
+        for key in keys:
+            with of_option(name, key):
+                result.values(key)
     if "against" in options:
         options["against"] = dict(options["against"])
         with of_option("against", " ".join(f"{key}={value}" for key, value in options["against"].items())):
@@ -199,18 +201,18 @@ def _draw_sweep(result: "SweepResult", kind: str, source: Path, out: Path | None
     name = file_name(kind, options.get("y"), options.get("against"))
     paths = picture_paths(source, out, kind, name)
     write_picture(lambda: [save(figure, path, dpi=200) for path in paths], paths)
-    for note in notes(result, [options.get("y", "active_time")]):  # of what the picture cannot show
+    for note in notes(result, [options.get("y", "active_time")]):  # what the picture cannot show
         if note != result.start_rule:
             echo(note, err=True)
 
 
 def _check_options(kind: str) -> None:
     """Raise a usage error if the command line has an option that this kind of picture lacks."""
-    everything = {**OF_RUNS, **OF_SWEEPS}
-    of_any = dict.fromkeys(name for options in everything.values() for name in options)
-    for name, option in options_given(of_any).items():
-        if name not in everything[kind]:
-            fitting = " and ".join(kind_name for kind_name, options in everything.items() if name in options)
+    options_of_kinds = {**OF_RUNS, **OF_SWEEPS}
+    names = {name: None for options in options_of_kinds.values() for name in options}
+    for name, option in options_given(names).items():
+        if name not in options_of_kinds[kind]:
+            fitting = " and ".join(kind_name for kind_name, options in options_of_kinds.items() if name in options)
             raise click.UsageError(f"{option} is an option of {fitting}; this picture is of the kind {kind}")
 
 
@@ -245,7 +247,7 @@ def write_picture(make: Callable[[], object], paths: Sequence[Path], *, err: boo
         paths[0].parent.mkdir(parents=True, exist_ok=True)
         make()
     except OSError as error:
-        fail(f"{paths[0]}: cannot be written: {error.strerror}")
+        fail(f"{error.filename or paths[0]}: cannot be written: {error.strerror}")
     for path in paths:
         how = " (replaced)" if path in replaced else ""
         echo(f"wrote {path}: {path.stat().st_size / 1000:,.0f} kB{how}", err=err)

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 
 import pytest
 from click.testing import CliRunner
@@ -139,6 +140,15 @@ def test_a_picture_that_cannot_be_written_is_named_without_an_option_that_was_no
     monkeypatch.chdir(tmp_path)
     (tmp_path / "small.trajectory.svg").mkdir()
     assert call("trajectory", file, code=2).startswith("small.trajectory.svg: cannot be written: ")
+    (tmp_path / "small.trajectory.svg").rmdir()
+    (tmp_path / "small.trajectory.png").mkdir()
+    assert call("trajectory", file, code=2).startswith("small.trajectory.png: cannot be written: ")
+
+
+@pytest.mark.parametrize(("words", "says"), [(["--fps", 3], "--fps is an option of film"), (["-o", "x.gif"], "x.gif")])
+def test_a_wrong_option_is_refused_before_the_scenario_is_run(file, words, says, monkeypatch):
+    monkeypatch.setattr(sys.modules["desim.cli.plot"], "results_of", None)
+    assert says in refused("plot", file, *words)
 
 
 @pytest.mark.whole
