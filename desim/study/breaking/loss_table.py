@@ -6,6 +6,7 @@ from math import inf
 from typing import Literal, NamedTuple, get_args
 
 from desim.analysis.properties import Judgement
+from desim.config.number_texts import counted
 from desim.kernel.models.faults import MessageFault
 from desim.study.breaking.copies import MessageCopy
 
@@ -70,9 +71,8 @@ class LossTable:
         seeds = f"seed{'s' if len(self.seeds) > 1 else ''} {', '.join(map(str, self.seeds))}"
         words = {"lost": "lost", "late": f"late by {self.delay:g} s", "twice": f"repeated after {self.delay:g} s"}
         fates = " or ".join(words[fate] for fate in self.fates)
-        noun = f"message{'s' if self.most > 1 else ''}"
-        runs = f"{self.runs:,} run{'s' if self.runs > 1 else ''}"
-        choices = f"at most {self.most} " + (f"lost {noun}" if fates == "lost" else f"{noun} {fates}")
+        runs = counted(self.runs, "run")
+        messages = counted(self.most, "lost message") if fates == "lost" else f"{counted(self.most, 'message')} {fates}"
         lines = [f"seed {seed}: violated without any loss" for seed in self.broken]
         for fatal in self.fatal:
             these = f"if these are {fates}" if len(self.fates) == 1 else "with these"
@@ -81,10 +81,8 @@ class LossTable:
             for copy, fate in zip(fatal.messages, fatal.fates, strict=True):
                 lines.append(f"  {'' if len(self.fates) == 1 else f'{words[fate]}: '}{copy}")
         if not lines:
-            lines.append(f"no violation with {choices} ({runs}, {seeds})")
-        else:
-            lines.append(f"{choices}: {runs}, {seeds}")
-        return "\n".join(lines)
+            return f"no violation with at most {messages} ({runs}, {seeds})"
+        return "\n".join([*lines, f"at most {messages}: {runs}, {seeds}"])
 
 
 def message_faults(fates: Iterable[tuple[int, MessageFate]], delay: float) -> tuple[MessageFault, ...]:
