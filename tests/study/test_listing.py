@@ -55,12 +55,12 @@ def test_each_result_has_a_line_with_its_state(results):
     assert {entry.scenario for entry in ls(results)} == {"relay"}
 
 
-def test_the_runs_of_all_parts_are_counted(results, tmp_path):
-    part = results / "parts" / "sweep.1-of-2.sqlite"
-    for name in ("sweep.1-of-2.sqlite", "sweep.2-of-2.sqlite"):
-        shutil.copy(part, tmp_path / name)
-    (entry,) = ls(tmp_path)
-    assert entry.runs == 2 * states(results)["parts"][1]
+def test_the_runs_of_all_parts_are_counted_and_a_run_that_two_have_is_done_once(results, tmp_path):
+    parts = shutil.copytree(results / "parts", tmp_path / "parts")
+    shutil.copy(parts / "sweep.1-of-2.sqlite", parts / "sweep.2-of-2.sqlite")
+    with closing(sqlite3.connect(parts / "sweep.2-of-2.sqlite")) as store, store:
+        store.execute("DELETE FROM runs WHERE rowid = 1")
+    assert states(tmp_path)["parts"][1:] == (3, "parts of a sweep: merge them; unfinished: 2 of 4")
 
 
 def test_a_store_of_a_script_is_listed_with_its_file(tmp_path):

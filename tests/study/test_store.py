@@ -264,6 +264,14 @@ def test_a_failed_run_is_replaced_by_any_and_a_successful_one_by_none(file):
             assert {each[2] for each in statuses(store, plan)} == {expected}
 
 
+def test_the_runs_of_the_first_configurations_are_counted_below_a_replication():
+    with Store() as store:
+        plan = SweepPlan.of(Scenario(), {"team.count": [3, 2]}, 3)
+        plan.register(store)
+        store.add_all(0, [(plan.configurations[c].key, Row(k, k, "error")) for c in (0, 1) for k in range(2 + c)])
+        assert [store.count(*first) for first in ((1, 1), (2, 1), (1, None), (2, None), (2, 2))] == [1, 2, 2, 5, 4]
+
+
 def test_a_run_that_is_repeated_receives_only_the_metrics_that_it_lacks():
     with Store() as store:
         plan = SweepPlan.of(Scenario(), {"team.count": [3]}, 1)

@@ -181,6 +181,13 @@ class Store(SweepProperties, RunRows):
         return int(self.database.execute("SELECT count(*) FROM runs").fetchone()[0])
 
     @naming_the_file
+    def count(self, configurations: int, reps: int | None) -> int:
+        """Return the number of runs of the first configurations whose replication is below `reps`; None: of all."""
+        first = "SELECT configuration FROM configurations ORDER BY place LIMIT ?"
+        query = f"SELECT count(*) FROM runs WHERE configuration IN ({first}) AND (? IS NULL OR replication < ?)"
+        return int(self.database.execute(query, (configurations, reps, reps)).fetchone()[0])
+
+    @naming_the_file
     def merge(self, other: "Store", *, mix_versions: bool = False) -> None:
         """Add the runs of another store of the same sweep; a run that succeeded there replaces one that failed here.
 

@@ -150,39 +150,42 @@ def _entry(folder: Path, stores: list[Path], has_trace: bool, modified: float) -
         problems.append(f"no {provenance.FILE}")
     except (OSError, ValueError) as error:
         problems.append(_first_line(error))
-    if not stores:
-        if has_trace:
-            try:
-                state = "complete" if b'"event": "Ended"' in _tail(folder / TRACE) else "unfinished"
-            except OSError as error:
-                return Entry(folder, kind, scenario, modified, None, f"{TRACE}: {error.strerror}")
-            return Entry(folder, kind, scenario, modified, 1, "; ".join([*problems, state]))
-        return Entry(folder, kind, scenario, modified, planned, "; ".join([*problems, "no runs recorded"]))
-    runs: int | None = 0
-    is_told = plan is not None and plan.configurations is not None
-    failed, outcomes, keys = 0, set[Run](), list[list[str]]()
+    runs, state = planned, "no runs recorded"
     try:
-        for path in stores:
-            with Store(path, read_only=True) as store:
-                runs = (runs or 0) + len(store)
-                failed += store.failed_runs
-                if is_told:
-                    outcomes.update(*store.outcomes())
-                    keys.append(store.keys)
-                scenario = scenario or (store.read_property("name", str) if "name" in store.about else "")
+        if stores:
+            name, runs, state = _stored(stores, None if kind in UNPLANNED else planned, plan)
+            scenario = scenario or name
+        elif has_trace:
+            runs, state = 1, "complete" if b'"event": "Ended"' in _tail(folder / TRACE) else "unfinished"
     except (OSError, ValueError) as error:
         return Entry(folder, kind, scenario, modified, None, _first_line(error))
+    return Entry(folder, kind, scenario, modified, runs, "; ".join([*problems, state]))
+
+
+def _stored(stores: list[Path], planned: int | None, plan: PlannedRuns | None) -> tuple[str, int, str]:
+    """Return the name of the scenario in stores, the number of their runs, and their state."""
+    name, runs, failed, done, outcomes, keys = "", 0, 0, 0, set[Run](), list[list[str]]()
+    for path in stores:
+        with Store(path, read_only=True) as store:
+            name = name or (store.read_property("name", str) if "name" in store.about else "")
+            runs, failed = runs + len(store), failed + store.failed_runs
+            if plan is not None and plan.configurations is not None:
+                keys.append(store.keys)
+                if len(stores) == 1:
+                    done = store.count(plan.configurations, plan.reps)
+                else:  # they may have runs in common
+                    outcomes.update(*store.outcomes())
+    includes = plan.includes(keys) if plan is not None and keys else None
+    done = done or (len([*filter(includes, outcomes)]) if keys else runs)
     parts = ["parts of a sweep: merge them"] if stores[0].name != STORE else []
-    includes = plan.includes(keys) if plan is not None and is_told else None
-    count = (runs or 0) if includes is None else len([*filter(includes, outcomes)])
-    if kind in UNPLANNED or planned is None or not runs:
+    if planned is None or not runs:
         parts += [] if runs else ["empty"]
-    elif is_told and includes is None:
+    elif keys and includes is None:
         parts.append(f"has runs of another grid than that of {provenance.FILE}")
-    elif count < planned:
-        parts.append(f"unfinished: {count:,} of {'at most ' * (plan is not None and plan.is_most)}{planned:,}")
+    elif done < planned:
+        parts.append(f"unfinished: {done:,} of {'at most ' * (plan is not None and plan.is_most)}{planned:,}")
     parts += [f"{failed:,} failed"] if failed else []
-    return Entry(folder, kind, scenario, modified, runs, "; ".join([*problems, *(parts or ["complete"])]))
+    return name, runs, "; ".join(parts or ["complete"])
 
 
 def _tail(path: Path) -> bytes:
@@ -193,4 +196,6 @@ def _tail(path: Path) -> bytes:
 
 
 def _first_line(error: Exception) -> str:
+    if isinstance(error, OSError) and error.filename:
+        return f"{Path(error.filename).name}: {error.strerror}"
     return str(error).splitlines()[0] if str(error) else type(error).__name__
