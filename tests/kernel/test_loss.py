@@ -377,6 +377,16 @@ def test_losses_without_correlation_are_those_of_bernoulli_and_p_0_loses_nothing
     assert not np.any(history(Correlated(p=0.0), range(3), 0))
 
 
+def test_a_subclass_may_draw_in_a_run_as_without_state():
+    class Fresh(Correlated):
+        def start_run(self, size):
+            return self
+
+    model, drawn = Correlated(p=0.3, correlation=0.2), [np.random.default_rng(0) for _ in range(2)]
+    fresh = Fresh(p=0.3, correlation=0.2).start_run(2)
+    assert np.array_equal(fresh(context(links=9), drawn[0]), model(context(links=9), drawn[1]))
+
+
 FOUR = FourState(p13=0.05, p31=0.3, p32=0.2, p23=0.4, p14=0.02)
 
 

@@ -79,7 +79,7 @@ class LatencyTrace(LinkTrace):
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> float | Floats:
         """Return the latency of each link, (k,), or one for all, s; one that is missing is that of the row before."""
-        return self.start_run(0)(context, rng)
+        return PlayedLatencies(self)(context, rng)
 
 
 class PlayedLatencies:
@@ -114,7 +114,7 @@ class _LossTrace(LinkTrace):
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools:
         """Draw the (k,) losses; return one for all receivers if it is certain."""
-        return self.start_run(0)(context, rng)
+        return PlayedLosses(self)(context, rng)
 
 
 class LossTrace(_LossTrace):

@@ -192,7 +192,7 @@ class Correlated(Value):
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools:
         """Draw (k,) losses of the first message of each link, without state; return False if nothing can be lost."""
-        return self.start_run(1)(context, rng)
+        return Correlated.start_run(self, 1)(context, rng)
 
 
 class FourState(Value):
