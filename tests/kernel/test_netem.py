@@ -257,6 +257,12 @@ def test_what_netem_does_not_take_is_refused(tmp_path, given, why):
         Netem.model_validate(given, context={"folder": tmp_path})
 
 
+def test_a_wrong_number_of_a_table_is_the_only_error():
+    with pytest.raises(ValueError, match="table") as refused:
+        Netem(table=[2**15])
+    assert "least" not in str(refused.value)
+
+
 def test_as_plain_values_a_model_no_longer_needs_its_file(tmp_path):
     (tmp_path / "own.dist").write_text(table_text(TABLES["normal"](), "own"))
     model = Netem.model_validate({"jitter": 0.01, "file": "own.dist"}, context={"folder": tmp_path})

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, model_validator
 
 from desim.config.arrays import Bools, Floats
-from desim.config.model import Counted, FirstError, Probability, Time, Unsigned, Value
+from desim.config.model import Counted, FirstError, NotEmpty, Probability, Time, Unsigned, Value
 from desim.config.trust import resolve_path
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.models.correlation import RANGE, CorrelatedNumbers, LinkMemory
@@ -43,7 +43,7 @@ class Netem(Value):
     modulo 4096, or modulo 2 `jitter` in ns."""
     distribution: Literal["uniform", "normal", "pareto", "paretonormal"] = "uniform"
     """Distribution of the jitter; the tables of the last three are those of iproute2."""
-    table: Annotated[tuple[TableNumber, ...], FirstError(), Field(min_length=1, max_length=LONGEST)] | None = None
+    table: Annotated[tuple[TableNumber, ...], FirstError(), NotEmpty(), Field(max_length=LONGEST)] | None = None
     """Instead of a distribution: a table of 1 to 16384 numbers, usually 4096."""
     file: str | None = None
     """Instead of a distribution: path of a table NAME.dist, relative to the scenario file. The file is read once, when
