@@ -378,6 +378,11 @@ def test_missing_numbers_are_null_and_as_long_as_numbers():
     assert as_sent(np.ma.masked) is np.ma.masked
 
 
+def test_a_class_may_have_no_module():
+    body = type("Bare", (), {"__module__": None})()
+    assert type(as_sent(body)) is type(body)
+
+
 def test_objects_with_hidden_state_differ_in_their_content():
     """Also those whose attributes say nothing, such as generators of random numbers, patterns and types of arrays."""
     for one, other in (

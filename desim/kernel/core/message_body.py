@@ -154,7 +154,7 @@ def is_immutable(value: Any, depth: int = 0) -> bool:
 @functools.cache
 def _immutable_parts(kind: Any) -> Parts | None:
     """Return the function that returns what an object of an immutable type consists of; None for any other type."""
-    is_missing_number = kind is type(np.ma.masked) or (kind.__name__, kind.__module__[:7]) == ("NAType", "pandas.")
+    is_missing_number = kind is type(np.ma.masked) or (kind.__name__ == "NAType" and kind.__module__[:7] == "pandas.")
     if is_missing_number or issubclass(kind, Enum | type):
         return lambda _: ()
     if kind is frozenset or (issubclass(kind, tuple) and not kind.__dictoffset__):  # 0: without attributes
