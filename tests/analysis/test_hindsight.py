@@ -18,7 +18,7 @@ from desim.analysis.hindsight import (
 )
 from desim.analysis.measuring import summary
 from desim.analysis.metrics import active_time, capture_time
-from desim.analysis.timeline import _Path, timeline
+from desim.analysis.timeline import RelativePlaces, _Path, timeline
 from desim.config.model import Value
 from desim.kernel.core.events import MessageCounts, Trace
 from desim.kernel.core.units import SECOND, nanoseconds
@@ -442,3 +442,17 @@ def test_latency_is_regretted_on_average():
     slow, fast = regrets(0.5), regrets(0.001)
     assert slow.mean() > 3 * slow.std(ddof=1) / np.sqrt(20)
     assert not fast.mean() > 3 * fast.std(ddof=1) / np.sqrt(20)
+
+
+def test_in_a_flow_that_changes_pursuers_at_rest_keep_their_places_and_headings_in_hindsight():
+    """Samples lie between motion steps, in which the simulated flow is constant: places are off, within the bound."""
+    flow = {"kind": "harmonic", "amplitude": [2.0, 1.0], "period": 0.5}
+    resting = {"positions": [[0, 0]], "active_at_start": 0.0, "dynamics": {"kind": "turn_rate", "heading": 0.5}}
+    changes = {"environment.flow": flow, "motion.step": 0.02, "record.trajectory": 0.03}
+    scenario = Scenario(horizon=1.0).with_(changes | {f"team.{key}": value for key, value in resting.items()})
+    result, places = run(scenario, 1), RelativePlaces(scenario)
+    known = [result.trace.of(Started)[0], *result.trace.of(Sampled)]
+    worst = max(abs(places(sample)[0]) for sample in known)
+    assert places.error / 10.0 < worst <= places.error
+    courses = _Path(result, 1).courses(np.array([sample.t for sample in known]))
+    assert {complex(each.headings[0]) for each in courses} == set(scenario.team.headings(1))
