@@ -63,7 +63,7 @@ def packed_column(values: ArrayLike, kind: str) -> str:
 
     Args:
         values: the integers, of any shape.
-        kind: the NumPy dtype in which the page keeps them.
+        kind: the NumPy dtype in which the page keeps them, of at most 32 bits.
 
     Raises:
         ValueError: if a number does not fit the dtype.
@@ -86,15 +86,15 @@ def packed_column(values: ArrayLike, kind: str) -> str:
 
 
 def _widths(codes: Integers) -> Integers:
-    """Return the number of bytes of each number in groups of 7 bits."""
+    """Return the number of bytes of each number below 2^35 in groups of 7 bits."""
     widths: Integers = np.ones_like(codes)
-    for bits in (7, 14, 21, 28, 35, 42):
+    for bits in (7, 14, 21, 28):
         widths += codes >= 1 << bits
     return widths
 
 
 def _varints(codes: Integers) -> bytes:
-    """Return numbers below 2^49 in groups of 7 bits."""
+    """Return numbers below 2^35 in groups of 7 bits."""
     widths = _widths(codes)
     ends = np.cumsum(widths)
     content = np.zeros(int(ends[-1]) if len(ends) else 0, np.uint8)
