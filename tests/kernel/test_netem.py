@@ -243,6 +243,7 @@ def test_the_largest_random_number_has_a_quantile():
         ),
         ({"file": "own.dist", "table": [0] * SIZE}, "should have either a file or a table"),
         ({"table": []}, "should have at least 1 item"),
+        ({"table": ["a"]}, "^1 validation error"),
         ({"table": [0] * 16385}, "should have at most 16384 items"),
         ({"table": [2**15] * SIZE}, "less than or equal to 32767"),
         ({"file": "none.dist"}, r"none\.dist cannot be read: No such file"),
