@@ -231,7 +231,7 @@ def test_times_of_capture_are_a_matrix_or_numbers_and_for_the_gibbs_law_finite()
         welfare([[[1.0]], [[2.0]]], (0, 1), 25.0)
 
 
-@pytest.mark.parametrize("actions", [(0,), (0, 3), (-1, 0), (0, 0, 0)])
+@pytest.mark.parametrize("actions", [(0,), (0, 3), (-1, 0), (0, 0, 0), (0.5, 0), ("1", 0), ([1], 0)])
 def test_actions_are_those_of_the_game(actions):
     phi = [[1.0, 2.0], [3.0, 4.0]]
     for function in (welfare, is_equilibrium, lambda *game: wonderful_life_utility(*game, 0)):

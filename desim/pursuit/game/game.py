@@ -235,7 +235,7 @@ def _columns(phi: ArrayLike, actions: Sequence[int]) -> list[list[float]]:
     """Return the capture times of all pursuers for each evader, s; ValueError if actions do not fit them."""
     times = _times(phi)
     pursuers, evaders = times.shape
-    if len(actions) != pursuers or not all(0 <= action <= evaders for action in actions):
+    if len(actions) != pursuers or any(action not in range(evaders + 1) for action in actions):
         expected = f"{pursuers} numbers from 0 to {evaders}, one for each pursuer"
         raise ValueError(f"actions should be {expected}, got {list(actions)}")
     columns: list[list[float]] = times.T.tolist()
