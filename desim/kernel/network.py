@@ -105,7 +105,7 @@ class ReceivingNodes:
     def inbox(self, node: int, port: str = "") -> Inbox:
         """Return the inbox of a node at a port."""
         node = self._node(node)
-        check_port(port, "inbox")
+        check_port(port, f"node {node}")
         return self._inboxes.at(port)[node]
 
     def _settled(self, node: int) -> int:

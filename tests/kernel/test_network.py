@@ -567,7 +567,7 @@ def test_an_unknown_node_is_refused(use, node):
         (lambda network: network.publish(0, "x", size=-8), r"at least 0 bytes \(got -8\)"),
         (lambda network: network.send(0, 1, "x", 40), r"send: a port should be a text.*\(got 40\)"),
         (lambda network: network.send(0, 1, "x", transport="reliable"), "transport should be BestEffort"),
-        (lambda network: network.inbox(1, ["a"]), r"inbox: a port should be a text.*\(got \['a'\]\)"),
+        (lambda network: network.inbox(1, ["a"]), r"node 1: a port should be a text.*\(got \['a'\]\)"),
     ],
 )
 def test_a_message_to_oneself_or_of_negative_size_is_refused(transmit, why):

@@ -249,7 +249,7 @@ def test_a_function_takes_the_messages_of_a_port_as_they_arrive():
     assert heard == [(0.25, ["first", "second"]), (0.625, ["third"])]
     with pytest.raises(ValueError, match="pursuer 0: listen: act should be a function of messages"):
         play(lambda me: iter([me.listen(3)]))
-    with pytest.raises(ValueError, match="a port should be a text"):
+    with pytest.raises(ValueError, match="node 0: a port should be a text"):
         play(lambda me: iter([me.listen(print, 3)]))
     with pytest.raises(ValueError, match="pursuer 0: listen: ignores should be a function of a message"):
         play(lambda me: iter([me.listen(print, ignores=3)]))

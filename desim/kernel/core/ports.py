@@ -10,7 +10,7 @@ def check_port(port: Any, name: str) -> None:
 
     Args:
         port: the port.
-        name: the function that it was given to, for the error message.
+        name: the node with the port, or the function that it was given to, for the error message.
     """
     if not isinstance(port, str):
         raise ValueError(f"{name}: a port should be a text, the name of an inbox (got {value_text(port)})")
