@@ -43,8 +43,10 @@ def test_simple_motion_takes_each_velocity_at_once():
 def test_an_aim_that_it_captures_as_it_circles_turns_nobody_away(side, away, turns_away):
     """The turning circles of radius 1 m touch at the origin; with a capture radius of 0.1 m, 0.9 m are close enough."""
     command, aim = rect(2.0, 1.0), side + rect(away, 0.3)
-    steered = TurnRate(limit=2.0).steered(command, Course(2.0 + 0j, 1.0 + 0j), aim, 0.1)
-    assert steered == pytest.approx(-2.0 * side if turns_away else command)
+    for heading in (1.0 + 0j, rect(1.0, 0.7)):
+        course = Course(2.0 * heading, heading)
+        steered = TurnRate(limit=2.0).steered(command * heading, course, aim * heading, 0.1)
+        assert steered / heading == pytest.approx(-2.0 * side if turns_away else command)
 
 
 @pytest.mark.slow
