@@ -227,6 +227,8 @@ def test_a_table_has_labels_and_leaves_out_columns():
     assert "captured" not in table
     assert r"$\infty$ & 3 &" in PLAIN.table(["active_time"], without=["captured"], format="latex").replace("$3$", "3")
     assert "four  " in PLAIN.table(labels={"4.00": "four"})
+    for without, columns in ((["captured"], "lrr"), (["captured", "network.range"], "rr")):  # keys are to the left
+        assert f"{{{columns}}}" in PLAIN.table(["active_time"], without=without, format="latex")
     for options, message in (
         ({"labels": {"rnage": "x"}}, "no key takes the value rnage"),
         ({"without": ["capture"]}, "no table has a column capture: they have "),
