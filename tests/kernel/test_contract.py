@@ -508,7 +508,7 @@ def test_the_comparison_detects_a_delivery_one_nanosecond_late():
 class OnArrival(MessageDelivery):
     """Every outcome is decided on arrival."""
 
-    def _settled(self, transmission, reached, arrival, airtime):
+    def _not_blocked(self, transmission, reached, arrival, airtime):
         self.arrivals.schedule(transmission, reached, arrival, airtime)
         return [], [], []
 
@@ -693,7 +693,7 @@ def test_a_node_that_leaves_the_range_gets_what_decisions_on_arrival_give_it(lat
 class Careless(OnArrival):
     """It takes every arrival for certain."""
 
-    def _settled(self, transmission, reached, arrival, airtime):
+    def _not_blocked(self, transmission, reached, arrival, airtime):
         return reached, arrival, []
 
 

@@ -1,6 +1,6 @@
 """The losses that faults, distance and half duplex cause on arrival.
 
-Those that are known when a transmission starts are drawn by `desim.kernel.link_layer.departure`.
+The losses that are known when a transmission starts are drawn by `desim.kernel.link_layer.departure`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -36,22 +36,25 @@ class ArrivalLosses:
         self._env, self._topology, self._fault_state = state.env, state.topology, state.fault_state
         self._transmitter, self._processing, self._checks_range = transmitter, processing, checks_range
         self._on_air: dict[int, tuple[list[int], int]] = {}
-        """By sender: the numbers of its last transmission and of the copies of it, and the end of its airtime, ns."""
+        """By sender: the numbers of its last transmission and of its copies, and the end of the airtime, ns."""
         self._cut_short: dict[int, Cause] = {}
-        """By number of each transmission whose sender crashed while it transmitted, and of each copy of one: the cause
-        of its loss."""
+        """The cause of the loss of each transmission whose sender crashed while it transmitted, by number; also of each
+        of its copies."""
 
     def start(self, flight: Flight) -> None:
-        """Note that a transmission with an airtime starts now, or a copy of one that has just started."""
+        """Note that a transmission with an airtime starts now, or a copy of the one that its sender has just started.
+
+        A node transmits one message at a time, so what starts during an airtime is a copy.
+        """
         transmission, airtime = flight
         numbers, end = self._on_air.get(transmission.src, ([], 0))
-        if end <= self._env.now:  # a node transmits one at a time, so else it is a copy
+        if end <= self._env.now:
             numbers, end = [], self._env.now + airtime
         numbers.append(transmission.number)
         self._on_air[transmission.src] = numbers, end
 
     def crash(self, node: int, cause: Cause) -> None:
-        """Note that the radio of a node goes down now: its transmission that is on the air is lost on arrival."""
+        """Note that the radio of a node goes down now: its transmission on the air, if any, is lost on arrival."""
         numbers, end = self._on_air.get(node, ((), 0))
         if self._env.now < end:
             self._cut_short |= dict.fromkeys(numbers, cause)
@@ -97,7 +100,7 @@ class ArrivalLosses:
     ) -> Iterator[int]:
         """Yield the index of each arrival whose receiver transmitted during the reception; see `causes`."""
         assert self._transmitter is not None
-        lag = self._processing
+        lag = self._processing  # a reception ends this long before the arrival
         earliest, latest = (times, times) if isinstance(times, int) else (min(times), max(times))
         transmissions = self._transmitter.during(set(nodes), earliest - lag, latest - lag)
         if not transmissions:
@@ -109,7 +112,7 @@ class ArrivalLosses:
                 yield k
 
     def _crashed(self, nodes: list[int], number: int | Integers) -> list[Cause | None] | None:
-        """Return the cause where the receiver is down or the sender crashed while sending, (k,); None: nowhere."""
+        """Return, (k,), the cause where the receiver is down or the sender has crashed on the air; None: nowhere."""
         assert self._fault_state is not None
         down_cause, cut_short = self._fault_state.down_cause, self._cut_short
         if not self._fault_state.down_nodes and not cut_short:

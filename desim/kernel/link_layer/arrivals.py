@@ -4,12 +4,12 @@ All arrivals of a transmission that are due at the same instant share one SimPy 
 
 A record that reaches its receivers at different times needs no event, because, unlike a message to an inbox, it wakes
 no process. Its arrivals are kept, and so are those of messages to a queue that is read after each step
-(`Inboxes.can_wait`). Those at a node are decided together before the node next reads, and those at all nodes before the
-next change of the faults or of the motion of a node. Until then, an outcome does not depend on when it is decided. With
-40 nodes and lognormal latencies, a simulation with a range check at delivery runs 8 times as fast as with an event per
-arrival, and one with half duplex 2.8 times as fast. Arrivals cannot be kept if a trace needs each loss at its time, if
-there may be faults that are not planned, or if the source of the positions does not know past positions
-(`PositionSource.looks_back`).
+(`Inboxes.can_wait`). The kept arrivals at a node are decided together before the node next reads, and those at all
+nodes before the next change of the faults or of the motion of a node. Until then, an outcome does not depend on when it
+is decided. With 40 nodes and lognormal latencies, a simulation with a range check at delivery runs 8 times as fast as
+with an event per arrival, and one with half duplex 2.8 times as fast. Arrivals cannot be kept if a trace needs each
+loss at its time, if there may be faults that are not planned, or if the source of the positions does not know past
+positions (`PositionSource.looks_back`).
 
 Kept equal to one event per arrival by
 `tests/kernel/test_contract.py::test_arrivals_decided_together_are_observationally_equal_to_one_event_each`.
@@ -30,9 +30,9 @@ from desim.kernel.state.transmission import Flight, Lose, Transmission
 
 _new = tuple.__new__  # creates a named tuple in a third of the time
 MAX_KEPT = 100_000
-"""Number of arrivals after which all that are due are decided, also those at nodes that do not read."""
+"""Number of added arrivals after which all due ones are decided, to bound the memory of nodes that do not read."""
 MANY_PAST = 1000
-"""Number of past losses and of past transmissions from which on those that are no longer needed are removed."""
+"""Length above which the lists of certain losses and of recent transmissions are cleared of past entries."""
 
 
 class KeptArrivals:
@@ -55,9 +55,9 @@ class KeptArrivals:
         return self._count
 
     def add(self, flight: Flight, nodes: list[int], times: list[int]) -> bool:
-        """Keep the arrivals (times in ns) at some nodes.
+        """Keep the arrivals (times in ns) at some nodes; return whether to decide all that are due.
 
-        Return whether all that are due should be decided, as many have been added since this was last the case.
+        This is so each time that `MAX_KEPT` arrivals have been added.
         """
         first, of_node = self.first, self._of_node
         # Two items of a flat list take less time and memory than a tuple.
@@ -133,9 +133,9 @@ class Arrivals:
         """Number of arrivals that have an event."""
         self.kept, self._all = KeptArrivals(topology.size), range(topology.size)
         self._at_downed: list[tuple[int, Transmission, dict[int, Cause]]] = []
-        """Losses that are certain, at nodes that are down: time, transmission, and the cause by receiver."""
+        """Certain losses at nodes that are down, not counted yet: time, transmission, and the cause by receiver."""
         self._count_at = self._forget_at = MANY_PAST
-        """Lengths of `_at_downed` and of `transmitter.recent` at which items that are no longer needed are removed."""
+        """Lengths of `_at_downed` and of `transmitter.recent` above which past entries are removed."""
 
     def crash(self, node: int, cause: Cause) -> None:
         """Note that the radio of a node goes down now: its transmission that is on the air is lost on arrival."""
@@ -164,8 +164,8 @@ class Arrivals:
             nodes_by_time: dict[int, list[int]] = {}
             for node, when in zip(nodes, arrival, strict=True):
                 nodes_by_time.setdefault(when, []).append(node)
-            for when, here in nodes_by_time.items():
-                self._land_at(when, flight, here, is_only=len(nodes_by_time) == 1)
+            for when, simultaneous in nodes_by_time.items():
+                self._land_at(when, flight, simultaneous, is_only=len(nodes_by_time) == 1)
 
     def _land_at(self, when: int, flight: Flight, nodes: list[int], *, is_only: bool) -> None:
         """Schedule the arrival of a transmission at some nodes at a time, ns; `is_only`: see `_land`."""
@@ -186,8 +186,8 @@ class Arrivals:
             return
         times = per_receiver(arrival, len(nodes))
         assert self._fault_state is not None
-        causes: list[dict[int, Cause]] = [{node: self._fault_state.down_cause(node) or "crash"} for node in nodes]
-        self._at_downed += [(when, transmission, cause) for cause, when in zip(causes, times, strict=True)]
+        losses: list[dict[int, Cause]] = [{node: self._fault_state.down_cause(node) or "crash"} for node in nodes]
+        self._at_downed += [(when, transmission, causes) for causes, when in zip(losses, times, strict=True)]
         if len(self._at_downed) > self._count_at:
             self.count_losses()
             self._count_at = 2 * len(self._at_downed) + MANY_PAST
@@ -201,9 +201,9 @@ class Arrivals:
         self._at_downed = [entry for entry in self._at_downed if entry[0] > now]
 
     def settle_for_reader(self, node: int | None = None) -> None:
-        """Decide the kept arrivals at a node, or at all (None), up to and including this instant.
+        """Decide the kept arrivals at a node, or at all nodes (None), up to and including this instant.
 
-        If a fault has yet to begin or end at this instant, the arrivals at this instant are not decided.
+        If a fault has yet to begin or end at this instant, which may change their outcomes, those at this instant wait.
         """
         now = self._env.now
         changes = self._fault_state is not None and self._fault_state.changes_by(now)
@@ -215,6 +215,7 @@ class Arrivals:
             self._settle(self._env.now - 1, self._all)
 
     def _settle(self, until: int, nodes: Iterable[int]) -> None:
+        """Decide the kept arrivals at some nodes up to and including a time, ns."""
         receivers, times, flights = self.kept.take(nodes, until)
         if not flights:
             return
@@ -233,8 +234,8 @@ class Arrivals:
         for k in messages:
             transmission = flights[k].transmission
             self._inboxes.deliver(contents[k], transmission.port, [receivers[k]], times[k], transmission.number)
-        kept = sorted(set(range(len(contents))).difference(messages))
-        self._records.receive([receivers[k] for k in kept], [times[k] for k in kept], [contents[k] for k in kept])
+        rest = sorted(set(range(len(contents))).difference(messages))
+        self._records.receive([receivers[k] for k in rest], [times[k] for k in rest], [contents[k] for k in rest])
 
     def _can_wait(self, transmission: Transmission) -> bool:
         """Return whether the outcome of a transmission may be decided after its arrival."""
@@ -243,7 +244,7 @@ class Arrivals:
         return isinstance(transmission.content, Record) or self._inboxes.can_wait(transmission.port)
 
     def _land(self, flight: Flight, nodes: list[int], *, is_only: bool) -> None:
-        """Deliver or lose a transmission at each of some nodes now; `is_only`: it arrives at no other time."""
+        """Deliver or lose a transmission at each of some nodes now; `is_only`: its event is the only one."""
         now, transmission = self._env.now, flight.transmission
         content, receivers = transmission.content, transmission.receivers
         self._with_events -= len(nodes)
@@ -251,7 +252,7 @@ class Arrivals:
         lost = {nodes[k]: causes[k] for k in sorted(causes)} if causes else {}
         if lost:
             self._lose(transmission, lost)
-        if is_only and isinstance(content, Record):
+        if is_only and isinstance(content, Record):  # it arrives at one instant, so all nodes may share it
             unreached = lost if len(nodes) == len(receivers) else {*set(receivers).difference(nodes), *lost}
             if self._records.share(content, len(receivers), now, unreached):
                 return

@@ -4,9 +4,9 @@ Records and messages whose arrival is certain at transmission are stored at once
 is not certain if a fault, a range check on arrival or half duplex can still prevent it;
 `desim.kernel.link_layer.arrivals` then decides it when it is due.
 
-A range check cannot prevent an arrival for as long as no link of the sender can have crossed its border, because the
-speed of the nodes is bounded (`desim.kernel.topology.kept_receivers`). With 40 nodes that stay far within range,
-lognormal latencies take 0.4 of the time that decisions on arrival take.
+A range check cannot prevent an arrival as long as, at the bounded speed of the nodes, no receiver can have crossed the
+border of the sender's range (`desim.kernel.topology.kept_receivers`). With lognormal latencies and 40 nodes that stay
+far within range, a run takes 0.4 of the time that it takes with decisions on arrival.
 
 With planned faults, an arrival at a node that is up is certain if it is due before the next fault begins or ends. The
 exception is a jamming disc: nodes may move into it.
@@ -44,7 +44,8 @@ class MessageDelivery:
         self._records, self._inboxes, self._fault_state = state.records, state.inboxes, state.fault_state
         self._topology, self.arrivals = state.topology, arrivals
         self._checks_range = links.range_check != "send"
-        # While a frame is on the air, a fault may begin that was not active when its losses were drawn.
+        # If nodes contend, the channel decides half duplex, but a fault may begin while a frame is on the air, when its
+        # losses are drawn already. Else half duplex depends on what receivers transmit after this transmission starts.
         self._decides_on_arrival = state.fault_state is not None if contends else links.medium.half_duplex
         self.is_certain = not (self._checks_range or self._decides_on_arrival) and state.fault_state is None
 
@@ -81,7 +82,7 @@ class MessageDelivery:
                 return
         unreached: Collection[int] = causes
         if self._fault_state is not None:
-            reached, arrival, down = self._settled(transmission, reached, arrival, airtime)
+            reached, arrival, down = self._not_blocked(transmission, reached, arrival, airtime)
             unreached = {*causes, *down}
         if isinstance(content, Record):
             self._records.schedule(content, reached, arrival, unreached)
@@ -93,8 +94,8 @@ class MessageDelivery:
     ) -> tuple[list[int], Arrival]:
         """Return the receivers that will certainly be within range at their arrival times (ns), and these times.
 
-        Other arrivals are scheduled, and decided when they are due. If all arrive at one instant, they share one event,
-        so that all are decided then unless all are certain now.
+        The other arrivals are scheduled, and decided when they are due. Arrivals at one instant share one event: if one
+        of them is uncertain, all are decided then.
 
         Kept equal to arrivals that are all decided when they are due by
         `tests/kernel/test_contract.py::test_arrivals_certain_to_be_in_range_are_observationally_equal_to_decisions`.
@@ -103,41 +104,41 @@ class MessageDelivery:
         last = arrival if isinstance(arrival, int) else max(arrival, default=0)
         if last < until and within.issuperset(reached):
             return reached, arrival
-        unsure, later = reached, arrival
+        uncertain, their_times = reached, arrival
         if isinstance(arrival, int) or min(arrival, default=0) >= until:
             reached, arrival = [], []
         else:
-            reached, arrival, unsure, later = _split(
+            reached, arrival, uncertain, their_times = _split(
                 reached, arrival, lambda node, when: when < until and node in within
             )
-        self.arrivals.schedule(transmission, unsure, later, airtime)
+        self.arrivals.schedule(transmission, uncertain, their_times, airtime)
         return reached, arrival
 
-    def _settled(
+    def _not_blocked(
         self, transmission: Transmission, reached: list[int], arrival: Arrival, airtime: int
     ) -> tuple[list[int], Arrival, list[int]]:
         """Return the receivers that certainly get a transmission, its arrival times (ns), and those that are down.
 
-        Up to the next change of the faults, an arrival succeeds if and only if the radio of the receiver is up now.
+        Before the next change of the faults, an arrival succeeds if and only if the radio of the receiver is up now.
         Later arrivals are scheduled, and decided when they are due.
         """
         assert self._fault_state is not None
         until, down = self._fault_state.constant_until, self._fault_state.down_nodes
-        # The late arrivals are set apart first: a receiver that is down now may be up when they are due.
+        # Late arrivals are scheduled first, because a receiver that is down now may be up when they are due.
         if (arrival if isinstance(arrival, int) else max(arrival, default=0)) >= until:
-            reached, arrival, late, later = _split(reached, arrival, lambda _, when: when < until)
-            self.arrivals.schedule(transmission, late, later, airtime)
+            reached, arrival, late, late_times = _split(reached, arrival, lambda _, when: when < until)
+            self.arrivals.schedule(transmission, late, late_times, airtime)
         lost: list[int] = []
         if down:
-            reached, arrival, lost, when_lost = _split(reached, arrival, lambda node, _: node not in down)
-            self.arrivals.lose_at(transmission, lost, when_lost)
+            reached, arrival, lost, loss_times = _split(reached, arrival, lambda node, _: node not in down)
+            self.arrivals.lose_at(transmission, lost, loss_times)
         return reached, arrival, lost
 
 
 def _split(
     nodes: list[int], arrival: Arrival, holds: Callable[[int, int], bool]
 ) -> tuple[list[int], Arrival, list[int], Arrival]:
-    """Return the nodes for which a predicate of node and arrival time holds, the others, and the times of both."""
+    """Return the nodes for which a predicate of node and arrival time holds, with their times, and the others alike."""
     holding = [holds(node, when) for node, when in zip(nodes, per_receiver(arrival, len(nodes)), strict=True)]
     not_holding = [not is_holding for is_holding in holding]
     parts: list[list[int]] = [list(compress(nodes, holding)), list(compress(nodes, not_holding))]

@@ -43,8 +43,8 @@ class Departure:
     def losses(self, transmission: Transmission) -> dict[int, Cause]:
         """Draw the losses of a transmission at its start; return the cause of each loss by receiver."""
         src, receivers, causes = transmission.src, transmission.receivers, self._drawn(transmission)
-        has_waited = transmission.created < self._env.now  # so its receivers may have moved out of range
-        if has_waited and self._checks_range:
+        has_waited = transmission.created < self._env.now
+        if has_waited and self._checks_range:  # its receivers were within range when it was created, and may have moved
             reaches = self._topology.reaches(src, receivers, transmission.number)
             causes |= {node: "out_of_range" for node, reached in zip(receivers, reaches, strict=True) if not reached}
         return causes if transmission.reachable else dict.fromkeys(receivers, "out_of_range")
@@ -64,19 +64,19 @@ class Departure:
     def acknowledgement(self, transmission: Transmission, draw: int) -> Cause | None:
         """Draw the losses of an acknowledgement of a transmission to one node; return the cause, or None."""
         (node,) = transmission.receivers
-        answer = transmission._replace(src=node, receivers=[transmission.src], size=ACKNOWLEDGEMENT_SIZE)
-        return self.attempt(answer, draw)
+        acknowledgement = transmission._replace(src=node, receivers=[transmission.src], size=ACKNOWLEDGEMENT_SIZE)
+        return self.attempt(acknowledgement, draw)
 
     def _drawn(self, transmission: Transmission) -> dict[int, Cause]:
-        """Draw the losses by chance, and add those by partitions; return the cause of each loss by receiver."""
+        """Draw the random losses, and add those by partitions and interceptions; return each cause by receiver."""
         src, receivers = transmission.src, transmission.receivers
         causes: dict[int, Cause] = {}
         lost = self._sampler.losses(src, receivers, self._env.now, transmission.size)
         if lost is not None and True in lost:
             causes = {node: self._sampler.cause(src, node) for node in compress(receivers, lost)}
         faults = self._fault_state
-        if faults is not None and (apart := faults.separated(src, receivers)) is not None:
-            causes |= {node: cause for node, cause in zip(receivers, apart, strict=True) if cause is not None}
+        if faults is not None and (separated := faults.separated(src, receivers)) is not None:
+            causes |= {node: cause for node, cause in zip(receivers, separated, strict=True) if cause is not None}
         if faults is not None:
             causes |= faults.intercepted(transmission.number)
         return causes

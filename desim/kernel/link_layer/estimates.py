@@ -21,7 +21,7 @@ class Estimates:
     def __init__(self, topology: Topology, medium: Medium, sampler: LinkSampler):
         self._topology, self._medium, self._sampler = topology, medium, sampler
         self._sending_times: dict[int, float] = {}
-        """The results of `sending_time`."""
+        """By size, the results of `sending_time`, which protocols ask for again and again."""
 
     @cached_property
     def mean_degree(self) -> float:
@@ -38,11 +38,14 @@ class Estimates:
         return airtime_of(self._medium, size_of(body), self._topology.size)
 
     def interval(self, body: Any) -> float:
-        """Return the time, s, for which a message with this body keeps its sender from sending the next one."""
+        """Return the `sending_time`, s, of a message with this body."""
         return self.sending_time(size_of(body))
 
     def sending_time(self, size: int) -> float:
-        """Return the time, s, for which a message of a size, bytes, keeps its sender from sending the next one."""
+        """Return the time, s, for which a message of a size, bytes, keeps its sender from sending the next one.
+
+        For a `Radio`, it includes the silence of a duty cycle and the wait for the sender's next slot.
+        """
         if size not in self._sending_times:
             medium, nodes = self._medium, self._topology.size
             self._sending_times[size] = (

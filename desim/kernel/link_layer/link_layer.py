@@ -30,8 +30,8 @@ from desim.kernel.state.transmission import Lose, Transmission
 TransmissionListener = Callable[[Record | Message, int], object]
 """A function called when a transmission starts, with the content and its last arrival time, ns (`LOST` if none)."""
 FIRST_COPY = 1 << 40
-"""The number of the first copy of a message that a fault makes: it is above those of all transmissions, which are thus
-numbered as without the fault."""
+"""The number of the first copy of a message that a fault makes. It is above the numbers of all transmissions, so that
+copies leave these numbers, on which random draws depend, as they are without the fault."""
 _new = tuple.__new__  # creates a named tuple in a third of the time
 
 
@@ -78,8 +78,8 @@ class LinkLayer:
         self._receivers = self._departure.receivers
         self._contends = isinstance(self._transmitter, Contention)
         self._on_air: dict[int, tuple[list[int], Arrival, Mapping[int, Cause]]] = {}
-        """By number of a transmission whose frame contends and is on the air: the nodes that it can still reach, its
-        arrival times, ns, and the losses that were drawn."""
+        """By number of each transmission that is on the air, if nodes contend: the nodes that it can still reach, its
+        arrival times there, ns, and the losses drawn at its start."""
         checks_range = links.range_check != "send"
         losses = ArrivalLosses(state, radios, processing=sampler.processing, checks_range=checks_range)
         arrivals = Arrivals(
@@ -88,12 +88,12 @@ class LinkLayer:
         self.delivery = MessageDelivery(state, links, arrivals, contends=self._contends)
         self._is_certain = self.delivery.is_certain and not (self._contends or sampler.keeps_order) and trace is None
         """Whether the outcomes that are drawn at transmission are final, and no trace needs them."""
-        waits = self._transmitter is not None or links.delays_start
-        self._may_lose = waits or state.fault_state is not None or not sampler.lossless
+        may_wait = self._transmitter is not None or links.delays_start
+        self._may_lose = may_wait or state.fault_state is not None or not sampler.lossless
         """Whether losses are possible at transmission, besides those of messages to nodes that are not reachable."""
         self._inboxes = state.inboxes
-        self._is_plain = self.delivery.is_certain and not (waits or sampler.keeps_order)
-        """Whether a transmission starts when it is created, and arrives for certain where it is not lost then."""
+        self._is_plain = self.delivery.is_certain and not (may_wait or sampler.keeps_order)
+        """Whether a transmission starts when it is created, and its outcome at each receiver is final at its start."""
         self._enqueue: Callable[[Transmission], None] = (
             self._leave if self._transmitter is None else self._transmitter.enqueue
         )
@@ -102,7 +102,7 @@ class LinkLayer:
         if links.delays_start:
             self._hosts = Hosts(env, links.processing.sender, state.topology.size, seed, self._enqueue)
             self._enqueue = self._process
-        self._duplicates = sampler.duplicates_messages
+        self._may_duplicate = sampler.duplicates_messages
         self._listeners: list[TransmissionListener] = []
         self._numbers, self._copy_numbers = count(), count(FIRST_COPY)
 
@@ -120,23 +120,23 @@ class LinkLayer:
         A transmission that is on the air now is lost, too: at once if nodes contend, else on arrival.
         """
         self.delivery.arrivals.crash(node, cause)
-        taken = self._transmitter.flush(node) if self._transmitter is not None else []
-        taken += self._hosts.flush(node) if self._hosts is not None else []
-        for transmission in taken:
+        flushed = self._transmitter.flush(node) if self._transmitter is not None else []
+        flushed += self._hosts.flush(node) if self._hosts is not None else []
+        for transmission in flushed:  # of a frame on the air, the losses drawn at its start are counted already
             reached, *_ = self._on_air.pop(transmission.number, (transmission.receivers,))
             self._lose_unstarted(transmission, dict.fromkeys(reached, cause))
 
     def message_counts(self) -> MessageCounts:
         """Return the counts of messages up to now; each sent message is delivered, lost or in flight."""
-        now, busy = self._env.now, 0.0
+        now, utilisation = self._env.now, 0.0
         in_flight = self.delivery.in_flight()
         if self._hosts is not None:
             in_flight += sum(len(transmission.receivers) for transmission in self._hosts.waiting())
         if self._transmitter is not None:
             in_flight += sum(len(transmission.receivers) for transmission in self._transmitter.waiting())
             in_flight += sum(len(reached) for reached, *_ in self._on_air.values())
-            busy = self._transmitter.busy_time() / (self._transmitter.channels * now) if now else 0.0
-        return self._log.counts(in_flight, busy)
+            utilisation = self._transmitter.busy_time() / (self._transmitter.channels * now) if now else 0.0
+        return self._log.counts(in_flight, utilisation)
 
     # The steps of a transmission.
 
@@ -169,7 +169,7 @@ class LinkLayer:
         if self._fault_state is not None:
             self._fault_state.note_sent(number, src, receivers, content.body)
         self._enqueue(transmission)
-        if self._duplicates:
+        if self._may_duplicate:
             self._enqueue_copy(transmission)
 
     def _enqueue_copy(self, transmission: Transmission) -> None:
@@ -184,17 +184,17 @@ class LinkLayer:
             self._enqueue(transmission._replace(number=number, receivers=twice))
 
     def _process(self, transmission: Transmission) -> None:
-        """Let the host of a sender process a transmission, which waits from now on."""
+        """Pass a transmission to the host of its sender; it waits until the host has processed it."""
         assert self._hosts is not None
         self._log.queue(transmission)
         self._hosts.process(transmission)
 
     def _give_up(self, transmission: Transmission, cause: Cause = "queue") -> None:
-        """Lose a transmission that never starts, or is not repeated any more."""
+        """Lose a transmission that never starts, or that its sender stops repeating."""
         self._lose_unstarted(transmission, dict.fromkeys(transmission.receivers, cause))
 
     def _lose_unstarted(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
-        """Lose a transmission whose arrivals are not scheduled, so what a fault does to it would never be asked."""
+        """Lose a transmission whose arrivals are never scheduled, and forget what interceptions would do to it."""
         if self._fault_state is not None:
             self._fault_state.forget(transmission.number)
         self._log.lose(transmission, causes)
@@ -221,7 +221,7 @@ class LinkLayer:
         )
         content, reached = transmission.content, receivers
         if self._is_certain and isinstance(content, Record) and not self._listeners:
-            # A record with some losses takes 10 % less time if the list of the nodes that it reaches is not needed.
+            # `share` needs only the nodes that lose the record. Not listing the others saves 10 % of the time.
             if isinstance(arrival, int) and self._records.share(content, len(receivers), arrival, causes):
                 if causes:
                     self._log.lose(transmission, causes)
@@ -235,8 +235,8 @@ class LinkLayer:
             arrival = self._sampler.in_order(transmission.src, reached, arrival)
         if self._listeners:
             last = max(per_receiver(arrival, len(reached)), default=LOST)
-            for hear in self._listeners:
-                hear(content, last)
+            for listener in self._listeners:
+                listener(content, last)
         if self._is_traced:
             self._log.leave(transmission, causes, arrival)
         if causes:
@@ -247,9 +247,9 @@ class LinkLayer:
             self._schedule(transmission, reached, arrival, causes, airtime)
 
     def _leave_to_one(self, transmission: Transmission) -> None:
-        """Start a message to one node that waits for nothing.
+        """Start a message to one node if `_is_plain`: it need not wait, and nothing is decided after its start.
 
-        Kept equal to a start that asks for all that may happen by
+        Kept equal to the general start of a transmission by
         `tests/kernel/test_contract.py::test_a_message_to_one_node_starts_as_any_transmission`.
         """
         number, src, now, size, receivers, message, port, reachable, _ = transmission
@@ -261,8 +261,8 @@ class LinkLayer:
             lost = self._sampler.losses(src, receivers, now, size)
             if reachable and lost is not None and lost[0]:
                 cause = self._sampler.cause(src, receivers[0])
-        for hear in self._listeners:
-            hear(message, LOST if cause else when)
+        for listener in self._listeners:
+            listener(message, LOST if cause else when)
         if self._is_traced:
             self._log.leave_to_one(transmission, LOST if cause else when)
         if cause:
@@ -271,7 +271,7 @@ class LinkLayer:
             self._inboxes.deliver(message, port, receivers, when, number)
 
     def _land(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
-        """Lose a transmission whose frame ends where it was lost on the air, and schedule its other arrivals."""
+        """End the frame of a transmission: lose it at the receivers in `causes`, and schedule its other arrivals."""
         reached, arrival, drawn = self._on_air.pop(transmission.number)
         if causes:
             lost = {node: causes[node] for node in reached if node in causes}
@@ -290,7 +290,8 @@ class LinkLayer:
     ) -> None:
         """Schedule the arrivals of a transmission, and those of its copies; see `MessageDelivery.schedule`.
 
-        A copy is made by a fault, in the network: it has no airtime and draws nothing, so all else stays as it is.
+        A copy is made by a fault, inside the network. It has no airtime and draws no random number, so it changes no
+        other message.
         """
         self.delivery.schedule(transmission, reached, arrival, causes, airtime)
         if self._fault_state is None:
@@ -341,25 +342,25 @@ class MessageLog:
         self._bytes_sent += transmission.size
 
     def leave(self, transmission: Transmission, causes: Mapping[int, Cause], arrival: Arrival) -> None:
-        """Append a transmission with the times of its arrivals, ns, and the receivers for which it is already lost.
+        """Append the start of a transmission: at each receiver its arrival time, ns, or `LOST`.
 
-        A message that is lost at transmission has the arrival time `LOST`.
+        `causes` holds the receivers that have lost it already, and `arrival` the arrival times at the others.
         """
         assert self._trace is not None
         now, (number, src, created, size, receivers, content, *_) = self._env.now, transmission
-        fates = arrival
+        times = arrival
         if causes:
             if isinstance(arrival, int):
-                fates = [LOST if node in causes else arrival for node in receivers]
+                times = [LOST if node in causes else arrival for node in receivers]
             else:
                 arrivals = iter(arrival)
-                fates = [LOST if node in causes else next(arrivals) for node in receivers]
+                times = [LOST if node in causes else next(arrivals) for node in receivers]
         if isinstance(content, Record):
-            fate = (fates,) * bool(receivers) if isinstance(fates, int) else tuple(fates)
-            broadcast = now, number, src, content.seq, tuple(receivers), fate, created, size, content.body
+            recorded = (times,) * bool(receivers) if isinstance(times, int) else tuple(times)
+            broadcast = now, number, src, content.seq, tuple(receivers), recorded, created, size, content.body
             self._trace.append_message(_new(Broadcast, broadcast))
             return
-        for node, arrives in zip(receivers, per_receiver(fates, len(receivers)), strict=True):
+        for node, arrives in zip(receivers, per_receiver(times, len(receivers)), strict=True):
             self._trace.append_message(_new(Sent, (now, number, src, node, arrives, created, size, content.body)))
 
     def leave_to_one(self, transmission: Transmission, arrives: int) -> None:
@@ -370,7 +371,7 @@ class MessageLog:
         self._trace.append_message(_new(Sent, sent))
 
     def lose(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
-        """Count and record losses of a transmission now, given the cause of each loss by receiver."""
+        """Count the losses of a transmission now, given the cause of each by receiver; call the watchers with them."""
         for cause in causes.values():  # faster than `Counter.update` for up to a dozen losses
             self._lost[cause] += 1
         for watch in self.loss_watchers:
@@ -387,5 +388,5 @@ class MessageLog:
         """Return all counts up to now, given the number of messages in flight and the utilisation of the channels."""
         lost = self._lost.total()
         by_cause = {cause: self._lost[cause] for cause in sorted(+self._lost)}  # + drops causes without losses
-        fates = self.sent, self.sent - lost - in_flight, lost, in_flight
-        return MessageCounts(self._env.now, *fates, by_cause, self._transmissions, self._bytes_sent, utilisation)
+        messages = self.sent, self.sent - lost - in_flight, lost, in_flight
+        return MessageCounts(self._env.now, *messages, by_cause, self._transmissions, self._bytes_sent, utilisation)

@@ -37,7 +37,7 @@ _Model = TypeVar("_Model")
 TYPICAL_SIZE = 48
 """Size of a message that `typical_latency` assumes, bytes."""
 GOLDEN = 0.6180339887498949
-"""The golden ratio. Its multiples, modulo 1, spread evenly over [0, 1), however many they are."""
+"""The fractional part of the golden ratio. Any number of its first multiples, modulo 1, spreads evenly over [0, 1)."""
 
 
 class LinkSampler:
@@ -62,9 +62,10 @@ class LinkSampler:
         self._links, self._graph = links, graph
         self._seed, self._positions = seed, positions
         sender = links.processing.sender
-        before = nanoseconds(sender.value) if type(sender) is Constant and not links.delays_start else 0
-        self.processing = before + nanoseconds(links.processing.receiver)
-        """Processing delay of a message after its transmission, ns, with that at the sender if it delays no start."""
+        at_sender = nanoseconds(sender.value) if type(sender) is Constant and not links.delays_start else 0
+        self.processing = at_sender + nanoseconds(links.processing.receiver)
+        """Processing delay of a message at its receiver, ns, plus that at its sender unless it delays the start of the
+        transmission (`Links.delays_start`)."""
         self._latency, self._loss = model_of_run(links.latency, size), model_of_run(links.loss, size)
         names = ("latency", "loss", "latency of own links", "loss of own links")
         streams = [stream(seed, purpose + name) for name in names]
@@ -87,12 +88,12 @@ class LinkSampler:
             for src, to in self._latency_overrides.items()
         }
         self._nodes = np.arange(size)
-        """(n,) all nodes; a part of it costs less than a new array."""
+        """(n,) all nodes; a slice of this array costs less than a new one."""
         self._nodes.setflags(write=False)
         self._receivers: dict[int, _Receivers] = {}
-        """By sender; at most `ROOM` numbers in all."""
+        """By sender, its last list of receivers as arrays, which have at most `ROOM` entries in all."""
         self._lists_are_kept = links.range == inf or links.range_check == "delivery"
-        """Whether all broadcasts of a sender may have the same list of receivers."""
+        """Whether the broadcasts of a sender may share a list of receivers: no range is checked at transmission."""
         self._last: dict[tuple[int, int], int] = {}  # latest arrival (ns) on each FIFO link
         self._lossless = _never_loses(links.loss)
         self._cause = LinkTraits.of(links.loss).cause
@@ -109,7 +110,8 @@ class LinkSampler:
         if type(links.latency) is Constant and not self._latency_overrides:
             self._constant = nanoseconds(links.latency.value)
         self.keeps_order = self._constant is None and (self._order == "fifo" or bool(self._order_overrides))
-        """Whether `in_order` is needed: latencies may vary, and some link is FIFO or has an order of its own."""
+        """Whether `in_order` may change arrival times: latencies may vary, and the links are FIFO or some has its own
+        order."""
 
     def renamed(self, purpose: str) -> "LinkSampler":
         """Return a sampler of the same links that draws from streams of its own, whose names have a prefix."""
@@ -121,8 +123,8 @@ class LinkSampler:
         Raises:
             ValueError: if a loss or a latency model returns invalid losses.
         """
-        # All receivers are drawn, also those with an override, whose draws have another stream: so an override changes
-        # the losses of no other link.
+        # The model is drawn for all receivers, also for those with an override, which is drawn from another stream. So
+        # an override changes the losses of no other link.
         if self._lossless:
             lost = None
         elif self._loss_buffer is not None:
@@ -184,11 +186,11 @@ class LinkSampler:
             drawn = self._latency(self._context(src, dst, now, size), self._latency_rng)
             delays = times_of(drawn, len(dst), self._latency)
         if overrides:
-            # A copy: the buffer hands out a view of its block, and one number may stand for all receivers.
+            # A copy, because the buffer returns a view of its block, and a model one number for all receivers.
             delays = np.array(np.broadcast_to(delays, len(dst)))
             for k, model, context in self._own_links(overrides, src, dst, now, size):
                 delays[k] = times_of(model(context, self._override_latency_rng), 1, model).item()
-        arrivals: Arrival = (delays + start).tolist()  # takes less memory than sums of integers of Python, by a third
+        arrivals: Arrival = (delays + start).tolist()  # takes a third less memory than sums of Python integers
         return arrivals
 
     def typical_latency(self) -> float:
@@ -198,33 +200,33 @@ class LinkSampler:
         Links are sampled in the order of their senders; sampling ends early once there are more than 10 000 draws.
         If latencies depend on time, the draws are spread over their `time_span`.
 
-        Draws that do not depend on the links are only counted. Kept equal to draws link by link by
+        Draws that do not depend on the links come from the buffer, one per link. Kept equal to draws link by link by
         `tests/kernel/test_propagation.py::test_the_typical_latency_is_that_of_draws_link_by_link`.
         """
         if not self._graph.number_of_edges():
             return 0.0
-        before = mean_of(self._links.processing.sender, self._seed) if self._links.delays_start else 0.0
+        at_sender = mean_of(self._links.processing.sender, self._seed) if self._links.delays_start else 0.0
         if self._constant is not None:
-            return (self.processing + self._constant) / SECOND + before
-        free = self._links.model_copy(update={"order": "overtaking"})
-        like_this = LinkSampler(free, self._graph, self._seed, self._positions, "typical ")
+            return (self.processing + self._constant) / SECOND + at_sender
+        overtaking = self._links.model_copy(update={"order": "overtaking"})
+        sampler = LinkSampler(overtaking, self._graph, self._seed, self._positions, "typical ")
         size, rounds = len(self._graph), 1 + 1000 // max(self._graph.number_of_edges(), 1)
         models = (self._latency, *(model for to in self._latency_overrides.values() for model in to.values()))
-        # The shortest of the spans, because a trace may end there, and have no latency later.
+        # Of several spans the shortest is used, because a trace of latencies may end there.
         spans = [span for model in models if (span := link_trait(model, "time_span")) is not None]
-        buffer = None if like_this._latency_overrides else like_this._latency_buffer
+        buffer = None if sampler._latency_overrides else sampler._latency_buffer
         latencies: list[int] = []
         for k, src in enumerate(list(range(size)) * rounds):
-            if buffer is not None:  # of draws that do not depend on the links, only the number counts
+            if buffer is not None:  # the draws do not depend on the links, so only their number matters
                 latencies += buffer.take(len(self._graph.adj[src])).tolist()
             else:
                 dst, now = sorted(self._graph.adj[src]), nanoseconds(min(spans, default=0.0) * (k * GOLDEN % 1.0))
-                arrivals = per_receiver(like_this.arrivals(src, dst, now, 0, TYPICAL_SIZE), len(dst))
+                arrivals = per_receiver(sampler.arrivals(src, dst, now, 0, TYPICAL_SIZE), len(dst))
                 latencies += [time - now - self.processing for time in arrivals]
             if len(latencies) > 10_000:
                 break
         total = portable_sum(latencies) + len(latencies) * self.processing
-        return total / len(latencies) / SECOND + before if latencies else 0.0
+        return total / len(latencies) / SECOND + at_sender if latencies else 0.0
 
     def in_order(self, src: int, dst: list[int], arrival: Arrival) -> Arrival:
         """Return the arrival times (ns), delayed on FIFO links so that no message overtakes an earlier one."""
@@ -255,11 +257,10 @@ class LinkSampler:
         return LinkContext(src, receivers.array, now / SECOND, size, self._seed, self._positions, receivers.distances)
 
     def _arrays(self, src: int, dst: list[int]) -> "_Receivers":
-        """Return the arrays about some receivers; keep those of the last list of a sender that may come again.
+        """Return the arrays of a list of receivers, and keep them for the sender if the list may be used again.
 
-        A list that is the same object as before has the same nodes, because lists of receivers are not changed. With
-        40 nodes, `gilbert_elliott` runs 1.6 times as fast as with new arrays, and `by_distance` 2.8 times if no node
-        moves.
+        The same list object has the same nodes, because lists of receivers are never changed. With 40 nodes,
+        `gilbert_elliott` runs 1.6 times as fast as with new arrays, and `by_distance` 2.8 times if no node moves.
         """
         array = np.array(dst, dtype=np.intp)
         if not self._lists_are_kept or (len(self._receivers) + 1) * len(self._graph) > ROOM:
@@ -280,7 +281,7 @@ class _Receivers(NamedTuple):
     array: "NDArray[np.intp]"
     """(k,) the nodes."""
     distances: "NDArray[np.float64] | None"
-    """(k,) their distances from the sender, m; None: they are not known, or change."""
+    """(k,) their distances from the sender, m; None: they are unknown, or may change."""
 
 
 def _never_loses(model: object) -> bool:
