@@ -41,13 +41,14 @@ class FaultState:
     A crash ends with `recover`. All other methods that begin a fault return the function that ends it.
 
     Changes can be planned: their times are announced in advance (`plan`, `desim.kernel.fault_injection`). The network
-    then stores at transmission those arrivals that no planned change can prevent. Once a change has been announced, the
-    methods that change the state therefore raise ValueError outside of `planned_change`.
+    then stores at transmission those arrivals that no planned change can prevent. An unplanned change would come too
+    late for these. So once a change is announced, the methods that change the state raise ValueError outside of
+    `planned_change`.
 
     Args:
         positions: returns the positions of the nodes, (n, 2) m; required for jamming only.
-        surprises: whether there are changes that are not announced, beside the planned ones. Every arrival is then
-            decided when it is due, and plans have no effect on speed.
+        surprises: whether unplanned changes are allowed beside the planned ones. Every arrival is then decided when it
+            is due, so announcements save no time.
     """
 
     def __init__(self, positions: PositionFunction | None = None, *, surprises: bool = False):
@@ -60,10 +61,10 @@ class FaultState:
         self._jams: list[tuple[Disc, Cause]] = []
         self._interceptions: list[tuple[Delays, Cause]] = []
         self._intercepted: dict[int, dict[int, tuple[float, Cause]]] = {}
-        """By number of a transmission whose arrivals are not scheduled yet: the extra delay, s, and the cause at each
-        receiver that is concerned."""
+        """By number of a transmission whose arrivals are not scheduled yet: for each receiver at which an interception
+        acts, the extra delay, s, and the cause of the loss if it is infinite."""
         self._copies: dict[int, list[tuple[int, float]]] = {}
-        """By number of such a transmission: the receiver and the extra delay, s, of each copy."""
+        """By number of such a transmission, for each copy: its receiver and extra delay, s."""
         self._before_change: list[Callable[[], object]] = []
 
     def plan(self, time: int) -> None:
@@ -75,7 +76,7 @@ class FaultState:
 
     @contextmanager
     def planned_change(self) -> Iterator[None]:
-        """Make the next announced change in this context, after a call of the functions given to `before_change`."""
+        """Call the functions given to `before_change`, and let the next announced change be made in this context."""
         if self._surprises:
             yield
             return
@@ -108,7 +109,7 @@ class FaultState:
     def constant_until(self) -> float:
         """The time, ns, before which the faults certainly block the same receptions as now.
 
-        It is 0 if changes are not planned, and while a disc is jammed, because nodes may move into it.
+        It is 0 (never) if changes are not planned, and while a disc is jammed, because nodes may move into it.
         """
         if self._planned is None or self._jams:
             return 0
@@ -116,7 +117,7 @@ class FaultState:
 
     @property
     def looks_back(self) -> bool:
-        """Whether an arrival may be decided after its time, provided that the faults have not changed in between.
+        """Whether an arrival may be decided after its time, until the faults next change.
 
         This requires that changes are planned, and that the source of positions, if any, also returns past positions.
         """
@@ -140,9 +141,9 @@ class FaultState:
         return outages[-1].cause if outages else None
 
     def separated(self, src: int | Integers, nodes: list[int] | Integers) -> list[Cause | None] | None:
-        """Return the cause of loss, (k,), where an active partition or cut blocks the link to a node, else None.
+        """Return (k,) causes: of the partition or block that separates sender and node, None where they are connected.
 
-        None instead of a list: nowhere. Of several cuts, the first counts.
+        None instead of a list: all are connected. Of several causes, that of the first fault counts.
 
         Args:
             src: the sender, one for all or (k,).
@@ -153,15 +154,15 @@ class FaultState:
         receivers = np.asarray(nodes).tolist()
         senders = [src] * len(receivers) if isinstance(src, int) else src.tolist()
         causes: list[Cause | None] = [None] * len(receivers)
-        for blocked, cause in reversed(self._cuts):
+        for blocked, cause in reversed(self._cuts):  # so that the first overwrites the others
             for k in compress(range(len(receivers)), blocked(senders, receivers)):
                 causes[k] = cause
         return causes
 
     def jammed(self, nodes: list[int] | Integers, times: int | Integers) -> list[Cause | None] | None:
-        """Return the cause of loss, (k,), where a node was, at its time, within a disc that is jammed now, else None.
+        """Return (k,) causes: of a disc, jammed now, that contained the node at its time, None where there is none.
 
-        None instead of a list: nowhere. Of several discs, the first counts.
+        None instead of a list: no node is jammed. Of several discs, the first counts.
 
         Args:
             nodes: (k,) the nodes.
@@ -211,7 +212,7 @@ class FaultState:
         return self._begin(self._cuts, (blocked, cause))
 
     def block(self, is_blocked: Callable[[int, int], bool], cause: Cause) -> Undo:
-        """Block the links from a sender to a receiver where a function says so.
+        """Block the links for which a function of sender and receiver returns True.
 
         Raises:
             ValueError: at a transmission, if the function returns no boolean.
@@ -237,17 +238,17 @@ class FaultState:
         return self._begin(self._jams, (disc, cause))
 
     def intercept(self, delays: Delays, cause: Cause) -> Undo:
-        """Lose, delay or copy messages as a function says; messages that it has delayed stay so after its end."""
+        """Lose, delay or copy messages as a function returns; messages that it has delayed stay so after its end."""
         return self._begin(self._interceptions, (delays, cause))
 
     def _begin(self, active: list[Fault], fault: Fault) -> Undo:
-        """Put a fault among the active ones of its kind; return the function that ends it."""
+        """Append a fault to the active ones of its kind; return the function that removes it."""
         self._require_change()
         active.append(fault)
 
         def end() -> None:
             self._require_change()
-            active[:] = [other for other in active if other is not fault]  # an equal one may go on
+            active[:] = [other for other in active if other is not fault]  # by identity: an equal fault may last longer
 
         return end
 
@@ -257,32 +258,32 @@ class FaultState:
         Raises:
             ValueError: if the function of an interception returns anything else than delays by receiver.
         """
-        for delays, cause in [*self._interceptions]:  # one may end itself
+        for delays, cause in [*self._interceptions]:  # a copy, because a function may end its own interception
             answer: Any = delays(src, tuple(receivers), body)
             for node, (delay, *copies) in _checked_delays(answer, receivers, delays).items():
-                before, first_cause = self._intercepted.setdefault(number, {}).get(node, (0.0, cause))
-                self._intercepted[number][node] = before + delay, first_cause if before == inf else cause
+                earlier, first_cause = self._intercepted.setdefault(number, {}).get(node, (0.0, cause))
+                self._intercepted[number][node] = earlier + delay, first_cause if earlier == inf else cause
                 if copies:
                     self._copies.setdefault(number, []).extend((node, late) for late in copies if late < inf)
 
     def intercepted(self, number: int) -> dict[int, Cause]:
-        """Return the receivers at which a transmission is lost by an interception, each with the cause."""
+        """Return the cause at each receiver at which an interception loses a transmission, by receiver."""
         return {node: cause for node, (delay, cause) in self._intercepted.get(number, {}).items() if delay == inf}
 
     def delayed(self, number: int, receivers: list[int], arrival: Arrival) -> Arrival:
         """Return the arrival times of a transmission, ns, with the extra delays of interceptions."""
         if number not in self._intercepted:
             return arrival
-        late = self._intercepted[number]
+        delays = {node: delay for node, (delay, _) in self._intercepted[number].items() if delay < inf}
         return [
-            when + (nanoseconds(late[node][0]) if node in late and late[node][0] < inf else 0)
+            when + nanoseconds(delays.get(node, 0.0))
             for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True)
         ]
 
     def take_copies(self, number: int, reached: list[int], arrival: Arrival) -> list[tuple[int, int]]:
         """Return the receiver and the arrival time, ns, of each copy of a transmission; forget its interceptions.
 
-        Messages that are lost have no copies.
+        A message that is lost has no copies.
 
         Args:
             number: the number of the transmission.
@@ -294,10 +295,10 @@ class FaultState:
         if copies is None:
             return []
         arrivals = dict(zip(reached, per_receiver(arrival, len(reached)), strict=True))
-        return [(node, arrivals[node] + nanoseconds(late)) for node, late in copies if node in arrivals]
+        return [(node, arrivals[node] + nanoseconds(delay)) for node, delay in copies if node in arrivals]
 
     def forget(self, number: int) -> None:
-        """Forget what the interceptions do to a transmission; nothing if they do nothing."""
+        """Forget what the interceptions would do to a transmission."""
         self._intercepted.pop(number, None)
         self._copies.pop(number, None)
 
@@ -312,16 +313,16 @@ def _checked_delays(answer: Any, receivers: list[int], delays: Delays) -> dict[i
     try:
         checked = {
             index(node): [
-                real(delay, "an extra delay, in s,") for delay in (late if isinstance(late, list | tuple) else [late])
+                real(delay, "an extra delay, in s,") for delay in (item if isinstance(item, list | tuple) else [item])
             ]
-            for node, late in answer.items()
+            for node, item in answer.items()
         }
     except (AttributeError, TypeError, ValueError) as error:
         expected = "the extra delay, s, by receiver, such as {3: 0.5}; inf: the message is lost there"
         raise wrong_answer(f"delays(src, receivers, body) should return {expected}", answer, delays) from error
-    if empty := [node for node, late in checked.items() if not late]:
+    if empty := [node for node, values in checked.items() if not values]:
         raise wrong_answer("a list of extra delays, in s, should not be empty", {empty[0]: []}, delays)
-    if wrong := [delay for late in checked.values() for delay in late if not delay >= 0.0]:
+    if wrong := [delay for values in checked.values() for delay in values if not delay >= 0.0]:
         raise wrong_answer("an extra delay, in s, should be at least 0", wrong[0], delays)
     if strange := [node for node in checked if node not in receivers]:
         raise wrong_answer("delays(src, receivers, body) should name receivers of the message", strange[0], delays)

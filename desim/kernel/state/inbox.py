@@ -31,9 +31,9 @@ class Message(NamedTuple):
 Letter = tuple[int, int, Message]
 """A message in an inbox, as (arrival time in ns, number of its transmission, message)."""
 MANY_IGNORED = 1000
-"""Number of ignored messages from which on those that have arrived are forgotten."""
+"""Number of ignored messages above which those that have arrived are forgotten."""
 FEW = 16
-"""The ratio of all messages to new ones above which the new ones are inserted instead of sorting all."""
+"""Ratio of all messages to new ones above which the new ones are few: they are inserted, and all are not sorted."""
 
 
 class Inbox:
@@ -60,7 +60,7 @@ class Inbox:
         self._timer: Timer | None = None
         """Rings at the next arrival if a function takes the messages (`listen`)."""
         self._ignores: Callable[[Message], bool] | None = None
-        """Whether that function does nothing with a message; None: it takes all."""
+        """Returns whether that function does nothing with a message; None: it takes all."""
 
     def listen(
         self,
@@ -68,10 +68,10 @@ class Inbox:
         act: Callable[[list[Message]], object],
         ignores: Callable[[Message], bool] | None = None,
     ) -> None:
-        """Call a function with the messages as they arrive, those of one instant together; no process may wait then.
+        """Call a function with the messages as they arrive, those of one instant together, until `stop`.
 
-        It takes one event for each instant of arrival, and a process that waits takes two. It replaces the function
-        that was called before, if any; `stop` ends it.
+        It replaces the previous function, if any. No process may wait for messages meanwhile. A function takes one
+        event for each instant of arrival, and a process that waits takes two.
 
         Kept equal to a process that waits for each arrival by
         `tests/kernel/test_inbox.py::test_a_function_that_listens_gets_what_a_process_reads`.
@@ -79,9 +79,9 @@ class Inbox:
         Args:
             priority: the SimPy priority of the calls.
             act: the function.
-            ignores: returns whether `act` would do nothing with a message, now or at any later time, such as with a
-                copy of one that it has: a message that is ignored once must be ignored until `stop`. It is dropped when
-                it is sent, and takes no event. None: no message is dropped.
+            ignores: returns whether `act` would do nothing with a message, now or at any later time, for instance with
+                a second copy of it: a message that is ignored once must be ignored until `stop`. An ignored message is
+                dropped when it is sent, and takes no event. None: no message is dropped.
         """
 
         def take() -> None:
@@ -98,7 +98,7 @@ class Inbox:
             timer.set(letters[0][0])
 
     def stop(self) -> None:
-        """Call no function any more; the messages wait until they are read."""
+        """End `listen`: later messages wait until they are read."""
         if self._timer is not None:
             self._timer.stop()
             self._timer = self._ignores = None
@@ -124,7 +124,7 @@ class Inbox:
         letters, now = self._in_order(), self._env.now
         if not letters or letters[0][0] > now:
             return []
-        if len(letters) == 1 or letters[1][0] > now:  # as a rule, if each arrival wakes a process
+        if len(letters) == 1 or letters[1][0] > now:  # one has arrived: the usual case if arrivals wake a process
             self._sorted -= 1
             return [letters.pop(0)[2]]
         end = len(letters) if letters[-1][0] <= now else bisect_left(letters, (now + 1,))
@@ -142,7 +142,7 @@ class Inbox:
         letters = self._letters
         if self._sorted < len(letters):
             if FEW * (len(letters) - self._sorted) < len(letters):
-                # Sorting compares all messages in flight. Inserting a few new ones does not: it only moves pointers.
+                # Sorting compares all messages with one another; inserting a new one compares it with a few.
                 fresh = letters[self._sorted :]
                 del letters[self._sorted :]
                 for letter in fresh:
@@ -153,7 +153,7 @@ class Inbox:
         return letters
 
     def _look(self) -> None:
-        """Trigger the event that processes wait for if a message has arrived, else schedule a wake-up at the next."""
+        """If a message has arrived, trigger the event that processes wait for, else schedule a wake-up for the next."""
         letters = self._in_order()
         if not letters:
             return
@@ -171,6 +171,7 @@ class Inbox:
             Instant(self._env, arrival, Phase.DELIVERY).callbacks.append(self._wake)
 
     def _wake(self, _: simpy.Event) -> None:
+        """Wake the processes that wait, if they still do: another arrival may have woken them."""
         self._wake_time = inf
         if self._waited_for is not None:
             self._look()
@@ -179,9 +180,10 @@ class Inbox:
 class Inboxes:
     """The inboxes of all nodes at all ports; the inboxes of a port are created when the port is first used.
 
-    A message that its receiver ignores (`Inbox.listen`) is not put into the inbox. It may be in flight then, because no
-    node loses its memory before a certain arrival (`desim.kernel.link_layer.delivery`). Two thirds of the messages of a
-    flood are copies of what their receivers have; without events for them a run takes an eighth less time.
+    A message that its receiver ignores (`Inbox.listen`) is not put into the inbox, even if it is still in flight: its
+    arrival is certain then (`desim.kernel.link_layer.delivery`), so the receiver does not lose its memory before. Two
+    thirds of the messages of a flood are copies of messages that their receivers have; without events for these copies
+    a run takes an eighth less time.
 
     Kept equal to messages that are taken and have no effect by
     `tests/kernel/test_inbox.py::test_messages_that_are_ignored_have_no_effect`.
@@ -207,8 +209,8 @@ class Inboxes:
         return boxes
 
     def can_wait(self, port: str) -> bool:
-        """Return whether messages at a port may be delivered after their arrival, since they wake no process."""
-        return False
+        """Return whether messages at a port may be delivered after their arrival, because they wake no process."""
+        return False  # `MessageQueue` overrides it
 
     def clear(self, node: int) -> None:
         """Drop the waiting messages of a node at all ports."""

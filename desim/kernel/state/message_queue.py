@@ -16,7 +16,7 @@ QueuedMessage = tuple[int, int, int, Message, str]
 
 
 class MessageQueue(Inboxes):
-    """Inboxes whose messages wait in one queue instead; those of the transport layer stay in inboxes of their own.
+    """Inboxes that put the messages of all nodes into one queue, except those at the ports of the simulator itself.
 
     Kept equal to messages in the inboxes of processes by
     `tests/kernel/test_stepped_network.py::test_a_stepped_network_is_the_network_of_a_process`.
@@ -26,7 +26,7 @@ class MessageQueue(Inboxes):
         super().__init__(env, size)
         self._queue: list[QueuedMessage] = []
         self._newest, self._is_in_order = -1, True
-        """The greatest number in the queue so far, and whether the numbers since the last `take` have ascended."""
+        """The greatest number of a transmission so far, and whether the numbers have ascended since the last `take`."""
 
     def deliver(self, message: Message, port: str, receivers: list[int], arrival: Arrival, number: int) -> None:
         """Put a message into the queue once for each receiver; see `Inboxes.deliver`."""
@@ -42,14 +42,14 @@ class MessageQueue(Inboxes):
         self._queue += zip(times, repeat(number), receivers, messages, repeat(port))
 
     def can_wait(self, port: str) -> bool:
-        """Return whether a port is not one of the simulator itself."""
+        """Return whether the messages at a port wait in the queue, which wakes no process."""
         return not isinstance(port, ReservedPort)
 
     def take(self) -> list[QueuedMessage]:
         """Remove and return the messages that have arrived, in the order of arrival, transmission and receiver."""
         queue = self._queue
-        # Messages in the order of transmission stay so where they arrive together, and times alone are compared thrice
-        # as fast. Both sorts are faster still where most of the queue is in order, as what was in flight before is.
+        # Sorting is stable: if the queue is in the order of transmission, simultaneous messages stay in it, and times
+        # need be compared alone, which is three times as fast. What was in flight at the last `take` is sorted already.
         queue.sort(key=_TIME if self._is_in_order else None)
         self._is_in_order = True
         end = bisect_left(queue, (self._env.now + 1,))

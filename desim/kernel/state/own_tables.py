@@ -9,7 +9,7 @@ from desim.kernel.core.records import Predicate, Record, Table, TimedRecord, pai
 
 
 class OwnTables:
-    """The records that are stored for each node, because they are not shared.
+    """The records that are stored once for each node that they reach, because they are not shared.
 
     An unread record is moved to the table of its node by `merge` at or after its arrival time, unless the table has a
     newer record of its source.
@@ -23,7 +23,7 @@ class OwnTables:
     Args:
         size: number of nodes.
         predicate: selects, by their bodies, the records of `matching`; None: none.
-        shared: returns the record of a source that a node has in the table that all nodes share; None if it has none.
+        shared: returns the record of a source that a node has in the shared table (`SharedTable.known_by`), or None.
 
     Attributes:
         unread: by node, the records since the last merge, in the order of transmission.
@@ -31,9 +31,8 @@ class OwnTables:
         tables: by node, the newest record of each source.
         matching: by node, the records of its table whose body satisfies the predicate.
         out_of_order: the nodes with unread records that are not in the order of transmission.
-        relayed: the nodes that may get a record twice, or after a newer one, for example by other means than a
-            transmission (`Records.relay`).
-        relayed_up_to: by node and source, the greatest sequence number of a record got by such means.
+        relayed: the nodes that may get a record twice, or after a newer one, for example by `Records.relay`.
+        relayed_up_to: by node and source, the greatest sequence number of a record that `Records.relay` has stored.
     """
 
     def __init__(self, size: int, predicate: Predicate | None, shared: Callable[[int, int], TimedRecord | None]):
@@ -49,7 +48,7 @@ class OwnTables:
     def put(self, nodes: Iterable[int], times: Iterable[int], records: Iterable[Record]) -> None:
         """Add unread records, each for a node and with its arrival time, ns."""
         unread = self.unread
-        for node, when, record in zip(nodes, times, records, strict=False):  # the records may be one, repeated
+        for node, when, record in zip(nodes, times, records, strict=False):  # `records` may be an endless `repeat`
             pending = unread[node]
             pending.append(when)  # two calls of `append` are faster than one of `extend`
             pending.append(record)
@@ -73,16 +72,16 @@ class OwnTables:
             still_in_flight, fresh = self._move_in_any_order(node, now, pairs(still_in_flight + fresh)), []
         elif node in self.out_of_order:
             still_in_flight, fresh = self._move_newer(node, now, pairs(still_in_flight + fresh)), []
-            self.out_of_order.remove(node)  # records of later transmissions are newer
+            self.out_of_order.remove(node)  # what is transmitted from now on is newer than what was unread
         elif still_in_flight:
             still_in_flight = self._move_newer(node, now, pairs(still_in_flight))
         for arrival, record in pairs(fresh):
             if arrival > now:
                 still_in_flight.append(arrival)
                 still_in_flight.append(record)
-            else:  # in the order of transmission, so newer than the record in the table
+            else:  # unread records are in the order of transmission, so it is newer than the record in the table
                 table[record[0]] = received = (arrival, record)  # src and body, by position for speed
-                if predicate is not None:  # as in `_store`, whose call takes a sixth of the time of a record
+                if predicate is not None:  # `_store`, inlined: its call would take a sixth of the time of a record
                     if predicate(record[3]):
                         matching[record[0]] = received
                     else:
@@ -105,7 +104,7 @@ class OwnTables:
         return still_in_flight
 
     def _move_in_any_order(self, node: int, now: int, pending: Iterable[TimedRecord]) -> list[Any]:
-        """Do as `_move_newer` for a node with relayed records; if a record arrives twice, the first arrival counts."""
+        """Do as `_move_newer`, at a node that may get a record twice; of two arrivals of a record the first counts."""
         still_in_flight: list[Any] = []
         table, matching = self.tables[node], self.matching[node]
         for arrival, record in pending:

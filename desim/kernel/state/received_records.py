@@ -36,13 +36,16 @@ class Records:
         self._env, self._size = env, size
         self._shared = SharedTable(predicate)
         self._own = OwnTables(size, predicate, self._shared.known_by)
-        self._all_but_one = size - 1  # number of receivers of a record that may be shared
+        self._all_but_one = size - 1  # only a record transmitted to so many nodes may be shared; -1: none may
         self._scheduled, self._merge_interval = 0, max(4096, size)
         if repeats:
             self.expect_any_order()
 
     def expect_any_order(self) -> None:
-        """From now on, take records that are scheduled twice (the first arrival counts), or after a newer one."""
+        """From now on, accept records that are scheduled twice (the first arrival counts), or after a newer one.
+
+        Every node then compares what arrives, and no record is shared: the fast ways rely on the order of transmission.
+        """
         self._own.relayed.update(range(self._size))
         self._all_but_one = -1
 
@@ -67,13 +70,13 @@ class Records:
         self._note_unread()
 
     def share(self, record: Record, transmitted: int, arrival: int, unreached: Collection[int]) -> bool:
-        """Store a record once for all nodes, as `schedule`, if it reaches most of all nodes at one instant.
+        """Store a record once for all nodes if it was transmitted to all others and at most a third lose it.
 
         Args:
-            record: as for `schedule`.
+            record: as in `schedule`.
             transmitted: the number of nodes to which it was transmitted.
             arrival: its arrival time at all nodes that it reaches, ns.
-            unreached: those of the nodes that it does not reach.
+            unreached: those of these nodes that it does not reach.
 
         Returns:
             Whether it has been stored.
@@ -164,7 +167,7 @@ class Records:
         }
 
     def _note_unread(self, count: int = 1) -> None:
-        """Now and then, merge long lists of unread records, to bound the memory of nodes that do not read."""
+        """Count unread records; at intervals, merge long lists, to bound the memory of nodes that do not read."""
         self._scheduled += count
         if self._scheduled >= self._merge_interval:
             self._scheduled, now = 0, self._env.now
@@ -201,12 +204,12 @@ class SharedTable:
         self.exceptions: defaultdict[int, dict[int, TimedRecord | None]] = defaultdict(dict)
         self.only_initial = True
         self._unreached: dict[tuple[int, int], Collection[int]] = {}
-        """By source and sequence number, the nodes that a waiting record does not reach."""
+        """By source and sequence number of a waiting record, the nodes that it does not reach."""
         self._excepted: dict[int, Collection[int]] = {}
         """By source, the nodes with an exception."""
 
     def set_initial_belief(self, received: TimedRecord) -> None:
-        """Insert an initial belief at all nodes that have no record of its source."""
+        """Give an initial belief to all nodes that have no record of its source."""
         src = received[1].src
         if src not in self.table:
             self._store(received)
@@ -231,13 +234,13 @@ class SharedTable:
             if arrival > now:
                 break
             arrived += 1
-            present = table.get(record[0])  # src and seq, by position for speed
+            stored = table.get(record[0])  # src and seq, by position for speed
             unreached = self._unreached.pop(record[:2], ()) if self._unreached else ()
-            if present is None or present[1][1] < record[1]:
+            if stored is None or stored[1][1] < record[1]:
                 if unreached or self._excepted:
-                    self._except(record[0], unreached, present)
+                    self._except(record[0], unreached, stored)
                 self._store(timed)
-            else:
+            else:  # the table has a newer record; nodes that it did not reach, the exceptions, may need this one
                 for node in self._excepted.get(record[0], ()):
                     exception = self.exceptions[node][record[0]]
                     if node not in unreached and (exception is None or exception[1][1] < record[1]):
@@ -255,7 +258,7 @@ class SharedTable:
                 self.matching.pop(src, None)
 
     def known_by(self, node: int, src: int) -> TimedRecord | None:
-        """Return the record that a node has of a source, an exception or from the table; None if it has no record."""
+        """Return the record that a node has of a source, its exception or that in the table; None if it has none."""
         exceptions = self.exceptions.get(node, {})
         return exceptions[src] if src in exceptions else self.table.get(src)
 
@@ -271,7 +274,7 @@ class SharedTable:
         return latest
 
     def matching_of(self, node: int) -> Table:
-        """Return the matching records among the records in `table_of` the node."""
+        """Return those records of `table_of` that satisfy the predicate."""
         matches = self.matching.copy()
         matches.pop(node, None)
         for src, received in self.exceptions.get(node, {}).items():
@@ -281,7 +284,7 @@ class SharedTable:
         return matches
 
     def forget(self, node: int) -> None:
-        """Make a node forget all records of the table; it gets an exception for each."""
+        """Make a node forget all records of the table, by an exception for each."""
         self.exceptions[node] = {src: None for src in self.table if src != node}
         for src in self.exceptions[node]:
             self._excepted[src] = {node, *self._excepted.get(src, ())}
@@ -290,19 +293,19 @@ class SharedTable:
         """Return the number of nodes that a waiting record does not reach."""
         return len(self._unreached.get(record[:2], ()))
 
-    def _except(self, src: int, unreached: Collection[int], present: TimedRecord | None) -> None:
+    def _except(self, src: int, unreached: Collection[int], stored: TimedRecord | None) -> None:
         """Let some nodes keep the record that they have of a source, and end the exceptions of all other nodes.
 
         Args:
             src: the source.
-            unreached: the nodes that the next record of the source does not reach.
-            present: the present record of the source in the table; None if there is none.
+            unreached: the nodes that keep it, because the next record of the source does not reach them.
+            stored: the record of the source in the table, which the next one will replace; None if there is none.
         """
         exceptions = self.exceptions
         for node in self._excepted.pop(src, ()):
             if node not in unreached:
                 del exceptions[node][src]
         for node in unreached:
-            exceptions[node].setdefault(src, present)
+            exceptions[node].setdefault(src, stored)
         if unreached:
             self._excepted[src] = unreached

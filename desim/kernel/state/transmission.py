@@ -20,10 +20,10 @@ class Transmission(NamedTuple):
     receivers: list[int]
     content: Record | Message
     port: str
-    """Port of the inbox, for a message."""
+    """Port of the inbox at which a message arrives; of no meaning for a record."""
     reachable: bool
-    """False if `send` was called for one receiver that was then not linked to the sender or, with a range check at
-    transmission, out of range; else True."""
+    """False for a message to one node that, at the call of `send`, was not linked to the sender or, with a range check
+    at transmission, was out of range; else True."""
     to_one: bool
     """Whether it is a message to one node."""
 
