@@ -313,6 +313,13 @@ class Value(BaseModel, metaclass=_ValueType):
         """Do what `model_copy` does: pydantic's method of this name would not validate."""
         return self.model_copy(**options)
 
+    def __getstate__(self) -> dict[Any, Any]:
+        """Return what a pickle holds: the fields, and attributes that a user's class has set besides."""
+        state = super().__getstate__()
+        if len(self.__dict__) > len(type(self).model_fields) and not _is_built_in(type(self)):
+            state["beside"] = [*(self.__dict__.keys() - type(self).model_fields.keys())]
+        return state
+
     def __setstate__(self, state: dict[Any, Any]) -> None:
         """Restore a pickled value; keys that another version did not have get their defaults.
 
@@ -323,8 +330,10 @@ class Value(BaseModel, metaclass=_ValueType):
         fields, values = type(self).model_fields, self.__dict__
         if values.keys() == fields.keys():
             return
-        beside = (name for name in values if name not in fields and name[0] != "_" and not hasattr(type(self), name))
-        if _is_built_in(type(self)) and (unknown := [*beside]):
+        allowed = {*fields, *state.get("beside", ())}
+        if unknown := [
+            name for name in values if name not in allowed and name[0] != "_" and not hasattr(type(self), name)
+        ]:
             raise ValueError(
                 f"{with_article(type(self).__name__)} cannot be unpickled: it has no key {unknown[0]} any more, so the"
                 " pickle is of another version of desim; keep scenarios as files, or as run.json"
