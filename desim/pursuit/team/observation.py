@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from desim.kernel.core.units import seconds
 from desim.pursuit.team.agent import Agent
-from desim.pursuit.team.announcements import Located, TimedAssignment, action_in_game
+from desim.pursuit.team.announcements import Assignment, Located, TimedAssignment, action_in_game
 
 LATE = 5.0
 """The time, s, by which a capture has to be late or early for `OfEvader.late` to be 0.76 or -0.76."""
@@ -162,11 +162,14 @@ def pursuer_blocks(me: Agent, *, omniscient: bool = False) -> list[OfPursuer]:
         age, action, claim = 0.0, 0, 0.0
         if record is not None:
             body, age = record.body, min(max(now - seconds(record.stamp), 0.0), horizon)  # clocks may differ
-            action = action_in_game(body, me.evader_count) or 0
-            if place is None and isinstance(body, Located):
-                place = complex(body.x, body.y)
-            if isinstance(body, TimedAssignment):
-                claim = min(body.capture_time, horizon)
+            if type(body) is Assignment:  # as a rule; the questions below take a tenth of a round of all agents
+                action = body.active
+            else:
+                action = action_in_game(body, me.evader_count) or 0
+                if place is None and isinstance(body, Located):
+                    place = complex(body.x, body.y)
+                if isinstance(body, TimedAssignment):
+                    claim = min(body.capture_time, horizon)
         offset = 0j if place is None else place - here
         blocks.append(OfPursuer(record is not None, age, action, place is not None, offset.real, offset.imag, claim))
     return blocks
