@@ -22,6 +22,7 @@ NO_PAIR = {
     "desim/kernel/tc/writer.py": "refuses what it cannot write",
     "desim/pursuit/motion/environment.py": "says that there is no flow, and nothing is computed in another way",
     "desim/pursuit/sensing/noise.py": "asks whether an answer of a user has to be checked",
+    "desim/pursuit/team/observation.py": "saves questions that have one answer for that type",
     "protocols/schedules/periodic.py": "the block is a part of what a seed means, so there is no other way",
 }
 """Modules with these words or questions that have no second way, and why."""
