@@ -231,7 +231,7 @@ def test_a_number_with_a_unit_is_told_in_that_of_its_key(key):
             assert f"{key}: {said}" in str(refusal.value)
 
 
-RENAMED = {
+ELSEWHERE = {
     "belief_timeout": ("forget_after", "announce.belief_timeout"),
     "dissemination": ("spread", "announce.dissemination"),
     "flees_from": ("heeds", "evader.strategy.flees_from"),
@@ -251,9 +251,15 @@ RENAMED = {
 }
 
 
-@pytest.mark.parametrize("key", RENAMED)
-def test_a_renamed_key_is_suggested_where_it_is_now(key):
-    """Also if another key at the top is similar to its old name, as seed is to heeds."""
-    word, place = RENAMED[key]
-    with pytest.raises(ValueError, match=rf"^Scenario: {word}: unknown key, did you mean {re.escape(place)}\?;"):
-        Scenario(**{word: 1})
+@pytest.mark.parametrize("key", ELSEWHERE)
+def test_a_key_is_suggested_in_its_table_for_a_word_that_may_mean_it(key):
+    """Capital letters and hyphens make no difference."""
+    plain, place = ELSEWHERE[key]
+    for word in (plain, plain.title().replace("_", "-")):
+        with pytest.raises(ValueError, match=rf"^Scenario: {word}: unknown key, did you mean {re.escape(place)}\?;"):
+            Scenario(**{word: 1})
+
+
+def test_a_key_with_a_capital_letter_is_suggested_once():
+    with pytest.raises(ValueError, match=r"did you mean 'horizon'\?;"):
+        Scenario(Horizon=1)

@@ -1,4 +1,4 @@
-"""What a wrong key or kind may have meant: similar words, renamed keys, the same key in another table."""
+"""Suggestions for a wrong key or kind: a similar name, the name for a synonym, or the same key in another table."""
 
 from collections.abc import Sequence
 from types import MappingProxyType
@@ -10,9 +10,9 @@ from desim.config.errors import KeyPath
 from desim.config.key_index import homes_of
 from desim.config.suggestion import close_to
 
-MAX_HOMES = 3
-"""The largest number of tables that an error message suggests for a key."""
-RENAMED = {
+MAX_ELSEWHERE = 3
+"""The largest number of keys of other tables that an error message suggests."""
+WORDS_FOR_KEYS = {
     "at": "start",
     "delay": "latency",
     "deviation": "cv",
@@ -45,8 +45,8 @@ RENAMED = {
     "until": "end",
     "when_lost": "on_lost",
 }
-"""Keys and kinds that are not valid, and the valid ones to suggest."""
-MEANT = MappingProxyType(
+"""Words for keys in other programs, papers and older files, each with the key to suggest."""
+WORDS_FOR_KINDS = MappingProxyType(
     {
         "auction": ("cbaa", "cbba"),
         "consensus": ("cbaa", "cbba"),
@@ -62,7 +62,7 @@ MEANT = MappingProxyType(
         "random": ("uniform", "bernoulli"),
     }
 )
-"""Words of the field that are no kinds, and the kinds that they may mean."""
+"""Words of the field that are no kinds, each with the kinds to suggest."""
 
 
 def suggestion(word: str, allowed: Sequence[str]) -> str:
@@ -73,14 +73,19 @@ def suggestion(word: str, allowed: Sequence[str]) -> str:
 
 def _similar(word: str, allowed: Sequence[str]) -> list[str]:
     """Return the allowed words to suggest for an invalid one, mostly one; an empty list if none is similar."""
-    plain = word.lower().replace("-", "_").replace(" ", "_")
+    plain = _plain(word)
     initials = "".join(part[0] for part in plain.split("_") if part)  # spatial_adaptive_play is sap
-    meant = [RENAMED.get(plain, plain), *MEANT.get(plain, ()), *([initials] if len(initials) > 1 else [])]
+    meant = [WORDS_FOR_KEYS.get(plain, plain), *WORDS_FOR_KINDS.get(plain, ()), initials]
     return [name for name in meant if name in allowed] or close_to(plain, allowed)
 
 
+def _plain(word: str) -> str:
+    """Return a word as keys and kinds are spelled."""
+    return word.lower().replace("-", "_").replace(" ", "_")
+
+
 def _siblings_with(key: str, model: type[BaseModel]) -> list[str]:
-    """Return the names of the models that a field may hold in place of a model, and that have a key."""
+    """Return the names of the models with a key among the other kinds of a model."""
     families = [family for family in OneOf.families if "kind" in model.model_fields and family.has(model)]
     siblings = [sibling for family in families for sibling in family.choices().values()]
     return list(dict.fromkeys(sibling.__name__ for sibling in siblings if key in sibling.model_fields))
@@ -90,23 +95,28 @@ def other_key(place: KeyPath, allowed: Sequence[str], whole: type[BaseModel]) ->
     """Return a hint for an unknown key: a similar key of its table, or the same key in another table or kind."""
     word = str(place[-1]).split(".")[-1]
     close = _similar(word, allowed)
-    homes, renamed = homes_of(word, whole), RENAMED.get(word)
-    is_elsewhere = any(key.place[-1] == word for key in homes)
-    if renamed and not is_elsewhere:
-        homes = homes_of(renamed, whole) or homes
-    is_loose = close == close_to(word, allowed) and not close_to(word, allowed, cutoff=0.8)
-    if is_loose and is_elsewhere:
-        close = []  # the same name in another table is surer than one that is hardly similar in this
-    if renamed not in close and any(key.place[-1] == renamed for key in homes):
-        close = []  # so is the new name
-    if close:  # then suggest other tables only for a key of exactly this name, and none for a renamed key
-        homes = [key for key in homes if key.place[-1] == word and close != [renamed]]
-    here = [part for part in place if isinstance(part, str)]
-    same = [key for key in homes if [part for part in key.place if part != "0"] == here]
-    if kinds := list(dict.fromkeys(key.owner for key in same if key.owner)):
+    word = _plain(word)
+    elsewhere, meant_key = homes_of(word, whole), WORDS_FOR_KEYS.get(word)
+    is_elsewhere = any(key.place[-1] == word for key in elsewhere)
+    if meant_key and not is_elsewhere:
+        elsewhere = homes_of(meant_key, whole) or elsewhere
+    # A key of this table is suggested, unless another table has this very key and the key here is hardly similar,
+    # or another table has the key for a synonym.
+    is_hardly_similar = close == close_to(word, allowed) and not close_to(word, allowed, cutoff=0.8)
+    if (is_hardly_similar and is_elsewhere) or (
+        meant_key not in close and any(key.place[-1] == meant_key for key in elsewhere)
+    ):
+        close = []
+    if close in ([word], [meant_key]):
+        elsewhere = []
+    elif close:
+        elsewhere = [key for key in elsewhere if key.place[-1] == word]
+    names = [part for part in place[:-1] if isinstance(part, str)] + [word]
+    of_other_kinds = [key for key in elsewhere if [part for part in key.place if part != "0"] == names]
+    if kinds := list(dict.fromkeys(key.owner for key in of_other_kinds if key.owner)):
         return f", it is one of the kind {' or '.join(kinds)}"
-    if not homes and (siblings := _siblings_with(word, whole)):
+    if not elsewhere and (siblings := _siblings_with(word, whole)):
         return f", it is a key of {' and '.join(siblings)}"
-    places = dict.fromkeys(key.dotted if len(key.place) > 1 else f"{key.dotted} at the top" for key in homes)
-    meant = [*map(repr, close), *list(places)[:MAX_HOMES]]
+    places = dict.fromkeys(key.dotted if len(key.place) > 1 else f"{key.dotted} at the top" for key in elsewhere)
+    meant = [*map(repr, close), *list(places)[:MAX_ELSEWHERE]]
     return f", did you mean {' or '.join(meant)}?" if meant else ""
