@@ -8,10 +8,10 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     Field,
-    FieldSerializationInfo,
     GetJsonSchemaHandler,
+    PlainSerializer,
+    SerializationInfo,
     ValidationInfo,
-    field_serializer,
     field_validator,
 )
 from pydantic.json_schema import JsonSchemaValue
@@ -105,6 +105,28 @@ class Design(Value):
         return self.method != "sobol" or not self.size & (self.size - 1)
 
 
+def _grid_in_tables(grid: dict[str, tuple[Any, ...]], info: SerializationInfo) -> dict[str, Any]:
+    """Return a grid as it is written, with ranges as texts.
+
+    This is no `field_serializer`: there, pydantic makes a text of the name of the field, and a signal that arrives
+    meanwhile is lost with a message on stderr.
+    """
+    tables = partial(_with_tables, exclude_none=bool(info.exclude_none))
+    return {key: str(values[0]) if is_range(values) else tables(values) for key, values in grid.items()}
+
+
+def _with_tables(value: Any, *, exclude_none: bool) -> Any:
+    """Return a value of a key with tables in place of models and functions, also of those inside."""
+    if isinstance(value, Value) and is_ours(type(value)):
+        return value.model_dump(exclude_none=exclude_none)
+    if isinstance(value, BaseModel) or callable(value):
+        return table_of(value, exclude_none=exclude_none)
+    inner = partial(_with_tables, exclude_none=exclude_none)
+    if isinstance(value, dict):
+        return {key: inner(entry) for key, entry in value.items()}
+    return [*map(inner, value)] if isinstance(value, list | tuple) else value
+
+
 class Sweep(Value):
     """A sweep of a scenario over a grid of its keys and over seeds (`desim sweep`)."""
 
@@ -119,7 +141,9 @@ class Sweep(Value):
     seeds: Literal["common", "independent"] = "common"
     """common: run k of every configuration has the seed 1,000,000 `seed` + k (common random numbers), so that
     configurations are compared on equal seeds; independent: every run has its own seed."""
-    grid: Annotated[dict[str, Values], BeforeValidator(_flat)] = Field(default_factory=dict)
+    grid: Annotated[dict[str, Values], BeforeValidator(_flat), PlainSerializer(_grid_in_tables)] = Field(
+        default_factory=dict
+    )
     """Dotted keys of the scenario as in --set, each with the list of its values, or with a range "FIRST:LAST:STEP" of
     numbers, such as "0:1:0.1", the last included, or "log:FIRST:LAST:COUNT" with equal ratios; every combination is a
     configuration. "LOW:HIGH" and "log:LOW:HIGH" are ranges from which `design` chooses."""
@@ -137,11 +161,6 @@ class Sweep(Value):
             raise PydanticCustomError("misfits", "{text}", {"text": text, "misfits": misfits})
         return grid
 
-    @field_serializer("grid")
-    def _serialized(self, grid: dict[str, tuple[Any, ...]], info: FieldSerializationInfo) -> dict[str, Any]:
-        tables = partial(_with_tables, exclude_none=bool(info.exclude_none))
-        return {key: str(values[0]) if is_range(values) else tables(values) for key, values in grid.items()}
-
     def __hash__(self) -> int:  # the values of a key may be tables, which have no hash
         return hash((self.reps, self.seeds, tuple(self.grid), self.design))
 
@@ -151,15 +170,3 @@ def _kinds_in(grid: dict[str, tuple[Any, ...]]) -> Iterator[tuple[str, Any]]:
     for key, values in grid.items():
         yield from ((key, value) for (*_, name), value in nested(values) if name == "kind")
         yield from ((key, kind) for kind in (values if key.split(".")[-1].strip("\"'") == "kind" else ()))
-
-
-def _with_tables(value: Any, *, exclude_none: bool) -> Any:
-    """Return a value of a key with tables in place of models and functions, also of those inside."""
-    if isinstance(value, Value) and is_ours(type(value)):
-        return value.model_dump(exclude_none=exclude_none)
-    if isinstance(value, BaseModel) or callable(value):
-        return table_of(value, exclude_none=exclude_none)
-    inner = partial(_with_tables, exclude_none=exclude_none)
-    if isinstance(value, dict):
-        return {key: inner(entry) for key, entry in value.items()}
-    return [*map(inner, value)] if isinstance(value, list | tuple) else value
