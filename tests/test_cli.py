@@ -768,6 +768,7 @@ def test_keys_goes_to_the_given_depth():
     (shape,) = accepted("keys", "network.latency.gamma.shape").stdout.splitlines()
     assert shape.startswith("shape = ")
     assert accepted("keys", "protocol.sap.tau.paper.scale").stdout.startswith("scale = 10.0: ")
+    assert accepted("keys", "wall.0.line").stdout == accepted("keys", "wall.line").stdout
 
 
 @pytest.mark.parametrize(
@@ -781,6 +782,8 @@ def test_keys_goes_to_the_given_depth():
         ("protocol.schedule", "'schedule' in 'protocol' depends on the kind: protocol.argmin_known.schedule, "),
         ("evader.strategy.still.of", "there is no 'of'; allowed: nothing"),
         ("", "there is no ''; allowed: name, "),
+        ("0", "there is no '0'; allowed: name, "),
+        ("fault.0.kinds", "'kinds' in 'fault' depends on the kind: fault.random.kinds"),
     ],
 )
 def test_keys_that_do_not_exist_are_refused(key, why):

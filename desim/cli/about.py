@@ -1,6 +1,7 @@
 """Information without a run: `desim check`, `schema`, `keys`, `metrics`, `protocols`."""
 
 import json
+import re
 from pathlib import Path
 
 import click
@@ -76,7 +77,8 @@ def keys(key: str | None) -> None:
             title, *lines = described(Scenario, "scenario")
             echo("\n".join([title, f"    {base}", *lines]))
         else:
-            echo("\n".join(described_at(key.split("."), Scenario)))
+            place = re.sub(r"\.\d+\b", "", key).split(".")  # of fault.0.start, fault.start
+            echo("\n".join(described_at(place, Scenario)))
     except ValueError as error:
         from desim.config.key_index import homes_of
 

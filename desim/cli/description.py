@@ -1,4 +1,4 @@
-"""A model as text: its parameters, their defaults, and the models that they may hold.
+"""A model as text, for `desim keys` and `desim protocols`: its parameters, defaults, and the models in parameters.
 
 If a parameter can hold one of several models, the `kind` of a model is the name that selects it in a scenario file.
 """
@@ -18,7 +18,7 @@ from desim.config.traits import Traits
 
 
 class KindMissingError(ValueError):
-    """Raised for a key that only some kinds of a model have, if it is not said of which kind."""
+    """Raised if only some kinds of a model have a key, and the kind is missing."""
 
 
 def described(
@@ -26,7 +26,7 @@ def described(
 ) -> Iterator[str]:
     """Yield lines that describe a model, its parameters and, recursively, the models that these may hold.
 
-    For a model in `described_models` only the first line is yielded; the models that are described are added to it.
+    Each model is described once: `described_models` collects them, and of a model in it only the first line is yielded.
     """
     described_models = set() if described_models is None else described_models
     yield f"{indent}{title}: {summary(model)}"
@@ -40,7 +40,7 @@ def described(
 
 
 def described_traits(traits: Traits) -> Iterator[str]:
-    """Yield a line for each trait of a model, with its value and description; traits that are parameters are left out.
+    """Yield a line for each trait of a model that is no parameter, with its value and description.
 
     A trait is an optional attribute of a model (`desim.config.traits`); a parameter can be set in a scenario file.
     """
@@ -56,8 +56,8 @@ def described_at(place: Sequence[str], model: type[BaseModel]) -> Iterator[str]:
     """Yield lines that describe one key or kind below a model, as `described` does.
 
     Args:
-        place: the path from the outermost key to the innermost. A kind may follow the key of its model: in
-            ("network", "latency", "gamma", "scale"), "gamma" is a kind of "latency".
+        place: the path from the outermost key to the innermost, without indices of lists. A kind may follow the key of
+            its model: in ("network", "latency", "gamma", "scale"), "gamma" is a kind of "latency".
         model: the outermost model.
 
     Raises:
@@ -68,27 +68,27 @@ def described_at(place: Sequence[str], model: type[BaseModel]) -> Iterator[str]:
     if name == "kind" or name not in fields:
         allowed = ", ".join(key for key in fields if key != "kind") or "nothing"
         raise ValueError(f"there is no {name!r}; allowed: {allowed}")
-    inner = {kind: chosen for choice in choices_of(fields[name]) for kind, chosen in choice.choices().items()}
-    plain = next(models_in(fields[name].annotation), None)
+    models_by_kind = {kind: chosen for choice in choices_of(fields[name]) for kind, chosen in choice.choices().items()}
+    without_kind = next(models_in(fields[name].annotation), None)
     if not rest:
         yield from _described_field(name, fields[name], "", set())
-    elif rest[0] in inner:
-        chosen = inner[rest[0]]
+    elif rest[0] in models_by_kind:
+        chosen = models_by_kind[rest[0]]
         yield from described_at(rest[1:], chosen) if rest[1:] else described(chosen, rest[0])
     elif rest[0] != "kind" and (
-        having := [kind for kind, chosen_model in inner.items() if rest[0] in chosen_model.model_fields]
+        kinds := [kind for kind, chosen_model in models_by_kind.items() if rest[0] in chosen_model.model_fields]
     ):
-        ways = ", ".join(f"{name}.{kind}.{rest[0]}" for kind in having)
-        raise KindMissingError(f"{rest[0]!r} in {name!r} depends on the kind: {ways}")
-    elif inner or plain is None:
-        raise ValueError(f"there is no {rest[0]!r} in {name!r}; allowed: {', '.join(inner) or 'nothing'}")
+        keys = ", ".join(f"{name}.{kind}.{rest[0]}" for kind in kinds)
+        raise KindMissingError(f"{rest[0]!r} in {name!r} depends on the kind: {keys}")
+    elif models_by_kind or without_kind is None:
+        raise ValueError(f"there is no {rest[0]!r} in {name!r}; allowed: {', '.join(models_by_kind) or 'nothing'}")
     else:
-        yield from described_at(rest, plain)
+        yield from described_at(rest, without_kind)
 
 
 def _described_field(name: str, field: FieldInfo, indent: str, described_models: set[type[BaseModel]]) -> Iterator[str]:
-    plain = next(models_in(field.annotation), None)
-    text = field.description or (summary(plain) if plain is not None else "")
+    without_kind = next(models_in(field.annotation), None)
+    text = field.description or (summary(without_kind) if without_kind is not None else "")
     yield f"{indent}{name}{default_of(field)}: {' '.join(text.split())}"
     for choice in choices_of(field):
         choices = choice.choices()
@@ -98,7 +98,7 @@ def _described_field(name: str, field: FieldInfo, indent: str, described_models:
         for kind, chosen in choices.items():
             yield from described(chosen, kind, indent + "    ", described_models)
     for model in models_in(field.annotation):
-        yield from list(described(model, name, indent, described_models))[1:]
+        yield from list(described(model, name, indent, described_models))[1:]  # without its title: `text` has that role
 
 
 def summary(model: Any) -> str:
