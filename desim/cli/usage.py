@@ -214,12 +214,12 @@ def _keys(option: str, is_of_others: bool) -> list[str]:
 def _about_value(message: str, param: click.Parameter) -> str:
     """Return the message about a value that an option does not take, with what it takes."""
     value, _, wrong = message.partition(" is not ")
-    from desim.config.number_texts import why_no_number
+    from desim.config.number_texts import number_instead_of
 
     if (
         param.metavar == "SECONDS"
         and wrong.startswith("a valid float")
-        and (reason := why_no_number(value.strip("'"), {"s"}))
+        and (reason := number_instead_of(value.strip("'"), {"s"}))
     ):
         return f"{value} {reason.partition(' instead of')[0]}."
     if wrong.startswith(("a valid int", "a valid float", "in the range")):

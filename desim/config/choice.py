@@ -33,7 +33,7 @@ from desim.config.named_code import (
     load_named,
     refusal,
 )
-from desim.config.number_texts import why_no_number
+from desim.config.number_texts import number_instead_of
 from desim.config.parameters import table_of
 from desim.config.python_numbers import as_python
 from desim.config.traits import Traits, attributes, is_ours, name_of, positions
@@ -173,7 +173,7 @@ class OneOf:
     def _accept(self, value: Any, info: ValidationInfo) -> Any:
         if isinstance(value, type):
             raise ValueError(f"should be an instance: {value.__name__}() instead of {value.__name__}")
-        if self.number is not None and isinstance(value, str) and (reason := why_no_number(str(value))):
+        if self.number is not None and isinstance(value, str) and (reason := number_instead_of(str(value))):
             raise ValueError(reason)
         self._check_file(value)
         value = self.as_table(value)

@@ -22,7 +22,7 @@ from desim.config.field_docs import fields_of
 from desim.config.key_index import unit_in
 from desim.config.key_suggestions import other_key, suggestion
 from desim.config.model import Value, markers_of, models_in
-from desim.config.number_texts import counted, why_no_number
+from desim.config.number_texts import counted, number_instead_of
 from desim.config.python_numbers import as_python
 from desim.config.tables import holds, value_at
 
@@ -163,7 +163,7 @@ class Wording:
         if error["type"] in {"extra_forbidden", "union_tag_invalid", "import_refused", "missing", "value_error"}:
             return ""
         is_text = error["type"] in NUMBERS and isinstance(error["input"], str)
-        if is_text and (INFINITE.fullmatch(error["input"]) or why_no_number(error["input"])):
+        if is_text and (INFINITE.fullmatch(error["input"]) or number_instead_of(error["input"])):
             return ""
         return f" (got {abridged(self.written(error['input']))})"
 
@@ -184,7 +184,7 @@ def _no_number(value: Any, info: FieldInfo | None) -> str | None:
         return "should be a number; a range in a grid is written FIRST:LAST:STEP, 0:1:0.1 for instance"
     if INFINITE.fullmatch(str(value)):
         return f"should be inf without quotes instead of the text {value!r}"
-    return why_no_number(value, {(info and unit_in(info)) or "1"}) if isinstance(value, str) else None
+    return number_instead_of(value, {(info and unit_in(info)) or "1"}) if isinstance(value, str) else None
 
 
 def _with_file(file: str, place: KeyPath, owner: type[BaseModel] | None, info: FieldInfo | None) -> str:

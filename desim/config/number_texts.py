@@ -1,4 +1,4 @@
-"""Numbers and times as texts: how they are written, read with a unit, as "50 ms", and corrected in messages."""
+"""Numbers as texts: writing them, reading times such as "50 ms", and telling a user which number a text means."""
 
 import re
 from collections.abc import Collection
@@ -23,7 +23,7 @@ UNITS = MappingProxyType(
         "%": ("1", 100.0),
     }
 )
-"""The unit in which a number is expected instead of another one, and how many of these it is."""
+"""By unit in a text, the unit of the number to write instead, and how many of the first make one of the second."""
 
 
 def exact_text(number: float, digits: int) -> str:
@@ -37,12 +37,14 @@ def counted(number: int, noun: str) -> str:
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
-def why_no_number(text: str, units: Collection[str] = ("s", "1")) -> str | None:
+def number_instead_of(text: str, units: Collection[str] = ("s", "1")) -> str | None:
     """Return what to write instead of a text that is meant as a number; None for any other text, such as a kind.
 
-    `units` are the units that the number may have: those of a latency or a loss, if the key is not known.
+    Args:
+        text: the text.
+        units: the units that the number may have; by default, those of a latency and a loss.
     """
-    text = str(text)  # numpy's are shown otherwise
+    text = str(text)  # the `repr` of a string of numpy is np.str_('50 ms')
     match = NUMBER_AS_TEXT.fullmatch(text)
     if match is None:
         return None
@@ -53,8 +55,8 @@ def why_no_number(text: str, units: Collection[str] = ("s", "1")) -> str | None:
         return f"should be a number: {number} instead of the text {text!r}"
     if unit not in UNITS or UNITS[unit][0] not in units:
         return f"should be a number without a unit (got {text!r})"
-    right, count = UNITS[unit]
-    what = "a number from 0 to 1" if right == "1" else f"a number, in {right}"
+    written_unit, count = UNITS[unit]
+    what = "a number from 0 to 1" if written_unit == "1" else f"a number, in {written_unit}"
     return f"should be {what}: {float(number) / count:.15g} instead of the text {text!r}"
 
 

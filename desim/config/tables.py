@@ -1,4 +1,4 @@
-"""Nested tables and lists, as TOML and JSON have them, and the places in them."""
+"""Nested tables and lists, as TOML and JSON have them: the values at places, and names that are given twice."""
 
 from collections.abc import Iterable, Iterator
 from functools import reduce
@@ -27,7 +27,10 @@ def nested(node: Any, place: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
 
 
 def check_once(names: Iterable[str | None], owner: str) -> None:
-    """Raise ValueError if a name is given twice: of its two values, readers would take either."""
+    """Raise ValueError if a name is given twice: some readers take its first value, others its last.
+
+    None stands for a thing without a name, of which there may be several.
+    """
     seen = set[str | None]()
     for name in names:
         if name is not None and name in seen:

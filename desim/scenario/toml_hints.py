@@ -3,7 +3,7 @@
 import re
 from types import MappingProxyType
 
-from desim.config.number_texts import why_no_number
+from desim.config.number_texts import number_instead_of
 
 _LINE = re.compile(r"\s*([\w.-]+)\s*([=:]?)\s*(.*?)\s*[,;]?\s*(?:#.*)?")
 """Matches a line, and finds its key, the sign after it and its value."""
@@ -59,7 +59,7 @@ def _instead_of(key: str, value: str) -> str | None:
     if re.fullmatch(r"[+-]?[\d._]+(?:[eE][+-]?\d+)?", value):
         return None
     for unit in UNITS:
-        if (text := why_no_number(value, {unit})) and "without" not in text:
+        if (text := number_instead_of(value, {unit})) and "without" not in text:
             return f"{key} {text.replace('the text ', '')}"
     if re.fullmatch(r"[A-Za-z][\w:-]*(?: [\w:-]+)*", value) and value not in {"true", "false", "inf", "nan"}:
         return f'a text is in quotes: {key} = "{value}"'

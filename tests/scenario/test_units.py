@@ -3,7 +3,7 @@
 import pytest
 
 from desim.config.key_index import unit_of_key
-from desim.config.number_texts import why_no_number
+from desim.config.number_texts import number_instead_of
 from desim.scenario.scenario import Scenario
 
 
@@ -38,9 +38,9 @@ def test_a_key_has_the_unit_of_its_description_whatever_the_kind_above_it(key, u
     ],
 )
 def test_a_text_that_is_meant_as_a_number_is_told_with_the_number_to_write(text, number):
-    assert f": {number} instead of the text" in why_no_number(text, ("s", "m", "1"))
+    assert f": {number} instead of the text" in number_instead_of(text, ("s", "m", "1"))
 
 
 @pytest.mark.parametrize("text", ["1,000", "12,500 ms", "-1,000"])
 def test_a_comma_that_may_separate_thousands_is_not_guessed_at(text):
-    assert "thousands have no separator" in why_no_number(text)
+    assert "thousands have no separator" in number_instead_of(text)
