@@ -120,6 +120,7 @@ def test_pairs_and_estimates_of_groups_are_those_of_the_rows(rows, others):
     expected = [(row, there[row.replication]) for row in rows if row.ok and row.replication in there]
     at, at_other = one.pairs(other)
     assert len(at) == len(at_other) == len(expected)
+    assert one.seeds == [row.seed for row in rows if row.ok]
     for name in ("energy", "captured", "missing"):
         pairs = [(a.value(name), b.value(name)) for a, b in expected]
         values, other_values = one.values(name), other.values(name)

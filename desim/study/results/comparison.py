@@ -255,8 +255,7 @@ def _place(group: Group, keys: Sequence[str]) -> tuple[str, ...]:
 
 def _compared(first: Group, second: Group, keys: Sequence[str], metrics: Sequence[str]) -> Compared:
     """Return a configuration of two sweeps: paired by seed if they share two seeds, else as independent runs."""
-    seeds = [[row.seed for row in group.rows if row.ok] for group in (first, second)]
-    shared = sorted(set(seeds[0]) & set(seeds[1]))
+    shared = sorted(set(first.seeds) & set(second.seeds))
     is_paired = len(shared) > 1
     differences = {}
     for metric in metrics:
@@ -266,5 +265,5 @@ def _compared(first: Group, second: Group, keys: Sequence[str], metrics: Sequenc
         else:
             difference = independent(second.present(metric), first.present(metric))
         differences[metric] = MetricDifference(first.estimate(metric), second.estimate(metric), difference)
-    pairs, runs = len(shared) if is_paired else 0, (len(seeds[0]), len(seeds[1]))
+    pairs, runs = len(shared) if is_paired else 0, (len(first.seeds), len(second.seeds))
     return Compared({key: first.settings[key] for key in keys}, pairs, runs, differences)

@@ -61,9 +61,14 @@ class Group:
         """Return a numeric metric of each run that did not fail; nan for a run without a value."""
         return self._table.column(metric).numbers()
 
+    @property
+    def seeds(self) -> list[int]:
+        """The seeds of the runs that did not fail."""
+        return self._table.seeds.values()
+
     def by_seed(self, metric: str) -> dict[int, float]:
         """Return a numeric metric of each run that did not fail, by its seed; nan for a run without a value."""
-        return dict(zip((row.seed for row in self.rows if row.ok), self.numbers(metric).tolist(), strict=True))
+        return dict(zip(self.seeds, self.numbers(metric).tolist(), strict=True))
 
     def present(self, metric: str) -> Floats:
         """Return a numeric metric of each run that has a value."""

@@ -204,7 +204,7 @@ class RunTable(Sequence[Row]):
     """
 
     def __init__(self, rows: Iterable[Row | Measured] = (), units: Mapping[str, str] = MappingProxyType({})):
-        self.replications, self._seeds = Column(), Column()
+        self.replications, self.seeds = Column(), Column()
         self._metrics: dict[str, Column] = {}
         self._units: dict[str, str] = dict(units)
         self._failed: dict[int, Row] = {}
@@ -226,7 +226,7 @@ class RunTable(Sequence[Row]):
         """Append runs that did not fail."""
         before = len(self.replications)
         self.replications.extend([run.replication for run in runs])
-        self._seeds.extend([run.seed for run in runs])
+        self.seeds.extend([run.seed for run in runs])
         columns = columns_of([run.values for run in runs], MISSING)
         for name in columns:
             if name not in self._metrics:
@@ -254,7 +254,7 @@ class RunTable(Sequence[Row]):
     def _run(self, k: int) -> Row:
         """Return the k-th run of those that did not fail."""
         values = {name: column[k] for name, column in self._metrics.items() if not column.is_absent(k)}
-        return Row(self.replications[k], self._seeds[k], "ok", Summary(values, self._units))
+        return Row(self.replications[k], self.seeds[k], "ok", Summary(values, self._units))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Sequence) and list(self) == list(other)
