@@ -130,13 +130,9 @@ def _panels(
 
 
 def _inches(size: str | None, rows: int, columns: int, listed: int | None) -> tuple[float, float]:
-    """Return the width and the height of a figure, inches.
+    """Return the width and the height, inches, of a figure of a size (see `means`) with rows and columns of panels.
 
-    Args:
-        size: the size that was asked for; see `means`.
-        rows: the number of rows of panels.
-        columns: the number of panels abreast.
-        listed: the number of configurations if each has a row of its own, else None.
+    `listed` is the number of configurations if each has a row of its own, else None.
     """
     one_high = 4.0 if listed is None else 1.2 + 0.3 * listed
     usual = (6.4, one_high) if rows * columns == 1 else (0.6 + 2.6 * columns, 0.6 + 2.2 * rows)

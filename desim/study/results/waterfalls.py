@@ -28,13 +28,7 @@ def waterfall(
 ) -> Figure:
     """Draw the cost of each imperfection as a waterfall chart with 95 % intervals, with a panel for each metric.
 
-    Args:
-        name: the name of the scenario.
-        runs: the number of its runs.
-        costs: the costs by metric.
-        size: as in `SweepResult.plot`.
-        style: as in `SweepResult.plot`.
-        ax: as in `SweepResult.plot`.
+    The first arguments are the fields of an `Explanation`, whose `plot` says what size, style and axes are.
 
     Raises:
         ValueError: if the size or the style is invalid, or several metrics do not fit into `ax`.

@@ -51,12 +51,9 @@ class RunRows(StoreFile):
     def _add(
         self, row: tuple[Any, ...], numbers: Callable[[], Mapping[str, Any] | None], *, keeps_failed: bool = False
     ) -> None:
-        """Add the row of a run; see `add_run` and `copy_run`.
+        """Add the row of a run, with its metrics as JSON; see `add_run` and `copy_run`.
 
-        Args:
-            row: the row with its metrics as JSON.
-            numbers: returns the metrics of the row; called only if the run is stored already.
-            keeps_failed: whether a failed run does not replace a stored run that also failed.
+        `numbers` returns these metrics, and is called only if the run is stored already.
         """
         unless_there = "ON CONFLICT (configuration, replication, root_seed) DO NOTHING"
         if self.database.execute(f"INSERT INTO runs VALUES {RUN_VALUES} {unless_there}", row).rowcount:

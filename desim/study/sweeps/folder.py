@@ -73,7 +73,7 @@ def compare(
 
         print(desim.compare("out/before", "out/after", ["active_time"]))
 
-    Each is a sweep, or the folder or store of one.
+    `first` and `second` are sweeps, or folders or stores of sweeps; `metrics` names what is compared.
 
     Raises:
         ValueError: if a sweep has no numeric metric of a name, the two have no configuration in common, one varies a

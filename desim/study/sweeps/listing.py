@@ -123,14 +123,10 @@ def _modified(path: Path) -> float:
 def _entry_of_store(path: Path) -> Entry | None:
     """Return the entry of a store of another name than that of the command line; None if it is no readable store."""
     try:
-        with Store(path, read_only=True) as store:
-            if "name" not in store.about:
-                return None
-            runs, failed, name = len(store), store.failed_runs, store.read_property("name", str)
+        name, runs, state = _stored([path], None, None)
     except (OSError, ValueError):
         return None
-    state = f"{failed:,} failed" if failed else "complete" if runs else "empty"
-    return Entry(path, "sweep", name, _modified(path), runs, state)
+    return Entry(path, "sweep", name, _modified(path), runs, state) if name is not None else None
 
 
 def _is_batch(folder: Path, folders: list[str]) -> bool:
@@ -154,7 +150,7 @@ def _entry(folder: Path, stores: list[Path], has_trace: bool, modified: float) -
     try:
         if stores:
             name, runs, state = _stored(stores, None if kind in UNPLANNED else planned, plan)
-            scenario = scenario or name
+            scenario = scenario or name or ""
         elif has_trace:
             runs, state = 1, "complete" if b'"event": "Ended"' in _tail(folder / TRACE) else "unfinished"
     except (OSError, ValueError) as error:
@@ -162,12 +158,13 @@ def _entry(folder: Path, stores: list[Path], has_trace: bool, modified: float) -
     return Entry(folder, kind, scenario, modified, runs, "; ".join([*problems, state]))
 
 
-def _stored(stores: list[Path], planned: int | None, plan: PlannedRuns | None) -> tuple[str, int, str]:
-    """Return the name of the scenario in stores, the number of their runs, and their state."""
-    name, runs, failed, done, outcomes, keys = "", 0, 0, 0, set[Run](), list[list[str]]()
+def _stored(stores: list[Path], planned: int | None, plan: PlannedRuns | None) -> tuple[str | None, int, str]:
+    """Return the name of the scenario in stores, if it is known, the number of their runs, and their state."""
+    runs, failed, done, outcomes, keys = 0, 0, 0, set[Run](), list[list[str]]()
+    name: str | None = None
     for path in stores:
         with Store(path, read_only=True) as store:
-            name = name or (store.read_property("name", str) if "name" in store.about else "")
+            name = name or (store.read_property("name", str) if "name" in store.about else None)
             runs, failed = runs + len(store), failed + store.failed_runs
             if plan is not None and plan.configurations is not None:
                 keys.append(store.keys)
@@ -177,7 +174,7 @@ def _stored(stores: list[Path], planned: int | None, plan: PlannedRuns | None) -
                     outcomes.update(*store.outcomes())
     includes = plan.includes(keys) if plan is not None and keys else None
     done = done or (len([*filter(includes, outcomes)]) if keys else runs)
-    parts = ["parts of a sweep: merge them"] if stores[0].name != STORE else []
+    parts = ["parts of a sweep: merge them"] if stores[0].match(STORE_PARTS) else []
     if planned is None or not runs:
         parts += [] if runs else ["empty"]
     elif keys and includes is None:

@@ -117,9 +117,9 @@ def status(folder: str | Path) -> SweepStatus:
 class _Counts:
     """The runs in a store."""
 
-    name: str
-    done: frozenset[Run]
-    failed: frozenset[Run]
+    name: str = ""
+    done: frozenset[Run] = frozenset()
+    failed: frozenset[Run] = frozenset()
     problem: str = ""
     keys: tuple[str, ...] = ()
     """The hashes of its configurations, in order."""
@@ -127,16 +127,15 @@ class _Counts:
     @classmethod
     def of(cls, path: Path) -> "_Counts":
         """Return the runs in a store; none if it is missing or cannot be read."""
-        nothing: frozenset[Run] = frozenset()
         if not path.exists():
-            return cls("", nothing, nothing, "not begun")
+            return cls(problem="not begun")
         try:
             with Store(path, read_only=True) as store:
                 done, failed = store.outcomes()
                 keys = tuple(store.keys)
                 name = store.read_property("name", str) if "name" in store.about else ""
         except (OSError, ValueError) as error:
-            return cls("", nothing, nothing, str(error))
+            return cls(problem=str(error))
         return cls(name, done, failed, keys=keys)
 
 
