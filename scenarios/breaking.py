@@ -148,9 +148,9 @@ def rows_of(broken: Broken) -> list[tuple[str, ...]]:
         violation = weakness.violation
         idle, case = f"{violation.verdict.measure:.1f}", case_text(violation.case)
         rows.append((broken.name, case, f"{violation.searched}", f"{violation.seed}", idle, f"{_others(weakness)}"))
-    count = "no more" if broken.weaknesses else "none"
+    more = "no more" if broken.weaknesses else "none"
     least = "" if broken.closest == inf else f"; least margin {broken.closest:.2f} s"
-    end = f"{count} in {broken.cases:,} cases, {broken.seconds / 60.0:.1f} min{least}"
+    end = f"{more} in {broken.cases:,} cases, {broken.seconds / 60.0:.1f} min{least}"
     return [*rows, (broken.name, end, *[""] * 4)]
 
 

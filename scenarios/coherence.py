@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 def table(cells: Sequence[Cell], runs: int) -> str:
     """Return all results as text."""
-    here = {(cell.channel, cell.way): cell for cell in cells}
+    by_way = {(cell.channel, cell.way): cell for cell in cells}
     compared = [way for way in WAYS if way != ONCE]
     pursuits: list[tuple[str, ...]] = [("Doppler (Hz)", ONCE, *compared, *(f"bytes/s, {way}" for way in WAYS))]
     ages: list[tuple[str, ...]] = [("Doppler (Hz)", *WAYS)]
@@ -30,12 +30,12 @@ def table(cells: Sequence[Cell], runs: int) -> str:
         pursuits.append(
             (
                 channel,
-                text(here[channel, ONCE].active_time),
-                *(text(here[channel, way].saving) for way in compared),
-                *(f"{here[channel, way].rate:,.0f}" for way in WAYS),
+                text(by_way[channel, ONCE].active_time),
+                *(text(by_way[channel, way].saving) for way in compared),
+                *(f"{by_way[channel, way].rate:,.0f}" for way in WAYS),
             )
         )
-        ages.append((channel, *(text(here[channel, way].age) for way in WAYS)))
+        ages.append((channel, *(text(by_way[channel, way].age) for way in WAYS)))
     return (
         f"sum of active times, s: {ONCE}, and what the others save: {N} pursuers, {runs} runs, 95 % intervals\n"
         f"{aligned(pursuits)}\n\nmean age of information in a game at rest, s: {N_REST} pursuers\n{aligned(ages)}"
