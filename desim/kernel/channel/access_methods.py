@@ -233,11 +233,9 @@ class _Tdma(AccessMethod):
     def prepare(self, node: int, now: int, *, arrived: bool) -> None:
         clock = self._clocks[node]
         rounds = floor(clock.at(now) / self._slot) // self._slots_per_round - 1  # may be negative: clocks differ
-        for k in (
-            turn * self._slots_per_round + slot for turn in range(rounds, rounds + 4) for slot in self._slots[node]
-        ):
-            start = clock.when(k * self._slot)
-            if start >= now and start > self._used[node]:
+        turns, first = range(rounds, rounds + 4), max(now, int(self._used[node]) + 1)
+        for k in (turn * self._slots_per_round + slot for turn in turns for slot in self._slots[node]):
+            if (start := clock.when(k * self._slot)) >= first:
                 self._nodes.due[node] = start
                 return
         raise AssertionError("a node has a slot in every round")
