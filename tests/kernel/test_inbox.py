@@ -36,6 +36,12 @@ def test_an_inbox_is_drained_in_the_order_of_arrival_however_few_messages_are_ne
             assert box.in_flight() == len(letters)
 
 
+def test_a_message_that_arrives_at_many_nodes_at_one_time_is_kept_once():
+    boxes = Inboxes(Clock(), 3)
+    boxes.deliver(Message(0, 0, None), "", [1, 2], 5, 0)
+    assert boxes.at("")[1]._letters[0] is boxes.at("")[2]._letters[0]
+
+
 class Compared(int):
     """An arrival time that counts how often it is compared."""
 

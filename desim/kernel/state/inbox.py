@@ -229,12 +229,14 @@ class Inboxes:
         of a mutable body.
         """
         boxes, copies, now = self.at(port), self.has_mutable and not is_immutable(message.body), self._env.now
+        letter = None if copies or not isinstance(arrival, int) else (arrival, number, message)  # one for all
         for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
             box = boxes[node]
             if box._ignores is not None and box._ignores(message):
                 self._ignored.append(when)
                 continue
-            box._letters.append((when, number, message._replace(body=own_copy(message.body)) if copies else message))
+            own = letter or (when, number, message._replace(body=own_copy(message.body)) if copies else message)
+            box._letters.append(own)
             if box._waited_for is not None:
                 box._expect(when) if when > now else box._look()
             elif box._timer is not None:
