@@ -200,3 +200,13 @@ def test_a_small_value_is_not_shown_as_none_and_a_rounding_error_is():
     assert (rows["belief error"]["value"], rows["belief error"]["difference"]) == ("0.0002", "-0.0002")
     assert rows["regret"]["value"] == "0.000"
     assert "difference" not in rows["age mean"]
+
+
+def test_a_row_has_what_its_digits_tell_apart_and_what_only_the_pinned_run_has():
+    missing = dict.fromkeys(METRICS)
+    now = Summary({**missing, "active_time": 200.012, "delivery_delay": 2e-6})
+    pinned = Summary({**missing, "active_time": 200.01, "capture_time": 3.5})
+    rows = {row["name"]: row for row in compared_metrics(now, pinned, {})}
+    assert (rows["active time"]["value"], rows["active time"]["difference"]) == ("200.0", "+0.002")
+    assert rows["delivery delay"]["value"] == "2e-06"
+    assert "difference" not in rows["capture time"]
