@@ -95,8 +95,8 @@ def test_the_time_of_one_is_that_of_all_to_the_last_bit(evader, team, v_e):
 
 
 def test_the_time_of_one_by_hand():
-    """v = (1, 2, 0.9), v_e = 0.9, eps = 0.5: 4 m of gap take 4 / 0.1 s, 4 / 1.1 s, for ever."""
-    radial = RadialTime(np.array([1.0, 2.0, 0.9]), 0.9, 0.5)
+    """v = (1, 2, 0.9), v_e = 0.9, eps = 0.5: 4 m of gap take 4 / 0.1 s, 4 / 1.1 s, for ever, up to rounding of 0.9."""
+    radial = RadialTime(np.array([1.0, 2.0, 0.9 + 0.5 * NO_SPEED]), 0.9, 0.5)
     assert [radial.of(i, 4.5) for i in range(3)] == pytest.approx([40.0, 4.0 / 1.1, inf])
     assert [radial.of(i, 0.5) for i in range(3)] == [radial.of(i, 0.1) for i in range(3)] == [0.0, 0.0, 0.0]
     assert radial(np.array([0.5, 0.2, 0.5])).tolist() == [0.0, 0.0, 0.0]

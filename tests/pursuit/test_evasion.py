@@ -263,8 +263,9 @@ def test_places_that_it_cannot_reach_hide_nobody():
     """In a closed room, which the places on its outside are hidden from, it flees; a pursuer may be unable to move."""
     room = ((0.0, 0.0), (6.0, 0.0), (6.0, 6.0), (0.0, 6.0), (0.0, 0.0))
     space = space_among((Wall(line=room, blocks=("motion", "sight")),))
-    seen = observation(1 + 1j, evader=3 + 3j, speeds=0.0).within(space)
-    assert Hide()(seen, np.random.default_rng(0)) == pytest.approx(rect(1.0, pi / 4.0))
+    seen = observation(1 + 1j, evader=3 + 3j, speeds=0.0)
+    assert Hide()(seen.within(space), np.random.default_rng(0)) == pytest.approx(rect(1.0, pi / 4.0))
+    assert seen.space is not space
 
 
 def test_a_zigzag_goes_left_and_right_of_straight_away_by_the_clock():
