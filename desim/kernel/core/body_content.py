@@ -31,7 +31,7 @@ from desim.config.json_numbers import field_names, has_plain
 from desim.config.parameters import table_columns
 
 MAX_DEPTH = 100
-"""Number of levels to which a body may be nested; a text that is nested ten times as deep cannot be read again."""
+"""Largest number of nested levels in a body; Python cannot read a JSON text with ten times as many."""
 JSON_ATOMS = frozenset({type(None), bool, int, float, str})
 """The types of JSON without parts."""
 
@@ -68,8 +68,8 @@ def content(value: Any) -> Any:
     real and imaginary part; an enumeration by its value; a date in ISO 8601; a duration in seconds; a fraction, decimal
     number, path, time zone or UUID as text; a function or a class by its name; a missing number (`pandas.NA`) as None;
     a quantity as its value and its unit; a collection with attributes by its items and its public attributes. Any other
-    object is a dict of its attributes with its class as `class_name`; if it has more in it, of the arguments and the
-    state from which pickle would make it again.
+    object is a dict of its attributes with its class as `class_name`. If it holds more (`is_opaque`), the dict has the
+    arguments and the state from which pickle would create it again.
 
     Raises:
         ValueError: if the content is not known, or can be read only once.
@@ -121,6 +121,7 @@ def public_attributes(items: Any) -> Fields:
 
 
 def _with_attributes(parts: Any, items: Any) -> Any:
+    """Return the content of a collection, with its public attributes if it has any."""
     attributes = public_attributes(items)
     return Fields({"class_name": type(items).__name__, "items": parts} | attributes) if attributes else parts
 
@@ -143,7 +144,7 @@ def is_opaque(kind: Any) -> bool:
 
 
 def _pickled(value: Any) -> Any:
-    """Return the arguments and the state from which pickle would make an object again, as its content."""
+    """Return the content of an object as the arguments and the state from which pickle would create it again."""
     kind: type = type(value)
     if isinstance(value, Iterator):
         raise ValueError(f"an object of type {kind.__name__} can be read only once: send a list of its items")
@@ -190,8 +191,8 @@ def _field_names(kind: Any) -> tuple[str, ...] | None:
 def attributes_of(value: Any) -> Fields:
     """Return the attributes of which the content of an object consists, by name; those in slots are last, sorted.
 
-    Attributes that the class does not pickle, such as a lock, are left out. So is a `cached_property`: it follows from
-    others, and is stored only if somebody has read it.
+    Attributes that the class does not pickle, such as a lock, are left out, and so are cached properties: they follow
+    from others, and are stored only once they have been read.
     """
     kind: Any = type(value)
     stored, slots = _stored(value)
@@ -252,7 +253,7 @@ content.register(types.ModuleType, lambda module: str(module.__name__))
 for _text in (UserString, Decimal, Fraction, uuid.UUID, datetime.tzinfo):
     content.register(_text, str)
 content.register(
-    functools.partial, lambda of: Fields(class_name="partial", func=of.func, args=of.args, keywords=of.keywords)
+    functools.partial, lambda call: Fields(class_name="partial", func=call.func, args=call.args, keywords=call.keywords)
 )
 content.register(
     BaseException,
@@ -284,7 +285,7 @@ content.register(Set, lambda items: _with_attributes(sorted(map(in_json_types, i
 
 
 def _order(value: Any) -> tuple[Any, ...]:
-    """Return the key by which the plain items of a set are sorted: numbers, then texts, lists and dicts."""
+    """Return the key by which the items of a set, in JSON types, are sorted: None, numbers, texts, lists, dicts."""
     if isinstance(value, int | float):
         return (2,) if isnan(value) else (1, value, type(value).__name__)
     if isinstance(value, str):

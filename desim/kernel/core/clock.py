@@ -88,9 +88,9 @@ def _as_raised() -> "Iterator[None]":
     try:
         yield
     except BaseException as error:
-        first = error.__cause__
-        if type(first) is type(error) and first.args == error.args:
-            raise first from first.__cause__
+        original = error.__cause__
+        if type(original) is type(error) and original.args == error.args:  # as in a copy by SimPy
+            raise original from original.__cause__
         raise
 
 
@@ -186,9 +186,9 @@ class Instant(simpy.Event):
 class FirstOf(simpy.Event):
     """An event that happens as soon as one of several events has happened; its value is None.
 
-    It is `first | second` of SimPy without a table of the events and their values, and without an event of its own: it
-    happens as a part of the first of them. So a process that waits for it resumes before those that have begun to wait
-    for that event later; with SimPy, it resumes after them. None of the events may fail.
+    It replaces `first | second` of SimPy, without a table of the events and their values, and is not scheduled itself:
+    it happens as a part of the first of the events. So a process that waits for it resumes before processes that begin
+    to wait for the same event later; with SimPy, it resumes after them. None of the events may fail.
 
     Kept equal to the condition of SimPy by
     `tests/kernel/test_clock.py::test_the_first_of_two_events_happens_as_their_condition_does`.
@@ -211,18 +211,18 @@ class FirstOf(simpy.Event):
 
     def _happen(self, _: simpy.Event) -> None:
         for event in self.events:
-            if event.callbacks:  # else it has happened
+            if event.callbacks:  # None if the event has happened
                 event.callbacks.remove(self._happen)
-        callbacks, self.callbacks = self.callbacks, None  # type: ignore[assignment]  # as in SimPy: it has happened
+        callbacks, self.callbacks = self.callbacks, None  # type: ignore[assignment]  # SimPy's mark: it has happened
         for callback in callbacks:
             callback(self)
 
 
 class Timer:
-    """Calls a function at the earliest of the times to which it has been set, with one scheduled event at a time.
+    """Calls a function once, at the earliest of the times to which the timer has been set.
 
-    If it is set to an earlier time than before, the event of the later time has no effect. Setting it to a later time
-    has no effect, either: the function that is called can set the timer again.
+    Setting the timer to a later time has no effect: the function can set it again when it is called. If the timer is
+    set to an earlier time, the event that was scheduled for the later time has no effect.
 
     Args:
         env: the clock.
@@ -247,7 +247,7 @@ class Timer:
         self._when = NEVER
 
     def _ring(self, _: simpy.Event) -> None:
-        if self._env.now == self._when:
+        if self._env.now == self._when:  # else it has been stopped, or set to an earlier time
             self._when = NEVER
             self._act()
 
@@ -256,8 +256,8 @@ class NodeClock:
     """The local clock of a node: at the true time t, s, it shows offset + correction + rate * t, s.
 
     Attributes:
-        wanders: whether the true duration of a local one depends on when it begins.
-        correction: what synchronisation has added to it, s.
+        wanders: whether the true duration of a local duration depends on when it begins.
+        correction: the present correction by synchronisation, s.
     """
 
     wanders: ClassVar[bool] = False
@@ -266,7 +266,7 @@ class NodeClock:
     def __init__(self, env: Clock, offset: float = 0.0, rate: float = 1.0):
         self._env, self._offset, self._rate = env, offset, rate
         self._is_exact = offset == 0.0 and rate == 1.0
-        self._uncorrected = offset
+        self._first_offset = offset
         self.correction = 0.0
 
     @property
@@ -282,12 +282,12 @@ class NodeClock:
     @property
     def uncorrected(self) -> int:
         """The local time without the correction, ns."""
-        return round((self._uncorrected + self._rate * (self._env._now / SECOND)) * SECOND)
+        return round((self._first_offset + self._rate * (self._env._now / SECOND)) * SECOND)
 
     def correct(self, correction: int) -> None:
-        """Replace the correction, ns; the local time steps by the difference from the last one."""
+        """Replace the correction, ns; the local time steps by its change."""
         self.correction = seconds(correction)
-        self._offset = self._uncorrected + self.correction
+        self._offset = self._first_offset + self.correction
         self._is_exact = self._offset == 0.0 and self._rate == 1.0
 
     def at(self, true: int) -> float:
@@ -299,5 +299,5 @@ class NodeClock:
         return round((time - self._offset) / self._rate * SECOND)
 
     def span(self, duration: float) -> int:
-        """Return the true duration (ns) of a local duration (s), negative for a negative one."""
+        """Return the true duration (ns) of a local duration (s), which may be negative."""
         return nanoseconds(duration / self._rate)

@@ -259,7 +259,7 @@ class TransportCounts(NamedTuple):
     acknowledgements: Count
     deadlines_missed: Count
     lives_lost: Count
-    """Number of times that a node lost the liveliness of another."""
+    """Number of `LivelinessLost` events."""
     delay: Nanoseconds
     """Sum of the times from sending to delivery over all delivered messages, ns."""
 
@@ -313,7 +313,7 @@ class Trace:
         self._stop = stop
         self.wants_messages = messages or bool(self._watchers)
         self.is_taken = False
-        """Whether it belongs to an episode of a network that another program steps."""
+        """Whether a `SteppedNetwork` has used it for an episode."""
 
     def append(self, event: Event) -> None:
         """Store an event and pass it to the watchers."""
@@ -324,12 +324,12 @@ class Trace:
     def append_message(self, event: Event) -> None:
         """Pass a message event to the watchers, and store it if message events are kept."""
         if self._keeps_messages:
-            self.append(event)  # which a user's class may override
+            self.append(event)  # a call, because a user's class may override it
         elif self._watchers:
             self._show(event)
 
     def close(self) -> None:
-        """Let go of the watchers and of the function that ends the run, which hold the whole simulation in memory."""
+        """Drop the watchers and the function that ends the run, because they keep the whole simulation in memory."""
         self._watchers, self._stop = (), None
 
     def _show(self, event: Event) -> None:

@@ -40,9 +40,9 @@ ATOMS = JSON_ATOMS | {
 }
 """Types without parts whose objects never change. Objects of a type that is derived from one may have attributes."""
 COMPARED = (int, float, complex, np.generic, tuple)
-"""Types that compare with one another."""
+"""Types with objects that may equal objects of another of these types."""
 SHARED = (list, dict, set, bytearray, deque, np.ndarray)
-"""Types of collections that a sender can change after it has sent them."""
+"""Types of collections that can be changed, so that a sender and its receivers must not share them."""
 COPIED = {"mappingproxy": "a dict", "dict_keys": "a list", "dict_values": "a list", "dict_items": "a list"}
 """What to send instead of an object that Python cannot copy, by the name of its type."""
 Parts = Callable[[Any], Iterable[Any]]
@@ -67,14 +67,14 @@ def as_sent(body: Any) -> Any:
         copied = deepcopy(body)
         _check_copy(body, copied)
     except Exception as error:
-        reason = f"it is nested too deeply{_passed_on(body)}" if isinstance(error, RecursionError) else str(error)
+        reason = f"it is nested too deeply{_probable_reason(body)}" if isinstance(error, RecursionError) else str(error)
         reason += next((f": send {other} instead" for kind, other in COPIED.items() if f"'{kind}'" in reason), "")
         raise ValueError(f"a body of type {type(body).__name__} cannot be sent: {reason}") from error
     return copied
 
 
 def own_copy(body: Any) -> Any:
-    """Return a body that was sent as one of its receivers gets it: changes by the receiver affect nobody else."""
+    """Return the copy of a sent body for one of its receivers, whose changes affect no other node."""
     return body if is_immutable(body) else deepcopy(body)
 
 
@@ -82,15 +82,15 @@ def _check_copy(value: Any, copied: Any, depth: int = 0) -> None:
     """Check that a deep copy of an object has its class and its content, and shares no collection with it.
 
     A class can define how it is copied. pandas, for instance, does not copy the lists in a series. An object that is
-    its own copy, such as a symbol of an algebra system, counts as immutable, unless its class says so by
-    `__deepcopy__` and it holds a collection.
+    its own copy, such as a symbol of an algebra system, counts as immutable, unless its class defines `__deepcopy__`
+    and the object holds a collection.
 
     Raises:
-        ValueError: if the copy is no such copy, or is nested more than `MAX_DEPTH` levels deep.
+        ValueError: if the copy differs in one of these, or is nested more than `MAX_DEPTH` levels deep.
     """
     check_depth(depth)
     if type(copied) is not type(value):
-        raise ValueError(f"its copy is of another class, {type(copied).__name__}{_passed_on(value)}")
+        raise ValueError(f"its copy is of another class, {type(copied).__name__}{_probable_reason(value)}")
     if is_missing(copied):
         return
     if type(copied) in ATOMS:
@@ -102,8 +102,8 @@ def _check_copy(value: Any, copied: Any, depth: int = 0) -> None:
     if isinstance(copied, np.ndarray) and copied.dtype.kind in "biufc":
         return
     if copied is value:
-        in_json_types(value)
-        if isinstance(value, tuple):  # it is its own copy if all its items are theirs
+        in_json_types(value)  # raises if the content is unknown
+        if isinstance(value, tuple):  # a tuple is its own copy if each of its items is
             for item in value:
                 _check_copy(item, item, depth + 1)
         if hasattr(type(value), "__deepcopy__"):
@@ -115,7 +115,7 @@ def _check_copy(value: Any, copied: Any, depth: int = 0) -> None:
     if type(copies) in JSON_ATOMS:
         return
     if isinstance(copies, Fields):
-        for name, copied_part in copies.items():  # a copy may lack what was computed from others
+        for name, copied_part in copies.items():  # a copy may lack attributes that are computed from others
             if name in parts and (name[0] != "_" or copied_part is not None):
                 _check_copy(parts[name], copied_part, depth + 1)
     elif isinstance(copies, list):
@@ -125,7 +125,7 @@ def _check_copy(value: Any, copied: Any, depth: int = 0) -> None:
         _check_copy(parts, copies, depth + 1)
 
 
-def _passed_on(value: Any) -> str:
+def _probable_reason(value: Any) -> str:
     """Return the probable reason why an object cannot be copied, after a colon; "" if it is not known."""
     passes_on = hasattr(type(value), "__getattr__") and not hasattr(type(value), "__deepcopy__")
     return ": its __getattr__ should pass on no names that begin with __" if passes_on else ""
@@ -153,7 +153,7 @@ def is_immutable(value: Any, depth: int = 0) -> bool:
 
 @functools.cache
 def _immutable_parts(kind: Any) -> Parts | None:
-    """Return the function that returns what an object of an immutable type consists of; None for any other type."""
+    """Return the function that returns the parts of an object of an immutable type; None for any other type."""
     is_missing_number = kind is type(np.ma.masked) or (kind.__name__ == "NAType" and kind.__module__[:7] == "pandas.")
     if is_missing_number or issubclass(kind, Enum | type):
         return lambda _: ()
@@ -189,7 +189,7 @@ def _attributes_of_frozen(value: Any) -> list[Any]:
 
 
 def _variables(function: types.FunctionType) -> list[Any]:
-    """Return the objects to which a function refers, except itself and those that it finds by their names."""
+    """Return the objects to which a function refers, except itself and global variables."""
     cells = [cell.cell_contents for cell in function.__closure__ or () if cell != types.CellType()]  # not an empty one
     defaults = *(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values()
     return [referent for referent in (*cells, *defaults, *vars(function).values()) if referent is not function]
@@ -198,8 +198,8 @@ def _variables(function: types.FunctionType) -> list[Any]:
 def differs(value: Any, other: Any) -> bool:
     """Return whether two objects are unequal.
 
-    Objects of different types are, unless they are numbers or tuples. Objects whose comparison gives no boolean, such
-    as arrays, are unequal if their contents are.
+    Objects of different types are unequal, unless both are numbers or tuples. Objects whose comparison gives no
+    boolean, such as arrays, are unequal if their contents are.
 
     Raises:
         ValueError: if the content is needed and not known.

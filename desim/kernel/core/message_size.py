@@ -11,8 +11,8 @@ The size of a collection is the sum of the sizes of its items, that of a dict th
 values, and that of an object the sum of the sizes of its fields or attributes, whose names are not sent. A number in an
 array of numpy or a series takes 8 bytes whatever its type, and one in an `array.array` as many as its type has. An
 enumeration has the size of its value, and a quantity that of its value without its unit. A record inside a body, for
-instance a forwarded one, includes its own header. An object without known content, such as a function, has no size: the
-sender has to tell it. A module, which some objects hold, takes nothing.
+instance a forwarded one, includes its own header. An object without known content, such as a function, has no size, so
+its sender has to give one. A module, which some objects hold, counts 0.
 
 For example, a message takes 24 bytes if its body is an action (one number), 32 if it is an action and a capture time,
 and 48 if it is an action, a position (two numbers) and a speed.
@@ -69,7 +69,7 @@ def size_of(body: Any) -> int:
 
 
 def checked_size(size: Any) -> int:
-    """Return the size of a message (bytes) that its sender tells, as an int.
+    """Return the size of a message (bytes) that its sender gives, as an int.
 
     Raises:
         ValueError: if it is not an integer, or not within 0 .. `MAX_SIZE`.
@@ -99,6 +99,7 @@ def _size(body: Any) -> int:
 
 
 def _attributes(items: Any) -> int:
+    """Return the size of the attributes of a collection, bytes."""
     return portable_sum(map(_size, public_attributes(items).values()))
 
 
@@ -107,16 +108,16 @@ def size(body: Any) -> int:
     """Return the size of an object in a body, bytes, without a header.
 
     Raises:
-        ValueError: if it has none.
+        ValueError: if the object has no size.
     """
     kind: Any = type(body)
     if is_missing(body):
         return NUMBER
     if (quantity := quantity_of(body)) is not None:
         return _size(quantity["value"])
-    simpler = content(body)
-    if type(simpler) is not Fields:
-        return _size(simpler)
+    plain = content(body)
+    if type(plain) is not Fields:
+        return _size(plain)
     fields = content_fields(body)
     parts = attributes_of(body) if fields is None else fields
     if fields is None and (not parts or is_opaque(kind)):

@@ -17,7 +17,7 @@ Number = TypeVar("Number", int, float, complex)
 
 
 def _of_each(function: Callable[[float], float]) -> Callable[[Floats], Floats]:
-    """Return the function of (k,) numbers that returns (k,) results of a function of one number."""
+    """Return a function of (k,) numbers that applies a function of one number to each."""
     return lambda numbers: np.fromiter(map(function, numbers.tolist()), float, len(numbers))
 
 
@@ -32,7 +32,7 @@ TURN = [(-1) ** k * (2.0 * math.pi) ** (2 * k + 1) / math.factorial(2 * k + 1) f
 def cos_of_turns(turns: Floats) -> Floats:
     """Return cos(2 pi x) for each x of an array of any shape, with an error of less than 1e-9 up to |x| = 1e6.
 
-    It takes a tenth of the time of `cos`, and is as portable: there are additions and multiplications only.
+    It takes a tenth of the time of `cos`, and is as portable, because it only adds and multiplies.
     """
     quarter = np.abs(turns - np.rint(turns))
     np.subtract(0.25, quarter, out=quarter)  # cos(2 pi x) = sin(2 pi (1/4 - |x|)) for |x| <= 1/2
@@ -55,8 +55,8 @@ def power(bases: Floats, exponent: float) -> Floats:
 def portable_sum(terms: Iterable[Number]) -> Number:
     """Return the sum of terms, added from left to right; 0 without any.
 
-    The built-in `sum` rounds otherwise from Python 3.12 on (floats) and from 3.14 on (complex numbers), because it
-    compensates for rounding errors.
+    The built-in `sum` compensates for rounding errors from Python 3.12 on (floats) or 3.14 on (complex numbers), so its
+    results depend on the version.
     """
     total: Any = 0
     for term in terms:

@@ -1,4 +1,4 @@
-"""Ports, the names of the inboxes of a node; those of the simulator itself are reached by no message of a protocol."""
+"""Ports, the names of the inboxes of a node; no message of a protocol reaches the ports of the simulator itself."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ from desim.config.arguments import value_text
 
 
 def check_port(port: Any, name: str) -> None:
-    """Raise ValueError if a port is no text, as if the size of a message or a time was given in its place.
+    """Raise ValueError if a port is not a text, for instance a size or a time that was given in its place.
 
     Args:
         port: the port.
@@ -19,8 +19,8 @@ def check_port(port: Any, name: str) -> None:
 class ReservedPort(str):
     """A port whose inboxes only the module that defines it can read: it is equal to no other string.
 
-    Traces record its text, so a protocol may use a port of the same text as its own. It is the value of the global
-    variable `PORT` of its module, and pickled and copied as that.
+    A protocol may use a port with the same text, which is another port; traces record only the text. A reserved port is
+    the global variable `PORT` of its module, and is pickled and copied by that name.
 
     Args:
         text: the text in traces.

@@ -48,10 +48,10 @@ RUNS_PER_SEED = 1_000_000
 
 
 def run_seed(root: int, run: int) -> int:
-    """Return the seed of one of the runs of a root seed, `RUNS_PER_SEED` root + run: no two root seeds share a run.
+    """Return the seed of a run of a root seed, `RUNS_PER_SEED` * root + run, so that no two root seeds share a run.
 
     Raises:
-        ValueError: if the root seed is no seed, or has no such run.
+        ValueError: if the root seed is not a seed, or the number of the run is not below `RUNS_PER_SEED`.
     """
     if not 0 <= run < RUNS_PER_SEED:
         raise ValueError(f"a seed has the runs 0 to {RUNS_PER_SEED - 1:,}, got {run:,}: take another seed for more")
@@ -88,16 +88,16 @@ def pair_uniform(
     other = np.asarray(dst)
     first, second = (np.minimum(src, other), np.maximum(src, other)) if symmetric else (np.full_like(other, src), other)
     pair = (first.astype(np.uint64) << np.uint64(32)) | second.astype(np.uint64)
-    # The pair is mixed before the number is added: in a plain sum, one pair and number could equal another pair and
-    # number. The multiple of the golden ratio is the step of splitmix64.
+    # The pair is mixed before the number is added: plain sums of different pairs and numbers could be equal. The
+    # constant, 2^64 divided by the golden ratio, is the step of splitmix64.
     increment = (np.atleast_1d(number).astype(np.uint64) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
     mixed = _mix(_mix(pair + _key(seed, name)) + increment)
-    # With 53 bits the largest draw would be rounded to 1, where most quantiles are infinite.
+    # 52 bits, because with 53 the largest draw would be rounded to 1, where most quantiles are infinite.
     return ((mixed >> np.uint64(12)).astype(np.float64) + 0.5) * 2.0**-52
 
 
 def pair_draw(seed: int, name: str, src: int, dst: int, number: int = 0, *, symmetric: bool = True) -> float:
-    """Return the uniform draw in (0, 1) of one pair, a tenth of the time of `pair_uniform`, which see.
+    """Return the draw of `pair_uniform` for one pair, in a tenth of the time.
 
     Kept equal to the draws of many pairs by `tests/kernel/test_seeds.py::test_the_draw_of_one_pair_is_that_of_many`.
     """
@@ -108,10 +108,11 @@ def pair_draw(seed: int, name: str, src: int, dst: int, number: int = 0, *, symm
 
 
 WORD = 2**64 - 1
+"""The mask that reduces an integer of Python to 64 bits."""
 
 
 def _mixed(z: int) -> int:
-    """Return what `_mix` returns for one number."""
+    """Mix the bits of one number, as `_mix` does with those of an array."""
     z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9 & WORD
     z = (z ^ z >> 27) * 0x94D049BB133111EB & WORD
     return z ^ z >> 31
