@@ -5,12 +5,12 @@ at t1 by its own clock. The reference receives it at t2 and answers at t3 by its
 
     offset of the reference = ((t2 - t1) + (t3 - t4)) / 2
 
-The error is half the difference of the two latencies. It is half the asymmetry of constant latencies, and of m averaged
-exchanges with independent latencies of deviation s it has the deviation s / sqrt(2 m).
+The error is half the difference of the two latencies: a constant for constant latencies, and for independent latencies
+of standard deviation s, averaged over m exchanges, a random number of standard deviation s / sqrt(2 m).
 
 The messages travel over the links of the network, may be lost, and are never retransmitted, because a repetition would
 carry an old stamp. The radio reads t1 and t3 as a transmission begins (hardware time stamps, as in IEEE 1588), so that
-waiting for a busy channel or a slot is no error; request and answer have the same size, and so the same airtime.
+waiting for a busy channel or a slot adds no error; request and answer have the same size, and so the same airtime.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -56,8 +56,8 @@ class TwoWay(Value):
     interval: Period = 0.1
     """Time between two requests of a node, s.
 
-    If in doubt, so that `interval` times `exchanges` times the drift is less than the variation of the latency: a
-    correction is as old as its exchanges.
+    If in doubt, choose it so that `interval` times `exchanges` times the drift is less than the variation of the
+    latency: over that time the clock drifts while the answers are collected.
     """
     exchanges: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 8
     """Number m of answers that are averaged for a correction.
@@ -80,7 +80,7 @@ class TimeAnswer(NamedTuple):
     """Answers a request."""
 
     number: int
-    """That of the request."""
+    """The number of the request."""
     received: int
     """t2, ns, by the clock of the reference; the radio adds t3."""
 
@@ -105,8 +105,8 @@ class Synchroniser:
         nodes: the nodes that send and answer here; None: all.
 
     Attributes:
-        answered: by answer: t3, ns, by the clock of the reference, as it travels with the answer. A request that is
-            transmitted twice has two answers.
+        answered: t3 of each answer on its way, ns, by the clock of the reference; the key is the answer, because a
+            request that is transmitted twice has two answers.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class Synchroniser:
         """The offsets of the reference, ns, that each node has measured since its last correction."""
         self._numbers = count()
         self._asked: list[dict[int, int]] = [{} for _ in clocks]
-        """By node: t1, ns, by its uncorrected clock, of each request that may still be answered, by number."""
+        """By node and number of a request that may still be answered: its t1, ns, by the uncorrected clock."""
         self.answered: dict[TimeAnswer, int] = {}
         network.overhear(self._stamp)
         self._timers = [Timer(env, Phase.HEARTBEAT + node, partial(self._ask, node)) for node in range(len(clocks))]
@@ -146,7 +146,7 @@ class Synchroniser:
         self._send_message(src, dst, body, port=PORT, size=SIZE, transport=BEST_EFFORT)
 
     def _stamp(self, content: Record | Message, _: int) -> None:
-        """Read the clock of the sender of a request or an answer, whose transmission begins."""
+        """Read the clock of the sender when the transmission of a request or an answer begins: t1 or t3."""
         body = content.body
         if isinstance(body, TimeRequest):
             asked = self._asked[content.src]
@@ -169,7 +169,7 @@ class Synchroniser:
     def _use(self, node: int, sent: int, received: int, answered: int) -> None:
         """Measure the offset of the reference from t1, t2 and t3; correct the clock by the mean of enough of them."""
         clock, offsets = self._clocks[node], self._offsets[node]
-        # t1 and t4 are without the correction, so the offsets of a node do not depend on when it was corrected.
+        # t1 and t4 are read without the correction, so that offsets measured before and after one can be averaged.
         offsets.append((received - sent + answered - clock.uncorrected) // 2)
         if len(offsets) < self._model.exchanges:
             return

@@ -25,7 +25,7 @@ given it up, or its sender was down."""
 WAIT = 60.0
 """How long a network is observed after the last message, s."""
 STEP = 1.0
-"""Duration of a step of this observation, s."""
+"""Duration of a step of the network during this time, s."""
 COLUMNS = ("t", "src", "dst", "size")
 ALL = ("", "*")
 """The cells of the column `dst` that stand for all neighbours."""
@@ -72,19 +72,20 @@ def fates(
     """Send the messages of a log over a network, and return what happens to each at each of its receivers.
 
     The fates are in the order of the log, then of the receivers. A message that is transmitted twice
-    (`Links.duplicate`) has its first arrival. One to all neighbours has a fate where it has arrived or been lost.
+    (`Links.duplicate`) has the fate of its first arrival. A message to all neighbours has one fate for each neighbour
+    at which it has arrived or been lost.
 
     Args:
-        messages: rows (t, src, dst, size), ascending in time: s, nodes, and bytes; the dst None is all neighbours. A
-            frame, a dict or a named tuple with these names has them in any order, and perhaps others; a dst that is
-            missing in a frame is None.
+        messages: rows of the time, s, the sender, the receiver (None: all neighbours) and the size, bytes, ascending in
+            time. A frame, or rows that are dicts or named tuples, have the columns t, src, dst and size in any order,
+            and may have others; a dst that is missing in a frame is None.
         nodes: as in `SteppedNetwork`.
         links: as in `SteppedNetwork`.
         wait: how long the network is observed after the last message, s.
         **arguments: further arguments of `SteppedNetwork`, such as faults, seed and positions.
 
     Raises:
-        ValueError: if a row is not such a message, with its number, or an argument is not valid.
+        ValueError: if a row is not such a message (the error names its number), or an argument is not valid.
     """
     duration = real(wait, "wait")
     if not 0 <= duration <= MAX_TIME:
@@ -113,10 +114,11 @@ def fates(
                 shown = tuple(values) if isinstance(values, tuple) else values
                 raise ValueError(f"message {row} {value_text(shown)}: {error}") from error
         left = min(duration, MAX_TIME - network.now)
+        # A transport may retransmit a message of which nothing is in flight.
         while left > 0.0 and (network.counts().in_flight or network.transport_counts() is not None):
             step(min(STEP, left))
             left -= STEP
-        step(1e-9)  # tells what was lost when it was sent last
+        step(1e-9)  # so that `lost` includes messages that were lost when they were sent, after the last step
         number = {node: k for k, node in enumerate(network.nodes)}
     keys = {*arrivals, *losses, *((row, message.dst) for row, message in enumerate(log) if message.dst is not None)}
     return [
@@ -137,7 +139,7 @@ def _rows(messages: Any) -> Iterable[Any]:
     """Return the rows of messages, which may be a frame of pandas or polars, or an array with named fields.
 
     Raises:
-        ValueError: if they are no rows, but the name of a file for instance.
+        ValueError: if the messages are not rows, but for instance the name of a file.
     """
     if isinstance(messages, str | bytes | PurePath) or not isinstance(messages, Iterable):
         raise ValueError(
@@ -157,10 +159,10 @@ def _rows(messages: Any) -> Iterable[Any]:
 
 
 def _order(names: Iterable[Any]) -> list[Any] | None:
-    """Return the names of `COLUMNS`, large or small, among those of a table; None if the table names no columns.
+    """Return the names by which a table has `COLUMNS`, in capitals or not; None if the table names no columns.
 
     Raises:
-        ValueError: if the table has names, and other ones: its columns would be taken in their order.
+        ValueError: if the table names columns, and one of `COLUMNS` is missing. Taken in order, they could be others.
     """
     by_column = {name.lower(): name for name in names if isinstance(name, str)}
     if missing := [column for column in COLUMNS if column not in by_column]:
@@ -176,7 +178,7 @@ def _logged(values: Any) -> LoggedMessage:
     """Return the message of a row.
 
     Raises:
-        ValueError: if it is not one.
+        ValueError: if the row is not a message.
     """
     if isinstance(values, Mapping):
         values = [values[name] for name in _order(values) or values]
@@ -188,7 +190,7 @@ def _logged(values: Any) -> LoggedMessage:
     t, src, dst, size = row
     if is_missing(dst):
         dst = None
-    elif isinstance(dst, float):  # pandas has no other column for integers of which one is missing
+    elif isinstance(dst, float):  # pandas stores integers as floats if one is missing
         dst = None if isnan(dst) else int(dst) if dst.is_integer() else dst
     return LoggedMessage(t, src, dst, size)
 
@@ -199,10 +201,10 @@ def read_log(file: Path, node_of: Callable[[str], Any]) -> list[LoggedMessage]:
     Args:
         file: the path of the file. An empty cell or * in the column `dst` stands for all neighbours. Dates, and seconds
             since 1970, count from the earliest.
-        node_of: returns the node of a cell; raises ValueError if there is none.
+        node_of: returns the node that a cell names; raises ValueError if there is none.
 
     Raises:
-        ValueError: if the file is not such a table, with the line.
+        ValueError: if the file is not such a table; the error names the line.
     """
     text, name = csv_text(file, COLUMNS), str(file)
     if set(COLUMNS) - set(header := csv_header(text, name)):
@@ -217,7 +219,7 @@ def read_log(file: Path, node_of: Callable[[str], Any]) -> list[LoggedMessage]:
 
 
 def _bytes(cell: str) -> int:
-    """Return the size in a cell, which a table with empty cells may have as 24.0."""
+    """Return the size in a cell; a table with empty cells may contain 24.0 for 24."""
     size = number_of(cell)
     if not size.is_integer():
         raise ValueError(f"{cell!r} is not a whole number of bytes")

@@ -21,7 +21,7 @@ from desim.kernel.models.traits import FaultTraits
 from desim.kernel.network import Network
 
 Hook = Callable[[Crash], object]
-"""Is called with a crash when it starts, or when it ends."""
+"""A function called with a crash when it starts, or when it ends."""
 Targets = Callable[[], Sequence[int]]
 """Returns the nodes that matter most now; see `FaultSite.targets`."""
 
@@ -49,7 +49,7 @@ def inject(
 
     Raises:
         ValueError: if a fault names a node that does not exist, or starts before the current time, or if faults were
-            injected before and messages have been sent. The fate of these messages may have been decided already.
+            injected before and messages have been sent since: their fates may have been decided already.
     """
     faults, size = list(faults), network.topology.size
     if faults and network.fault_state.is_planned and network.message_counts().sent:
@@ -62,8 +62,8 @@ def inject(
         site.record(FaultStarted)
         with network.fault_state.planned_change():
             undo = site.apply()
-            # The end is scheduled only now, because `undo` does not exist earlier.
-            if site.fault.end <= MAX_TIME:  # no run lasts longer than `MAX_TIME`
+            # The end is scheduled here, because `undo` does not exist earlier. No run lasts longer than `MAX_TIME`.
+            if site.fault.end <= MAX_TIME:
                 schedule(site.fault.end, partial(finish, site, undo))
 
     def finish(site: _Site, undo: Undo, _: simpy.Event) -> None:
@@ -82,7 +82,10 @@ def inject(
 
 @dataclass(eq=False)
 class _Site:
-    """What a fault can do to a network; see `desim.kernel.models.faults.FaultSite`. Most fields are as in `inject`."""
+    """The methods by which one fault acts on a network, see `desim.kernel.models.faults.FaultSite`.
+
+    Fields without a description are as in `inject`.
+    """
 
     fault: Fault
     _env: Clock
@@ -92,7 +95,7 @@ class _Site:
     _recovered: Hook
     targets: Targets
     _inherited_cause: Cause | None = None
-    """The stated cause of the fault that began this one as its part; None: no fault did, or its cause is not stated."""
+    """The stated cause of the fault of which this one is a part; None: it is no part, or that fault states no cause."""
 
     def __post_init__(self) -> None:
         self._stated_cause = FaultTraits.of(self.fault).cause or self._inherited_cause
@@ -134,8 +137,8 @@ class _Site:
     def crash(self, crash: Crash) -> Undo:
         _require(isinstance(crash, Crash), "crash(crash)", "a Crash, such as Crash(start=1.0, node=0)", crash)
         _require_nodes([crash.node], self.size, "crash: ")
-        # A fault that is recorded as a crash takes down the node that it names, and is in the trace already. A crash by
-        # any other fault is recorded here: metrics, replays and invariants read who is down, and who forgets, from it.
+        # A fault that is recorded as a crash is in the trace already. A crash by any other fault is recorded here, for
+        # metrics, replays and invariants read from the trace which nodes are down, and which forget.
         record = None if isinstance(self._record, Crash) else cast("Crash", as_built_in(crash, Crash))
         if record is not None:
             self.record(FaultStarted, record)
@@ -178,7 +181,7 @@ class _Site:
 
 
 def _require(is_right: bool, call: str, expected: str, value: object) -> None:
-    """Raise ValueError if a call of a user's fault has not been given what it takes."""
+    """Raise ValueError if a fault of a user has called a method of its site with a wrong argument."""
     if not is_right:
         raise ValueError(f"{call} should be given {expected} (got {value_text(value)})")
 

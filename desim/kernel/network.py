@@ -76,9 +76,9 @@ class ReceivingNodes:
 
         The record is ignored if the node is its source, or has this or a newer record of the same source.
         """
-        if not (type(node) is int and 0 <= node < self._size):  # a call less for each copy that is flooded
+        if not (type(node) is int and 0 <= node < self._size):  # saves a call for each copy in a flood
             node = self._node(node)
-        if record.src != node and self._records.is_news(node, record):  # most copies of what is flooded are not
+        if record.src != node and self._records.is_news(node, record):  # most copies in a flood are not news
             body = self._own(record.body)
             self._records.relay(node, record if body is record.body else record._replace(body=body))
 
@@ -109,15 +109,15 @@ class ReceivingNodes:
         return self._inboxes.at(port)[node]
 
     def _settled(self, node: int) -> int:
-        """Return the id of a node, see `_node`, after all that has arrived at it up to now is decided."""
-        if not (type(node) is int and 0 <= node < self._size):  # a call less for each read
+        """Decide all arrivals at a node up to now; return the id of the node as `_node` does."""
+        if not (type(node) is int and 0 <= node < self._size):  # saves a call for each read
             node = self._node(node)
         if self._first_kept[node] <= self._env.now:
             self._arrivals.settle_for_reader(node)
         return node
 
     def _own(self, body: Any) -> Any:
-        """Return the body of a record as it is kept: nothing outside changes it later."""
+        """Return the body of a record as it is stored: a copy if its sender could change it later."""
         kept = as_sent(body)
         self._has_mutable |= kept is not body
         return kept
@@ -128,10 +128,10 @@ class ReceivingNodes:
         self._inboxes.clear(node)
 
     def _node(self, node: Any) -> int:
-        """Return the id of a node, an integer of any kind, as an `int`.
+        """Return the id of a node, an integer of any type, as an `int`.
 
         Raises:
-            ValueError: if it is not an integer, or there is no such node.
+            ValueError: if the id is not an integer, or there is no such node.
         """
         number = node if type(node) is int else whole(node, "a node")
         if not 0 <= number < self._size:
@@ -140,7 +140,7 @@ class ReceivingNodes:
 
 
 def _with_own_bodies(records: Table) -> Table:
-    """Return records whose reader may change their bodies."""
+    """Return records with copies of their mutable bodies, which the reader may change."""
     return {src: (arrival, record._replace(body=own_copy(record.body))) for src, (arrival, record) in records.items()}
 
 
@@ -161,7 +161,7 @@ class Network(ReceivingNodes):
         trace: receives the events of messages, if its `wants_messages` is true.
         fault_state: the active faults; None: the network has no faults.
         predicate: selects, by their bodies, the records that `matching` returns; if None, `matching` returns none.
-        clocks: the clocks of the nodes, which tell the slots of a TDMA; if empty, all show the true time.
+        clocks: the clocks of the nodes, by which they find their TDMA slots; if empty, all show the true time.
         inboxes: creates the inboxes, given the clock and the number of nodes.
         walls: walls, of which those that block radio weaken it.
         link_layer: creates the link layer, which carries transmissions; its arguments are those of `LinkLayer`.
@@ -172,10 +172,10 @@ class Network(ReceivingNodes):
 
     Attributes:
         topology: the links of the graph, and which of them are within range.
-        estimates: estimates of its delays and its density, for time-outs.
+        estimates: estimates of the delays and the density of the network, for time-outs.
         accepted: number of calls of `publish` and `send` whose arguments were valid. A call that is not accepted raises
-            ValueError and changes no number and no draw. An exception of one that is accepted comes from a watcher or a
-            model: the message may then be counted and not sent, and the network should not be used any more.
+            ValueError and changes no number and no draw. If an accepted call raises, a watcher or a model has: the
+            message may then be counted and not sent, and the network should not be used any more.
     """
 
     def __init__(
@@ -245,7 +245,7 @@ class Network(ReceivingNodes):
             stamp: the time stamp, by the clock of `src`, ns; the true time if None.
 
         Raises:
-            ValueError: if the size is not an integer of at least 0, or the body has none, or the body cannot be copied.
+            ValueError: if the size is not an integer of at least 0, or the body has no size or cannot be copied.
         """
         src, kept = self._node(src), self._own(body)
         size = size_of(kept) if size is None else checked_size(size)
@@ -267,9 +267,9 @@ class Network(ReceivingNodes):
 
         The message goes to the inbox of the receiver at `port`; `size` is as in `publish`. It is carried by a
         transport, which may retransmit it (`desim.kernel.models.transport`); None: that of the links
-        (`Links.transport`). All messages at a port should have the same transport. `only` restricts a message to all
-        neighbours to some of them: it is transmitted as any broadcast, and all others ignore it; a transport that needs
-        acknowledgements sends it to each of them.
+        (`Links.transport`). All messages at a port should have the same transport. With `only`, a message to all
+        neighbours is for some of them: it is transmitted as any broadcast, and the other nodes ignore it; a transport
+        that needs acknowledgements sends it to each of them.
 
         Use `send` for requests, acknowledgements and tokens, where every message matters; use `publish` for state,
         where only the newest value matters. A transmission to a node that is not linked to the sender is lost, and so
@@ -278,7 +278,8 @@ class Network(ReceivingNodes):
 
         Raises:
             ValueError: if the receiver is the sender, the size is not an integer of at least 0, the body has no size or
-                cannot be copied, the port is no text, the transport is none, or messages at the port have another one.
+                cannot be copied, the port is not a text, `transport` is not a transport, or other messages at the port
+                have another one.
         """
         src = self._node(src)
         if dst is not None:
@@ -291,10 +292,10 @@ class Network(ReceivingNodes):
             check_transport(transport)
         sent = as_sent(body)
         size = size_of(sent) if size is None else checked_size(size)
-        carried = self._transport if transport is None else transport
-        is_plain = self._is_plain if transport is None else carried.is_plain
+        chosen = self._transport if transport is None else transport
+        is_plain = self._is_plain if transport is None else chosen.is_plain
         if not is_plain:
-            self._transport_layer.choose(port, carried)
+            self._transport_layer.choose(port, chosen)
         self.accepted += 1
         self._inboxes.has_mutable |= sent is not body
         message = _new(Message, (src, self._env.now, sent))
@@ -305,13 +306,13 @@ class Network(ReceivingNodes):
         if only is not None:
             receivers = [node for node in self.topology.neighbours(src).tolist() if node in only]
         for receiver in receivers:
-            self._transport_layer.send(src, receiver, message, port, size, carried)
+            self._transport_layer.send(src, receiver, message, port, size, chosen)
 
     def listen(self, by_port: Mapping[str, Transport]) -> None:
-        """Let all nodes take frames of transports before any is sent here; see `TransportLayer.listen`.
+        """Let all nodes receive frames of transports before any is sent here; see `TransportLayer.listen`.
 
         Args:
-            by_port: the transports of ports that have another one than the links.
+            by_port: the transports of the ports whose transport is not that of the links.
         """
         self._transport_layer.listen(self._transport, by_port)
 
@@ -320,7 +321,7 @@ class Network(ReceivingNodes):
         return self._next_record(self._node(src), self._own(body), stamp)
 
     def _next_record(self, src: int, kept: Any, stamp: int | None) -> Record:
-        """Return a new record of a node, given its body as it is kept."""
+        """Return a new record of a node, given the body to store."""
         self._seq[src] = seq = self._seq[src] + 1
         return _new(Record, (src, seq, self._env.now if stamp is None else stamp, kept))
 
@@ -329,9 +330,9 @@ class Network(ReceivingNodes):
         self._link_layer.overhear(listener)
 
     def watch_losses(self, watch: Lose) -> None:
-        """Register a function to call with a transmission and the causes of its losses, by receiver, when they count.
+        """Register a function to call with a transmission and the causes of its losses, by receiver, when counted.
 
-        A loss on arrival counts at its time or, if nobody needs it earlier, when a later read or `settle` decides it.
+        A loss on arrival is counted at its time or, if nothing depends on it, when a later read or `settle` decides it.
         """
         self._link_layer.watch_losses(watch)
 
@@ -340,7 +341,7 @@ class Network(ReceivingNodes):
     def crash(self, node: int, cause: Cause = "crash") -> Outage:
         """Take the radio of a node down: it neither sends nor receives, and its unfinished transmissions are lost.
 
-        The cause is that of its losses, unless a later crash of the node has another. Return the outage, which
+        Messages are lost with this cause, unless a later crash of the node has another. Return the outage, which
         `recover` ends.
 
         Raises:

@@ -1,4 +1,4 @@
-"""What a caller may give as nodes, links, faults, walls and horizon of a `SteppedNetwork`, and what is made of it.
+"""The arguments of a `SteppedNetwork`, checked and converted: nodes, links, faults, walls and horizon.
 
 Each function raises ValueError with a sentence that names the argument.
 """
@@ -28,41 +28,41 @@ if TYPE_CHECKING:
 
 
 IMPLAUSIBLE = 10.0
-"""A mean latency, s, from which on it was probably given in ms: that of sound over 15 km of water."""
+"""Mean latency, s, from which on it was probably given in ms; sound takes so long through 15 km of water."""
 LARGEST_NETWORK = 1_000_000
-"""The largest number of nodes, which is that of pursuers of a scenario."""
+"""Largest number of nodes of a network, as of pursuers in a scenario."""
 
 
 class _Tables(Value):
-    """Lists of tables as in a scenario file."""
+    """The lists of tables that are checked as those of a scenario file."""
 
     fault: tuple[Annotated[Any, FAULTS], ...] = ()
     wall: tuple[Wall, ...] = ()
 
 
 def faults_argument(faults: Any) -> tuple[Any, ...]:
-    """Return faults, of which some may be given as dicts."""
+    """Return faults as objects; some may be given as dicts."""
     return _checked_tables("fault", faults, "Crash(start=1.0, node=0)")
 
 
 def walls_argument(walls: Any) -> tuple[Wall, ...]:
-    """Return walls, of which some may be given as dicts."""
+    """Return walls as objects; some may be given as dicts."""
     return _checked_tables("wall", walls, "Wall(line=[[0, 0], [4, 0]])")
 
 
 def _checked_tables(key: str, tables: Any, example: str) -> tuple[Any, ...]:
-    """Return a list of tables; an error names their keys, and not the list, which a caller does not know."""
+    """Return checked tables; an error names their keys, but not the list, which is no argument of the caller."""
     if isinstance(tables, str | Mapping | Wall) or not isinstance(tables, Iterable):
         raise ValueError(f"{key}s should be a list of {key}s, such as [{example}] (got {value_text(tables)})")
     try:
         return tuple(getattr(_Tables(**{key: tuple(tables)}), key))
     except KeyedError as error:
         problems = [problem._replace(where="") for problem in error.problems]
-    raise KeyedError(*problems)
+    raise KeyedError(*problems)  # not from the error, whose text names the list
 
 
 def links_argument(links: Any) -> Links:
-    """Return links, which may be tables as a dict."""
+    """Return links as an object; they may be given as a table `[network]` in a dict."""
     if links is None or isinstance(links, Links):
         return links or Links()
     if not isinstance(links, Mapping):
@@ -74,9 +74,9 @@ def links_argument(links: Any) -> Links:
 
 
 def nodes_argument(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, tuple[Any, ...], dict[Any, int] | None]:
-    """Return the links with their graph, the labels of the nodes by number, and the number by label.
+    """Return the links with their graph, the label of each node by number, and its number by label.
 
-    The numbers are None if they are the labels.
+    The last is None if the labels are the numbers.
     """
     if not is_networkx(nodes):
         try:
@@ -96,7 +96,7 @@ def nodes_argument(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, t
     if not len(graph):
         raise ValueError("a network should have at least 1 node (got an empty graph)")
     edges, numbers = Edges.of(graph), numbered(graph).numbers
-    for note in unread_attributes(graph, of_links_only=True):  # positions of nodes are tables beside the graph
+    for note in unread_attributes(graph, of_links_only=True):  # others of nodes may be positions
         warn_caller(note)
     labels = tuple(sorted(numbers, key=numbers.__getitem__))
     links = links.model_copy(update={"graph": edges}).numbered(edges.names)
@@ -121,7 +121,7 @@ def _check_unit(links: Links) -> None:
 
 
 def horizon_argument(horizon: float | None, faults: Iterable[Any]) -> int:
-    """Return the horizon of plans of faults, ns; `NEVER` if it is None, and there are no plans."""
+    """Return the horizon of plans of faults, ns; `NEVER` if it is None, which requires that there are no plans."""
     if horizon is None:
         plan = next((fault for fault in faults if not isinstance(fault, Fault | ClockSkew)), None)
         if plan is not None:

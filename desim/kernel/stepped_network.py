@@ -1,4 +1,4 @@
-"""A network that another program steps: the robots and their motion live elsewhere, their messages here.
+"""A network that another program steps: the program moves the robots, the network carries their messages.
 
 ```python
 from desim import Links, SteppedNetwork
@@ -12,8 +12,8 @@ while simulating:
         robots[message.dst].hear(message.src, message.body)
 ```
 
-`Network` is for programs that are processes of the clock of desim. A `SteppedNetwork` has a clock of its own, which
-only `step` moves, and runs the same network: the same links, faults and draws.
+`Network` is for programs that run as processes of the clock of desim. A `SteppedNetwork` has its own clock, which only
+`step` advances, and contains a `Network`, with the same links, faults and draws.
 """
 
 from collections.abc import Callable, Hashable, Iterable, Mapping
@@ -104,20 +104,20 @@ class LostMessage(NamedTuple):
 class SteppedNetwork:
     """A network of robots for a simulator that has its own loop and moves the robots itself.
 
-    `send` is for events, each of which counts: `step` returns those that have arrived. `publish` is for state, of which
-    only the newest value matters: `latest` returns it, at half the cost. Two bounds need no model of their own: with
-    `Links()` everything arrives at once, and with `Links(loss=1.0)` nothing ever arrives.
+    `send` is for events, each of which matters: `step` returns the messages that have arrived. `publish` is for state,
+    of which only the newest value matters: `latest` returns it, at half the cost. For the best and the worst network,
+    use `Links()`, with which every message arrives at once, and `Links(loss=1.0)`, with which none arrives.
 
-    Nodes are named by the labels of the graph, or 0 .. n - 1; faults have their numbers, the indices in `nodes`.
+    Nodes are named by the labels of the graph, or 0 .. n - 1; faults name them by number, the index in `nodes`.
     Positions have a row for each node, in the order of `nodes`, or are a dict by node. They are read when they are
-    given, and at each step; they may be changed in place. During a step every node moves in a straight line from where
-    it was to where it is at the end.
+    given, and at each step; they may be changed in place. During a step every node moves in a straight line from its
+    position at the beginning to that at the end.
 
     In a `with` block the network is closed at the end, and Python collects garbage less often, as in `desim.run`. This
     saves time if many messages are in flight.
 
     Equal arguments, calls and seeds give equal arrivals, on any machine. An instance belongs to one thread at a time.
-    It can be pickled and copied before its first message and step, as its arguments; run it on from there.
+    It can be pickled and copied only before its first message and step, when its arguments are its whole state.
 
     Args:
         nodes: number of nodes, or a networkx graph: its nodes have any labels, and its edges the attributes of
@@ -126,7 +126,7 @@ class SteppedNetwork:
         faults: faults of nodes and links (`desim.kernel.models.faults`), plans that draw them (`fault_plans`), clock
             errors (`clock_skew`), or tables `[[fault]]` as dicts.
         seed: the seed of all random draws.
-        positions: (n, 2) positions at the start, m, or a dict; needed for what depends on them, such as a range.
+        positions: (n, 2) positions at the start, m, or a dict; needed for models that depend on them, such as a range.
         trace: receives the events of messages and faults, and shows them to its watchers.
         horizon: the time until which plans draw faults, s.
         can_leave: whether nodes may `leave` and `join`. Every arrival is then decided when it is due, which is slower.
@@ -156,7 +156,7 @@ class SteppedNetwork:
         self._start(seed, positions, trace)
 
     def _start(self, seed: int, positions: Any, trace: Trace | None) -> None:
-        """Create the network of an episode, at time 0; nothing has changed if an argument is wrong."""
+        """Create the network of an episode, at time 0; if an argument is wrong, nothing changes."""
         if not isinstance(trace, Trace | None):
             raise ValueError(f"trace should be a desim.kernel.core.events.Trace (got {value_text(trace)})")
         if trace is not None and trace.events:
@@ -164,9 +164,9 @@ class SteppedNetwork:
         if trace is not None and trace.is_taken:
             raise ValueError("trace belongs to another network, or to another episode of this one: give a new Trace()")
         seed, size, clock = seed_of(seed), len(self._nodes), Clock()
-        places = SteppedPositions(clock, self._nodes)
+        source = SteppedPositions(clock, self._nodes)
         if positions is not None:
-            places.place(positions)
+            source.place(positions)
         queue = MessageQueue(clock, size)
         with fresh_copy((self._links, self._faults)) as (links, entries):
             faults = draw_faults(entries, size, self._horizon / SECOND, seed)
@@ -176,9 +176,9 @@ class SteppedNetwork:
                 links.make_graph(size),
                 links,
                 seed=seed,
-                positions=places,
+                positions=source,
                 trace=trace,
-                fault_state=FaultState(places, surprises=self._can_leave) if has_faults else None,
+                fault_state=FaultState(source, surprises=self._can_leave) if has_faults else None,
                 clocks=node_clocks(clock, entries, size, seed, NEVER) if is_skewed(entries) else (),
                 inboxes=lambda *_: queue,
                 walls=self._walls,
@@ -186,13 +186,14 @@ class SteppedNetwork:
         inject(faults, clock, network, trace)
         clock.advance(0)  # faults from time 0 also concern messages that are sent before the first step
         network.watch_losses(self._lose)
-        self._seed, self._trace, self._clock, self._positions = seed, trace, clock, places
+        self._seed, self._trace, self._clock, self._positions = seed, trace, clock, source
         self._network, self._queue = network, queue
         self._losses: list[tuple[int, int, int, LostMessage]] = []
-        """The losses of this step, each after its time, ns, its transmission and its receiver."""
+        """The losses of this step, each with its keys of order: time of sending, ns, transmission and receiver."""
         self._lost: list[LostMessage] = []
+        """The losses of the last step, in order."""
         self._away: dict[int, tuple[Crash, Outage]] = {}
-        self._is_unused, self._problem = True, ""
+        self._is_unused, self._problem = True, ""  # the problem: why no call is possible now, `CALLED` for instance
         self._is_unlimited = self._links.medium == Unlimited()
         self._lacks_positions = positions is None and not network.topology.is_static
         if trace is not None:
@@ -210,7 +211,7 @@ class SteppedNetwork:
         size: int | None = None,
         transport: Transport | None = None,
     ) -> None:
-        """Send a message now to one node, or to all neighbours (None); a later `step` returns it where it arrives.
+        """Send a message now to one node, or to all neighbours (None); a later `step` returns it for each receiver.
 
         Args:
             src: the sender.
@@ -219,11 +220,11 @@ class SteppedNetwork:
             port: a name by which the receiver tells kinds of messages apart.
             size: bytes; computed from the body if None, see `desim.kernel.core.message_size`. Over a medium without
                 airtime, a body of unknown size, such as a function, counts as none.
-            transport: how it is carried, see `desim.kernel.models.transport`; None: that of the links.
+            transport: the transport of the message, see `desim.kernel.models.transport`; None: that of the links.
 
         Raises:
             ValueError: as `Network.send`, or if a range has no positions; nothing has then changed. An exception of a
-                watcher or a model is raised as it is, and is a failure: the message may be counted and not sent.
+                watcher or a model is raised unchanged; the call has then failed: the message may be counted, not sent.
             RuntimeError: if the network is closed, a call is under way, or one has failed.
         """
         self.check_usable()
@@ -267,12 +268,12 @@ class SteppedNetwork:
     def step(self, dt: float, positions: Any = None) -> list[ReceivedMessage]:
         """Let time pass, and return the messages of `send` that have arrived, in the order of their arrival.
 
-        Each is returned once, by the step in which it arrives; the end of a step belongs to it. Messages that arrive at
+        Each is returned by the step in which it arrives; the end of a step is part of the step. Messages that arrive at
         one instant are in the order in which they were sent, then of their receivers.
 
         Args:
             dt: the duration, s; it is rounded to nanoseconds.
-            positions: (n, 2) the positions at the end, m; None: those that the last array then has.
+            positions: (n, 2) the positions at the end, m; None: those that the array given last contains now.
 
         Raises:
             ValueError: if dt is not a time from 1 ns to 1e9 s, or the positions are not finite numbers, (n, 2);
@@ -285,12 +286,12 @@ class SteppedNetwork:
         self._lacks_positions &= self._positions.array is None
         self._is_unused = False
         with RARE_COLLECTION:
-            arrived = self._run(self._pass, Instant(clock, end, Phase.DECISION))
+            arrived = self._call(self._run_until, Instant(clock, end, Phase.DECISION))
         self._lost = [lost for *_, lost in sorted(self._losses, key=itemgetter(0, 1, 2))]
         self._losses.clear()
         return arrived
 
-    def _pass(self, end: Instant) -> list[ReceivedMessage]:
+    def _run_until(self, end: Instant) -> list[ReceivedMessage]:
         """Let time pass until an instant, and return the messages that have arrived."""
         self._clock.run(until=end)
         self._positions.end_step()
@@ -318,11 +319,11 @@ class SteppedNetwork:
 
     def latest(self, node: Hashable) -> dict[Any, ReceivedMessage]:
         """Return the newest state that a node has received from each other node, by source."""
-        number, kind, new, labels = self._live(node), ReceivedMessage, _new, self._nodes  # local names are faster
+        number, kind, new, labels = self._usable(node), ReceivedMessage, _new, self._nodes  # local names are faster
         dst = labels[number]
         return {
             (label := labels[src]): new(kind, (label, dst, body, sent / SECOND, when / SECOND, ""))
-            for src, (when, (_, _, sent, body)) in self._run(self._network.latest_records, number).items()
+            for src, (when, (_, _, sent, body)) in self._call(self._network.latest_records, number).items()
         }
 
     def ages(self) -> Floats:
@@ -334,7 +335,7 @@ class SteppedNetwork:
         ages, now = np.full((len(self._nodes),) * 2, np.inf), self._clock.now
         np.fill_diagonal(ages, 0.0)
         for node in range(len(self._nodes)):
-            for src, stamp in self._run(self._network.stamps, node).items():
+            for src, stamp in self._call(self._network.stamps, node).items():
                 ages[node, src] = (now - stamp) / SECOND
         return ages
 
@@ -349,7 +350,7 @@ class SteppedNetwork:
     def counts(self) -> MessageCounts:
         """Return the counts of messages up to now: sent = delivered + lost + in flight, per receiver."""
         self.check_usable()
-        return self._run(self._network.message_counts)
+        return self._call(self._network.message_counts)
 
     def transport_counts(self) -> TransportCounts | None:
         """Return the counts of transports up to now; None if no message has needed one."""
@@ -358,11 +359,11 @@ class SteppedNetwork:
 
     def neighbours(self, node: Hashable) -> list[Any]:
         """Return the nodes that receive from a node where they are now."""
-        number = self._live(node)
+        number = self._usable(node)
         return [self._nodes[other] for other in self._network.topology.neighbours(number).tolist()]
 
     def _lose(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
-        """Note the losses of a transmission."""
+        """Note the losses of a transmission, unless it is a frame of the simulator itself."""
         number, src, created, *_ = transmission
         if isinstance(transmission.port, ReservedPort):
             return
@@ -390,8 +391,8 @@ class SteppedNetwork:
         crash = Crash(start=self.now, node=number, scope="radio", memory=False)
         self._is_unused = False
         if self._trace is not None:
-            self._run(self._trace.append, FaultStarted(self._clock.now, crash))
-        self._away[number] = crash, self._run(self._network.crash, number)
+            self._call(self._trace.append, FaultStarted(self._clock.now, crash))
+        self._away[number] = crash, self._call(self._network.crash, number)
 
     def join(self, node: Hashable) -> None:
         """Let a node that has left join again now; it has received nothing yet.
@@ -404,29 +405,29 @@ class SteppedNetwork:
             raise ValueError(f"node {value_text(node)} is not away")
         crash, outage = self._away.pop(number)
         if self._trace is not None:
-            self._run(self._trace.append, FaultEnded(self._clock.now, crash))
-        self._run(partial(self._network.recover, number, outage, memory=False))
+            self._call(self._trace.append, FaultEnded(self._clock.now, crash))
+        self._call(partial(self._network.recover, number, outage, memory=False))
 
     def _member(self, node: Hashable) -> int:
         """Return the number of a node that may leave."""
-        number = self._live(node)
+        number = self._usable(node)
         if not self._can_leave:
             raise ValueError("nodes leave and join only if the network is created with can_leave=True")
         return number
 
-    def _run(self, call: Callable[..., Result], *arguments: Any) -> Result:
-        """Call a function in which watchers and models may raise; the episode has then failed."""
+    def _call(self, function: Callable[..., Result], *arguments: Any) -> Result:
+        """Call a function that calls watchers and models; if it raises, the episode has failed."""
         self._problem = CALLED
         try:
-            result = call(*arguments)
+            result = function(*arguments)
         except BaseException:
             self._problem = FAILED
             raise
         self._problem = ""
         return result
 
-    def _live(self, node: Any) -> int:
-        """Return the number of a node; raise RuntimeError if the network cannot be asked now."""
+    def _usable(self, node: Any) -> int:
+        """Return the number of a node; raise RuntimeError if the network is not usable (`check_usable`)."""
         self.check_usable()
         return self._number(node)
 
@@ -439,12 +440,12 @@ class SteppedNetwork:
         else:
             try:
                 return self._numbers[node]
-            except (KeyError, TypeError):  # TypeError: it has no hash
+            except (KeyError, TypeError):  # TypeError: the node is not hashable
                 pass
         names = ", ".join(map(value_text, self._nodes[:SHOWN])) + (", ..." if len(self._nodes) > SHOWN else "")
         raise ValueError(f"there is no node {value_text(node)}: the nodes are {names}")
 
-    # Time and life.
+    # Time, reset and close.
 
     def check_usable(self) -> None:
         """Raise RuntimeError if the network is closed, a call is under way, or one has failed."""
@@ -466,7 +467,7 @@ class SteppedNetwork:
 
         Args:
             seed: the seed of all random draws.
-            positions: (n, 2) positions at the start, m; None: those that the last array has now.
+            positions: (n, 2) positions at the start, m; None: those that the array given last contains now.
             trace: receives the events of the new episode; None: nothing is recorded.
 
         Raises:
@@ -484,10 +485,10 @@ class SteppedNetwork:
             self._problem = before
             raise
         if last is not None:
-            self._run(_finish, *last)
+            self._call(_finish, *last)
 
     def close(self) -> None:
-        """Append the final counts to the trace, and let go of the network; a second call has no effect.
+        """Append the final counts to the trace, and delete the network; a second call has no effect.
 
         Raises:
             RuntimeError: if a call is under way.
@@ -519,17 +520,17 @@ class SteppedNetwork:
                 "a SteppedNetwork can be pickled and copied before its first message and step only: its messages in"
                 " flight are part of a running simulation. Copy it after reset(seed), or repeat its calls"
             )
-        return _again, (
+        return _restored, (
             {name: getattr(self, name) for name in CONFIGURATION},
             (self._seed, self._positions.array, self._trace),
         )
 
 
-def _again(configuration: dict[str, Any], start: tuple[Any, ...]) -> SteppedNetwork:
+def _restored(configuration: dict[str, Any], start: tuple[Any, ...]) -> SteppedNetwork:
     """Return a network at time 0, given what `SteppedNetwork.__reduce__` returns."""
     network = SteppedNetwork.__new__(SteppedNetwork)
     vars(network).update(configuration)
-    seed, positions, trace = deepcopy(start)  # also in a shallow copy: each network has a trace of its own
+    seed, positions, trace = deepcopy(start)  # also for a shallow copy, because each network needs its own trace
     if trace is not None:
         trace.is_taken = False
     network._start(seed, positions, trace)

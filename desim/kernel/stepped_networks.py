@@ -22,9 +22,9 @@ MOST = 100_000
 class SteppedNetworks:
     """Independent networks of one configuration, for environments that are simulated side by side.
 
-    Each is a `SteppedNetwork` with a seed of its own, and equal to it byte for byte: network e has the seed
-    `run_seed(seed, e)` of `desim.kernel.core.seeds`, as the runs of a sweep have. A sequence gives access to them, for
-    example `networks[3].lost()`.
+    Each is a `SteppedNetwork` with its own seed: network e has the seed `run_seed(seed, e)` of
+    `desim.kernel.core.seeds`, like run e of a sweep, and equals a single network with this seed byte for byte. The
+    networks are the items of this object, for example `networks[3].lost()`.
 
     Args:
         count: the number of networks, E, at most 100,000.
@@ -55,8 +55,8 @@ class SteppedNetworks:
             raise ValueError(f"there should be at least 1 network and at most {MOST:,} (got {count:,})")
         root = seed_of(seed)
         self._shape: tuple[int, ...] | None = None
-        """Of the bodies of this episode; None before the first."""
-        # An iterator would be at its end after the first network.
+        """The shape of the published bodies of this episode; None before the first."""
+        # An iterator is converted to a list, because the first network would exhaust it.
         arguments = {name: [*value] if isinstance(value, Iterator) else value for name, value in arguments.items()}
         first = SteppedNetwork(nodes, links, seed=run_seed(root, 0), **arguments)
         if (total := count * len(first.nodes)) > LARGEST_NETWORK:
@@ -92,22 +92,22 @@ class SteppedNetworks:
 
         Args:
             dt: the duration, s.
-            positions: (E, n, 2) the positions at the end, m; None: those that the last array then has.
+            positions: (E, n, 2) the positions at the end, m; None: those that the array given last contains now.
         """
-        placed = self._rows(positions)
-        return [network.step(dt, place) for network, place in zip(self._usable(), placed, strict=True)]
+        by_network = self._rows(positions)
+        return [network.step(dt, rows) for network, rows in zip(self._usable(), by_network, strict=True)]
 
     def latest(self) -> Floats:
         """Return the newest numbers that have arrived, (E, receivers, sources) or (E, receivers, sources, k).
 
-        They are nan where none has arrived, and at the node's own place. k is that of `publish`.
+        Where none has arrived, and where receiver and source are the same node, they are nan. k is as in `publish`.
         """
         tables = [[network.latest(node) for node in network.nodes] for network in self._networks]
         size = len(self._networks[0].nodes)
         latest = np.full((len(self), size, size, *(self._shape or ())), np.nan)
         number = {node: k for k, node in enumerate(self._networks[0].nodes)}
-        for e, rows in enumerate(tables):
-            for dst, table in enumerate(rows):
+        for e, tables_of_nodes in enumerate(tables):
+            for dst, table in enumerate(tables_of_nodes):
                 for src, message in table.items():
                     latest[e, dst, number[src]] = message.body
         return latest
@@ -123,9 +123,9 @@ class SteppedNetworks:
 
     def reset(self, seed: int, *, positions: Any = None) -> None:
         """Begin all networks anew, exactly as new ones with this seed would; see `SteppedNetwork.reset`."""
-        root, placed, self._shape = seed_of(seed), self._rows(positions), None
+        root, by_network, self._shape = seed_of(seed), self._rows(positions), None
         for e, network in enumerate(self._networks):
-            network.reset(run_seed(root, e), positions=placed[e])
+            network.reset(run_seed(root, e), positions=by_network[e])
 
     def close(self) -> None:
         """Close all networks."""
@@ -145,13 +145,13 @@ class SteppedNetworks:
         self.close()
 
     def _usable(self) -> Sequence[SteppedNetwork]:
-        """Return the networks; raise RuntimeError if one is closed or has failed, before any other goes on."""
+        """Return the networks; raise RuntimeError if one is closed or has failed, before any of them changes."""
         for network in self._networks:
             network.check_usable()
         return self._networks
 
     def _rows(self, positions: Any) -> Sequence[Any]:
-        """Return the positions for each network, so that all are right or no network steps; None for each if none."""
+        """Return the positions for each network, None without any; raise ValueError before any network changes."""
         last = self._array if positions is None else positions
         if last is None:
             return [None] * len(self)

@@ -25,11 +25,11 @@ class SteppedPositions(PositionSource):
     def __init__(self, clock: Clock, nodes: Sequence[Hashable]):
         self._clock, self._nodes, self._size = clock, nodes, len(nodes)
         self._array: Any = None
-        """The array of the caller, which is not copied; it is read at the beginning of each step."""
+        """The array given last, not a copy, because the caller may change it; it is read as each step begins."""
         self._first: Floats | None = None
         """(n, 2) positions at the beginning of the step or, between two steps, now."""
         self._change: Floats | None = None
-        """(n, 2) by which the positions change in this step; None between two steps."""
+        """(n, 2) changes of the positions in this step; None between two steps."""
         self._last: Any = None
         """(n, 2) positions at the end of the step."""
         self._begin = self._end = 0
@@ -37,7 +37,7 @@ class SteppedPositions(PositionSource):
 
     @property
     def array(self) -> Any:
-        """The array that was given last; None before the first."""
+        """The array given last; None before the first."""
         return self._array
 
     def place(self, positions: Any) -> None:
@@ -46,7 +46,7 @@ class SteppedPositions(PositionSource):
         Raises:
             ValueError: as in `begin_step`.
         """
-        array = _readable_again(positions)
+        array = _rereadable(positions)
         self._first, self._array = self._read(array), array
 
     def begin_step(self, end: int, positions: Any) -> None:
@@ -54,12 +54,12 @@ class SteppedPositions(PositionSource):
 
         Args:
             end: the end of the step, ns.
-            positions: (n, 2) the positions at its end, m; None: those that the last array then has.
+            positions: (n, 2) the positions at its end, m; None: those that the array given last contains now.
 
         Raises:
             ValueError: if the positions are not finite numbers, (n, 2).
         """
-        array = self._array if positions is None else _readable_again(positions)
+        array = self._array if positions is None else _rereadable(positions)
         if array is None:
             return
         last = self._read(array)
@@ -103,9 +103,9 @@ class SteppedPositions(PositionSource):
         return self._at(nodes, times)
 
     def before_change(self, act: Callable[[], object]) -> None:
-        """Register a function to call before the motion of a node changes, at the end of each step in which one moves.
+        """Register a function to call before the motion of a node changes: at the end of each step with motion.
 
-        In it, the network decides once a step what has happened before this instant.
+        The network registers one that decides the outcomes of the step while `at` still returns its positions.
         """
         self._before_change.append(act)
 
@@ -114,7 +114,7 @@ class SteppedPositions(PositionSource):
         assert self._change is not None
         share = np.asarray((times - self._begin) / (self._end - self._begin))[..., np.newaxis]
         between = self._first[nodes] + self._change[nodes] * share
-        return np.asarray(np.where(share < 1.0, between, self._last[nodes]))  # at the end without rounding
+        return np.asarray(np.where(share < 1.0, between, self._last[nodes]))  # at the end, exactly those of the caller
 
     def _read(self, positions: Any) -> Floats:
         """Return a read-only copy of the positions at one instant."""
@@ -155,6 +155,6 @@ def copy_of_positions(positions: Any, shape: tuple[int, ...]) -> Floats:
     return copy
 
 
-def _readable_again(positions: Any) -> Any:
-    """Return positions that can be read again at each step."""
+def _rereadable(positions: Any) -> Any:
+    """Return positions that can be read at each step: a list in place of an iterator."""
     return [*positions] if isinstance(positions, Iterator) else positions

@@ -1,10 +1,10 @@
-"""Clocks whose error is no straight line: the phase and the frequency of an oscillator walk randomly.
+"""Clocks with a random error: the phase and the frequency of an oscillator walk randomly.
 
 The model has two states, the error x of the clock (s) and the error y of its rate, with dx = y dt + a dW1 and
 dy = b dW2 (Zucca & Tavella 2005, "The Clock Model and Its Relationship with the Allan and Related Variances"). White
 noise of the frequency makes the phase walk, with a variance a^2 t. A walk of the frequency adds b^2 t^3 / 3.
 
-The states are drawn exactly at multiples of `TICK`; in between the error of the clock is a straight line.
+The states have their exact distribution at multiples of `TICK`; in between, the error is interpolated linearly.
 """
 
 from bisect import bisect_right
@@ -36,7 +36,7 @@ class ClockWalk:
         offset_walk: a, s per sqrt(s).
         drift_walk: b, 1 per sqrt(s).
         rate: the mean rate of the clock; the walk never lets it run slower than at 1 + `MIN_DRIFT`.
-        until: time, ns, from which the error stays as it is, since nobody reads the clock any more.
+        until: time, ns, up to which the clock may be read; after it the error stays constant.
         rng: the random stream.
     """
 
@@ -50,28 +50,28 @@ class ClockWalk:
         self._drift = 0.0
         self._errors = [0.0]
         self._shown = [0.0]
-        """By tick: what a clock without an offset shows, s."""
+        """By tick, the time, s, that a clock with this error and without an offset shows."""
 
     def error(self, true: int) -> float:
         """Return the error, s, at a true time, ns; 0 before the time 0."""
         k, remainder = divmod(max(true, 0), TICK)
         if k >= self._last:
-            return self._until(self._last)
-        self._until(k + 1)
+            return self._draw_to(self._last)
+        self._draw_to(k + 1)
         return self._errors[k] + remainder / TICK * (self._errors[k + 1] - self._errors[k])
 
     def when(self, time: float) -> float:
         """Return the true time, s, at which a clock without an offset shows a time, s."""
         while self._shown[-1] < time and len(self._shown) <= self._last:
-            self._until(len(self._shown))
+            self._draw_to(len(self._shown))
         k = bisect_right(self._shown, time)
-        if k in (0, len(self._shown)):
+        if k in (0, len(self._shown)):  # before or after the walk, where the error is constant
             return (time - self._errors[k - 1 if k else 0]) / self._rate
         share = (time - self._shown[k - 1]) / (self._shown[k] - self._shown[k - 1])
         return (k - 1 + share) * seconds(TICK)
 
-    def _until(self, tick: int) -> float:
-        """Draw the states up to a tick, and return the error there."""
+    def _draw_to(self, tick: int) -> float:
+        """Draw the states up to a tick, unless they are drawn already, and return the error there."""
         length, slowest = seconds(TICK), (1.0 + MIN_DRIFT - self._rate) * seconds(TICK)
         while len(self._errors) <= tick:
             for first, second in self._rng.standard_normal((BLOCK, 2)).tolist():
@@ -80,7 +80,7 @@ class ClockWalk:
                 change = self._drift_step * first
                 step = length * (self._drift + change / 2.0) + self._offset_step * second
                 self._drift += change
-                # What the clock shows always increases, so that `when` can bisect.
+                # The step has a lower bound, so that the shown time always increases, and `when` can bisect.
                 self._errors.append(self._errors[-1] + max(step, slowest))
                 self._shown.append(self._rate * (len(self._errors) - 1) * length + self._errors[-1])
         return self._errors[tick]
@@ -126,7 +126,7 @@ class WanderingClock(NodeClock):
         return round(self._walk.when(time - self._offset) * SECOND)
 
     def span(self, duration: float) -> int:
-        """Return the true duration (ns) from now of a local duration (s); of a negative one as at the mean rate."""
+        """Return the true duration (ns) of a local duration (s) from now; a negative one counts at the mean rate."""
         if duration < 0.0:
             return super().span(duration)
         return max(self.when(self.now + duration) - self.true, 0)
@@ -137,7 +137,7 @@ def node_clocks(env: Clock, faults: Iterable[object], size: int, seed: int, unti
 
     Args:
         env: the clock of the simulation.
-        faults: the faults.
+        faults: the faults; those that are no `ClockSkew` are ignored.
         size: the number of nodes.
         seed: the seed of the run.
         until: the time, ns, up to which the clocks may be read.
@@ -152,7 +152,7 @@ def node_clocks(env: Clock, faults: Iterable[object], size: int, seed: int, unti
 def clock_walks(
     faults: Sequence[object], errors: Sequence[tuple[float, float]], seed: int, until: int
 ) -> list[ClockWalk | None]:
-    """Return the random part of the error of each node's clock, None without one; see `node_clocks`.
+    """Return for each node the random part of the error of its clock, or None; see `node_clocks`.
 
     `errors` holds the offset (s) and the drift of each clock, as `clock_errors` returns them.
     """
