@@ -21,30 +21,29 @@ FRAME = 8
 
 
 class Segment(NamedTuple):
-    """A message under a reliable transport, or a repetition of it."""
+    """A message under a reliable transport, transmitted for the first time or again."""
 
     port: str
     to_all: bool
     """Whether the message was sent to all neighbours; such messages have sequence numbers of their own."""
     session: int
-    """When the sender began to number its messages, ns: 0, or when it lost its memory."""
+    """The time at which the sender began to number its messages, ns: 0, or when it lost its memory."""
     seq: int
     """Sequence number of the message, from 1 on."""
     base: int
-    """The least number of a message that the receiver may still get; it does not wait for messages before that."""
+    """The least number of a message that the receiver may still get; it does not wait for earlier messages."""
     attempt: int
     """Number of the attempt, from 1 on; not transmitted, and so without bytes."""
     body: Any
 
 
 class Skip(NamedTuple):
-    """Tells a receiver not to wait for messages that were given up."""
+    """Tells a receiver not to wait for messages before `base`, which were given up."""
 
     port: str
     to_all: bool
     session: int
     base: int
-    """As in `Segment`."""
 
 
 class Acknowledgement(NamedTuple):

@@ -1,11 +1,11 @@
 """The transport layer: the senders and receivers of transports, above the link layer.
 
-Frames of all transports arrive at one port, where the layer takes them at the instant of their arrival. What it
-delivers goes to the inbox of the port to which it was sent.
+Frames of all transports arrive at one port, where the layer processes them at the instant of their arrival. It delivers
+each message to the inbox of the port to which the message was sent.
 
-The state of a node survives a crash with memory: its senders rest while its radio is down, and continue when it is up
-again. After a crash without memory a node numbers its messages anew, in a new session, and remembers nothing of what
-it has received. A message whose acknowledgement was lost may then be delivered a second time.
+The state of a node survives a crash with memory: its senders pause while its radio is down, and continue when it is up
+again. After a crash without memory a node numbers its messages anew, in a new session, and has forgotten what it has
+received. A message whose acknowledgement was lost may then be delivered a second time.
 """
 
 from collections.abc import Callable, Mapping
@@ -50,7 +50,7 @@ class _Node:
     senders: dict[MessageFlow, Sender] = field(default_factory=dict)
     receivers: dict[MessageFlow, ReliableReceiver | CodedReceiver] = field(default_factory=dict)
     expectations: dict[tuple[str, int, str], Expectation] = field(default_factory=dict)
-    """By kind (a message, "deadline", or any frame, "lease"), sender and port."""
+    """By kind ("deadline": of a message, "lease": of any frame), sender and port."""
 
     def forget(self, now: int) -> None:
         """Lose the memory, and begin a new session now, ns."""
@@ -87,10 +87,10 @@ class TransportLayer:
         self._transmit_frame = partial(transmit, port=PORT)
         self._log = TransportLog(state.env, trace)
         self._transports: dict[str, Transport] = {}
-        """By port."""
-        self._usual: Transport = Reliable()
+        """The transport of each port at which a message was sent."""
+        self._default: Transport = Reliable()
         self._nodes: list[_Node] = []
-        """Empty until the first message."""
+        """The state of each node; empty until the first message."""
         self._numbers = count(FIRST_DELIVERY)
 
     def choose(self, port: str, transport: Transport) -> None:
@@ -114,7 +114,7 @@ class TransportLayer:
             message: the message.
             port: the port of the inbox.
             size: the size of the message, bytes.
-            transport: how it is carried, that of the port (`choose`).
+            transport: the transport of the port (`choose`).
         """
         if not self._nodes:
             self._start()
@@ -126,19 +126,19 @@ class TransportLayer:
         sender.send(message, size, self._topology.neighbours(src).tolist() if dst is None else [dst])
 
     def listen(self, usual: Transport, by_port: Mapping[str, Transport]) -> None:
-        """Let all nodes take frames before they have sent any, because their senders are in other processes.
+        """Let all nodes receive frames before any is sent here, because the senders are in other processes.
 
         Args:
-            usual: the transport of a port at which nothing has been sent here.
+            usual: the transport of all ports but those in `by_port`, until a message is sent here.
             by_port: the transports of some ports.
         """
-        self._usual = Reliable() if usual.is_plain else usual
+        self._default = Reliable() if usual.is_plain else usual
         self._transports.update(by_port)
         if not self._nodes:
             self._start()
 
     def recover(self, node: int, *, memory: bool) -> None:
-        """Let the senders of a node continue, whose radio may be up again; without memory, let it forget them first."""
+        """Let the senders of a node continue, because its radio may be up again; delete them first if not `memory`."""
         if not self._nodes:
             return
         if not memory:
@@ -167,9 +167,9 @@ class TransportLayer:
         return self._fault_state is None or not self._fault_state.down(node)
 
     def _auto_timeout(self, transport: Reliable, size: int, receivers: int) -> float:
-        """Return the first time-out "auto", s, of a frame of a size, bytes, that some receivers acknowledge."""
-        answers = receivers * self._estimates.sending_time(acknowledgement_size(transport.window))
-        sending_time = self._estimates.sending_time(size) + answers
+        """Return the first time-out, s, for `timeout = "auto"`, given the size of a frame, bytes, and its receivers."""
+        acknowledgements = receivers * self._estimates.sending_time(acknowledgement_size(transport.window))
+        sending_time = self._estimates.sending_time(size) + acknowledgements
         return first_timeout(self._estimates.latency, sending_time, transport.min_timeout)
 
     # Receivers.
@@ -177,7 +177,7 @@ class TransportLayer:
     def _receive(self, node: int, messages: list[Message]) -> None:
         """Process the frames that have arrived at a node."""
         for src, stamp, frame in messages:
-            transport = self._transports.get(frame.port, self._usual)
+            transport = self._transports.get(frame.port, self._default)
             if transport.lease < inf:
                 self._expect(node, "lease", src, frame.port, transport.lease)
             if isinstance(frame, Acknowledgement):
@@ -185,13 +185,13 @@ class TransportLayer:
                 sender = self._nodes[node].senders.get(flow)
                 if isinstance(sender, ReliableSender):
                     sender.acknowledge(src, stamp, frame)
-            elif isinstance(frame, CodedPiece) != isinstance(transport, Reliable):  # else it does not fit the port
+            elif isinstance(frame, CodedPiece) != isinstance(transport, Reliable):  # ignore frames of other transports
                 self._take(node, src, stamp, frame, transport)
 
     def _take(self, node: int, src: int, stamp: int, frame: Segment | Skip | CodedPiece, transport: Transport) -> None:
-        """Deliver what a frame makes deliverable, and acknowledge the frame under a reliable transport.
+        """Deliver the messages that a frame completes, and acknowledge it under a reliable transport.
 
-        A frame of a sender that has lost its memory since is ignored.
+        A frame of an earlier session is ignored: its sender has lost its memory since.
         """
         flow = _new(MessageFlow, (src, None if frame.to_all else node, frame.port))
         receivers = self._nodes[node].receivers
@@ -204,10 +204,9 @@ class TransportLayer:
         for seq, message, attempt in arrived:
             self._deliver(node, flow, seq, message, attempt, transport)
         if isinstance(receiver, ReliableReceiver) and isinstance(transport, Reliable):
-            received = frame.port, frame.to_all, frame.session, receiver.expected, receiver.beyond()
-            answer = _new(Acknowledgement, received)
+            fields = frame.port, frame.to_all, frame.session, receiver.expected, receiver.beyond()
             self._log.acknowledgements += 1
-            message = _new(Message, (node, self._env.now, answer))
+            message = _new(Message, (node, self._env.now, _new(Acknowledgement, fields)))
             self._transmit_frame(node, src, message, acknowledgement_size(transport.window))
 
     def _deliver(
@@ -230,11 +229,11 @@ class TransportLayer:
         expectations = self._nodes[node].expectations
         expectation = expectations.get((kind, src, port))
         if expectation is None and within <= MAX_TIME:
-            tell = self._log.deadline_missed if kind == "deadline" else self._log.liveliness_lost
+            record = self._log.deadline_missed if kind == "deadline" else self._log.liveliness_lost
 
             def miss() -> None:
                 if self._is_up(node):
-                    tell(src, node, port)
+                    record(src, node, port)
 
             span, priority = partial(self._clocks[node].span, within), Phase.RELAY + node
             expectation = Expectation(self._env, priority, span, miss, again=kind == "deadline")

@@ -35,10 +35,10 @@ class ReliableReceiver:
     def __init__(self, session: int, base: int, *, ordered: bool):
         self.session, self.expected, self._ordered = session, base, ordered
         self._beyond: dict[int, Arrived] = {}
-        """The messages received beyond `expected`, by number; in order, they are held until those before are there."""
+        """By number, the messages received beyond `expected`; if ordered, they wait for the messages before them."""
 
     def receive(self, src: int, stamp: int, frame: Segment | Skip) -> list[Arrived]:
-        """Take a frame with its time stamp, ns, and return the messages to be delivered now, in order."""
+        """Process a frame with its time stamp, ns; return the messages to be delivered now, in order."""
         fresh: list[Arrived] = []
         if isinstance(frame, Segment) and frame.seq >= self.expected and frame.seq not in self._beyond:
             arrived = _new(Arrived, (frame.seq, _new(Message, (src, stamp, frame.body)), frame.attempt))
@@ -52,7 +52,7 @@ class ReliableReceiver:
         return tuple(sorted(self._beyond)) if self._beyond else ()
 
     def _advance(self, base: int) -> list[Arrived]:
-        """Expect nothing before `base` any more; return the received messages before the new `expected`."""
+        """Raise `expected` to `base` or further, past received messages; return the messages that it passes."""
         beyond = self._beyond
         passed: list[Arrived] = []
         if base > self.expected:
@@ -69,7 +69,7 @@ class CodedReceiver:
 
     Args:
         session: the session of the sender.
-        needed: the number of pieces of a message that suffice.
+        needed: the number of pieces that suffice to decode a message.
     """
 
     def __init__(self, session: int, needed: int):
@@ -79,28 +79,28 @@ class CodedReceiver:
         """The numbers of the pieces received, by number of the message."""
 
     def receive(self, src: int, stamp: int, piece: CodedPiece) -> Iterator[Arrived]:
-        """Take a piece with its time stamp, ns; yield its message if it can be decoded now, and could not before."""
+        """Process a piece with its time stamp, ns; yield its message if this piece completes it."""
         self._newest = max(self._newest, piece.seq)
         if piece.seq <= self._newest - REMEMBERED:
             return
-        here = self._pieces.setdefault(piece.seq, set())
-        before = len(here)
-        here.add(piece.part)
+        pieces = self._pieces.setdefault(piece.seq, set())
+        before = len(pieces)
+        pieces.add(piece.part)
         if len(self._pieces) > REMEMBERED:
             self._pieces = {seq: parts for seq, parts in self._pieces.items() if seq > self._newest - REMEMBERED}
-        if before < self._needed == len(here):
+        if before < self._needed == len(pieces):
             yield Arrived(piece.seq, Message(src, stamp, piece.body), piece.part)
 
 
 class Expectation:
-    """Something that a node expects to happen again within a time.
+    """An event that a node expects to happen again within a time.
 
     Args:
         env: the clock.
         priority: the priority of the event at which it is missed.
-        span: returns the time, ns, from now; a clock that wanders changes it.
-        miss: called when it has not happened for that time.
-        again: whether it is missed again each time that the time passes once more, until it happens.
+        span: returns the time, ns; it may change, as the clock of the node may wander.
+        miss: called when the event has not happened for that time.
+        again: whether `miss` is called again each time that the time has passed once more without the event.
     """
 
     def __init__(self, env: Clock, priority: int, span: Callable[[], int], miss: Callable[[], object], *, again: bool):
@@ -109,12 +109,12 @@ class Expectation:
         self._timer = Timer(env, priority, self._check)
 
     def meet(self) -> None:
-        """Note that it happens now; the first time, it is expected from now on."""
+        """Note that the event happens now; from now on, it is expected again."""
         self._due = self._env.now + self._span()
         self._timer.set(self._due)
 
     def drop(self) -> None:
-        """Expect it no more."""
+        """Expect the event no longer."""
         self._timer.stop()
 
     def _check(self) -> None:

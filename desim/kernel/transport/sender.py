@@ -1,7 +1,7 @@
-"""The senders of transports: the messages of a flow that are not delivered yet, and when to transmit them again.
+"""The senders of transports: they store the messages that are not acknowledged yet, and transmit them again.
 
-A flow is the messages of one node at one port to one receiver, or to all its neighbours. A sender has one timer,
-whatever the number of its messages.
+A flow is the messages of one node at one port to one receiver, or to all its neighbours. Each flow has a sender, with
+one timer for all its messages.
 """
 
 from collections.abc import Callable, Iterable
@@ -31,7 +31,7 @@ _new = tuple.__new__  # creates a named tuple in a third of the time
 MAX_GROWTH = 100
 """Number of attempts after which a time-out stops growing."""
 MAX_TIMEOUTS = 64
-"""Maximum number of time-outs that a sender keeps; as a rule, few differ."""
+"""Maximum number of computed time-outs that a sender keeps; few of them differ."""
 
 
 def first_timeout(latency: float, sending_time: float, min_timeout: float) -> float:
@@ -39,8 +39,8 @@ def first_timeout(latency: float, sending_time: float, min_timeout: float) -> fl
 
     Args:
         latency: the one-way latency, s.
-        sending_time: the time, s, for which the message, its answers, and the messages that may be queued in front of
-            them keep their senders from sending.
+        sending_time: the sum of the `Estimates.sending_time`, s, of the message, of its acknowledgements, and of the
+            messages that may be queued in front of them.
         min_timeout: the least time-out, s.
     """
     return max(2.5 * latency + 1.25 * sending_time, min_timeout)
@@ -48,32 +48,32 @@ def first_timeout(latency: float, sending_time: float, min_timeout: float) -> fl
 
 @dataclass
 class Endpoint:
-    """A node as its senders see it."""
+    """The part of a node that all its senders use."""
 
     env: Clock
     clock: NodeClock
-    """Its own clock."""
+    """The local clock."""
     log: TransportLog
     transmit: Callable[[int, int | None, Message, int], object]
     """Transmits a frame of the node (first argument), in a message, to one node, or to all (None), given its size,
     bytes."""
     auto_timeout: Callable[[Reliable, int, int], float]
-    """Returns the first time-out "auto", s, of a message of a size, bytes, to a number of receivers."""
+    """Returns the first time-out, s, for `timeout = "auto"`, given the size, bytes, and the number of receivers."""
     is_up: Callable[[], bool]
-    """Returns whether its radio is up."""
+    """Returns whether the radio of the node is up."""
     session: int = 0
-    """When it began to number its messages, ns: 0, or when it lost its memory."""
+    """The time at which the node began to number its messages, ns: 0, or when it lost its memory."""
 
 
 @dataclass(slots=True)
 class Owed:
-    """The state of a message for one receiver that has not acknowledged it.
+    """The state of a message at one receiver that has not acknowledged it.
 
-    A message is outstanding, or held: the receiver has it, and waits for earlier ones before it delivers it.
+    The message is outstanding (the receiver may not have it), or held: the receiver has it, and waits for earlier ones.
     """
 
     due: int
-    """When to act next, ns: to repeat an outstanding message, or to tell the receiver not to wait; or `NEVER`."""
+    """When to act next, ns, or `NEVER`: repeat an outstanding message; tell the receiver of a held one not to wait."""
     attempts: int = 0
     is_held: bool = False
 
@@ -95,9 +95,9 @@ class ReliableSender:
     """A sender that repeats its messages until they are acknowledged, given up or superseded.
 
     Args:
-        flow: its messages.
+        flow: the messages.
         model: the transport.
-        endpoint: its node.
+        endpoint: the node that sends them.
     """
 
     def __init__(self, flow: MessageFlow, model: Reliable, endpoint: Endpoint):
@@ -129,24 +129,24 @@ class ReliableSender:
         self.advance()
 
     def acknowledge(self, node: int, stamp: int, acknowledgement: Acknowledgement) -> None:
-        """Take note of an acknowledgement, with its time stamp, ns; one that a newer one has overtaken is ignored."""
+        """Process an acknowledgement, with its time stamp, ns; ignore it if a newer one has overtaken it."""
         if stamp < self._acknowledged.get(node, 0) or acknowledgement.session != self._endpoint.session:
             return
         self._acknowledged[node] = stamp
         now, received = self._endpoint.env.now, set(acknowledgement.received)
-        acts = False
+        must_advance = False
         for entry in self._sent():
             owed = entry.owed.get(node)
             if owed is None:
                 continue
             if entry.seq < acknowledgement.expected or (entry.seq in received and not self._model.ordered):
                 self._finish(entry, node)
-                acts |= not entry.owed
-            elif owed.is_held != (entry.seq in received):  # a receiver that has lost its memory holds nothing any more
-                owed.is_held, acts = not owed.is_held, True
+                must_advance |= not entry.owed
+            elif owed.is_held != (entry.seq in received):  # also to not held: the receiver has lost its memory
+                owed.is_held, must_advance = not owed.is_held, True
                 owed.due = NEVER if owed.is_held else now
-        # `_close_gap` comes first, because it must be called in any case.
-        if self._close_gap(node) or acts:
+        # `_close_gap` comes first in the condition, because it must always be called.
+        if self._close_gap(node) or must_advance:
             self.advance()
 
     def advance(self) -> None:
@@ -168,7 +168,7 @@ class ReliableSender:
             self._timer.set(due)
 
     def resume(self) -> None:
-        """Continue at this instant, because the radio of the node may be up again."""
+        """Advance at this instant, because the radio of the node may be up again."""
         self._timer.set(self._endpoint.env.now)
 
     def forget(self) -> None:
@@ -194,7 +194,7 @@ class ReliableSender:
         due = first.expires
         for entry in self._sent():
             for owed in entry.owed.values():
-                if owed.due < due:  # in half of the time of `min`
+                if owed.due < due:  # takes half of the time of `min`
                     due = owed.due
         return due
 
@@ -253,22 +253,22 @@ class ReliableSender:
             self._close_gap(node)
 
     def _finish(self, entry: Entry, node: int) -> None:
-        """Owe a message to a node no more."""
+        """End the transport of a message to one receiver: it has the message, or does not get it any more."""
         del entry.owed[node]
         if not entry.owed:
             del self._entries[entry.seq]
 
     def _first(self, node: int) -> Entry | None:
-        """Return the first message that has been transmitted to a receiver, and that it has not acknowledged."""
+        """Return the first message that a receiver has not acknowledged; None if it has not been transmitted yet."""
         for entry in self._entries.values():
             if node in entry.owed:
                 return entry if entry.seq < self._unsent else None
         return None
 
     def _close_gap(self, node: int) -> bool:
-        """Plan to tell a receiver not to wait, if it holds the first message that it has not acknowledged.
+        """Plan to tell a receiver not to wait if it holds the first message that it has not acknowledged.
 
-        The messages that it waits for have then been given up. Return whether this is planned now.
+        The earlier messages, for which it waits, have then been given up. Return whether the plan is new.
         """
         first = self._first(node)
         if first is None or not (owed := first.owed[node]).is_held or owed.due < NEVER:
@@ -281,9 +281,9 @@ class CodedSender:
     """A sender that transmits the pieces of its messages, each once; under best effort a message is a single piece.
 
     Args:
-        flow: its messages.
+        flow: the messages.
         model: the transport.
-        endpoint: its node.
+        endpoint: the node that sends them.
     """
 
     def __init__(self, flow: MessageFlow, model: Coded | BestEffort, endpoint: Endpoint):
@@ -320,7 +320,7 @@ class CodedSender:
             self._timer.set(waiting[0][0])
 
     def resume(self) -> None:
-        """Continue at this instant, because the radio of the node may be up again."""
+        """Advance at this instant, because the radio of the node may be up again."""
         self._timer.set(self._endpoint.env.now)
 
     def forget(self) -> None:
