@@ -1,4 +1,4 @@
-"""The state of an access model in one run: it plans when each node senses the channel, and when it transmits.
+"""Access models in one run: they plan when each node senses the channel, and when it transmits.
 
 `access_method` returns the `AccessMethod` of a model. It plans the next action of each node in `Contenders.due`;
 `desim.kernel.channel.contention` performs the actions.
@@ -56,7 +56,7 @@ class AccessMethod:
         Args:
             node: the node.
             now: the present, ns.
-            arrived: whether its frame has just come to an empty queue; else it follows another frame of the node.
+            arrived: whether its frame has just entered an empty queue; if not, it follows another frame of the node.
         """
         self._nodes.due[node] = now
 
@@ -64,7 +64,7 @@ class AccessMethod:
         """Perform the planned actions of some nodes now (ns).
 
         Returns:
-            the nodes that start to transmit, and those that drop their frame. The action of all others is planned anew.
+            the nodes that start to transmit, and those that drop their frame; for all others a new action is planned.
         """
         return due, due[:0]
 
@@ -75,12 +75,12 @@ class AccessMethod:
         """Plan the actions of nodes that sense now (ns) that the channel has become idle."""
 
     def note(self, nodes: Integers, received: Bools) -> None:
-        """Note which of the nodes that sense a frame have received it, at its end."""
+        """Note at the end of a frame which of the nodes that sense it have received it."""
 
     def transmitted(self, node: int, *, acknowledged: bool) -> bool:
         """Note the end of a frame of a node, or of its wait for an acknowledgement.
 
-        Return whether a frame without acknowledgement is transmitted again.
+        Return whether the frame is transmitted again, because it has not been acknowledged.
         """
         return False
 
@@ -96,7 +96,7 @@ class _SlottedAloha(AccessMethod):
 
     def prepare(self, node: int, now: int, *, arrived: bool) -> None:
         clock = self._clocks[node]
-        # The number of slots up to the first success is geometric: one draw and one event, not one for each slot.
+        # The number of slots up to the first success is geometric, so one draw and one event replace one for each slot.
         first = -(-round(clock.at(now) * SECOND) // self._slot)
         start = (first + int(self._rng.geometric(self._p)) - 1) * self._slot
         self._nodes.due[node] = min(max(clock.when(seconds(start)), now), NEVER)
@@ -155,7 +155,7 @@ class _CsmaCa(AccessMethod):
         self._slot, self._difs = nanoseconds(model.slot), nanoseconds(model.difs)
         self._window, self._doublings, self._retries = model.window, model.doublings, model.retries
         self._left = np.zeros(len(nodes.due), dtype=np.int64)
-        """Number of slots that are left of the back-off of each node."""
+        """Remaining number of slots in the back-off of each node."""
         self._failed = np.zeros(len(nodes.due), dtype=np.int64)
         """Number of failed attempts to transmit the present frame of each node."""
         self._immediate = np.zeros(len(nodes.due), dtype=bool)
@@ -180,8 +180,8 @@ class _CsmaCa(AccessMethod):
         self._left[nodes] = left - np.minimum(np.maximum(elapsed, 0), left)
         ready = nodes[self._nodes.ready[nodes]]
         if len(ready):
-            # A node whose back-off ends now transmits all the same: it cannot sense the frame in time. The sender is
-            # not ready, so it is not among these nodes.
+            # A node whose back-off ends now transmits nevertheless, because it cannot sense the frame in time. The
+            # sender is not ready, so it is not among these nodes.
             later = ready[self._nodes.due[ready] > now]
             self._nodes.due[later] = NEVER
             for node in later[self._immediate[later]].tolist():
@@ -193,10 +193,10 @@ class _CsmaCa(AccessMethod):
             self._nodes.due[ready] = self._start(ready)
 
     def transmitted(self, node: int, *, acknowledged: bool) -> bool:
-        again = not acknowledged and self._failed[node] < self._retries
-        self._failed[node] = self._failed[node] + 1 if again else 0
+        is_repeated = not acknowledged and self._failed[node] < self._retries
+        self._failed[node] = self._failed[node] + 1 if is_repeated else 0
         self._draw(node)
-        return bool(again)
+        return bool(is_repeated)
 
     def _start(self, nodes: Integers | int) -> Integers:
         return self._idle_from(nodes) + self._left[nodes] * self._slot
@@ -228,13 +228,14 @@ class _Tdma(AccessMethod):
         for slot, owner in enumerate(owners):
             self._slots[owner].append(slot)
         self._used: Integers = np.full(len(clocks), -1)
-        """The start of the last slot that each node has used, ns; the airtime of a frame may be 0."""
+        """The start of the last slot that each node has used, ns: a slot holds one frame, also if its airtime is 0."""
 
     def prepare(self, node: int, now: int, *, arrived: bool) -> None:
         clock = self._clocks[node]
-        rounds = floor(clock.at(now) / self._slot) // self._slots_per_round - 1  # may be negative: clocks differ
-        turns, first = range(rounds, rounds + 4), max(now, int(self._used[node]) + 1)
-        for k in (turn * self._slots_per_round + slot for turn in turns for slot in self._slots[node]):
+        # From the round before the present one, to allow for rounding; local times, and so rounds, may be negative.
+        round_before = floor(clock.at(now) / self._slot) // self._slots_per_round - 1
+        rounds, first = range(round_before, round_before + 4), max(now, int(self._used[node]) + 1)
+        for k in (turn * self._slots_per_round + slot for turn in rounds for slot in self._slots[node]):
             if (start := clock.when(k * self._slot)) >= first:
                 self._nodes.due[node] = start
                 return

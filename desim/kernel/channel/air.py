@@ -1,6 +1,6 @@
 """The frames on the air of a channel for which nodes contend, and the receivers at which they are lost.
 
-At the end of a frame all frames that overlap it are known, and the model of interference decides where it is lost.
+All frames that overlap a frame are known at its end. The model of interference then decides which receivers lose it.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ from desim.kernel.topology.correlated_channel import Ends, uncorrelated
 from desim.kernel.topology.topology import Topology
 
 FAR = 1e150
-"""Distance, m, that stands for an opaque wall: the power there is 0, and differences of levels are defined."""
+"""Distance, m, that stands for an opaque wall: the power there is 0, and levels in dB have defined differences."""
 
 
 class Air:
@@ -58,7 +58,7 @@ class Air:
             raise _no_positions()
 
     def add(self, frame: Frame) -> None:
-        """Put a frame on the air now, or one that begins in a known time."""
+        """Put a frame on the air that begins now or, as an acknowledgement, after SIFS."""
         now = self._env.now
         if self._locks:
             frame.locked = np.ones(len(self._all), dtype=bool)
@@ -68,6 +68,7 @@ class Air:
             frame.overlapping.append(other)
             other.overlapping.append(frame)
             if frame.locked is not None and other.locked is not None:
+                # A radio locks onto the first frame that it hears, and onto none while it transmits.
                 frame.locked[other.src] = other.locked[frame.src] = False
                 first, second = (other, frame) if other.begin < frame.begin else (frame, other)
                 if first.begin < second.begin and first.locked is not None and second.locked is not None:
@@ -77,12 +78,12 @@ class Air:
         self._frames.append(frame)
 
     def remove(self, frame: Frame, receivers: list[int]) -> dict[int, Cause]:
-        """Take a frame from the air now; return the causes of its losses, by receiver."""
+        """Remove a frame from the air now; return the causes of its losses, by receiver."""
         self._frames.remove(frame)
         if not self._frames:
             self._busy += self._env.now - self._busy_since
         causes = self._judge(frame, receivers)
-        frame.overlapping = []  # the frames refer to each other
+        frame.overlapping = []  # frees memory without a garbage collection: the frames refer to each other
         return causes
 
     def received(self, frame: Frame, nodes: Integers) -> Bools:
@@ -93,7 +94,7 @@ class Air:
         return is_received
 
     def busy_time(self) -> int:
-        """Return the total time, ns, for which there have been frames; SIFS before acknowledgements counts, too."""
+        """Return the total time, ns, with frames on the air; the SIFS before an acknowledgement counts, too."""
         return self._busy + (self._env.now - self._busy_since if self._frames else 0)
 
     def _judge(self, frame: Frame, receivers: list[int]) -> dict[int, Cause]:
@@ -123,8 +124,8 @@ class Air:
         lost = dict.fromkeys(nodes[~received].tolist(), cause)
         if self.hears is not None:
             lost |= dict.fromkeys(nodes[~self.hears(frame.src, nodes)].tolist(), "tuning")
-        deaf = {other.src for other in frame.overlapping}
-        return lost | {node: "half_duplex" for node in receivers if node in deaf}
+        transmitting = {other.src for other in frame.overlapping}
+        return lost | {node: "half_duplex" for node in receivers if node in transmitting}
 
     def _tuned(self, frame: Frame) -> Bools:
         """Return (n,) which nodes are tuned to a frame."""

@@ -48,27 +48,27 @@ class CarrierSense:
         self._topology, self._positions, self._hears = topology, positions, hears
         model = access if isinstance(access, CarrierSensing) else CarrierSensing()
         self._range, self._delay = model.sensing_range, nanoseconds(model.sensing_delay)
-        self._known: dict[int, Integers] = {}
-        """The listeners of each node, if there is no range; up to `ROOM` numbers."""
+        self._listeners: dict[int, Integers] = {}
+        """The listeners of each node, if no range is checked, so that they are constant; up to `ROOM` numbers."""
         if self._range is not None and positions is None:
             raise KeyedError(Problem("a sensing range needs positions", "medium.access"))
 
     def listeners(self, node: int) -> Integers:
         """Return the nodes that sense the frames of a node.
 
-        Without a sensing delay the node itself is among them, so that all are updated at once.
+        Without a sensing delay the node itself is among them, so that one call of `count` updates all.
         """
         if not self._method.senses:
             return np.empty(0, dtype=np.int64)
-        listeners = self._known.get(node)
+        listeners = self._listeners.get(node)
         if listeners is None:
             listeners = self._near(node)
             if self._hears is not None:
                 listeners = listeners[self._hears(node, listeners)]
             if not self._delay:
                 listeners = np.append(listeners, node)
-            if self._range is None and self._topology.is_static and (len(self._known) + 1) * len(listeners) <= ROOM:
-                self._known[node] = listeners
+            if self._range is None and self._topology.is_static and (len(self._listeners) + 1) * len(listeners) <= ROOM:
+                self._listeners[node] = listeners
         return listeners
 
     def _near(self, node: int) -> Integers:
@@ -99,7 +99,7 @@ class CarrierSense:
     def count(self, nodes: Integers, change: int) -> None:
         """Change the number of frames that some nodes sense, by 1 or -1.
 
-        A node that is silent for another reason takes the channel as busy, as if it sensed one more frame.
+        A node that must be silent for another reason counts one more frame, as if it sensed one.
         """
         state, now = self._nodes, self._env.now
         before = state.busy[nodes]

@@ -1,9 +1,8 @@
 """A channel for which nodes contend: their queues, and when each of them transmits.
 
 Each node has a FIFO queue. The access method plans the time at which each node acts next. One SimPy event stands for
-the earliest of these times, and each frame has one event at its end, regardless of the number of nodes. What the nodes
-sense is kept in arrays over all nodes (`CarrierSense`), and what is lost on the air is decided at the end of each frame
-(`Air`).
+the earliest of these times, and each frame has one event at its end, regardless of the number of nodes. `CarrierSense`
+holds the state of the channel at each node in arrays, and `Air` decides the losses at the end of each frame.
 """
 
 from collections import deque
@@ -29,7 +28,7 @@ from desim.kernel.state.transmission import Transmission
 ACKNOWLEDGEMENT = -1
 """The number of the frames of acknowledgements, which no node receives as a message."""
 FIRST_DRAW = 1 << 40
-"""The number of the draws of the first acknowledgement or repeated frame; other frames use that of the transmission."""
+"""The first number for draws of acknowledgements and repeated frames; other frames use that of their transmission."""
 
 
 @dataclass(frozen=True)
@@ -62,9 +61,9 @@ class _Awaited:
     """An acknowledgement for which a sender waits."""
 
     item: Transmission | None
-    """The transmission to be acknowledged; None: its sender has crashed, so it has no outcome."""
+    """The transmission to be acknowledged; None: its sender has crashed, so it is lost already."""
     cause: Cause
-    """The cause of the failure if no acknowledgement comes."""
+    """The cause of the loss if no acknowledgement comes."""
 
 
 class Contention:
@@ -99,22 +98,22 @@ class Contention:
         self._draws = count(FIRST_DRAW)
         self._queues: list[deque[Transmission]] = [deque() for _ in range(topology.size)]
         self._sending: dict[int, Transmission | None] = {}
-        """The transmission that each node has on the air; None: its sender has crashed, so it has no outcome."""
+        """The transmission that each node has on the air; None: its sender has crashed, so it is lost already."""
         self._repeated: set[int] = set()
         """The numbers of the transmissions of which an attempt has failed."""
         timeout, eifs = (None, None) if csma_ca is None else (csma_ca.ack_timeout, csma_ca.eifs)
         self._timeout = None if timeout is None else nanoseconds(timeout)
-        """Time for which a sender waits for an acknowledgement, ns; None: none is lost."""
+        """Time for which a sender waits for an acknowledgement, ns; None: acknowledgements are never lost."""
         self._sifs, self._ack = (0, 0) if csma_ca is None else (nanoseconds(csma_ca.sifs), nanoseconds(csma_ca.ack))
-        """The space before an acknowledgement and its airtime, ns."""
+        """The interframe space before an acknowledgement, and its airtime, ns."""
         self._notes = timeout is not None or eifs is not None
-        """Whether it matters which nodes that sense a frame receive it."""
+        """Whether the access method depends on which of the nodes that sense a frame receive it."""
         self._awaiting: dict[int, _Awaited] = {}
         """The acknowledgement for which each node waits."""
         self._acknowledged: dict[int, Transmission] = {}
-        """By the number of its draws: the transmission of each acknowledgement that is on the air and can be lost."""
+        """The transmission of each acknowledgement on the air that can be lost, by the number of its draws."""
         self._received: set[int] = set()
-        """The numbers of the transmissions that were received, and whose sender does not know it."""
+        """The numbers of the transmissions that were received, but are not acknowledged yet."""
         self._silent_until = [0] * topology.size
         """The time until which each node does not transmit because of the duty cycle, ns."""
         self._wake: int = NEVER
@@ -129,34 +128,35 @@ class Contention:
         queue.append(item)
         if len(queue) == 1:
             self._prepare(item.src, arrived=True)
-        # The first is not dropped if it contends, or is to be transmitted again.
-        kept = int(self._nodes.ready[item.src] or queue[0].number in self._repeated)
-        if len(queue) > self._medium.queue_limit + kept:
-            self._callbacks.lose(queue[kept], "queue")
-            del queue[kept]
+        # The oldest is dropped, but not the first if it contends or is to be transmitted again.
+        oldest = int(self._nodes.ready[item.src] or queue[0].number in self._repeated)
+        if len(queue) > self._medium.queue_limit + oldest:
+            self._callbacks.lose(queue[oldest], "queue")
+            del queue[oldest]
 
     def flush(self, src: int) -> list[Transmission]:
         """Remove and return all transmissions of a node whose radio goes down now, also that on the air.
 
-        The frame on the air stays there until its end, as interference and as a busy channel, but has no outcome.
+        The frame on the air stays there until its end, as interference and as a busy channel, but its transmission is
+        returned here. A transmission that has been received is not returned: it is not lost.
         """
-        taken = list(self._queues[src])
+        flushed = list(self._queues[src])
         self._queues[src].clear()
         self._nodes.ready[src] = False
         self._access.reset(src)
         item = self._sending.get(src)
         if item is not None:
             self._sending[src] = None
-            taken.append(item)
+            flushed.append(item)
         awaited = self._awaiting.get(src)
         if awaited is not None and awaited.item is not None:
-            taken.append(awaited.item)
+            flushed.append(awaited.item)
             awaited.item = None
-        numbers = {queued.number for queued in taken}
-        taken = [queued for queued in taken if queued.number not in self._received]
+        numbers = {item.number for item in flushed}
+        flushed = [item for item in flushed if item.number not in self._received]
         self._repeated -= numbers
         self._received -= numbers
-        return taken
+        return flushed
 
     def waiting(self) -> Iterator[Transmission]:
         """Yield the transmissions that wait, and those on the air that are to be acknowledged and not yet received."""
@@ -177,7 +177,7 @@ class Contention:
 
     def _prepare(self, node: int, *, arrived: bool = False) -> None:
         """Let the first transmission in the queue of a node contend, if there is one and the node may transmit now."""
-        # At the end of its silence, another action of this instant may have come first.
+        # The end of a silence also calls this, when the node may contend or transmit already.
         is_idle = node not in self._sending and node not in self._awaiting and not self._nodes.ready[node]
         if is_idle and self._queues[node] and self._env.now >= self._silent_until[node]:
             self._nodes.ready[node] = True
@@ -194,7 +194,7 @@ class Contention:
     def _act(self, planned: int) -> None:
         """Perform the actions that are planned for now."""
         if planned != self._wake:
-            return  # an earlier event has been scheduled since, and has planned anew
+            return  # an earlier event was scheduled after this one, and has planned the next
         now, self._wake = self._env.now, NEVER
         due = (self._nodes.due <= now).nonzero()[0]
         starting, dropping = self._access.act(due, now) if len(due) else (due, due)
@@ -221,14 +221,14 @@ class Contention:
         return frame
 
     def _transmit(self, number: int, node: int, begin: int, airtime: int, draw: int) -> Frame:
-        """Put a frame on the air that begins now, or in a known time."""
+        """Put a frame on the air that begins now or, for an acknowledgement, after SIFS."""
         frame = Frame(number, draw, node, begin, begin + airtime, self._carrier.listeners(node))
         self._air.add(frame)
         Instant(self._env, frame.end, Phase.DELIVERY).callbacks.append(lambda _: self._end(frame))
         return frame
 
     def _end(self, frame: Frame) -> None:
-        """Take a frame from the air, and decide at which receivers it is lost."""
+        """Remove a frame from the air, and decide at which receivers it is lost."""
         if self._notes:
             self._note(frame)
         if frame.number == ACKNOWLEDGEMENT:
@@ -254,7 +254,7 @@ class Contention:
         self._prepare(frame.src)
 
     def _conclude(self, src: int, item: Transmission | None, cause: Cause | None) -> None:
-        """End an attempt of a node, which has failed by a cause, or not (None): repeat, give up or finish its item."""
+        """End an attempt of a node, given the cause of its failure, or None: repeat, give up or finish its item."""
         is_repeated = self._access.transmitted(src, acknowledged=item is None or cause is None)
         if item is None:
             return
@@ -267,7 +267,7 @@ class Contention:
         self._received.discard(item.number)
 
     def _rest(self, frame: Frame) -> None:
-        """Let the sender of a frame be silent after it, if there is a duty cycle; a silence that lasts is prolonged."""
+        """If there is a duty cycle, let the sender of a frame be silent after it, or prolong the present silence."""
         if self._medium.duty_cycle is None:
             return
         airtime, node = frame.end - frame.begin, frame.src
@@ -276,12 +276,12 @@ class Contention:
         Instant(self._env, self._silent_until[node], Phase.ACCESS).callbacks.append(lambda _: self._prepare(node))
 
     def _acknowledge(self, node: int) -> Frame:
-        """Let a node transmit an acknowledgement after SIFS; in that time, too, the channel is sensed as busy."""
+        """Let a node transmit an acknowledgement after SIFS; other nodes sense a busy channel from now on."""
         frame = self._transmit(ACKNOWLEDGEMENT, node, self._env.now + self._sifs, self._ack, next(self._draws))
         self._carrier.sense(frame, 1)
         self._nodes.due[node] = NEVER
         if self._medium.duty_cycle is not None:
-            self._nodes.ready[node] = False  # it may have contended, and contends again after its silence
+            self._nodes.ready[node] = False  # if the node contends, it does so again after its silence
             self._rest(frame)
         return frame
 
@@ -304,9 +304,9 @@ class Contention:
         Instant(self._env, end, Phase.DELIVERY).callbacks.append(lambda _: self._carrier.count(silent, -1))
 
     def _await(self, frame: Frame, item: Transmission, cause: Cause | None) -> None:
-        """Let a sender wait for the acknowledgement of its frame, which ends now and was lost by a cause, or received.
+        """Let a sender wait for the acknowledgement of its frame, which ends now; `cause` is that of its loss, or None.
 
-        Until then it takes the channel as busy.
+        While it waits, it counts the channel as busy.
         """
         assert self._timeout is not None
         src = frame.src
@@ -325,7 +325,7 @@ class Contention:
         Instant(self._env, self._env.now + self._timeout, Phase.DELIVERY).callbacks.append(time_out)
 
     def _end_acknowledgement(self, frame: Frame) -> None:
-        """Take an acknowledgement from the air, and let the sender that waits for it know, unless it is lost."""
+        """Remove an acknowledgement from the air, and end the wait of its receiver unless it is lost."""
         item = self._acknowledged.pop(frame.draw, None)
         causes = self._air.remove(frame, [item.src] if item is not None else [])
         self._carrier.sense(frame, -1)
@@ -339,7 +339,7 @@ class Contention:
             awaited.cause = cause
 
     def _settle(self, src: int, cause: Cause | None) -> None:
-        """End the wait of a sender for an acknowledgement, which has not come for a cause, or has (None)."""
+        """End the wait of a sender for an acknowledgement, given the cause of its loss; None: it has arrived."""
         self._conclude(src, self._awaiting.pop(src).item, cause)
         self._carrier.count(np.array([src]), -1)
         self._prepare(src)

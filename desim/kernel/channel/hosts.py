@@ -1,7 +1,7 @@
 """The hosts of the nodes: the time that a message spends at its sender before it reaches the queue of the transmitter.
 
-Without such times, messages that several nodes create at one instant, as in rounds, start on the air at the same
-nanosecond. No carrier sensing avoids their collision, and no team of robots is that synchronous.
+Without this time, messages that several nodes create at one instant, as in rounds, start on the air at the same
+nanosecond. Carrier sensing cannot avoid their collision, and no team of robots is that synchronous.
 
 Kept equal to draws of a constant delay by
 `tests/kernel/test_hosts.py::test_a_constant_delay_is_that_of_a_model_that_always_draws_it`.
@@ -23,7 +23,7 @@ from desim.kernel.state.transmission import Transmission
 
 
 class Hosts:
-    """Passes each transmission on to the queue of its sender after a processing delay, in the order of a sender.
+    """Passes each transmission on to the queue of its sender after a processing delay, in the order of sending.
 
     Args:
         env: the clock of the simulation.
@@ -41,7 +41,7 @@ class Hosts:
         self._last = [0] * size
         """The time at which each node passes on its newest transmission, ns."""
         self._restarts = [0] * size
-        """Number of times that each node was flushed."""
+        """Number of times that each node was flushed; events of earlier times have no effect."""
 
     def process(self, item: Transmission) -> None:
         """Pass a transmission on after its delay, and not before an earlier one of its sender."""
@@ -53,11 +53,11 @@ class Hosts:
 
     def flush(self, src: int) -> list[Transmission]:
         """Remove and return the transmissions of a node that are not passed on yet."""
-        taken = list(self._held[src])
+        flushed = list(self._held[src])
         self._held[src].clear()
         self._restarts[src] += 1
         self._last[src] = 0
-        return taken
+        return flushed
 
     def waiting(self) -> Iterator[Transmission]:
         """Yield the transmissions that are not passed on yet."""

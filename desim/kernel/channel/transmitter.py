@@ -53,8 +53,8 @@ class Transmitter:
         self._leave, self._wait, self._drop = leave, wait, drop
         self._airtime_of = airtimes(medium)
         self.channels = 1 if medium.shared else size
-        # A shared channel serves the transmissions of all nodes in order, and a full node drops its own oldest. As each
-        # waiting transmission is in the queue of its channel and in that of its node, both take constant time.
+        # A shared channel serves the transmissions of all nodes in order, and a node with a full queue drops its oldest
+        # one. A waiting transmission is in the queue of its channel and in that of its node, so both are O(1).
         self._waiting: list[OrderedDict[int, Transmission]] = [OrderedDict() for _ in range(self.channels)]
         """The waiting transmissions of each channel, by number."""
         self._of_node: list[deque[Transmission]] = [deque() for _ in range(size)]
@@ -84,12 +84,12 @@ class Transmitter:
 
     def flush(self, src: int) -> list[Transmission]:
         """Remove and return all waiting transmissions of a node."""
-        taken = list(self._of_node[src])
+        flushed = list(self._of_node[src])
         self._of_node[src].clear()
         waiting = self._waiting[self._channel(src)]
-        for item in taken:
+        for item in flushed:
             del waiting[item.number]
-        return taken
+        return flushed
 
     def waiting(self) -> Iterator[Transmission]:
         """Yield the waiting transmissions."""
@@ -100,7 +100,7 @@ class Transmitter:
         return self._busy - portable_sum(max(0, free_at - self._env.now) for free_at in self._free_at)
 
     def during(self, nodes: Collection[int], first: int, last: int) -> dict[int, list[tuple[int, int]]]:
-        """Return start and end of each recent transmission of some nodes that may concern receptions, by node.
+        """Return start and end, ns, of the recent transmissions of some nodes that may overlap receptions, by node.
 
         Args:
             nodes: the nodes that receive.
@@ -140,7 +140,7 @@ class Transmitter:
     def _next(self, channel: int) -> None:
         waiting = self._waiting[channel]
         if not waiting or self._env.now < self._free_at[channel]:
-            return  # the transmission that waited has been removed, or has already started
+            return  # the transmission for which this event was scheduled has been removed, or has started
         _, item = waiting.popitem(last=False)
         self._of_node[item.src].popleft()
         self._begin(channel, item)
