@@ -73,7 +73,7 @@ def as_seconds(delays: Any, model: object) -> "NDArray[np.float64]":
         ValueError: if they are not numbers.
     """
     seconds = array_of(delays)
-    if seconds.dtype.kind not in "iuf":  # a boolean is the answer of a loss model in the place of a latency
+    if seconds.dtype.kind not in "iuf":  # booleans are refused: a loss model may have been given as the latency
         raise wrong_answer("latencies should be finite times >= 0 s", delays, model)
     return np.asarray(seconds, dtype=float)
 
@@ -126,5 +126,5 @@ def booleans_of(answer: Any, count: int, model: object) -> list[bool]:
     booleans = array_of(answer)
     if booleans.dtype != bool or (booleans.shape != (count,) and booleans.shape != ()):
         raise wrong_answer(f"losses should be one boolean or one for each of {count} links", answer, model)
-    lost: bool | list[bool] = booleans.tolist()  # `np.broadcast_to` takes 8 us
+    lost: bool | list[bool] = booleans.tolist()  # not `np.broadcast_to`, which takes 8 us
     return [lost] * count if isinstance(lost, bool) else lost

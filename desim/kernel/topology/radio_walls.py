@@ -1,10 +1,10 @@
-"""Radio through walls: the loss on the straight line between two nodes, and the distance that it stands for.
+"""Radio through walls: the loss on the straight line between two nodes, and the longer distance with the same loss.
 
 A wall of A dB has the effect of a distance that is 10^(A / (10 n)) times as long, where n is the path loss exponent. So
 it shortens the range of a disk by this factor, and any model whose power falls as d^-n receives A dB less. Reflections
 and diffraction are not modelled. The losses along the line add up, as in the multi-wall model of COST 231 (1999,
-"Digital Mobile Radio Towards Future Generation Systems", 4.7.2). Exponents that already have the walls of a building in
-them, as those of ITU-R P.1238, would count them twice.
+"Digital Mobile Radio Towards Future Generation Systems", 4.7.2). Exponents that include the walls of a building, as
+those of ITU-R P.1238 do, would count the walls twice.
 """
 
 from collections.abc import Sequence
@@ -20,15 +20,15 @@ from desim.kernel.walls.crossings import crossed_by
 from desim.kernel.walls.wall import Wall, blocking
 
 NOWHERE = complex(nan, nan)
-"""Stands for the position of a node to which no loss has been computed; it equals no position."""
+"""In place of the position of a node to which no loss has been computed; nan equals no position."""
 LARGEST = 600.0
-"""Largest natural logarithm of a factor: a distance that is e^600 times as long is out of every range."""
+"""Largest natural logarithm of a factor, so that `exp` cannot overflow; e^600 is out of every range."""
 
 
 class RadioWalls:
     """The walls that block radio, and the factors by which they stretch distances between nodes.
 
-    Factors are kept as long as neither end has moved: most pursuers stand still most of the time.
+    Factors are kept as long as neither end has moved, because most pursuers stand still most of the time.
 
     Kept equal to factors that are computed at each use by
     `tests/kernel/test_radio_walls.py::test_losses_are_kept_until_an_end_moves`.
@@ -70,20 +70,20 @@ class RadioWalls:
             starts: (1, 2) or (k, 2) positions of the senders, m.
             ends: (k, 2) positions of the receivers, m.
             apart: (k,) their distances, m.
-            farthest: a distance, m; of a node beyond it, the result is only known to be greater.
+            farthest: a distance, m, beyond which results need not be exact: they are only greater than it.
         """
         if not self._keeps or not isinstance(src, int):
             return apart * self._factors(starts, ends)
-        row, place = self._kept.get(src), complex(*starts[0].tolist())
-        if row is None or row.place != place:
-            row = self._kept[src] = _Row(place, np.full(self._size, NOWHERE), np.ones(self._size))
-        places = np.ascontiguousarray(ends).view(np.complex128)[:, 0]
-        is_all = len(dst) == self._size  # the nodes are in ascending order
-        moved = (((row.places if is_all else row.places[dst]) != places) & (apart <= farthest)).nonzero()[0]
+        row, position = self._kept.get(src), complex(*starts[0].tolist())
+        if row is None or row.position != position:
+            row = self._kept[src] = _Row(position, np.full(self._size, NOWHERE), np.ones(self._size))
+        positions = np.ascontiguousarray(ends).view(np.complex128)[:, 0]
+        is_all = len(dst) == self._size  # then `dst` is ascending, so `row` needs no index
+        moved = (((row.positions if is_all else row.positions[dst]) != positions) & (apart <= farthest)).nonzero()[0]
         if len(moved):
             nodes = dst[moved]
             row.factors[nodes] = self._factors(starts, ends[moved])
-            row.places[nodes] = places[moved]
+            row.positions[nodes] = positions[moved]
         return apart * (row.factors if is_all else row.factors[dst])
 
     def _factors(self, starts: Floats, ends: Floats) -> Floats:
@@ -100,12 +100,12 @@ class RadioWalls:
 class _Row(NamedTuple):
     """The factors between one node and the others."""
 
-    place: complex
+    position: complex
     """The position of the node, m."""
-    places: Points
-    """(n,) the positions of the others for which the factors hold, m."""
+    positions: Points
+    """(n,) the positions of the others for which the factors were computed, m; or `NOWHERE`."""
     factors: Floats
-    """(n,)"""
+    """(n,) the factors by which walls stretch distances."""
 
 
 def range_factor(decibels: float, exponent: float) -> float:

@@ -30,8 +30,8 @@ class RangeCheck:
         size: number of nodes.
 
     The arguments of its methods, for k receivers, are the sender `src` (one for all or (k,)), the receivers `dst` (k,),
-    their distances `apart` (k,) in m, and the number of the `message` (one for all or (k,)). Without a number, and with
-    fading per message, a message is received where the probability is at least 1/2.
+    their distances `apart` (k,) in m, and the number of the `message` (one for all or (k,)). If fading is per message
+    and there is no number, a message is received where the probability is at least 1/2.
     """
 
     def __init__(self, reception: ReceptionModel | None, range: float, per_link: bool, seed: int, size: int):  # noqa: A002
@@ -43,7 +43,7 @@ class RangeCheck:
         self.exponent = traits.exponent
         """The path loss exponent n by which walls shorten the range."""
         self._drawn: dict[int, Floats] = {}
-        """By sender, the draws of its pairs with all nodes; up to `ROOM` numbers."""
+        """By sender, the draws of its pairs with all nodes; `ROOM` draws at most."""
 
     @property
     def bound(self) -> float:
@@ -72,7 +72,7 @@ class RangeCheck:
         """Return (k,) which messages are received in the present states of their channels, at (k,) distances, m.
 
         Raises:
-            ValueError: if the model cannot tell, or its answer is not a boolean for each distance.
+            ValueError: if the model has no method `received`, or this returns no boolean for each link.
         """
         received = ReceptionTraits.of(self._reception).received
         if received is None:
@@ -94,8 +94,8 @@ class RangeCheck:
             return apart <= self._range
         probability = self._probability(apart)
         if self._per_link:
-            kept = self._drawn.get(src)
-            draw = pair_draw(self._seed, "fading", src, dst) if kept is None else kept.item(dst)
+            draws = self._drawn.get(src)
+            draw = pair_draw(self._seed, "fading", src, dst) if draws is None else draws.item(dst)
         else:
             draw = pair_draw(self._seed, "fading", src, dst, message, symmetric=False)
         return draw <= probability
@@ -119,8 +119,8 @@ class RangeCheck:
             return pair_uniform(self._seed, "fading", src, dst)
         if src not in self._drawn and (len(self._drawn) + 1) * self._size <= ROOM:
             self._drawn[src] = pair_uniform(self._seed, "fading", src, np.arange(self._size))
-        kept = self._drawn.get(src)
-        return pair_uniform(self._seed, "fading", src, dst) if kept is None else kept[dst]
+        draws = self._drawn.get(src)
+        return pair_uniform(self._seed, "fading", src, dst) if draws is None else draws[dst]
 
 
 class WalledRangeCheck(RangeCheck):

@@ -72,8 +72,8 @@ class CellList:
         if self._max_speed < inf:
             return self._max_speed * (self._now() - self._when)
         at = self._positions()
-        fixed = at is self._seen and at.flags.owndata and not at.flags.writeable
-        if not fixed:
+        is_unchanged = at is self._seen and at.flags.owndata and not at.flags.writeable
+        if not is_unchanged:
             self._seen, self._drift = at, float(np.abs(at - self._at).max())
         return self._drift
 
@@ -81,7 +81,7 @@ class CellList:
         """Hash all nodes by their current positions."""
         self._when, self._at, self._drift = self._now(), self._positions().copy(), 0.0
         cells = self._cells_of(self._at)
-        # Few nodes change their cell in the time of half a skin, so the dicts are updated for these nodes only.
+        # Few nodes change their cell while they move by half a skin, so the dicts are updated for these nodes only.
         moved = (cells != self._cells).any(axis=1).nonzero()[0]
         self._leave(moved.tolist(), self._cells[moved])
         self._enter(moved.tolist(), cells[moved])

@@ -23,18 +23,17 @@ from desim.kernel.topology.spatial_hash import CellList
 from desim.kernel.walls.wall import Wall
 
 FEW = 4
-"""Number of receivers up to which their distances are computed one by one: operations on arrays take longer."""
+"""Number of receivers up to which it is faster to compute their distances one by one than with arrays."""
 SMALL_NETWORK = 400
-"""Number of nodes up to which computing all distances is faster than a cell list, and receivers are kept."""
+"""Number of nodes up to which it is faster to compute all distances than to use a cell list, and receivers are kept."""
 
 
 class Topology:
     """The neighbourhoods of nodes 0 .. n - 1.
 
-    The static graph is read once. With a range, the neighbourhoods follow the positions: a query computes the
-    distances, unless the receivers of the last search certainly still hold (`KeptReceivers`). In a large complete
-    graph, if reception has a maximum distance, a query uses a cell list and computes only the distances of nearby
-    nodes.
+    The static graph is read once. With a range, the neighbourhoods follow the positions: a query computes distances,
+    unless the receivers of the last search are certainly still the same (`KeptReceivers`). In a large complete graph,
+    if reception has a maximum distance, a query uses a cell list and computes only the distances of nearby nodes.
 
     Kept equal to a search among all nodes by
     `tests/kernel/test_topology.py::test_queries_with_many_nodes_equal_those_with_few`.
@@ -97,11 +96,11 @@ class Topology:
         if has_walls:
             self.walls, self._bound = RadioWalls(walls, size, self._range_check.exponent), self._range_check.bound
         self._few = 1
-        """Number of receivers that `reaches` may take one by one: `FEW` if the source has a fast `distance`, else 1."""
+        """Number of receivers that `reaches` checks one by one: `FEW` if the source has a fast `distance`, else 1."""
         self._kept: KeptReceivers | None = None
         """The receivers of the last searches.
 
-        None: links have no certain border, nothing bounds the time until a node crosses one, or nodes are too many.
+        None: links have no certain border, the speed of the nodes is unbounded, or there are too many nodes.
         """
         if self._positions is not None:
             if type(self._positions).distance is not PositionSource.distance:
@@ -165,37 +164,37 @@ class Topology:
         if isinstance(src, int) and times is None:
             # In a complete graph, the receivers of the last search are all other nodes in range.
             if self._kept is not None and self._complete:
-                if len(dst) > self._few:  # enough receivers that a search pays
+                if len(dst) > self._few:  # a search is faster than one check for each receiver
                     return list(map({src, *self._within_border(src, self._kept)}.__contains__, dst))
-                if (kept := self._kept.of(src)) is not None:  # few receivers: only if no search is needed
-                    return list(map(kept.__contains__, dst))
-            # Few receivers: one by one.
+                if (receivers := self._kept.of(src)) is not None:  # no search is needed
+                    return list(map(receivers.__contains__, dst))
+            # A few receivers are checked one by one.
             if self.channel is None and self.walls is None and len(dst) <= self._few and isinstance(message, int):
                 one, distance = self._range_check.one, source.distance
                 return [one(src, node, distance(src, node), message) for node in map(int, dst)]
         # The plain way, for all receivers at once.
-        places = source.of if times is None else partial(source.at, times=times)
-        receivers = np.asarray(dst)
+        positions_of = source.of if times is None else partial(source.at, times=times)
+        nodes = np.asarray(dst)
         if isinstance(src, int):
-            at = places(np.append(src, receivers))
+            at = positions_of(np.append(src, nodes))
             apart, starts, ends = distances(at, 0)[1:], at[:1], at[1:]
         else:
-            starts, ends = places(src), places(receivers)
+            starts, ends = positions_of(src), positions_of(nodes)
             x, y = (ends - starts).T
             apart = np.hypot(x, y)
         if self.walls is not None:
-            apart = self.walls.stretched(src, receivers, starts, ends, apart, self._bound)
+            apart = self.walls.stretched(src, nodes, starts, ends, apart, self._bound)
         if self.channel is None:
-            received: list[bool] = self._range_check(src, receivers, apart, message).tolist()
+            received: list[bool] = self._range_check(src, nodes, apart, message).tolist()
         else:
-            pairs = Ends(src, receivers, starts[0] if isinstance(src, int) else starts, ends, self._seconds(times))
+            pairs = Ends(src, nodes, starts[0] if isinstance(src, int) else starts, ends, self._seconds(times))
             received = self._range_check.through(self.channel.between(pairs), apart).tolist()
         return received
 
     def steady_receivers(self, node: int) -> tuple[set[int], float]:
         """Return the nodes that receive from a node now, and the time, ns, before which they certainly stay the same.
 
-        An empty set and 0: nothing is known. A search is made only if it is worthwhile (`KeptReceivers.is_worthwhile`).
+        The result is an empty set and 0 if they are not known, and a search is not `KeptReceivers.is_worthwhile`.
         """
         kept = self._kept
         if kept is None:
@@ -231,8 +230,8 @@ class Topology:
     def neighbours(self, node: int) -> Nodes:
         """Return the nodes that receive from `node` now, ascending.
 
-        If fading changes, these are the nodes with a probability of reception of at least 1/2: a sender that waits for
-        acknowledgements does not know who is in a fade.
+        If fading changes, these are the nodes with a probability of reception of at least 1/2, because a sender that
+        waits for acknowledgements does not know which nodes are in a fade.
 
         Raises:
             IndexError: if the node does not exist.
@@ -260,12 +259,12 @@ class Topology:
 
     def component(self, node: int) -> set[int]:
         """Return `node` and all nodes whose messages can reach it now in any number of hops; cost O(nodes + links)."""
-        reached, ahead = {node}, [node]
-        while ahead and len(reached) < self.size:
-            new = set(self.audible(ahead.pop())) - reached
-            reached |= new
-            ahead += new
-        return reached
+        members, unexplored = {node}, [node]
+        while unexplored and len(members) < self.size:
+            new = set(self.audible(unexplored.pop())) - members
+            members |= new
+            unexplored += new
+        return members
 
     @property
     def mean_degree(self) -> float:
@@ -286,20 +285,20 @@ class Topology:
     @cached_property
     def _senders(self) -> list[list[int]]:
         """For each node, the nodes that the graph links to it, ascending."""
-        speakers: list[list[int]] = [[] for _ in range(self.size)]
+        senders: list[list[int]] = [[] for _ in range(self.size)]
         for node in range(self.size):
             for other in self._lists[node]:
-                speakers[other].append(node)
-        return speakers
+                senders[other].append(node)
+        return senders
 
     def _within_border(self, node: int, kept: KeptReceivers) -> list[int]:
         """Return the nodes that receive from a node now, ascending; read-only."""
-        if (same := kept.of(node)) is not None:
-            return same
+        if (receivers := kept.of(node)) is not None:
+            return receivers
         if kept.is_worthwhile(node):
             return self._search(node, kept)
-        receivers: list[int] = self._near(node, self._candidates(node)).tolist()
-        return receivers
+        near: list[int] = self._near(node, self._candidates(node)).tolist()
+        return near
 
     def _search(self, node: int, kept: KeptReceivers) -> list[int]:
         """Search for the nodes that receive from a node now, and keep them."""
@@ -314,7 +313,7 @@ class Topology:
     def _near(self, node: int, candidates: Nodes, message: int | None = None) -> Nodes:
         """Return the candidates that receive from a node; the candidates must include the node, the result does not."""
         index, places, apart = self._distances(node, candidates)
-        apart[index] = self._range  # not the distance to itself, 0: a model may divide by distances
+        apart[index] = self._range  # in place of 0, the distance of the node from itself: a model may divide by it
         if self.walls is not None:
             apart = self.walls.stretched(node, candidates, places[index : index + 1], places, apart, self._bound)
         if self.channel is None or message is None:
@@ -328,7 +327,7 @@ class Topology:
     def _distances(self, node: int, candidates: Nodes) -> tuple[int, Floats, Floats]:
         """Return the index of a node among the (k,) candidates, their (k, 2) positions, and their distances from it."""
         assert self._positions is not None
-        if self._complete and len(candidates) == self.size:  # a source may keep the positions of all at an instant
+        if self._complete and len(candidates) == self.size:  # a source may store all positions of an instant
             index, places = node, self._positions()
         else:
             index, places = int(candidates.searchsorted(node)), self._positions.of(candidates)
@@ -352,7 +351,7 @@ class _AllOthers(dict[int, list[int]]):
 
     @cached_property
     def _all(self) -> list[int]:
-        """All nodes: 40 B per node, and not needed with a range."""
+        """All nodes, created on access, because it takes 40 B per node and is not needed with a range."""
         return list(range(self._size))
 
 
