@@ -22,7 +22,7 @@ FAILURE = re.compile(
 )
 """Matches the line of Windows for a lost probe."""
 NO_REPLY = re.compile(r".*\b(?:icmp_)?seq[= ](\d+)\b.*", re.ASCII)
-"""Matches a line of the other systems that names a probe without a reply, or whose reply is late."""
+"""Matches a line of Linux, macOS or BusyBox that names a probe without a reply, or with a late one."""
 TOTAL = re.compile(r"(\d+) packets transmitted, .*?(?:, time (\d+) ?ms)?", re.ASCII)
 """Matches the line with the number of probes and, on Linux, the time that they took."""
 RECEIVED = re.compile(
@@ -37,7 +37,7 @@ INTERVAL = 1.0
 """Time between probes, s, if the output has no times."""
 MAX_PROBES = 10**7
 WRAP = 2**16
-"""Sequence numbers have 16 bits: 0 follows 65535."""
+"""The modulus of sequence numbers, which have 16 bits: 0 follows 65535."""
 
 
 class Probe(NamedTuple):
@@ -115,12 +115,12 @@ def probes_of(text: str, name: str = "the text") -> list[Probe]:
     stamps = {seq: stamp for seq, (stamp, _) in replies.items() if stamp is not None}
     interval = _interval(stamps, count, duration)
     earliest, latest = min(stamps, default=first), max(stamps, default=first)
-    stamps |= {  # extrapolated; the times of all others are interpolated
+    stamps |= {  # the first and the last probe by extrapolation, so that the times of all others can be interpolated
         first: stamps.get(earliest, 0.0) - interval * (earliest - first),
         end: stamps.get(latest, 0.0) + interval * (end - latest),
     }
-    dated = sorted(stamps)
-    sent = np.interp(range(first, end + 1), dated, [stamps[seq] for seq in dated]).tolist()
+    stamped = sorted(stamps)
+    sent = np.interp(range(first, end + 1), stamped, [stamps[seq] for seq in stamped]).tolist()
     return [Probe(time, replies[seq][1] if seq in replies else None) for seq, time in enumerate(sent, first)]
 
 
@@ -132,5 +132,5 @@ def _interval(stamps: dict[int, float], count: int, duration: float | None) -> f
 
 
 def _unwrapped(seq: int, last: int | None) -> int:
-    """Return the sequence number next to the last one that equals `seq` modulo 2^16."""
+    """Return the number nearest to the last one that equals `seq` modulo 2^16."""
     return seq if last is None else last + (seq - last + WRAP // 2) % WRAP - WRAP // 2

@@ -18,11 +18,11 @@ NO_LINKS: "NDArray[np.intp]" = np.array([], dtype=np.intp)
 
 
 class LinkMemory:
-    """The numbers of the links of one sender.
+    """The numbers of the links of one sender, one per link.
 
-    The numbers of the links to the receivers of its last broadcast, or of the messages to one node since, are at hand,
-    and the others are put aside. So a broadcast to the same receivers as the last needs no look-up, which takes a third
-    of its time, and a message to one node needs no array.
+    The numbers of the links to the receivers of its last broadcast are in `value`, those of later messages to one node
+    in `ones`, and all others are put aside. So a broadcast to the same receivers as the last one needs no look-up,
+    which would take a third of its time, and a message to one node needs no array.
 
     Args:
         initial: the number of a link that has not been used.
@@ -32,7 +32,7 @@ class LinkMemory:
         value: the (k,) numbers of these links.
         since: the times (s) of the last messages of these links, if the model sets them, (k,) or one for all; -inf:
             none.
-        ones: by node, the numbers and the times of the links that messages to one node have used since the last
+        ones: by node, the number and the time of each link that a message to one node has used since the last
             broadcast; the model sets them.
     """
 
@@ -47,10 +47,10 @@ class LinkMemory:
         self.since: float | Floats = self._since
 
     def select(self, dst: "NDArray[np.intp]") -> None:
-        """Put the links at hand aside, and take those to the (k,) nodes `dst`; new links are added first."""
+        """Put the present numbers aside, and load those of the links to the (k,) nodes `dst` into `value`."""
         if dst is self.dst:
             return
-        # The present links are put aside before the look-up, because `_add` replaces the arrays.
+        # The present numbers are put aside before the look-up, because `_add` replaces the arrays.
         self._put_aside()
         links = self._nodes.searchsorted(dst)
         if (self._nodes.take(links, mode="clip") != dst).any():
@@ -62,7 +62,7 @@ class LinkMemory:
     def one(self, node: int) -> tuple[float, float]:
         """Return the number of one link that is not in `ones`, and the time (s) of its last message.
 
-        The links of a broadcast are put aside.
+        The numbers in `value` are put aside.
         """
         if self.dst is not NO_LINKS:
             self._put_aside()
@@ -74,6 +74,7 @@ class LinkMemory:
         return self._value.item(link), self._since.item(link)
 
     def _put_aside(self) -> None:
+        """Store the numbers and times in `value` and `ones` in the arrays of all links."""
         self._value[self._selected], self._since[self._selected] = self.value, self.since
         if self.ones:
             links = self._nodes.searchsorted(list(self.ones))
@@ -81,11 +82,12 @@ class LinkMemory:
             self.ones.clear()
 
     def _add(self, dst: "NDArray[np.intp]") -> None:
+        """Add links that have not been used to the arrays of all links."""
         old, value, since = self._nodes, self._value, self._since
         self._nodes = np.union1d(old, dst)
         self._value, self._since = np.full(len(self._nodes), self._initial), np.full(len(self._nodes), -np.inf)
-        kept = self._nodes.searchsorted(old)
-        self._value[kept], self._since[kept] = value, since
+        old_links = self._nodes.searchsorted(old)
+        self._value[old_links], self._since[old_links] = value, since
 
 
 RANGE = 2**32
@@ -97,7 +99,7 @@ class CorrelatedNumbers:
 
     number = ((RANGE - rho) new + rho last) / RANGE, rounded down, with rho = correlation (RANGE - 1) + 1. The last
     number of a link that has not been used is uniform (init_crandom and get_crandom in Linux, net/sched/sch_netem.c).
-    The mean is that of uniform numbers, the variance tends to (1 - c) / (1 + c) times theirs.
+    The mean is that of uniform numbers; the variance tends to theirs times (1 - c) / (1 + c).
 
     Args:
         correlation: the correlation c of successive numbers, in [0, 1]; 0: the numbers are independent.

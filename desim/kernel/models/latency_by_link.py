@@ -1,6 +1,6 @@
-"""One-way latencies that differ from link to link, drawn per pair of nodes or from a matrix; and all models.
+"""One-way latencies that differ from link to link, drawn per pair of nodes or from a matrix; and all models of latency.
 
-Each adds to the latency of the link a jitter, which is a model of `desim.kernel.models.latency`.
+Each model adds a jitter, itself a model of `desim.kernel.models.latency`, to the base latency of the link.
 """
 
 from collections.abc import Iterable
@@ -58,7 +58,7 @@ class PerPair(Value):
         """Return a model for one run of `size` nodes; it caches the base latencies."""
         base, jitter = model_of_run(self.base, size), model_of_run(self.jitter, size)
         _check_quantiles(base)
-        # Not validated: what a model is in one run need not be a value of a scenario.
+        # `model_copy` does not validate: the model of a run need not be valid in a scenario.
         return _Pairs(BaseModel.model_copy(self, update={"base": base, "jitter": jitter}), size)
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
@@ -101,8 +101,8 @@ class _Pairs:
         """Return (k,) latencies, s: the base latencies plus a drawn jitter."""
         if context.src not in self._base and (len(self._base) + 1) * len(self._all) <= ROOM:
             self._base[context.src] = self._model.base_latencies(replace(context, dst=self._all))
-        kept = self._base.get(context.src)
-        base = self._model.base_latencies(context) if kept is None else kept[context.dst]
+        to_all = self._base.get(context.src)
+        base = self._model.base_latencies(context) if to_all is None else to_all[context.dst]
         return base + as_seconds(self._model.jitter(context, rng), self._model.jitter)
 
 
@@ -192,12 +192,12 @@ class LatencyMatrix(NamedTable):
         return self.nodes
 
     def numbered(self, names: tuple[str, ...]) -> Self:
-        """Return the matrix with its rows in the order of the names of a network, by number.
+        """Return the matrix with its rows in the order of `names`, the names of the nodes of a network by number.
 
-        It is returned unchanged if it has no names, or these.
+        A matrix without names, or with these names in this order, is returned unchanged.
 
         Raises:
-            ValueError: if it has other names.
+            ValueError: if the matrix has other names.
         """
         if not names or self.nodes is None or self.nodes == names:
             return self
@@ -227,7 +227,7 @@ class LatencyMatrix(NamedTable):
         return _PlayedMatrix(self.base_latencies, self.jitter)(context, rng)
 
     def mean_latency(self) -> float | None:
-        """Return the mean over all links, s; None if that of the jitter is not known."""
+        """Return the mean latency over all links, s; None if the mean of the jitter is not known."""
         base, jitter = self.base_latencies, mean_latency(self.jitter)
         finite = base[(base < inf) & ~np.eye(len(base), dtype=bool)]
         return None if jitter is None or not len(finite) else fsum(finite) / len(finite) + jitter

@@ -65,7 +65,7 @@ def _completed(value: Any, preset: Any) -> Any:
 
 
 def _numbered(owner: Owner, names: tuple[str, ...], keys: Iterable[str] = ("latency", "loss")) -> Owner:
-    """Return an edge or links whose tables of measurements give the nodes of these names their numbers, if they can."""
+    """Return an edge or links whose tables of measurements number the nodes in the order of `names`, if they can."""
     numbered: dict[str, NamedTable] = {}
     for key in keys:
         if isinstance(table := getattr(owner, key), NamedTable):
@@ -118,9 +118,9 @@ class Links(Value):
 
     @property
     def delays_start(self) -> bool:
-        """Whether transmissions start after the processing delay of their sender, which is drawn or precedes a queue.
+        """Whether transmissions start after the processing delay of their sender: it is drawn, or there is a queue.
 
-        Else the delay is constant, and added to that of the receiver.
+        If not, the delay is constant, and is added to that of the receiver.
 
         Kept equal to a delay before the queue by
         `tests/kernel/test_hosts.py::test_a_constant_delay_is_that_of_a_model_that_always_draws_it`.
@@ -165,7 +165,7 @@ class Links(Value):
 
     @model_validator(mode="after")
     def _check_coherence(self) -> Self:
-        """Raise KeyedError if the fading is correlated, and something is missing."""
+        """Raise KeyedError if the fading is correlated, but the reception or the coherence lacks something for it."""
         if self.fading != "correlated":
             return self
         traits = ReceptionTraits.of(self.reception)

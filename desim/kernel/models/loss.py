@@ -124,12 +124,11 @@ class Bursts:
         self._loss_good, self._loss_bad = model.loss_good, model.loss_bad
         self._loses_all = model.loss_good == 0.0 and model.loss_bad == 1.0
         """Whether exactly the messages in the bad state are lost, so that each takes one random number."""
-        # The chance of a link that was good at its last message, and of one that was bad; see `_rows`.
+        # The probabilities in `_rows` for a link that was good at its last message, and for one that was bad.
         self._after_good, self._after_bad = (0.0, 1.0) if self._in_time else (failure, 1.0 - recovery)
         self._rows: defaultdict[int, LinkMemory] = defaultdict(partial(LinkMemory, model.share))
-        """By sender, the probabilities that the next message finds a link in the bad state, or, if the state advances
-        with time, found it so right after the last message. A link that has not been used has the share of the
-        stationary distribution."""
+        """By sender, the probability that each link is in the bad state: at its next message or, if the state advances
+        with time, right after its last one. For a link that has not been used, it is the share of bad time."""
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools:
         """Advance the state of each link and return the (k,) losses, or that of the only link.
@@ -141,7 +140,7 @@ class Bursts:
         if len(dst) == 1:
             return self.to_one(src, dst.item(), now, rng)
         row = self._rows[src]
-        if row.ones and len(dst) <= FEW and self._loses_all:  # else the links would be put aside for each other
+        if row.ones and len(dst) <= FEW and self._loses_all:  # spares a change between `ones` and `value`, and back
             return np.array([self.to_one(src, node, now, rng) for node in dst.tolist()], dtype=bool)
         row.select(dst)
         chance = row.value
@@ -151,7 +150,7 @@ class Bursts:
             fading = math.exp(exponent) if isinstance(exponent, float) else exp(exponent)
             chance, row.since = self._share + (chance - self._share) * fading, now
         bad: Bools = rng.random(len(dst)) < chance
-        row.value.fill(self._after_good)  # half the time of `take` or `where`
+        row.value.fill(self._after_good)  # takes half of the time of `take` or `where`
         row.value[bad] = self._after_bad
         if self._loses_all:
             return bad
@@ -298,18 +297,18 @@ class _ByKnownDistance:
 
     def __init__(self, model: ByDistance):
         self._model = model
-        self._kept: dict[int, tuple[Floats, Floats]] = {}
-        """By sender, the last distances that were known beforehand, and the probabilities of loss there."""
+        self._last: dict[int, tuple[Floats, Floats]] = {}
+        """By sender, its last array of `known_distances`, and the probabilities of loss at these distances."""
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
         """Draw the (k,) losses."""
         distances = context.known_distances
         if distances is None:
             return self._model(context, rng)
-        kept = self._kept.get(context.src)
-        if kept is None or kept[0] is not distances:
-            kept = self._kept[context.src] = distances, self._model.probability(distances)
-        return rng.random(len(distances)) < kept[1]
+        last = self._last.get(context.src)
+        if last is None or last[0] is not distances:  # equal arrays are the same object, see `LinkContext`
+            last = self._last[context.src] = distances, self._model.probability(distances)
+        return rng.random(len(distances)) < last[1]
 
 
 LOSSES = OneOf(

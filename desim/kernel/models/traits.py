@@ -79,11 +79,11 @@ NEEDED = (
     "it should have its own start_run(size), too, which returns the model of one run of `size` nodes (itself if it has"
     " no state)"
 )
-"""What is missing if a model has another start of its runs than that of its own class."""
+"""What a model needs if the `start_run` that it has belongs to another class."""
 
 
 def link_trait(model: Any, name: str) -> Any:
-    """Return an optional method of a latency or loss model; None, sooner than from `LinkTraits.of`, if it lacks it."""
+    """Return an optional method of a latency or loss model, or None; faster than `LinkTraits.of` if there is none."""
     return getattr(LinkTraits.of(model), name) if attributes(model, [name]) else None
 
 
@@ -113,7 +113,7 @@ def model_of_run(model: Any, size: int) -> Any:
 
 
 def _is_newer(model: type, method: str, other: str) -> bool:
-    """Return whether a class has a method from a class below that of another method."""
+    """Return whether a class inherits a method from a more derived class than another method."""
     return min(positions(model, method), default=inf) < min(positions(model, other), default=inf)
 
 
