@@ -50,7 +50,7 @@ class Cells(NamedTuple):
         Args:
             column: the name of the column.
             convert: converts a cell; raises ValueError if it is not valid.
-            quick: does the same in less time for cells of ASCII characters but _, or raises ValueError.
+            quick: a faster `convert` for cells of ASCII characters without _; `convert` follows if it raises ValueError.
 
         Raises:
             ValueError: if a cell is not valid, with its line.
@@ -82,7 +82,7 @@ def cells_of(table: str, name: str) -> Cells:
         ValueError: if the table has no rows.
     """
     lines, flat, header = list[int](), list[str](), csv_header(table, name)
-    for line, row_cells in rows_of(table, name):  # without keeping a list per row, which takes twice as long
+    for line, row_cells in rows_of(table, name):  # one flat list: a list per row takes twice as long
         lines.append(line)
         flat += row_cells
     if len(lines) < 2:
@@ -127,7 +127,7 @@ def _csv_of(parquet: bytes, columns: tuple[str, ...] | None) -> str:
     file = ParquetFile(BufferReader(parquet))
     names = file.schema_arrow.names
     read = [name for name in names if columns is None or name.strip() in columns]  # as `csv_header` has it
-    # A few kB can hold as many equal rows as their writer likes, so the bound is on what they say, not on their size.
+    # A file of a few kB can hold any number of equal rows, so the number of cells is bounded, not the size of the file.
     if (size := file.metadata.num_rows * len(read)) > MAX_CELLS:
         raise ValueError(
             f"{file.metadata.num_rows:,} rows of {len(read)} columns are {size:,} cells, above {MAX_CELLS:,}"
@@ -172,20 +172,20 @@ def select(text: str, columns: tuple[str, ...], name: str) -> str:
             raise ValueError(f"{name} has {problem} {column!r}; its columns are {', '.join(header)}{_headless(header)}")
     chosen = itemgetter(*(header.index(column) for column in columns))
     has_commas = separator_of(text) == ","
-    rows, kept = _as_long_as(header, rows_of(text, name), name, has_commas=has_commas), StringIO()
+    rows, selected = _as_long_as(header, rows_of(text, name), name, has_commas=has_commas), StringIO()
     if not has_commas:
         rows = with_points(rows, chosen, name)
-    writer = csv.writer(kept, lineterminator="\n")
+    writer = csv.writer(selected, lineterminator="\n")
     first, _ = next(rows)
-    kept.write("\n" * (first - 1))
+    selected.write("\n" * (first - 1))
     writer.writerow(columns)
-    below = first + 1
+    next_line = first + 1
     for line, cells in rows:
-        if line > below:
-            kept.write("\n" * (line - below))
+        if line > next_line:
+            selected.write("\n" * (line - next_line))
         writer.writerow(chosen(cells))
-        below = line + 1
-    return kept.getvalue()
+        next_line = line + 1
+    return selected.getvalue()
 
 
 def _as_long_as(
@@ -214,7 +214,7 @@ def _headless(header: Sequence[str]) -> str:
 
 
 def plain_rows(text: str, name: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the line and the cells of each row of a table of numbers without a header, also one with white space only.
+    """Yield the line and the cells of each row of a table without a header, whose separator may be white space.
 
     Raises:
         ValueError: if the text is not CSV, or numbers have both decimal commas and decimal points.
@@ -233,8 +233,8 @@ def with_points(
     """Yield rows with decimal points instead of decimal commas.
 
     Raises:
-        ValueError: if some chosen cells have decimal commas and others decimal points: one of them may separate
-            thousands.
+        ValueError: if some chosen cells have decimal commas and others decimal points, because one of the two may
+            separate thousands.
     """
     seen: dict[str, tuple[int, str]] = {}
     for line, cells in rows:
@@ -249,9 +249,9 @@ def with_points(
 
 
 def separator_in(text: str) -> str:
-    """Return the sign that separates the cells of numbers and names: "" stands for white space.
+    """Return the sign that separates the cells of numbers and names; "" if it is white space.
 
-    Commas may be decimal commas where there are semicolons or tabs.
+    Semicolons and tabs take precedence, because commas may then be decimal commas.
     """
     return next((sign for sign in ";\t," if sign in text), "")
 

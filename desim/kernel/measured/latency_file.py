@@ -80,14 +80,14 @@ class UnclearNamesError(ValueError):
 
 
 def names_beside(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
-    """Return the names in the first line and the first column of a square matrix; none if it has none.
+    """Return the names in the first line and the first column of a square matrix; an empty tuple if it has no names.
 
     The cell above the names of the lines is empty or a text. Names that are numbers are different integers. A matrix
     that lacks its diagonal has an empty first cell without names, too; its numbers are names only if they are 0 .. n-1,
     which as values would have a 0 beside the diagonal.
 
     Raises:
-        UnclearNamesError: if both may be numbers of a symmetric matrix.
+        UnclearNamesError: if the first line and the first column may also be numbers of a symmetric matrix.
         ValueError: if the first line and the first column have different names, or an empty one.
     """
     if len(rows) < 3 or not rows[0] or is_number_text(rows[0][0]):
@@ -118,7 +118,7 @@ def names_beside(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
 
 
 def counts_of(size: int) -> list[list[int]]:
-    """Return the first numbers from 0 and from 1 on."""
+    """Return the `size` integers from 0 on, and those from 1 on."""
     return [[*range(begin, begin + size)] for begin in (0, 1)]
 
 

@@ -34,11 +34,11 @@ LIKE_NUMBER = re.compile(r"[+-]?[\d_,' ]*\.?[\d_,' ]*(?:e[+-]?\d+)?|[+-]?(?:nan|
 """Matches a number, also in a wrong form, and an empty cell."""
 NODE = "the number of a node, 0 or more"
 LAST_TIME = Decimal(10**8)
-"""A number of this many seconds or more, three years, does not count from the start of a simulation."""
+"""Time, s, from which on a number does not count from the start of a simulation: three years."""
 FIRST_CLOCK = Decimal(10**9)
-"""A number of this many seconds or more, since 2001, counts from a date."""
+"""Time, s, from which on a number counts from 1970: the year 2001."""
 LAST_CLOCK = Decimal(5 * 10**9)
-"""A greater time, s, is in a smaller unit: in seconds since 1970, it would be after the year 2128."""
+"""Time, s, above which a number is in a smaller unit: since 1970, it would be after the year 2128."""
 DATE = re.compile(
     r"(\d{4})[-/.](\d\d)[-/.](\d\d)(?:[T _](\d\d)[:.](\d\d)(?:[:.](\d\d)(?:[.,](\d+))?)?"
     r" ?(?:(Z|UTC)|([+-]\d\d):?(\d\d)?)?)?",
@@ -105,8 +105,8 @@ class Measurements:
     rank: Integers
     """(R,) the index in `times` of the time of each row."""
     values: Floats
-    """(R,) the values. A missing one is filled in with the last value before of its link; before the first value, with
-    the last of all; if the link has none, with 0."""
+    """(R,) the values. A missing value is replaced by the last one before it of its link; before the first value, by
+    the last one of the link; if the link has no value, by 0."""
     is_missing: Bools
     """(R,) whether the row has no value."""
     names: tuple[str, ...] | None = None
@@ -117,8 +117,8 @@ class Measurements:
     def end(self) -> int:
         """The end of the trace, ns: if all times are equal, 1 s.
 
-        A link with n rows lasts from its first row to its last, and a mean interval more. The trace lasts as long as
-        the median of its links, or, if that is longer, to its last time and a mean interval between times more.
+        A link with n rows lasts from its first row to its last plus a mean interval between rows. The trace lasts as
+        long as the median of its links, but at least to its last time plus a mean interval between times.
         """
         last = int(self.times[-1])
         if not last:
@@ -130,10 +130,10 @@ class Measurements:
 
 
 def time_of(text: str, unit: Unit = "s") -> Decimal:
-    """Return the exact time, s, that a text says: a number in a unit, or a date as in ISO 8601.
+    """Return the exact time, s, in a text: a number in a unit, or a date as in ISO 8601.
 
     A date with a time zone counts from 1970 (UTC), as most clocks do. A date without one counts from the year 1, so
-    that a mixture of both, or of dates and numbers, has a length of thousands of years, and is noticed.
+    that a mixture of both, or of dates and numbers, spans thousands of years, and is refused.
 
     Raises:
         ValueError: if the text is neither a number nor a date, or the number is beyond `LAST_CLOCK`.
@@ -146,7 +146,7 @@ def time_of(text: str, unit: Unit = "s") -> Decimal:
         return _seconds_of_date(text.strip())
     if not is_plain(text):
         raise not_a_number(text)
-    if abs(seconds) >= LAST_TIME and (match := COMPACT_TIME.fullmatch(text)):  # 200 s are as many ns
+    if abs(seconds) >= LAST_TIME and (match := COMPACT_TIME.fullmatch(text)):  # 200 s in ns have as many digits
         year, month, day, hour, minute, second = match.groups()
         date = f"{year}-{month}-{day}T{hour}:{minute}:{second or '00'}"
         raise ValueError(f"{text!r} is probably a date: write {date} instead")
@@ -189,17 +189,17 @@ def start_of(times: Iterable[Decimal], file: Path | str) -> Decimal:
     of the simulation.
 
     Raises:
-        ValueError: if they are no times in s; the message names the file.
+        ValueError: if the times are probably not in s; the message names the file.
     """
-    every = list(times)
-    earliest = min(every, default=Decimal(0))
-    if reason := _why_no_seconds(every, earliest):
+    times = list(times)
+    earliest = min(times, default=Decimal(0))
+    if reason := _why_no_seconds(times, earliest):
         raise ValueError(f"{file}: {reason}")
     return earliest if isinstance(earliest, DateTime) or earliest >= FIRST_CLOCK else Decimal(0)
 
 
 def _why_no_seconds(times: Sequence[Decimal], earliest: Decimal) -> str | None:
-    """Return why numbers are probably no times in s; None if they may be."""
+    """Return why numbers are probably not times in s; None if they may be."""
     if isinstance(earliest, DateTime):
         return None
     if LAST_TIME <= earliest < FIRST_CLOCK:
@@ -249,7 +249,7 @@ def _finite(cell: str) -> float:
 
 @lru_cache(maxsize=KEPT)
 def measurements_of(table: str, columns: Columns, meaning: Meaning, name: str) -> Measurements:
-    """Return the measurements in a table, the text of which is made by `select`.
+    """Return the measurements in a table, a text that `select` returned.
 
     Raises:
         ValueError: if the table has no rows, a cell is invalid, the times of a link do not increase, or both directions
@@ -265,7 +265,7 @@ def measurements_of(table: str, columns: Columns, meaning: Meaning, name: str) -
     is_first = np.concatenate(([True], (np.diff(src) != 0) | (np.diff(dst) != 0)))
     is_late = ~is_first[1:] & (np.diff(times[row]) <= 0)
     if is_late.any():
-        # The first late row of the table, not of the order by links, is the one that a reader of the file looks for.
+        # The error names the first such row in the order of the file, not of the links, for a reader of the file.
         late = int(row[1:][is_late].min())
         before = cells.place(int(row[:-1][is_late & (row[1:] == late)][0]))
         hint = "" if columns.src else "; if the rows are of several links, src and dst should name their columns"
@@ -312,7 +312,7 @@ def _float_or_nan(cell: str) -> float:
 
 
 def number_or_nan(cell: str) -> float:
-    """Return the number in a cell; nan if the cell is empty, or says that the value is missing."""
+    """Return the number in a cell; nan if the cell is empty or one of `MISSING`."""
     try:
         return number_of(cell or "nan")
     except ValueError:
@@ -324,7 +324,7 @@ def number_or_nan(cell: str) -> float:
 def _links(
     cells: Cells, columns: Columns, names: tuple[str, ...] | None, *, both_ways: bool
 ) -> tuple[Integers, Integers]:
-    """Return the (R,) senders and receivers of the rows; if they hold both ways, followed by those of the way back."""
+    """Return the (R,) senders and receivers of the rows; with `both_ways`, those of the opposite links follow."""
     if columns.src is None or columns.dst is None:
         return np.zeros(len(cells.lines), dtype=np.int64), np.zeros(len(cells.lines), dtype=np.int64)
     src, dst = (_nodes(cells, column, names) for column in (columns.src, columns.dst))
@@ -368,7 +368,7 @@ def _node_of(cell: str) -> int:
 
 
 def _names(cells: Cells, columns: Columns) -> tuple[str, ...] | None:
-    """Return the names of the nodes in a table; None if a cell has a number, or what looks like one."""
+    """Return the names of the nodes in a table; None if a cell is a number, or looks like one."""
     if columns.src is None or columns.dst is None:
         return None
     src, dst = cells.columns[columns.src], cells.columns[columns.dst]
@@ -384,7 +384,7 @@ def _filled(values: Floats, first: Integers) -> tuple[Floats, Bools]:
     """Return the (R,) values with the missing ones filled in, and which were missing; see `Measurements.values`."""
     is_missing, rows = np.isnan(values), np.arange(len(values))
     start, counts = first[:-1], np.diff(first)
-    # One running maximum over all links. Before the first value of a link it is a row of an earlier link, less than
+    # One running maximum serves all links. Before the first value of a link, it is a row of an earlier link, less than
     # `start`, and is replaced by the row of the last value of the link.
     last_known = np.maximum.accumulate(np.where(is_missing, -1, rows))
     of_last_row = np.repeat(last_known[first[1:] - 1], counts)

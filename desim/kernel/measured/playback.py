@@ -25,9 +25,9 @@ class TraceEndError(ValueError):
 class Playback:
     """A trace in one run.
 
-    Its rows are those of the table and two more for each link, at time 0 and at the end of the trace. So every message
-    is sent between two rows of its link. With T distinct times in the table, the key of a row is the number of its link
-    times T + 1, plus the rank of its time. So one binary search finds the rows of all receivers.
+    Its rows are those of the table and two more for each link, at time 0 and at the end of the trace, so that every
+    message is sent between two rows of its link. With T distinct times in the table, the key of a row is the number of
+    its link times T + 1, plus the rank of its time, so that one binary search finds the rows of all receivers.
 
     Args:
         trace: the trace.
@@ -43,7 +43,7 @@ class Playback:
         self._codes = None if trace.src is None else _code(measured.src, measured.dst)
         self._is_linear = trace.between == "linear"
         self._last: tuple[tuple[int, float, int], NDArray[np.intp], tuple[int, Any]] | None = None
-        """Seed, time and sender of the last transmission, its receivers, and the answer of `_rows`."""
+        """Seed, time and sender of the last transmission, its receivers, and the result of `_rows`."""
         self._starts: dict[int, int] = {}
         """By seed, the time in the trace at which the simulation starts, ns."""
         first, last = measured.first[:-1], measured.first[1:] - 1
@@ -58,7 +58,7 @@ class Playback:
         finish = begin if repeats else values[last]
         keys = [links * self._width, np.repeat(links, counts) * self._width + measured.rank]
         keys += [(links + 1) * self._width - 1]
-        # Stable: a row of the table at time 0 comes after the added row with the same key, and so is the one in use.
+        # Stable, so that a row of the table at time 0 comes after the added row with the same key, and replaces it.
         order = np.argsort(np.concatenate(keys), kind="stable")
         self._keys = np.concatenate(keys)[order]
         self._values = np.concatenate((begin, values, finish))[order]
@@ -107,15 +107,15 @@ class Playback:
     def _rows(self, context: LinkContext) -> tuple[int, Any]:
         """Return the time of a transmission in the trace, ns, and the last row of each link up to then.
 
-        The answer is kept, because a network asks for losses and latencies of the same transmission.
+        The result is kept, because a network draws both losses and latencies of a transmission.
         """
-        asked, dst = (context.seed, context.now, context.src), context.dst
-        if self._last is not None and asked == self._last[0] and dst is self._last[1]:
+        transmission, dst = (context.seed, context.now, context.src), context.dst
+        if self._last is not None and transmission == self._last[0] and dst is self._last[1]:
             return self._last[2]
         time = self._time(context)
         rows = self._keys.searchsorted(self._link_keys(context) + bisect_right(self._times, time)) - 1
         if not dst.flags.writeable:
-            self._last = asked, dst, (time, rows)
+            self._last = transmission, dst, (time, rows)
         return time, rows
 
     def _time(self, context: LinkContext) -> int:
@@ -139,7 +139,7 @@ class Playback:
         return start
 
     def _link_keys(self, context: LinkContext) -> Any:
-        """Return the key of the first row of each link, (k,); 0 if the rows hold for all links."""
+        """Return (k,) the key of the first row of each link; 0 if the rows hold for all links."""
         if self._codes is None:
             return 0
         src, dst = context.src, context.dst
@@ -152,5 +152,5 @@ class Playback:
 
 
 def _code(src: Any, dst: Any) -> Any:
-    """Return links as numbers, which ascend by sender and receiver."""
+    """Return one number for each link, ascending by sender and receiver."""
     return src * (MAX_NODE + 1) + dst
