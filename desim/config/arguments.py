@@ -267,8 +267,23 @@ class HintedAttributes(HintedItems):
 
 def missing_attribute(owner: object, name: str) -> AttributeError:
     """Return the error for an attribute that an object does not have; the message says what to write instead."""
-    text = f"{with_article(type(owner).__name__)} has no {name!r}"
-    instead_of = getattr(type(owner), "_instead_of", None)
-    if instead_of is not None and not name.startswith("_"):
-        text += f": {instead_of(owner, name)}"
-    return AttributeError(text, name=name, obj=owner)
+    return AttributeError(_Missing(owner, name), name=name, obj=owner)
+
+
+class _Missing:
+    """The message about a missing attribute, made when it is read: programs often only ask whether there is one."""
+
+    def __init__(self, owner: object, name: str):
+        self._owner, self._name = owner, name
+
+    def __str__(self) -> str:
+        text = f"{with_article(type(self._owner).__name__)} has no {self._name!r}"
+        instead_of = getattr(type(self._owner), "_instead_of", None)
+        if self._name.startswith("_") or instead_of is None:
+            return text
+        return f"{text}: {instead_of(self._owner, self._name)}"
+
+    __repr__ = __str__
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return str, (str(self),)
