@@ -50,7 +50,7 @@ class Cells(NamedTuple):
         Args:
             column: the name of the column.
             convert: converts a cell; raises ValueError if it is not valid.
-            quick: a faster `convert` for ASCII cells without _; `convert` follows if it raises ValueError.
+            quick: a faster `convert` for ASCII cells without _; if it raises ValueError, `convert` is used.
 
         Raises:
             ValueError: if a cell is not valid, with its line.
