@@ -41,7 +41,7 @@ def unread_attributes(graph: "nx.Graph[Any]", *, of_links_only: bool = False) ->
 
     Args:
         graph: the graph.
-        of_links_only: whether attributes of nodes that do not seem to be about links, such as places, are left out.
+        of_links_only: whether to leave out attributes of nodes that seem not to be about links, such as positions.
     """
     of_edges = {name: None for *_, attributes in graph.edges(data=True) for name in attributes}
     of_nodes = {name: None for _, attributes in graph.nodes(data=True) for name in attributes}
@@ -73,7 +73,7 @@ def _link_names(attributes: Mapping[Any, Any]) -> Iterator[str]:
     """Yield the attributes of a graph, or of its nodes, that seem to be about links."""
     for name in map(str, attributes):
         is_about_links = _simple(name) in MEANT or name.lower() in READ
-        if is_about_links and name.lower() not in POSITIONS:  # lat is a latitude, and of an edge a latency
+        if is_about_links and name.lower() not in POSITIONS:  # lat is a latitude here, and a latency of an edge
             yield f"{name}{_meant(name)}"
 
 

@@ -62,7 +62,7 @@ def numbered(graph: "nx.Graph[Any]") -> Numbering:
 
 
 def _name(node: Any, number: int) -> str:
-    """Return the name of a node; that of an object without a text of its own has no address, which differs by run."""
+    """Return the name of a node: its text or, if this would be an address, which differs by run, type and number."""
     kind: Any = type(node)
     is_default = kind.__repr__ is object.__repr__ and kind.__str__ is object.__str__
     return f"{kind.__name__} {number}" if is_default else str(node)
@@ -84,7 +84,7 @@ def _labels(graph: "nx.Graph[Any]") -> list[Any] | None:
 
 
 def _integers(names: Sequence[Any]) -> list[int] | None:
-    """Return names as integers, if all are integers or their decimal digits, and different."""
+    """Return names as integers if all are different integers, or texts of their decimal digits; else None."""
     converted = [_integer(name) for name in names]
     integers = [number for number in converted if number is not None]
     return integers if len(set(integers)) == len(names) else None

@@ -21,9 +21,9 @@ Common = Annotated[float, Field(ge=0, lt=1, strict=True)]
 class CommonCause(Value):
     """Every message is lost with the same probability; its losses at several receivers are correlated.
 
-    A receiver shares the fate that a message has at its sender with the probability sqrt(common), and else has a fate
-    of its own. So the losses at any two receivers have the correlation `common` (the mixture for exchangeable binary
-    variables of Lunn & Davies 1998, "A Note on Generating Correlated Binary Variables"). Different messages are
+    Each message draws one common loss. A receiver takes the common loss with the probability sqrt(common), and draws
+    its own otherwise. So the losses at any two receivers have the correlation `common` (the mixture for exchangeable
+    binary variables of Lunn & Davies 1998, "A Note on Generating Correlated Binary Variables"). Different messages are
     independent; for links that are bad for a time together use `gilbert_elliott`.
     """
 
@@ -39,18 +39,18 @@ class CommonCause(Value):
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
         """Draw the (k,) losses of a message."""
         draws = rng.random(len(context.dst) + 1)
-        follows = math.sqrt(self.common)
-        # One draw decides both: below `follows` the receiver shares the fate, above it the rest decides.
-        lost: Bools = draws[1:] < follows + (1.0 - follows) * self.p
-        shares: Bools = draws[1:] < follows
+        sharing = math.sqrt(self.common)
+        # One draw for each receiver: below `sharing` it takes the common loss; above, the rest of the draw is its own.
+        lost: Bools = draws[1:] < sharing + (1.0 - sharing) * self.p
+        shares: Bools = draws[1:] < sharing
         return lost if draws[0] < self.p else lost & ~shares
 
 
 class CommonBursts:
-    """Bursts in one run of links of which two with a node in common are correlated; states advance with time.
+    """Bursts in one run, correlated between two links with a node in common; states advance with time.
 
-    A link is bad while its sender, its receiver or the link itself is bad: three states that alternate independently in
-    continuous time, all with the same mean bad period. Those of nodes are common to their links.
+    A link is bad while its sender, its receiver or the link itself is bad. These three states alternate independently
+    in continuous time, all with the same mean bad period. The state of a node is common to its links.
 
     Args:
         share: share of the time for which a link is bad, in (0, 1).
@@ -72,7 +72,7 @@ class CommonBursts:
         recovery = odds / burst / (2.0 * of_node + of_link)
         self._node_rate, self._link_rate = recovery * (1.0 + of_node), recovery * (1.0 + of_link)
         self._nodes = np.full(size, self._node_share), np.full(size, -math.inf)
-        """The states of the nodes, and their times, s; (n,) each. A node that has not been asked has its share."""
+        """The states of the nodes (1: bad) and their times, s, (n,) each; at first, the share of bad time, at -inf."""
         self._rows: defaultdict[int, LinkMemory] = defaultdict(partial(LinkMemory, self._link_share))
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
@@ -101,11 +101,11 @@ class CommonBursts:
 def max_common(share: float) -> float:
     """Return the largest correlation of two links with a node in common that are bad for a share of the time.
 
-    Then links have no bad periods of their own. It is a little less than 1/2, because a link has two nodes.
+    Only nodes have bad periods then. The correlation is a little less than 1/2, because a link has two nodes.
     """
     return (math.sqrt(1.0 - share) - (1.0 - share)) / share if share else 0.5
 
 
 def _chances(last: Floats, share: float, rate: float, times: Floats, now: float) -> Floats:
-    """Return the (k,) probabilities of being bad now of what was in (k,) states at (k,) times, s."""
+    """Return the (k,) probabilities that nodes or links are bad now, given their states at (k,) times, s."""
     return share + (last - share) * exp(rate * (times - now))

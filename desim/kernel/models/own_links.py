@@ -46,7 +46,7 @@ Way = tuple[int, int]
 def link_misfits(links: Links, graph: "nx.Graph[int]") -> Iterator[tuple[Place, str]]:
     """Yield the key, below `network`, and the text of each model that does not apply to a link that would use it.
 
-    A link that `links.link` lists twice is yielded, too: its models would depend on the order.
+    A link that `links.link` lists twice is yielded, too, because its models would depend on the order.
 
     Args:
         links: the link models; their links are in the graph.
@@ -77,7 +77,7 @@ def link_misfits(links: Links, graph: "nx.Graph[int]") -> Iterator[tuple[Place, 
 
 
 def _name_misfits(links: Links) -> Iterator[tuple[Place, str]]:
-    """Yield the key and the text of each table of measurements that cannot have the numbers of the named nodes."""
+    """Yield the key and the text of each table of measurements that cannot number the nodes as the network does."""
     names = links.node_names
     for place, table in links.measured_tables():
         order = table.node_order
@@ -94,7 +94,7 @@ def _name_misfits(links: Links) -> Iterator[tuple[Place, str]]:
 
 
 def _own_models(links: Links, graph: "nx.Graph[int]", name: str) -> Iterator[tuple[Way, tuple[Place, Any]]]:
-    """Yield the links with a latency, a loss or an order of their own, each with the key of the value and the value."""
+    """Yield each link with its own latency, loss or order (`name`), with the key of this value and the value."""
     for src, dst, attributes in links_with_attributes(graph):
         model = attributes.get(name)
         if model is not None:

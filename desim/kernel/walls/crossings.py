@@ -116,9 +116,9 @@ def crossed_by(starts: Floats, ends: Floats, corners: Floats) -> Bools:
 
 
 def _sides(starts: Floats, ends: Floats, segments: Segments) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return on which side, positive on the left, the ends of walls lie of rays, and those of rays of walls, (m, s).
+    """Return on which side of each ray the two ends of each wall lie, and the reverse, (m, s) each; left is positive.
 
-    Each is the distance from the line times the length of the segment on it, m^2.
+    Each number is the distance of the end from the line times the length of the segment on the line, m^2.
     """
     (ax, ay), (bx, by) = segments.starts.T, segments.ends.T
     x, y = starts[:, 0, np.newaxis], starts[:, 1, np.newaxis]
