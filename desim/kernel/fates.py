@@ -72,8 +72,7 @@ def fates(
     """Send the messages of a log over a network, and return what happens to each at each of its receivers.
 
     The fates are in the order of the log, then of the receivers. A message that is transmitted twice
-    (`Links.duplicate`) has the fate of its first arrival. A message to all neighbours has one fate for each neighbour
-    at which it has arrived or been lost.
+    (`Links.duplicate`) has its first arrival. A message to all neighbours has a fate where it has arrived or been lost.
 
     Args:
         messages: rows of the time, s, the sender, the receiver (None: all neighbours) and the size, bytes, ascending in
@@ -114,7 +113,6 @@ def fates(
                 shown = tuple(values) if isinstance(values, tuple) else values
                 raise ValueError(f"message {row} {value_text(shown)}: {error}") from error
         left = min(duration, MAX_TIME - network.now)
-        # A transport may retransmit a message of which nothing is in flight.
         while left > 0.0 and (network.counts().in_flight or network.transport_counts() is not None):
             step(min(STEP, left))
             left -= STEP

@@ -82,10 +82,7 @@ def inject(
 
 @dataclass(eq=False)
 class _Site:
-    """The methods by which one fault acts on a network, see `desim.kernel.models.faults.FaultSite`.
-
-    Fields without a description are as in `inject`.
-    """
+    """The `desim.kernel.models.faults.FaultSite` of one fault. Fields without a description are as in `inject`."""
 
     fault: Fault
     _env: Clock

@@ -278,8 +278,7 @@ class Network(ReceivingNodes):
 
         Raises:
             ValueError: if the receiver is the sender, the size is not an integer of at least 0, the body has no size or
-                cannot be copied, the port is not a text, `transport` is not a transport, or other messages at the port
-                have another one.
+                cannot be copied, the port is not a text, the transport is invalid, or not that of the port.
         """
         src = self._node(src)
         if dst is not None:

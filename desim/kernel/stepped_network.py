@@ -191,7 +191,6 @@ class SteppedNetwork:
         self._losses: list[tuple[int, int, int, LostMessage]] = []
         """The losses of this step, each with its keys of order: time of sending, ns, transmission and receiver."""
         self._lost: list[LostMessage] = []
-        """The losses of the last step, in order."""
         self._away: dict[int, tuple[Crash, Outage]] = {}
         self._is_unused, self._problem = True, ""  # the problem: why no call is possible now, `CALLED` for instance
         self._is_unlimited = self._links.medium == Unlimited()

@@ -232,8 +232,7 @@ class _Tdma(AccessMethod):
 
     def prepare(self, node: int, now: int, *, arrived: bool) -> None:
         clock = self._clocks[node]
-        # From the round before the present one, to allow for rounding; local times, and so rounds, may be negative.
-        round_before = floor(clock.at(now) / self._slot) // self._slots_per_round - 1
+        round_before = floor(clock.at(now) / self._slot) // self._slots_per_round - 1  # negative if the local time is
         rounds, first = range(round_before, round_before + 4), max(now, int(self._used[node]) + 1)
         for k in (turn * self._slots_per_round + slot for turn in rounds for slot in self._slots[node]):
             if (start := clock.when(k * self._slot)) >= first:

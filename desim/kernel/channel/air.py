@@ -68,8 +68,7 @@ class Air:
             frame.overlapping.append(other)
             other.overlapping.append(frame)
             if frame.locked is not None and other.locked is not None:
-                # A radio locks onto the first frame that it hears, and onto none while it transmits.
-                frame.locked[other.src] = other.locked[frame.src] = False
+                frame.locked[other.src] = other.locked[frame.src] = False  # a node that transmits locks onto none
                 first, second = (other, frame) if other.begin < frame.begin else (frame, other)
                 if first.begin < second.begin and first.locked is not None and second.locked is not None:
                     second.locked &= ~(first.locked & self._tuned(first) & self._audible(first, self._all))

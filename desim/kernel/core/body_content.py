@@ -121,7 +121,6 @@ def public_attributes(items: Any) -> Fields:
 
 
 def _with_attributes(parts: Any, items: Any) -> Any:
-    """Return the content of a collection, with its public attributes if it has any."""
     attributes = public_attributes(items)
     return Fields({"class_name": type(items).__name__, "items": parts} | attributes) if attributes else parts
 

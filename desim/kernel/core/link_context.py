@@ -28,8 +28,7 @@ class LinkContext:
     positions: PositionFunction | None = None
     """Returns the current positions of all nodes, m; None: the nodes have no positions."""
     known_distances: NDArray[np.float64] | None = None
-    """The `distances`, if they are known because no node moves: a read-only array. While `dst` is the same, it is the
-    same object, so a model can keep what it computes from it."""
+    """The `distances`, if they are known because no node moves: read-only, and the same object for the same `dst`."""
 
     @property
     def distances(self) -> NDArray[np.float64]:

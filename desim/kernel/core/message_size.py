@@ -99,7 +99,6 @@ def _size(body: Any) -> int:
 
 
 def _attributes(items: Any) -> int:
-    """Return the size of the attributes of a collection, bytes."""
     return portable_sum(map(_size, public_attributes(items).values()))
 
 

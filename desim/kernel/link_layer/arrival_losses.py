@@ -38,17 +38,13 @@ class ArrivalLosses:
         self._on_air: dict[int, tuple[list[int], int]] = {}
         """By sender: the numbers of its last transmission and of its copies, and the end of the airtime, ns."""
         self._cut_short: dict[int, Cause] = {}
-        """The cause of the loss of each transmission whose sender crashed while it transmitted, by number; also of each
-        of its copies."""
+        """By number, the cause of the loss of each transmission, or copy, whose sender crashed while it transmitted."""
 
     def start(self, flight: Flight) -> None:
-        """Note that a transmission with an airtime starts now, or a copy of the one that its sender has just started.
-
-        A node transmits one message at a time, so what starts during an airtime is a copy.
-        """
+        """Note that a transmission with an airtime starts now, or a copy of one that its sender has just started."""
         transmission, airtime = flight
         numbers, end = self._on_air.get(transmission.src, ([], 0))
-        if end <= self._env.now:
+        if end <= self._env.now:  # if not, it is a copy, because a node transmits one message at a time
             numbers, end = [], self._env.now + airtime
         numbers.append(transmission.number)
         self._on_air[transmission.src] = numbers, end

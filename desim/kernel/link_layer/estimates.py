@@ -42,12 +42,10 @@ class Estimates:
         return self.sending_time(size_of(body))
 
     def sending_time(self, size: int) -> float:
-        """Return the time, s, for which a message of a size, bytes, keeps its sender from sending the next one.
-
-        For a `Radio`, it includes the silence of a duty cycle and the wait for the sender's next slot.
-        """
+        """Return the time, s, for which a message of a size, bytes, keeps its sender from sending the next one."""
         if size not in self._sending_times:
             medium, nodes = self._medium, self._topology.size
+            # With a silence after the frame (duty cycle), or a wait for the next slot, it is longer than the airtime.
             self._sending_times[size] = (
                 medium.interval(size, nodes) if isinstance(medium, Radio) else airtime_of(medium, size, nodes)
             )

@@ -290,8 +290,7 @@ class LinkLayer:
     ) -> None:
         """Schedule the arrivals of a transmission, and those of its copies; see `MessageDelivery.schedule`.
 
-        A copy is made by a fault, inside the network. It has no airtime and draws no random number, so it changes no
-        other message.
+        A fault makes copies inside the network, without airtime and random draws, so they change no other message.
         """
         self.delivery.schedule(transmission, reached, arrival, causes, airtime)
         if self._fault_state is None:

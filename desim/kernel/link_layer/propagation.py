@@ -64,8 +64,7 @@ class LinkSampler:
         sender = links.processing.sender
         at_sender = nanoseconds(sender.value) if type(sender) is Constant and not links.delays_start else 0
         self.processing = at_sender + nanoseconds(links.processing.receiver)
-        """Processing delay of a message at its receiver, ns, plus that at its sender unless it delays the start of the
-        transmission (`Links.delays_start`)."""
+        """Processing delay at the receiver, ns, plus that at the sender unless it delays the start of transmissions."""
         self._latency, self._loss = model_of_run(links.latency, size), model_of_run(links.loss, size)
         names = ("latency", "loss", "latency of own links", "loss of own links")
         streams = [stream(seed, purpose + name) for name in names]
@@ -110,8 +109,7 @@ class LinkSampler:
         if type(links.latency) is Constant and not self._latency_overrides:
             self._constant = nanoseconds(links.latency.value)
         self.keeps_order = self._constant is None and (self._order == "fifo" or bool(self._order_overrides))
-        """Whether `in_order` may change arrival times: latencies may vary, and the links are FIFO or some has its own
-        order."""
+        """Whether `in_order` may change arrival times: latencies may vary, and all links or some may be FIFO."""
 
     def renamed(self, purpose: str) -> "LinkSampler":
         """Return a sampler of the same links that draws from streams of its own, whose names have a prefix."""

@@ -74,7 +74,6 @@ class LinkMemory:
         return self._value.item(link), self._since.item(link)
 
     def _put_aside(self) -> None:
-        """Store the numbers and times in `value` and `ones` in the arrays of all links."""
         self._value[self._selected], self._since[self._selected] = self.value, self.since
         if self.ones:
             links = self._nodes.searchsorted(list(self.ones))

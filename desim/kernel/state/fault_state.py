@@ -41,9 +41,8 @@ class FaultState:
     A crash ends with `recover`. All other methods that begin a fault return the function that ends it.
 
     Changes can be planned: their times are announced in advance (`plan`, `desim.kernel.fault_injection`). The network
-    then stores at transmission those arrivals that no planned change can prevent. An unplanned change would come too
-    late for these. So once a change is announced, the methods that change the state raise ValueError outside of
-    `planned_change`.
+    then stores at transmission those arrivals that no planned change can prevent. Unplanned changes would come too late
+    for these, so the methods that change the state then raise ValueError outside of `planned_change`.
 
     Args:
         positions: returns the positions of the nodes, (n, 2) m; required for jamming only.

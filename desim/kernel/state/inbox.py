@@ -171,9 +171,8 @@ class Inbox:
             Instant(self._env, arrival, Phase.DELIVERY).callbacks.append(self._wake)
 
     def _wake(self, _: simpy.Event) -> None:
-        """Wake the processes that wait, if they still do: another arrival may have woken them."""
         self._wake_time = inf
-        if self._waited_for is not None:
+        if self._waited_for is not None:  # None: another arrival has woken the processes
             self._look()
 
 

@@ -42,10 +42,8 @@ class Records:
             self.expect_any_order()
 
     def expect_any_order(self) -> None:
-        """From now on, accept records that are scheduled twice (the first arrival counts), or after a newer one.
-
-        Every node then compares what arrives, and no record is shared: the fast ways rely on the order of transmission.
-        """
+        """From now on, accept records that are scheduled twice (the first arrival counts), or after a newer one."""
+        # Every node then compares what arrives, and no record is shared, which relies on the order of transmission.
         self._own.relayed.update(range(self._size))
         self._all_but_one = -1
 
