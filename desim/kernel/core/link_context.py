@@ -1,8 +1,4 @@
-"""The context of one transmission: the inputs of a latency or loss model.
-
-The range check stores the draws of pairs of nodes. Kept equal to numbers computed at each use by
-`tests/kernel/test_topology.py::test_pair_uniforms_are_the_same_with_and_without_caching`.
-"""
+"""The context of one transmission: the inputs of a latency or loss model."""
 
 from dataclasses import dataclass
 
@@ -28,7 +24,8 @@ class LinkContext:
     positions: PositionFunction | None = None
     """Returns the current positions of all nodes, m; None: the nodes have no positions."""
     known_distances: NDArray[np.float64] | None = None
-    """The `distances`, if they are known because no node moves: read-only, and the same object for the same `dst`."""
+    """The `distances`, if no node moves: a read-only array, the same object for the same `dst`, so a model may keep
+    what it computes from it."""
 
     @property
     def distances(self) -> NDArray[np.float64]:
@@ -41,8 +38,8 @@ class LinkContext:
             return self.known_distances
         if self.positions is None:
             raise ValueError("a latency or loss model that depends on distance needs the positions of the nodes")
-        with_sender = np.concatenate((self.dst, [self.src]))
-        return distances(as_position_source(self.positions).of(with_sender), -1)[:-1]  # -1: the sender
+        nodes = np.concatenate((self.dst, [self.src]))  # the sender last, so that one question has all positions
+        return distances(as_position_source(self.positions).of(nodes), -1)[:-1]
 
     def uniform(self, name: str, *, symmetric: bool = True) -> NDArray[np.float64]:
         """Return (k,) uniform draws in (0, 1), one per receiver, that stay the same throughout a run.

@@ -110,7 +110,11 @@ class RangeCheck:
         return float(probability[0])
 
     def _draws(self, src: int | Nodes, dst: Nodes, message: int | Integers | None) -> Floats:
-        """Return (k,) uniform draws in (0, 1), one for each pair of a sender and a receiver."""
+        """Return (k,) uniform draws in (0, 1), one for each pair of a sender and a receiver.
+
+        Kept equal to numbers computed at each use by
+        `tests/kernel/test_topology.py::test_pair_uniforms_are_the_same_with_and_without_caching`.
+        """
         if not self._per_link:
             if message is None:
                 return np.full(len(dst), 0.5)
