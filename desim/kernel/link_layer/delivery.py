@@ -44,8 +44,8 @@ class MessageDelivery:
         self._records, self._inboxes, self._fault_state = state.records, state.inboxes, state.fault_state
         self._topology, self.arrivals = state.topology, arrivals
         self._checks_range = links.range_check != "send"
-        # Half duplex depends on later transmissions. If nodes contend, the channel decides it, but a fault may begin
-        # while a frame is on the air, after its losses were drawn.
+        # If nodes contend, arrivals are scheduled at the end of a frame, and a fault may have begun since its losses
+        # were drawn. If not, half duplex loses a message at a receiver that transmits when it arrives.
         self._decides_on_arrival = state.fault_state is not None if contends else links.medium.half_duplex
         self.is_certain = not (self._checks_range or self._decides_on_arrival) and state.fault_state is None
 
