@@ -257,7 +257,7 @@ EVADERS = {
     ),
     "a class that remembers": (Alternating(), r"for an equal state and rng, .*the heading before is state\.heading"),
     "a generator of its own": (lambda state, rng: rect(1.0, np.random.default_rng().random()), "draw from rng only"),
-    "random": (lambda state, rng: random.seed(1) or 1j, "draws from the global generator of random"),
+    "random": (lambda state, rng: random.random() and 1j, "draws from the global generator of random"),
     "handover": (Eavesdropping(), r"depends on state\.handover: .* unless the strategy has listens = True"),
     "overwrites": (overwriting, r"with 1 pursuers .* changes state\.pursuers from \[.*\] to \[0\.\+0\.j\]; copy it"),
     "endless": (lambda state, rng: [None for _ in iter(int, 1)], r"does not end"),
