@@ -363,16 +363,15 @@ def test_recording_the_messages_changes_no_decision(name, monkeypatch):
     """With messages recorded, each arrival is decided by an event; without, arrivals are decided together."""
     links = ["network.range = 6.0", "network.latency = { kind = 'lognormal', mean = 0.1, cv = 0.8 }", "horizon = 2.0"]
     scenario = load(SCENARIOS / f"{name}.toml", [each.replace(" = ", "=", 1) for each in links + LOST_ON_ARRIVAL[name]])
-    together = []
-    receive = Records.receive
-    monkeypatch.setattr(Records, "receive", lambda *given: (together.append(len(given[1])), receive(*given)))
+    one_by_one = []
+    insert = Records.insert
+    monkeypatch.setattr(Records, "insert", lambda *given: (one_by_one.append(len(given[1])), insert(*given)))
     runs = []
     for messages in (False, True):
         record = scenario.record.model_copy(update={"messages": messages})
         result = run(scenario.model_copy(update={"record": record}), 3)
         runs.append([list(result.trace.of(kind)) for kind in (Decided, Captured, MessageCounts)])
-        assert (sum(together) > 0) == (not messages)
-        together.clear()
+        assert (sum(one_by_one) > 0) == messages
     assert runs[0] == runs[1]
     assert runs[0][2][-1].lost_by["out_of_range"] > 0
 
