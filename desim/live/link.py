@@ -105,7 +105,7 @@ class SocketLinkLayer(LinkLayer):
     ):
         super().__init__(state, links, sampler, trace, seed)
         self._node, self._wire, self._post, self._draws = node, wire, post, draws
-        self._me, self._copies, self._duplicates = [node], draws and sampler.duplicates_messages, False
+        self._me, self._copies, self._may_duplicate = [node], draws and sampler.duplicates_messages, False
         self._log.loss_watchers = [self._note_loss]
         state.records.expect_any_order()  # between two sockets, one datagram may overtake another
         self._seen: defaultdict[int, dict[int, None]] = defaultdict(dict)
