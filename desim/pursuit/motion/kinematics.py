@@ -73,6 +73,8 @@ class Kinematics:
     def distances(self, player: int, others: Iterable[int]) -> list[float]:
         """Return the present distances of other players from one player, m."""
         here = self.position(player)
+        if self._cached_at == self._env.now or self._static:  # as a rule
+            return [abs(here - self._positions.item(other)) for other in others]
         return [abs(here - self.position(other)) for other in others]
 
     def positions_of(self, players: Sequence[int] | NDArray[np.intp]) -> Points:

@@ -202,10 +202,12 @@ class Beliefs(Knowledge):
             return TeamEstimate(everyone, state.positions(), state.speeds, np.array(view.capture_times(evader)))
         records = self.trusted()
         team = self._reckoned_team(records, evader)
+        positions, times = team.positions.copy(), team.capture_times.copy()
+        positions[self.id], times[self.id] = state.position(self.id), self.capture_time(evader)
+        if len(records) == state.size - 1:  # as a rule; to select takes longer than all before
+            return TeamEstimate(list(range(state.size)), positions, state.speeds, times)
         ids = sorted([self.id, *records])
-        positions, times, me = team.positions[ids], team.capture_times[ids], ids.index(self.id)
-        positions[me], times[me] = state.position(self.id), self.capture_time(evader)
-        return TeamEstimate(ids, positions, state.speeds[ids], times)
+        return TeamEstimate(ids, positions[ids], state.speeds[ids], times[ids])
 
     def _reckoned_team(self, records: Mapping[int, Record], evader: int) -> ReckonedTeam:
         """Return the positions and capture times that follow from records now; only the rows of their sources count.
