@@ -104,8 +104,10 @@ class ReceivingNodes:
 
     def inbox(self, node: int, port: str = "") -> Inbox:
         """Return the inbox of a node at a port."""
-        node = self._node(node)
-        check_port(port, f"node {node}")
+        if not (type(node) is int and 0 <= node < self._size):  # saves a call for each inbox
+            node = self._node(node)
+        if not isinstance(port, str):
+            check_port(port, f"node {node}")  # type: ignore[unreachable]
         return self._inboxes.at(port)[node]
 
     def _settled(self, node: int) -> int:

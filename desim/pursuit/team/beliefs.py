@@ -47,6 +47,9 @@ class Belief(NamedTuple):
     """Time since the announcement was sent, s; may be negative, because sender and receiver read different clocks."""
 
 
+_new = tuple.__new__  # in half of the time of `Belief(...)`
+
+
 class TeamEstimate(NamedTuple):
     """A pursuer's estimate of the team: itself, and the teammates that it senses or about which it has a belief."""
 
@@ -177,7 +180,8 @@ class Beliefs(Knowledge):
         for j in records.keys() - times.keys():
             times[j] = self._capture_time(records[j], evader)
         beliefs = {
-            j: Belief(body.active, times[j], (now - stamp) / SECOND) for j, (_, _, stamp, body) in records.items()
+            j: _new(Belief, (body.active, times[j], (now - stamp) / SECOND))
+            for j, (_, _, stamp, body) in records.items()
         }
         if self._judge is None:
             return beliefs
