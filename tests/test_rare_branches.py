@@ -82,6 +82,7 @@ from desim.scenario.assumptions import times_known
 from desim.scenario.overrides import Source
 from desim.scenario.simultaneous import _instants
 from desim.scenario.toml import looked_up_in
+from desim.scenario.toml_lines import unreadable
 from desim.simulation.restartable import _start_behaviour
 from desim.simulation.world import initial_state
 from desim.study.breaking.search import Violation
@@ -436,6 +437,10 @@ VALUES = {
     "the mean of measurements of links with other times": lambda: (
         [LatencyTrace(table=TWO_LINKS, between=between).mean_latency() for between in ("hold", "linear")],
         pytest.approx([16.0 / 60.0, 15.5 / 60.0]),
+    ),
+    "lines of a TOML text that cannot be read": lambda: (
+        [*map(unreadable, ("a = 1\nb = = 2\n", "a = 1\nb = " + "[" * 3000 + "]" * 3000, "a = 1\n"))],
+        [2, 2, None],
     ),
     "the context of a command": lambda: (
         [_context_of(words, PROGRAM).info_name for words in (["--nope", "run", "f.toml"], ["nope"], [])],

@@ -29,7 +29,7 @@ from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml_errors import BASE, validated
 from desim.scenario.toml_hints import what_was_meant
-from desim.scenario.toml_lines import MAX_PARTS, deep_key, key_lines, tables_of
+from desim.scenario.toml_lines import MAX_PARTS, deep_key, key_lines, tables_of, unreadable
 
 INSTEAD_OF_PATH = {"dict": "Scenario(**keys)", "Scenario": "use it as it is, or scenario.with_({{key: value}})"}
 PATH = Argument("the path of a scenario file", (str, PathLike), MappingProxyType(INSTEAD_OF_PATH))
@@ -281,10 +281,10 @@ def _syntax_error(file: str | PathLike[str], message: str, text: str) -> str:
     """Return the error message for a text that is not TOML, with file and line, given the message of `tomllib`."""
     match = re.search(r" \(at (?:line (\d+), column (\d+)|end of document)\)$", message)
     last = text.rstrip().count("\n") + 1
-    if match is None:  # a number is too long, or tables are nested too deeply
-        return f"{file}: not TOML that can be read: {message}"
-    line = min(int(match[1]), last) if match[1] else last
-    problem = message[: match.start()]
+    if not match and (unread := unreadable(text)):  # a message without a line
+        return f"{file}:{unread}: not TOML that can be read: {message}"
+    line = min(int(match[1]), last) if match and match[1] else last
+    problem = message[: match.start()] if match else message
     if problem in UNCLOSED:
         return f"{file}:{line}: not TOML: a text is not closed by a quote{_opened(text, line)}"
     if meant := what_was_meant(text.split("\n")[line - 1]):
@@ -292,7 +292,7 @@ def _syntax_error(file: str | PathLike[str], message: str, text: str) -> str:
     if problem.startswith("Cannot declare"):
         problem = re.sub(r"\('(.*?)',?\)", lambda head: f"[{head[1].replace(DOT, '.')}]", problem)
         problem += ": a table has one head, below which all its keys are"
-    column = f" (column {match[2]})" if match[2] else ""
+    column = f" (column {match[2]})" if match and match[2] else ""
     return f"{file}:{line}: not TOML: {problem}{column}"
 
 

@@ -41,6 +41,19 @@ def key_lines(text: str) -> dict[KeyPath, int]:
     return lines
 
 
+def unreadable(text: str) -> int | None:
+    """Return the line of the first statement of a TOML text that `tomllib` cannot read; None if there is none."""
+    return next((line for line, statement in _statements(text) if not _is_readable(statement)), None)
+
+
+def _is_readable(statement: str) -> bool:
+    try:
+        tables_of(statement)
+    except (ValueError, RecursionError):
+        return False
+    return True
+
+
 MAX_PARTS = 100
 """The largest number of parts of a key.
 
