@@ -555,7 +555,7 @@ def test_a_metric_is_added_to_the_repository_in_one_place(tmp_path):
     (before,) = said(sweeping)
     list_of_all = tmp_path / "desim" / "analysis" / "metrics.py"
     text = list_of_all.read_text()
-    list_of_all.write_text(text.replace("    energy: float = entry(", f"{ENTRY}    energy: float = entry("))
+    list_of_all.write_text(text.replace("    energy: float = ", f"{ENTRY}    energy: float = "))
     listed, run, document, again, shown, _ = said(
         *("metrics", "run x.toml", "run x.toml --json", sweeping, f"{sweeping} --metric hasty", "export out x.csv")
     )
