@@ -30,7 +30,7 @@ OF_CASES = ("runs", "features", "guided", "budget", "grid")
 OF_LOSSES = ("fates", "delay", "seeds")
 """The options that only a search among lost messages has."""
 LEAD = 0.1
-"""How long before the violation the space-time diagram begins, s."""
+"""Time from the start of the space-time diagram to the violation, s."""
 
 
 @click.command("break")
@@ -355,5 +355,5 @@ class _Results:
 
 
 def _case_in(file: Path) -> bytes:
-    """Return what a file of a violation has after its comment, which names the command that found it."""
+    """Return the text of a file of a violation without its comment, which names the command that found it."""
     return file.read_bytes().partition(b"\n\n")[2]

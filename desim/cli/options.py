@@ -46,7 +46,7 @@ class Parsed(click.ParamType[Any]):
         self.name, self._parse, self._wanted = name, parse, wanted
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return what a text stands for."""
+        """Return the value that a text represents."""
         try:
             return self._parse(str(value))
         except ValueError:

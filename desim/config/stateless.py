@@ -57,7 +57,7 @@ def users_objects(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
         inner = enumerate(value) if form == "items" else (vars(value) if form == "model" else value).items()
         for name, item in inner:
             inner_kind: type = type(item)
-            if _form(inner_kind) != "constant":  # most are, and a call for each doubles the time
+            if _form(inner_kind) != "constant":  # most are; a call for each takes half as long again
                 yield from users_objects(item, f"{key}.{name}" if key else str(name))
 
 

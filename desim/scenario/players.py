@@ -114,7 +114,7 @@ class Team(Value):
 
     @cached_property
     def record(self) -> Starts | None:
-        """What the file of the positions has, if they are of a file."""
+        """The starts in the file of the positions; None if the positions are not from a file."""
         return None
 
     @property

@@ -42,7 +42,7 @@ AS_PUBLISHED = BestEffort()
 SetAction = Callable[[int, int], None]
 """A function that sets the action of a pursuer."""
 Replacement = tuple[int | None, Collection[int] | None, Any]
-"""What is sent in place of a message: its receiver, or None; the neighbours that heed it, or None: all; its body."""
+"""A message that replaces another one: receiver, None: all; the neighbours that do not ignore it, None: all; body."""
 
 
 class LyingTeam:

@@ -132,7 +132,7 @@ class Sighting(NamedTuple):
 
 
 class Sensors:
-    """What the sensors of a team, exact or not, have in common.
+    """The base of the sensors of a team, exact or noisy.
 
     Args:
         sensing: the parameters.

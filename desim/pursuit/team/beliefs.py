@@ -208,7 +208,7 @@ class Beliefs(Knowledge):
         team = self._reckoned_team(records, evader)
         positions, times = team.positions.copy(), team.capture_times.copy()
         positions[self.id], times[self.id] = state.position(self.id), self.capture_time(evader)
-        if len(records) == state.size - 1:  # as a rule; to select takes longer than all before
+        if len(records) == state.size - 1:  # as a rule; then no rows need be selected
             return TeamEstimate(list(range(state.size)), positions, state.speeds, times)
         ids = sorted([self.id, *records])
         return TeamEstimate(ids, positions[ids], state.speeds[ids], times[ids])

@@ -162,7 +162,7 @@ def pursuer_blocks(me: Agent, *, omniscient: bool = False) -> list[OfPursuer]:
         age, action, claim = 0.0, 0, 0.0
         if record is not None:
             body, age = record.body, min(max(now - seconds(record.stamp), 0.0), horizon)  # clocks may differ
-            if type(body) is Assignment:  # as a rule; the questions below take a tenth of a round of all agents
+            if type(body) is Assignment:  # as a rule; the questions below take a tenth of a parallel step
                 action = body.active
             else:
                 action = action_in_game(body, me.evader_count) or 0

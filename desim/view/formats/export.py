@@ -41,7 +41,7 @@ class ExporterTraits(Traits):
     suffix: Annotated[str, Field(pattern=r"^\.[^/]+$")] | None = None
     """The end of the names of its files, in lower case, for instance ".edges"; None: any."""
     items: Annotated[str, Field(min_length=1)] = "items"
-    """What it counts, in the plural, for instance "rows"; of one item "1 row" is said."""
+    """The noun of the counted items in the plural, such as "rows"; one item is "1 row"."""
     streams: Flag = False
     """Whether it reads `result.trace` once, in order, and no more than it has to. A recorded trace is then read from
     its file event by event, and may be longer than the memory; `result.scenario` is None for one without run.json."""
