@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import networkx as nx
 import numpy as np
+import pandas as pd
 import pytest
 from pydantic import ValidationError
 from scipy import stats
@@ -445,7 +446,16 @@ LINE = {"kind": "edges", "edges": [{"src": 0, "dst": 1}, {"src": 1, "dst": 2}]}
 MATRIX = [[0.0, 0.1, None], [0.2, 0.0, 0.3], [0.4, 0.5, 0.0]]
 
 
-@pytest.mark.parametrize("values", [MATRIX, np.array(MATRIX, dtype=float), tuple(map(tuple, MATRIX))])
+@pytest.mark.parametrize(
+    "values",
+    [
+        MATRIX,
+        np.array(MATRIX, dtype=float),
+        np.ma.masked_invalid(np.array(MATRIX, dtype=float)),
+        pd.DataFrame(MATRIX, dtype="Float64"),  # its missing numbers are pandas.NA
+        tuple(map(tuple, MATRIX)),
+    ],
+)
 def test_each_link_has_its_latency_of_a_matrix(values):
     """The diagonal does not count."""
     model = LatencyMatrix(values=values)

@@ -5,8 +5,8 @@ Each model adds a jitter, itself a model of `desim.kernel.models.latency`, to th
 
 from collections.abc import Iterable
 from dataclasses import replace
-from math import fsum, inf
-from typing import Annotated, Any, Literal, Self
+from math import fsum, inf, isnan
+from typing import Annotated, Any, Literal, Self, SupportsFloat
 
 import numpy as np
 from pydantic import BaseModel, Field, ValidationInfo, model_validator
@@ -17,6 +17,7 @@ from desim.config.choice import OneOf
 from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
 from desim.config.number_texts import counted
 from desim.config.trust import resolve_path
+from desim.kernel.core.body_content import is_missing
 from desim.kernel.core.link_context import LinkContext
 from desim.kernel.core.seeds import ROOM
 from desim.kernel.measured.base import Name, NamedTable
@@ -110,6 +111,11 @@ MATRIX = "the matrix of latencies"
 """What a matrix is called in error messages."""
 
 
+def _is_absent(number: Any) -> bool:
+    """Return whether an entry of a matrix stands for a link that does not exist."""
+    return number is None or is_missing(number) or (isinstance(number, SupportsFloat) and isnan(number))
+
+
 class LatencyMatrix(NamedTable):
     """Each link has a base latency from a matrix, for instance of measurements; each message adds a jitter."""
 
@@ -145,7 +151,7 @@ class LatencyMatrix(NamedTable):
                 raise ValueError("nodes should be left out: the file has names")
             data = data | ({"nodes": names} if names else {})
         if isinstance(values, list | tuple) and all(isinstance(row, list | tuple) for row in values):
-            values = [[inf if number is None or number != number else number for number in row] for row in values]
+            values = [[inf if _is_absent(number) else number for number in row] for row in values]
         return data | {"file": None} | ({} if values is None else {"values": values})
 
     @model_validator(mode="after")
