@@ -227,6 +227,9 @@ def test_the_gibbs_law_is_that_of_the_global_utility():
 def test_times_of_capture_are_a_matrix_or_numbers_and_for_the_gibbs_law_finite():
     with pytest.raises(ValueError, match="all capture times should be finite"):
         gibbs([[1.0, inf]], 25.0, 1.0)
+    for tau in (0.0, -1.0, nan):
+        with pytest.raises(ValueError, match=rf"the temperature should be positive \(got {tau}\)"):
+            gibbs([[1.0, 2.0]], 25.0, tau)
     with pytest.raises(ValueError, match=r"\(N, M\) matrix"):
         welfare([[[1.0]], [[2.0]]], (0, 1), 25.0)
 

@@ -147,8 +147,10 @@ def gibbs(phi: ArrayLike, reward: float, tau: float) -> Floats:
     Statistical Mechanics of Strategic Interaction".
 
     Raises:
-        ValueError: if not all capture times are finite.
+        ValueError: if not all capture times are finite, or the temperature is not positive.
     """
+    if not tau > 0.0:
+        raise ValueError(f"the temperature should be positive (got {tau})")
     times = _times(phi)
     if not np.isfinite(times).all():
         raise ValueError(f"all capture times should be finite, got {np.asarray(phi).tolist()}")
