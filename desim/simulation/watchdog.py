@@ -215,9 +215,14 @@ def _raised_in(error: BaseException) -> tuple[CodeType, int]:
     """Return the code and the line that `code_place_of` names."""
     places = list(walk_tb(error.__traceback__))[::-1]
     users = (place for place in places if is_of_user(place[0]))
-    outside = (place for place in places if place[0].f_code.co_filename != __file__)
-    frame, line = next(users, None) or next(outside, None) or places[0]
+    others = (place for place in places if place[0].f_code.co_filename != __file__ and not _is_generated(place[0]))
+    frame, line = next(users, None) or next(others, None) or places[0]
     return frame.f_code, line or frame.f_code.co_firstlineno  # an instruction may belong to no line
+
+
+def _is_generated(frame: FrameType) -> bool:
+    """Return whether a frame runs code without a file that a library generated, as for a named tuple."""
+    return frame.f_code.co_filename == "<string>" and frame.f_globals.get("__name__") != "__main__"  # `python -c`
 
 
 def short(file: str) -> str:

@@ -11,6 +11,7 @@ import time
 import warnings
 import weakref
 from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import field, make_dataclass, replace
 from pathlib import Path
 from threading import Barrier, Event, Thread
 from types import FunctionType, SimpleNamespace
@@ -302,6 +303,15 @@ def test_the_place_of_an_instruction_without_a_line_is_the_begin_of_its_function
         with pytest.raises(ValueError) as caught:
             FunctionType(code.replace(co_linetable=table), {})()
         assert code_place_of(caught.value) == f"simulation/test_watchdog.py:{line} (interrupted)"
+
+
+def test_the_place_is_never_in_generated_code_which_has_no_file():
+    kind = make_dataclass("Generated", [("count", int, field(default_factory=next, init=False))])
+    with pytest.raises(TypeError) as caught:
+        replace(object.__new__(kind))
+    assert caught.traceback[-1].frame.code.raw.co_filename == "<string>"
+    of_libraries = caught.value.with_traceback(caught.tb.tb_next)
+    assert re.fullmatch(r"[^/]+/dataclasses\.py:\d+ \(_?replace\)", code_place_of(of_libraries))
 
 
 @pytest.mark.slow
