@@ -125,17 +125,17 @@ class RandomFaults(Value):
 
     @property
     def messages_only(self) -> bool:
-        """Whether no robot breaks down: no kind is a crash, which may be one of a robot."""
+        """Whether no robot can break down: a kind derived from `Crash` may draw a crash of a robot."""
         return not any(issubclass(_class_of(kind), Crash) for kind in self.kinds)
 
     @property
     def memory(self) -> bool:
-        """Whether all nodes keep their memory: no kind is a crash, which may erase it."""
+        """Whether all nodes keep their memory: only a kind derived from `Crash` may erase it."""
         return self.messages_only
 
     @property
     def is_scheduled(self) -> bool:
-        """Whether all kinds are built in, as a fault of a user may look at the run."""
+        """Whether all kinds are built in; what a fault of a user does may depend on the state of the run."""
         return all(isinstance(kind, str) for kind in self.kinds)
 
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Fault]:
@@ -153,25 +153,25 @@ FAULTS = OneOf(*BUILT_IN, MessageFault, RandomCrashes, RandomFaults, ClockSkew, 
 
 
 def draw_faults(entries: Sequence[Fault | FaultPlan | ClockSkew], size: int, horizon: float, seed: int) -> list[Fault]:
-    """Draw the faults of each plan, and return them with the faults among the entries; clock errors are left out.
+    """Return all faults, in the order of the entries: faults themselves, and the faults that each plan draws.
 
-    Every plan has its own random stream.
+    Clock errors are left out. Every plan has its own random stream.
 
     Raises:
         ValueError: if a plan returns or yields anything else than faults, or does not end.
     """
     faults: list[Fault] = []
-    number = count()
+    plan_numbers = count()
     for entry in entries:
-        if inherits(entry, Fault):  # unless a class of a user draws other faults
+        if inherits(entry, Fault):  # its `__call__` would yield the fault itself
             faults.append(entry)
         elif not isinstance(entry, ClockSkew):
-            answer: Any = entry(size, horizon, stream(seed, "faults", next(number)))
+            answer: Any = entry(size, horizon, stream(seed, "faults", next(plan_numbers)))
             planned: list[Any] = [*islice(answer, MAX_FAULTS + 1)] if isinstance(answer, Iterable) else [answer]
             if len(planned) > MAX_FAULTS:
                 expected = f"a plan should end, with no fault after the horizon, and has over {MAX_FAULTS:,} faults"
                 raise wrong_answer(expected, planned[-1], entry)
-            if strange := [fault for fault in planned if not isinstance(fault, Fault)]:
-                raise wrong_answer("a plan should return or yield faults of the network", strange[0], entry)
+            if wrong := [fault for fault in planned if not isinstance(fault, Fault)]:
+                raise wrong_answer("a plan should return or yield faults of the network", wrong[0], entry)
             faults += planned
     return faults

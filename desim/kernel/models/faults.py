@@ -36,10 +36,10 @@ NO_NODES: NamedNodes = MappingProxyType({})
 
 
 class FaultSite(Protocol):
-    """What a fault can do to a network. Each method returns the function that ends what it has begun.
+    """What a fault can do to a network. Each method that has an effect returns the function that ends this effect.
 
-    Losses by the fault have its `cause`. The trace records this fault, the parts that it begins, and each crash. What
-    it blocks, jams or intercepts is seen by the losses and arrivals of messages, and drawn as its `sketch` says.
+    The trace records the fault, each fault that it begins as a part, and each crash. Its other effects show only in the
+    losses and arrivals of messages; pages draw them as its `sketch` says. Losses by the fault have its `cause`.
     """
 
     @property
@@ -47,25 +47,26 @@ class FaultSite(Protocol):
         """The number of nodes."""
 
     def targets(self) -> Sequence[int]:
-        """Return the nodes that matter most now, the first one most; a network alone has none.
+        """Return the nodes that matter most at present, in descending order; empty in a network without a pursuit.
 
-        In a pursuit they are the pursuers that chase, those that would capture first first.
+        In a pursuit they are the pursuers that chase, in the order of their capture times.
         """
 
     def begin(self, fault: "Fault") -> Undo:
         """Begin another fault as a part of this one; the trace records both.
 
-        Its losses have its own `cause`, or else that of this fault, if either class has one.
+        Losses by the part have the `cause` of its class, or else that of the class of this fault. If neither class has
+        one, they have the kind of the part.
 
         Raises:
-            ValueError: if it names a node that does not exist.
+            ValueError: if the part names a node that does not exist.
         """
 
     def crash(self, crash: "Crash") -> Undo:
-        """Take a node down; the trace records the crash, so that metrics and pages know who is down.
+        """Take a node down; the trace records the crash, so that metrics and pages know which nodes are down.
 
-        Its losses have the `cause` of this fault, those of `begin(crash)` that of the crash if it has one. `start` and
-        `end` of the crash have no effect: it lasts until the function is called that ends it.
+        Losses by the crash have the `cause` of this fault; with `begin(crash)`, they would have that of the crash if it
+        has one. `start` and `end` of the crash have no effect: it lasts until the returned function is called.
 
         Raises:
             ValueError: if the node does not exist.
@@ -87,9 +88,10 @@ class FaultSite(Protocol):
     def intercept(self, delays: "Delays") -> Undo:
         """Lose, delay or copy messages that are sent from now on, as `delays(src, receivers, body)` says.
 
-        It is called once for each broadcast or message, and returns the extra delay, s, at each receiver that is
-        concerned; inf: the message is lost there. Several delays, such as (0.0, 0.5), are those of the message and of
-        its copies: each arrives by so much later than the message would have. A message that is lost has no copies.
+        `delays` is called once for each broadcast, and once for each message to one node. It returns the extra delay,
+        s, at each receiver that is concerned; inf: the message is lost there. Several delays, such as (0.0, 0.5), are
+        those of the message and of its copies, each relative to the arrival without the fault. A lost message has no
+        copies.
         """
 
 
@@ -120,7 +122,7 @@ class Window(Value):
         return end
 
     def named(self) -> NamedNodes:
-        """Return the nodes that the fault names, by key: errors about a node that does not exist name the key."""
+        """Return the nodes that the fault names, by key; an error about a node that does not exist states the key."""
         return NO_NODES
 
     def sketch(self) -> Sketch:
@@ -166,7 +168,7 @@ class Fault(Window):
 
     @model_validator(mode="after")
     def _can_begin(self) -> Self:
-        if inherits(self, Fault):  # a class of a user that draws other faults need not begin itself
+        if inherits(self, Fault):  # a class that overrides `__call__` draws other faults, and need not begin itself
             if not positions(type(self), "begin"):
                 raise ValueError("should have a method begin(site), which returns the function that ends the fault")
             check_call(self.begin, ("site",), self)
@@ -239,10 +241,10 @@ class Partition(Fault):
     @field_validator("groups")
     @classmethod
     def _disjoint(cls, groups: tuple[tuple[int, ...], ...]) -> tuple[tuple[int, ...], ...]:
-        named = [node for group in groups for node in group]
-        twice = sorted({node for node in named if named.count(node) > 1})
-        if twice:
-            raise ValueError(f"should be disjoint, node {twice[0]} is listed twice")
+        nodes = [node for group in groups for node in group]
+        repeated = sorted({node for node in nodes if nodes.count(node) > 1})
+        if repeated:
+            raise ValueError(f"should be disjoint, node {repeated[0]} is listed twice")
         return groups
 
     def begin(self, site: FaultSite) -> Undo:
@@ -255,8 +257,8 @@ class Partition(Fault):
     def random_parameters(cls, draw: RandomDraw) -> dict[str, Any]:
         """Return a random group of nodes, which is separated from the others."""
         size, rng = draw.size, draw.rng
-        cut = rng.permutation(size)[: rng.integers(1, max(size, 2))]
-        return {"groups": (tuple(sorted(cut.tolist())),)}
+        group = rng.permutation(size)[: rng.integers(1, max(size, 2))]
+        return {"groups": (tuple(sorted(group.tolist())),)}
 
     def named(self) -> NamedNodes:
         """Return the nodes of all groups."""
@@ -306,11 +308,11 @@ class Jamming(Fault):
 
 
 class MessageFault(Fault):
-    """Some messages are lost, arrive late, or arrive twice: those with given numbers.
+    """The messages with given numbers are lost, arrive late, or arrive twice.
 
-    A message to one receiver has one number; a broadcast has as many as receivers, in the order of these. The first
-    message that is sent while the fault lasts has the number 1. In a run without chance, a number names one message.
-    The copies that such faults make have no numbers.
+    A message to one node has one number; a broadcast has one for each receiver, in the order of the receivers. The
+    first message that is sent while the fault lasts has the number 1. In a run without chance, a number always names
+    the same message. Copies that a `message_fault` makes have no numbers.
     """
 
     kind: Literal["message_fault"] = "message_fault"
@@ -319,12 +321,12 @@ class MessageFault(Fault):
     messages: Annotated[tuple[Annotated[int, Field(ge=1, strict=True)], ...], FirstError(), NotEmpty()]
     """The numbers of the messages, from 1 on."""
     delay: Extent = inf
-    """The time by which they arrive late, s; inf = never.
+    """Time by which the messages arrive late, s; inf = never.
 
-    If in doubt, inf. A time that is longer than a time-out of the protocol shows whether it takes old news for new.
+    If in doubt, inf. A time longer than a time-out of the protocol shows whether the protocol takes old news for new.
     """
     duplicate: Flag = False
-    """Whether they arrive as they should and once more, late by `delay`; then it is finite."""
+    """Whether the messages arrive on time, and a copy of each arrives late by `delay`, which should then be finite."""
 
     @field_validator("duplicate")
     @classmethod
@@ -334,14 +336,14 @@ class MessageFault(Fault):
         return duplicate
 
     def begin(self, site: FaultSite) -> Undo:
-        """Count the messages from now on, and intercept those that are meant."""
-        first, fate = 1, (0.0, self.delay) if self.duplicate else self.delay
+        """Count the messages from now on, and intercept those whose numbers are in `messages`."""
+        next_number, fate = 1, (0.0, self.delay) if self.duplicate else self.delay
 
         def delays(_src: int, receivers: Sequence[int], _body: Any) -> Mapping[int, float | Sequence[float]]:
-            nonlocal first
-            numbers, first = range(first, first + len(receivers)), first + len(receivers)
-            numbered = zip(receivers, numbers, strict=True)
-            return {node: fate for node, number in numbered if number in self.messages}
+            nonlocal next_number
+            numbered_receivers = [*enumerate(receivers, next_number)]
+            next_number += len(receivers)
+            return {node: fate for number, node in numbered_receivers if number in self.messages}
 
         return site.intercept(delays)
 
@@ -370,14 +372,14 @@ def nodes_of(fault: object) -> NamedNodes:
     """Return the nodes that a fault, a clock error or a plan names, by key.
 
     Raises:
-        ValueError: if `named` of a user's fault returns anything else.
+        ValueError: if `named` of a user's fault returns anything but lists of node numbers by key.
     """
-    method = FaultTraits.of(fault).named
-    if method is None:
+    named = FaultTraits.of(fault).named
+    if named is None:
         return NO_NODES
-    named: Any = method()
+    answer: Any = named()
     try:
-        return {str(key): tuple(map(index, nodes)) for key, nodes in named.items()}
+        return {str(key): tuple(map(index, nodes)) for key, nodes in answer.items()}
     except (AttributeError, TypeError) as error:
         expected = 'the numbers of nodes by key, such as {"node": [3]}'
-        raise wrong_answer(f"named() of a fault should return {expected}", named, fault) from error
+        raise wrong_answer(f"named() of a fault should return {expected}", answer, fault) from error

@@ -1,4 +1,4 @@
-"""The faults of a trace: the records of those that have started and ended, which can be read without code of users."""
+"""The faults of a trace: the events of their starts and ends, with records that need no code of users to be read."""
 
 import json
 from typing import Annotated, Any, Literal, NamedTuple
@@ -86,7 +86,7 @@ def traced(fault: Fault) -> TracedFault:
     for base in BUILT_IN:  # begin() of a Partition calls its separates()
         if all(inherits(fault, base, name) for name in ("begin", "separates") if hasattr(base, name)):
             return as_built_in(fault, base)  # type: ignore[return-value]
-    nodes = tuple(node for named in nodes_of(fault).values() for node in named)
+    nodes = tuple(node for nodes_of_key in nodes_of(fault).values() for node in nodes_of_key)
     sketch: Any = fault.sketch()
     if not isinstance(sketch, dict):
         raise wrong_answer("sketch() of a fault should return a dictionary of what a page draws", sketch, fault)
