@@ -1,8 +1,8 @@
 """Models of interference: which frames a receiver gets of those that overlap at it.
 
 A model is called with an `Overlap`: one frame, the frames that overlap it, and k of its receivers. Whether frames
-overlap is judged by the times at which they are transmitted; propagation delays are neglected. A receiver that
-transmits itself meanwhile gets nothing; models are not asked about it.
+overlap is judged by the times at which they are transmitted; propagation delays are neglected. A receiver that itself
+transmits meanwhile gets nothing, whatever the model returns for it.
 """
 
 import math
@@ -28,13 +28,11 @@ from desim.kernel.models.fading import (
 from desim.kernel.models.traits import Exponent, InterferenceTraits
 
 Decibels = Annotated[float, Field(ge=-300, le=300, strict=True)]
-
-
 NEAREST = 1e-3
 """Least distance in the path loss, m; at smaller distances the power is the same."""
 LN_10 = math.log(10.0)
 SEPARATION = 30.0 / 125.0
-"""Smallest distance of two LoRa frequencies that do not interfere, in bandwidths."""
+"""Largest distance of the frequencies of two LoRa frames that interfere, in bandwidths."""
 ISOLATION = {
     "goursaud": (
         (6, -16, -18, -19, -19, -20),
@@ -93,14 +91,14 @@ class Frame:
 
 
 def unknown_channel(_: Frame) -> ChannelState:
-    """Raise ValueError: an overlap that was made without it has no `channel`."""
+    """Raise ValueError: the overlap was made without `channel`."""
     raise ValueError("shadowing needs the states of the channels (`Overlap.channel`)")
 
 
 class Overlap(NamedTuple):
     """A frame, the frames that overlap it, and k of its receivers.
 
-    The functions take one of the frames, and return an array with one item per receiver.
+    `audible`, `distances` and `uniforms` take one of the frames, and return an array with one item per receiver.
     """
 
     frame: Frame
@@ -116,10 +114,10 @@ class Overlap(NamedTuple):
     signal: Callable[[Frame], LoRaSignal]
     """Returns the parameters of a LoRa frame; only for a medium of this kind."""
     channel: Callable[[Frame], ChannelState] = unknown_channel
-    """The states of the channels from the sender of the frame to the receivers. If `fading` of the network is not
-    "correlated", only the shadowing is there."""
+    """Returns the states of the channels from the sender of the frame to the receivers. Only if `fading` of the network
+    is "correlated", they also have `normals`; their shadowing is always defined."""
     is_correlated: bool = False
-    """Whether fading is that of `channel`; if not, it is that of `uniforms`."""
+    """Whether fading follows from `channel`; if not, it follows from `uniforms`."""
 
 
 class Interference(Protocol):
@@ -161,7 +159,7 @@ class Faded(Value):
 
     @property
     def varies(self) -> tuple[Variation, ...]:
-        """Why the power of a frame at a distance is random."""
+        """The causes for which the power of a frame at a given distance is random."""
         shadowing: tuple[Variation, ...] = ("shadowing",) if self.shadowing else ()
         return shadowing if self.fading == "none" else ("fading", *shadowing)
 
@@ -243,10 +241,10 @@ class CaptureEffect(Faded):
 
 
 class Sinr(Faded):
-    """A frame is received if its power is above noise and the sum of all interference by a threshold at all times.
+    """A frame is received if its power exceeds noise plus interference by a threshold throughout its airtime.
 
-    The sum is the largest of those of the frames that are on the air at one instant. The power of a frame at distance d
-    is power * d^-exponent, and fades. Interference has no range: all overlapping frames count.
+    Interference at an instant is the sum of the powers of all other frames that are on the air. It has no range: all
+    overlapping frames count. The power of a frame at distance d is power * d^-exponent, and fades.
     """
 
     needs_positions: ClassVar[bool] = True
@@ -269,17 +267,17 @@ class Sinr(Faded):
 
     def __call__(self, overlap: Overlap) -> Bools:
         """Return where the signal-to-interference-and-noise ratio reaches the threshold."""
-        received = self._power(overlap, overlap.frame)
-        powers = [self._power(overlap, other) for other in overlap.others]
-        worst = np.full(len(received), self.noise)
+        power = self._power(overlap, overlap.frame)
+        other_powers = [self._power(overlap, other) for other in overlap.others]
+        max_disturbance = np.full(len(power), self.noise)
         # Interference increases only where a frame begins, so its maximum is at one of these instants.
         for instant in sorted({max(other.begin, overlap.frame.begin) for other in overlap.others}):
-            interference = np.full(len(received), self.noise)
-            for other, power in zip(overlap.others, powers, strict=True):
+            disturbance = np.full(len(power), self.noise)
+            for other, other_power in zip(overlap.others, other_powers, strict=True):
                 if other.begin <= instant < other.end:
-                    interference += power
-            worst = np.maximum(worst, interference)
-        return np.asarray(received >= 10.0 ** (self.threshold / 10.0) * worst)
+                    disturbance += other_power
+            max_disturbance = np.maximum(max_disturbance, disturbance)
+        return np.asarray(power >= 10.0 ** (self.threshold / 10.0) * max_disturbance)
 
     def _power(self, overlap: Overlap, frame: Frame) -> Floats:
         power: Floats = self.power * exp(-self.exponent * _log(overlap.distances(frame)))
@@ -292,11 +290,11 @@ class LoRaInterference(Faded):
     """LoRa frames with capture (Bor, Roedig, Voigt & Alonso 2016, "Do LoRa Low-Power Wide-Area Networks Scale?").
 
     Two frames interfere if their spreading factors are equal and their frequencies at most 30, 60 or 120 kHz apart, at
-    a bandwidth of 125, 250 or 500 kHz. The frame that is stronger by the threshold is received. A weaker frame is
-    received only if the other ends before the last five symbols of its preamble. In LoRaSim, the simulator of Bor et
-    al., the earlier of two frames is then received, too; here its end is lost unless it is stronger. Frames of
-    different spreading factors interfere if the other is stronger by the isolation between the two. Which frames a
-    receiver is tuned to is a matter of the medium (`gateways`).
+    a bandwidth of 125, 250 or 500 kHz. A frame that is stronger than the other by the threshold is received. A weaker
+    frame is received only if the other ends before the last five symbols of the weaker one's preamble. In that case
+    LoRaSim, the simulator of Bor et al., receives both frames; here the earlier one is lost unless it is stronger. A
+    frame is also lost to one of another spreading factor that is stronger by more than the isolation between the two.
+    Which frames a receiver is tuned to is a matter of the medium (`gateways`).
     """
 
     needs_positions: ClassVar[bool] = True
@@ -312,21 +310,22 @@ class LoRaInterference(Faded):
 
     def __call__(self, overlap: Overlap) -> Bools:
         """Return where no other frame destroys the frame."""
-        wanted = overlap.signal(overlap.frame)
-        symbol = 2**wanted.spreading_factor / wanted.bandwidth / RESOLUTION
-        critical = overlap.frame.begin + round((wanted.preamble - 5) * symbol)
+        signal = overlap.signal(overlap.frame)
+        symbol_time = 2**signal.spreading_factor / signal.bandwidth / RESOLUTION  # ns
+        critical_time = overlap.frame.begin + round((signal.preamble - 5) * symbol_time)
         power = self._level(overlap, overlap.frame, self.exponent)
         received = np.ones(len(power), dtype=bool)
         for other in overlap.others:
-            signal = overlap.signal(other)
-            if abs(signal.frequency - wanted.frequency) > SEPARATION * wanted.bandwidth or other.end <= critical:
+            other_signal = overlap.signal(other)
+            is_apart = abs(other_signal.frequency - signal.frequency) > SEPARATION * signal.bandwidth
+            if is_apart or other.end <= critical_time:
                 continue
             advantage = power - self._level(overlap, other, self.exponent)
-            if signal.spreading_factor == wanted.spreading_factor:
+            if other_signal.spreading_factor == signal.spreading_factor:
                 received &= (advantage >= self.threshold) | ~overlap.audible(other)
             elif self.isolation != "orthogonal":
-                least = ISOLATION[self.isolation][wanted.spreading_factor - 7][signal.spreading_factor - 7]
-                received &= (advantage >= least) | ~overlap.audible(other)
+                min_ratio = ISOLATION[self.isolation][signal.spreading_factor - 7][other_signal.spreading_factor - 7]
+                received &= (advantage >= min_ratio) | ~overlap.audible(other)
         return received
 
 
