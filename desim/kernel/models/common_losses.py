@@ -63,14 +63,15 @@ class CommonBursts:
     def __init__(self, share: float, burst: float, common: float, losses: tuple[float, float], size: int):
         self._losses = losses
         odds = share / (1.0 - share)
-        # Two links with a node in common are both good with (1 - share)^2 / (1 - s), s being the share of the node.
-        of_node = common * odds
-        self._node_share = of_node / (1.0 + of_node)
-        self._link_share = 1.0 - (1.0 - share) * (1.0 + of_node) ** 2
-        of_link = self._link_share / (1.0 - self._link_share)
-        # A link that is good turns bad at the rate of all three, which is that of its share and mean bad period.
-        recovery = odds / burst / (2.0 * of_node + of_link)
-        self._node_rate, self._link_rate = recovery * (1.0 + of_node), recovery * (1.0 + of_link)
+        # Two links with a node in common are both good with the probability (1 - share)^2 / (1 - s), where s is the
+        # share of bad time of the node. So their correlation is the odds of the node, s / (1 - s), divided by `odds`.
+        node_odds = common * odds
+        self._node_share = node_odds / (1.0 + node_odds)
+        self._link_share = 1.0 - (1.0 - share) * (1.0 + node_odds) ** 2
+        link_odds = self._link_share / (1.0 - self._link_share)
+        # A good link turns bad at the sum of the rates of its three states; its share and mean bad period give the sum.
+        recovery = odds / burst / (2.0 * node_odds + link_odds)
+        self._node_rate, self._link_rate = recovery * (1.0 + node_odds), recovery * (1.0 + link_odds)
         self._nodes = np.full(size, self._node_share), np.full(size, -math.inf)
         """The states of the nodes (1: bad) and their times, s, (n,) each; at first, the share of bad time, at -inf."""
         self._rows: defaultdict[int, LinkMemory] = defaultdict(partial(LinkMemory, self._link_share))
@@ -78,18 +79,18 @@ class CommonBursts:
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
         """Advance the states of the nodes and links of a message and return its (k,) losses."""
         row, dst, now = self._rows[context.src], context.dst, context.now
-        of_nodes = self._advance(np.append(dst, context.src), now, rng)
+        bad_nodes = self._advance(np.append(dst, context.src), now, rng)  # the receivers, and last the sender
         row.select(dst)
-        last = np.broadcast_to(np.asarray(row.since), len(dst))
-        of_links = rng.random(len(dst)) < _chances(row.value, self._link_share, self._link_rate, last, now)
-        row.value[:], row.since = of_links, now
-        bad: Bools = of_links | of_nodes[:-1] | of_nodes[-1]
+        times = np.broadcast_to(np.asarray(row.since), len(dst))
+        bad_links = rng.random(len(dst)) < _chances(row.value, self._link_share, self._link_rate, times, now)
+        row.value[:], row.since = bad_links, now
+        bad: Bools = bad_links | bad_nodes[:-1] | bad_nodes[-1]
         if self._losses == (0.0, 1.0):
             return bad
         return rng.random(len(bad)) < np.where(bad, self._losses[1], self._losses[0])
 
     def _advance(self, nodes: "np.typing.NDArray[np.intp]", now: float, rng: np.random.Generator) -> Bools:
-        """Return (k,) whether nodes are bad now."""
+        """Advance the states of k nodes, and return which of them are bad now."""
         states, times = self._nodes
         bad: Bools = rng.random(len(nodes)) < _chances(
             states[nodes], self._node_share, self._node_rate, times[nodes], now

@@ -15,20 +15,23 @@ if TYPE_CHECKING:
 
 
 NO_LINKS: "NDArray[np.intp]" = np.array([], dtype=np.intp)
+"""The receivers of a `LinkMemory` whose numbers are all put aside."""
 
 
 class LinkMemory:
     """The numbers of the links of one sender, one per link.
 
-    The numbers of the links to the receivers of its last broadcast are in `value`, those of later messages to one node
-    in `ones`, and all others are put aside. So a broadcast to the same receivers as the last one needs no look-up,
-    which would take a third of its time, and a message to one node needs no array.
+    The numbers of the links to the receivers of the last broadcast are in `value`, those of links that later messages
+    to one node have used in `ones`. All others are put aside, in an array of all links. So a broadcast to the same
+    receivers as the last one needs no look-up, which would take a third of its time, and a message to one node needs no
+    array.
 
     Args:
         initial: the number of a link that has not been used.
 
     Attributes:
-        dst: the (k,) receivers of the last message; None if their array may be changed.
+        dst: the (k,) receivers of the last broadcast; None if their array is writeable, so that the same array need not
+            hold the same receivers later.
         value: the (k,) numbers of these links.
         since: the times (s) of the last messages of these links, if the model sets them, (k,) or one for all; -inf:
             none.
@@ -38,7 +41,8 @@ class LinkMemory:
 
     def __init__(self, initial: float) -> None:
         self._initial = initial
-        # The links used so far, by node; never empty, because `take` rejects an empty array.
+        # The receivers of the links used so far, in ascending order, and their numbers and times. -1 is no node: it is
+        # there because `take` rejects an empty array.
         self._nodes, self._value, self._since = np.array([-1]), np.array([initial]), np.array([-np.inf])
         self._selected = np.array([0])
         self.ones: dict[int, tuple[float, float]] = {}
@@ -119,7 +123,7 @@ class CorrelatedNumbers:
         unused = np.isnan(row.value)
         if unused.any():
             row.value[unused] = _uniform(int(unused.sum()), rng)
-        last = row.value.astype(np.uint64)  # a float holds such a number exactly
+        last = row.value.astype(np.uint64)  # a float holds an integer below 2^53 exactly
         # No overflow: the weights add up to 2^32, and both numbers are less than 2^32.
         numbers = (new * (np.uint64(RANGE) - self._rho) + last * self._rho) >> np.uint64(32)
         row.value[:] = numbers

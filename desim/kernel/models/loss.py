@@ -58,8 +58,9 @@ class GilbertElliott(Value):
     The model of Gilbert (1960, "Capacity of a Burst-Noise Channel") has no losses in the good state. The model of
     Elliott (1963, "Estimates of Error Rates for Codes on Burst-Noise Channels") has losses in both states. With
     transition probabilities (or rates) p from good to bad and r from bad to good, the share of bad time is
-    s = p / (p + r) and the mean bad period is 1 / r. A link starts in its stationary distribution. The share of lost
-    messages is s `loss_bad` + (1 - s) `loss_good`; by default exactly the messages sent in the bad state are lost.
+    s = p / (p + r) and the mean bad period is 1 / r. A link starts in the stationary distribution of its states. The
+    share of lost messages is s `loss_bad` + (1 - s) `loss_good`; by default, exactly the messages sent in the bad state
+    are lost.
 
     If the state advances with time, a link that was bad is bad again after t s with the probability s + (1 - s)
     exp(-t / (burst (1 - s))). If it advances with messages, as in netem, an idle link keeps its state. A sender that
@@ -172,10 +173,11 @@ class Bursts:
 class Correlated(Value):
     """Losses that follow each other, as `tc netem loss random p correlation` draws them.
 
-    The random number of a message is a moving average: (1 - correlation) of a new one and `correlation` of the last of
-    the link (get_crandom in Linux, net/sched/sch_netem.c). The message is lost if its number is at most p. The average
-    is distributed more narrowly than a uniform number, so for p < 1/2 less than p is lost: with p = 0.1 and a
-    correlation of 0.25, 1.75 % instead of 10 %. For bursts with a given share of losses use `gilbert_elliott`.
+    The random number of a message is a moving average: (1 - correlation) times a new number, plus `correlation` times
+    the last number of the link (get_crandom in Linux, net/sched/sch_netem.c). The message is lost if its number is at
+    most p. The average is distributed more narrowly than a uniform number, so for p < 1/2 the share of lost messages is
+    less than p: with p = 0.1 and a correlation of 0.25, it is 1.75 % instead of 10 %. For bursts with a given share of
+    losses use `gilbert_elliott`.
     """
 
     kind: Literal["correlated"] = "correlated"
@@ -187,7 +189,7 @@ class Correlated(Value):
     def start_run(self, size: int) -> Loss:
         """Create the model of one run with `size` nodes; the model keeps the last number of each link."""
         numbers, limit = CorrelatedNumbers(self.correlation), np.uint64(round(self.p * (RANGE - 1)))
-        return lambda context, rng: bool(limit) and numbers(context, rng) <= limit
+        return lambda context, rng: bool(limit) and numbers(context, rng) <= limit  # as in Linux, p = 0 draws nothing
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools:
         """Draw (k,) losses of the first message of each link, without state; return False if nothing can be lost."""
@@ -244,16 +246,16 @@ class _FourStates:
     UNUSED = 4
 
     def __init__(self, model: FourState):
-        to_3, to_1 = model.p13 + model.p14, model.p31 + model.p32
+        leaves_1, leaves_3 = model.p13 + model.p14, model.p31 + model.p32
         rows = [
-            [1.0 - to_3, 1.0 - to_3, 1.0 - model.p14],
+            [1.0 - leaves_1, 1.0 - leaves_1, 1.0 - model.p14],
             [0.0, 1.0 - model.p23, 1.0],
-            [model.p31, to_1, 1.0],
+            [model.p31, leaves_3, 1.0],
             [1.0, 1.0, 1.0],
             np.cumsum(model.stationary())[:3],
         ]
         self._limits = np.array(rows)
-        """For each state, the probabilities that the next is at most state 1, at most 2, and at most 3."""
+        """For each state, the probabilities that the next state is at most 1, at most 2, and at most 3."""
         self._rows: defaultdict[int, LinkMemory] = defaultdict(partial(LinkMemory, float(self.UNUSED)))
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:

@@ -38,9 +38,9 @@ class Netem(Value):
     """Unit of the distribution, s: half of the width if it is uniform, the standard deviation if it is normal; for
     pareto and paretonormal the standard deviation is 0.82 and 0.83 of it."""
     correlation: Probability = 0.0
-    """Share of the last random number of the link in the next one, in [0, 1]. In Linux and here, it makes no difference
-    with a table, and without one only if the jitter is about 1 s or the correlation about 0.9: U is the random number
-    modulo 4096, or modulo 2 `jitter` in ns."""
+    """Share of the last random number of the link in the next one, in [0, 1]. In Linux and here, it has no effect with
+    a table. Without a table, it has one only if the jitter is about 1 s, or the correlation about 0.9. The reason: U is
+    the random number modulo the length of the table, or modulo 2 `jitter` in ns."""
     distribution: Literal["uniform", "normal", "pareto", "paretonormal"] = "uniform"
     """Distribution of the jitter; the tables of the last three are those of iproute2."""
     table: Annotated[tuple[TableNumber, ...], FirstError(), NotEmpty(), Field(max_length=LONGEST)] | None = None
@@ -83,7 +83,7 @@ class Netem(Value):
         return self if is_memoryless else _NetemLinks(self)
 
     def quantile(self, u: Floats) -> Floats:
-        """Return the u-quantile of the latency, s; the share of reordered messages is that without correlation."""
+        """Return the u-quantile of the latency, s, as if reordering were not correlated."""
         undelayed = self._undelayed
         if undelayed == 1.0:
             return np.zeros_like(u)
@@ -105,7 +105,7 @@ class Netem(Value):
 
     @property
     def _undelayed(self) -> float:
-        """The share of reordered messages: one after gap - 1 others and a geometric number of trials."""
+        """The share of reordered messages: each follows gap - 1 delayed ones and a geometric number of trials."""
         return self.reorder / (1.0 + self.reorder * (self.gap - 1))
 
     def _delayed(self, u: Floats) -> Floats:
@@ -128,20 +128,20 @@ def _quantiles(distribution: str, table: tuple[int, ...] | None) -> Floats:
 class _NetemLinks:
     """`Netem` in one run, with the last random numbers of each link and the number of messages since a reordered one.
 
-    The random numbers are those of Linux, 0 .. 2^32 - 1, because the effect of a correlation depends on it.
+    The random numbers have the range of Linux, 0 .. 2^32 - 1, because the effect of a correlation depends on the range.
     """
 
     def __init__(self, model: Netem):
         self._model = model
         numbers = model.numbers()
-        # As Linux computes it: modulo the length of the table or the width of the distribution in ns.
+        # As in Linux, a random number is taken modulo the length of the table, or the width of the distribution in ns.
         half = max(round(model.jitter * 1e9), 1)
         self._table = None if numbers is None else np.array(numbers) / SCALE
         self._half, self._modulus = half, np.uint64(2 * half if numbers is None else len(numbers))
         self._limit = np.uint64(round(model.reorder * (RANGE - 1)))
         self._jitters = CorrelatedNumbers(model.correlation)
         self._reorders = CorrelatedNumbers(model.reorder_correlation)
-        self._since: defaultdict[int, LinkMemory] = defaultdict(partial(LinkMemory, 0.0))
+        self._since_reordered: defaultdict[int, LinkMemory] = defaultdict(partial(LinkMemory, 0.0))
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
         """Return the (k,) latencies, s."""
@@ -160,7 +160,7 @@ class _NetemLinks:
         """Return (k,) booleans, whether the message is reordered on each link."""
         if not self._limit:
             return np.zeros(len(context.dst), bool)
-        row = self._since[context.src]
+        row = self._since_reordered[context.src]
         row.select(context.dst)
         reordered = row.value >= self._model.gap - 1
         # Only links whose gap is over draw a number, as in Linux: the memory of the others must not advance.

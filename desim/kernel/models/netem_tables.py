@@ -30,6 +30,7 @@ SCALE = 8192
 LOWEST, HIGHEST = -(2**15), 2**15 - 1
 """The range of the numbers of a table, which tc stores in 16 bits; in units of sigma, -4 to 4."""
 PER_LINE = 8
+"""Numbers in a line of a written table."""
 
 
 class Fit(NamedTuple):
@@ -52,10 +53,10 @@ def fit(quantile: Callable[[Floats], Floats]) -> Fit:
     """
     quantiles = quantile((np.arange(SIZE) + 0.5) / SIZE)
     delay = round(fsum(quantiles) / SIZE, 9)
-    gaps = quantiles - delay
-    widest = max(float(gaps.max()) / HIGHEST, float(gaps.min()) / LOWEST) * SCALE
-    jitter = ceil(max(sqrt(fsum(gaps * gaps) / SIZE), widest) * 1e9) / 1e9
-    return Fit(delay, jitter, _whole(gaps / jitter * SCALE if jitter else gaps))
+    deviations = quantiles - delay
+    min_jitter = max(float(deviations.max()) / HIGHEST, float(deviations.min()) / LOWEST) * SCALE
+    jitter = ceil(max(sqrt(fsum(deviations * deviations) / SIZE), min_jitter) * 1e9) / 1e9
+    return Fit(delay, jitter, _as_table(deviations / jitter * SCALE if jitter else deviations))
 
 
 def table_text(table: tuple[int, ...], name: str) -> str:
@@ -85,7 +86,7 @@ def read_table(file: Path) -> tuple[int, ...]:
 @cache
 def normal() -> tuple[int, ...]:
     """Return the standard normal distribution, from -4 to 3.5 sigma."""
-    return _whole(_normal())
+    return _as_table(_normal())
 
 
 @cache
@@ -96,7 +97,7 @@ def pareto() -> tuple[int, ...]:
     because it is cut off, that of the table is 0.82.
     """
     quantiles = np.array([(1.0 - k / SIZE) ** (-1.0 / 3.0) for k in range(SIZE)])  # `**` of numpy is not portable
-    return _whole((quantiles - 1.5) * (4.0 / 3.0) * SCALE)
+    return _as_table((quantiles - 1.5) * (4.0 / 3.0) * SCALE)
 
 
 @cache
@@ -105,7 +106,7 @@ def paretonormal() -> tuple[int, ...]:
 
     The standard deviation of the table is 0.83.
     """
-    return _whole(np.trunc((_normal() + 3 * np.array(pareto())) / 4))
+    return _as_table(np.trunc((_normal() + 3 * np.array(pareto())) / 4))
 
 
 TABLES: Mapping[str, Callable[[], tuple[int, ...]]] = MappingProxyType(
@@ -122,5 +123,6 @@ def _normal() -> Integers:
     return np.rint(np.floor(z * 20_000.0) / 20_000.0 * SCALE).astype(np.int64)
 
 
-def _whole(numbers: Floats | Integers) -> tuple[int, ...]:
+def _as_table(numbers: Floats | Integers) -> tuple[int, ...]:
+    """Return numbers, rounded and limited to LOWEST .. HIGHEST, as a table."""
     return tuple(np.clip(np.rint(numbers), LOWEST, HIGHEST).astype(int).tolist())
