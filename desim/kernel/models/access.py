@@ -4,7 +4,7 @@ A model is immutable. `desim.kernel.channel.access_methods` has its state in one
 
 All nodes contend for one channel. A node transmits one frame at a time and cannot receive meanwhile. Frames that
 overlap at a receiver interfere, see `desim.kernel.models.interference`. A node senses the frames of the nodes that are
-linked to it and within range, or within the carrier-sense range of the model, if it has one.
+linked to it and within range. If the model has a carrier-sense range, a node senses all frames from within that range.
 """
 
 from collections.abc import Sequence
@@ -26,16 +26,21 @@ class Channel(NamedTuple):
     """How frames that are created at one instant overlap on a channel."""
 
     vulnerable: float
-    """Time between the starts of two frames, s, up to which they overlap, whoever hears whom."""
+    """Time between the starts of two frames, s, up to which they overlap even if their senders hear each other."""
     hidden: float
-    """The same for two senders that do not hear each other, s."""
+    """The same time if the senders do not hear each other, s."""
     chance: float = 1.0
     """Probability that two frames that could overlap do."""
 
 
-def _whole(time: float, slot: float) -> int:
-    """Return the number of whole slots (s) that a time (s) takes, in nanoseconds, as the channel counts."""
+def _slots_of(time: float, slot: float) -> int:
+    """Return the number of slots that a time takes, rounded up. Both are in s; the channel counts nanoseconds."""
     return -(-nanoseconds(time) // nanoseconds(slot))
+
+
+def _both_transmit(p: float) -> float:
+    """Return the probability that two nodes transmit in one slot if at least one does: p^2 / (1 - (1 - p)^2)."""
+    return p / (2.0 - p)
 
 
 class _Access(Value):
@@ -44,7 +49,7 @@ class _Access(Value):
     def interval(self, time: float, nodes: int) -> float:
         """Return the least time, s, between the starts of two frames of one of `nodes` nodes.
 
-        `time` is that of the airtime of the first and of the silence after it, s.
+        `time` is the airtime of the first frame plus the silence after it, s.
         """
         return time
 
@@ -98,12 +103,12 @@ class SlottedAloha(_Access):
 
     def occupancy(self, airtime: float, *, to_one: bool) -> float:
         """Return the time of the whole slots that a frame takes, s."""
-        return _whole(airtime, self.slot) * self.slot
+        return _slots_of(airtime, self.slot) * self.slot
 
     def channel(self, airtime: float) -> Channel:
         """Return how frames of an airtime (s) overlap."""
         longest = max(self.slot, airtime)
-        return Channel(longest, longest, self.p / (2.0 - self.p))
+        return Channel(longest, longest, _both_transmit(self.p))
 
 
 class CarrierSensing(_Access):
@@ -160,7 +165,7 @@ class Csma(CarrierSensing):
 
     def channel(self, airtime: float) -> Channel:
         """Return how frames of an airtime (s) overlap."""
-        chance = self.p / (2.0 - self.p) if self.persistence == "p_persistent" else 1.0
+        chance = _both_transmit(self.p) if self.persistence == "p_persistent" else 1.0
         return super().channel(airtime)._replace(chance=chance)
 
     @property
@@ -181,8 +186,8 @@ class CsmaCa(CarrierSensing):
     By default acknowledgements are always received, and a sender knows of a loss at the end of its frame. With
     `ack_timeout`, an acknowledgement is a frame that can collide, fade or be lost as any other. A sender that misses it
     transmits the frame again, which its receiver delivers once. A node that receives a frame for another one is silent
-    until the end of its acknowledgement (network allocation vector). With `eifs`, a node that senses a frame without
-    receiving it is silent for so long that it does not disturb its acknowledgement.
+    until the end of that frame's acknowledgement (network allocation vector). With `eifs`, a node that senses a frame
+    without receiving it is silent for long enough not to disturb the acknowledgement of the frame.
 
     The default times are those of 802.11g without protection.
     """
@@ -205,7 +210,8 @@ class CsmaCa(CarrierSensing):
     retries: Annotated[int, Field(ge=0, le=1000, strict=True)] = 7
     """Number of times that an unacknowledged frame is transmitted again before it is dropped.
 
-    If in doubt, 7, the default of 802.11: fewer lose frames in a crowd, more keep a receiver that is gone on the air.
+    If in doubt, 7, the default of 802.11: with fewer, frames are lost in a crowd, with more, frames to a node that is
+    gone occupy the channel.
     """
     ack: Time = 34e-6
     """Airtime of an acknowledgement, s; the default is that of 14 bytes at 24 Mbit/s."""
@@ -214,8 +220,8 @@ class CsmaCa(CarrierSensing):
     None, acknowledgements are always received."""
     eifs: Time | None = None
     """Extended interframe space, s, at least `difs`: time for which the channel must be idle after a frame that the
-    node senses, and does not receive; usually `sifs` + `ack` + `difs`. If None, it is `difs`. Losses by `network.loss`
-    do not count."""
+    node senses but does not receive; usually `sifs` + `ack` + `difs`. If None, it is `difs`. A frame lost by
+    `network.loss` counts as received."""
 
     def occupancy(self, airtime: float, *, to_one: bool) -> float:
         """Return the airtime, s, of a frame with the space before it and, to one node, its acknowledgement."""
@@ -263,8 +269,8 @@ class Tdma(_Access):
     guard: Time = 0.0
     """Time at the end of a slot in which no node transmits, s; less than `slot`.
 
-    If in doubt, the largest difference of two clocks during the run, with `clock_sync` that after a correction plus the
-    drift up to the next.
+    If in doubt, the largest difference of two clocks during the run; with `clock_sync`, the difference after a
+    correction plus the drift until the next one.
     """
     slots: Annotated[tuple[Owner, ...], FirstError(), NotEmpty()] | None = None
     """The owners of the slots, which are repeated; if None, the nodes take turns by id."""
@@ -278,7 +284,7 @@ class Tdma(_Access):
     def interval(self, time: float, nodes: int) -> float:
         """Return the time, s, of the whole rounds of slots, at least one, for a frame and the silence after it."""
         period = len(self.owners(nodes)) * self.slot
-        return max(_whole(time, period), 1) * period
+        return max(_slots_of(time, period), 1) * period
 
     def owners(self, size: int) -> Sequence[int]:
         """Return the owners of the slots of a round for `size` nodes.

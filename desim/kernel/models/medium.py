@@ -25,7 +25,7 @@ TUNING = 0.25
 MAX_BYTES = 255
 """Maximum payload of a LoRa frame, whose length field is one byte."""
 MANY = 0.5
-"""The share of frames of one instant that overlap, from which a warning is given."""
+"""Share of overlapping frames, among those of one instant, from which on a warning is given."""
 Overhead = Annotated[int, Field(ge=0, le=1_000_000, strict=True)]
 SpreadingFactor = Annotated[int, Field(ge=7, le=12, strict=True)]
 
@@ -107,7 +107,7 @@ class Radio(Value):
         return duty_cycle
 
     def check(self, size: int) -> None:
-        """Raise KeyedError if the medium is not for a network of `size` nodes."""
+        """Raise KeyedError if the medium does not apply to a network of `size` nodes."""
 
     def airtime(self, size: int, node: int) -> float:
         """Return the airtime, s, of a message of `size` bytes that a node transmits."""
@@ -139,7 +139,7 @@ class Radio(Value):
 
 
 def contends(medium: Medium) -> TypeGuard[Radio]:
-    """Return whether nodes contend for the channel of a medium; in that of a user they do not, unless it is a Radio."""
+    """Return whether nodes contend for the channel of a medium; with a user's medium, only if it is a `Radio`."""
     return isinstance(medium, Radio) and medium.contends
 
 
@@ -202,8 +202,8 @@ class LoRa(Radio):
     """Carrier frequency of each node, Hz, for nodes that contend; if None, all are equal."""
     gateways: Annotated[tuple[Owner, ...], FirstError()] | None = None
     """Nodes that hear all spreading factors and frequencies, for nodes that contend. Each other node has one radio: it
-    hears frames with the spreading factor and, up to a quarter of the bandwidth, the frequency that it transmits with,
-    and loses others ("tuning"). If None, all nodes are gateways."""
+    hears only frames with the spreading factor that it transmits with, and with its frequency, up to a quarter of the
+    bandwidth. It loses other frames ("tuning"). If None, all nodes are gateways."""
     bandwidth: Annotated[float, Field(ge=1, le=1e9, strict=True)] = 125_000.0
     """Hz"""
     coding_rate: Annotated[int, Field(ge=1, le=4, strict=True)] = 1
@@ -227,7 +227,7 @@ class LoRa(Radio):
         return self._message(size, max(self.spreading_factors or (self.spreading_factor,)))
 
     def check(self, size: int) -> None:
-        """Raise KeyedError if the medium is not for a network of `size` nodes."""
+        """Raise KeyedError if the medium does not apply to a network of `size` nodes."""
         for name in ("spreading_factors", "frequencies"):
             if (per_node := vars(self)[name]) is not None and len(per_node) != size:
                 raise KeyedError(
@@ -243,13 +243,13 @@ class LoRa(Radio):
         return self.gateways is not None and not (self.spreading_factors is None and self.frequencies is None)
 
     def hears(self, src: int, nodes: Integers) -> Bools:
-        """Return (k,) whether the radios of some nodes are tuned to the frames of a node."""
+        """Return (k,) whether the radio of each of k nodes is tuned to the frames of the node `src`."""
         sent, gateways = self.signal(src), self.gateways or ()
 
         def is_heard_by(node: int) -> bool:
-            signal = self.signal(node)
-            is_near = abs(signal.frequency - sent.frequency) <= TUNING * sent.bandwidth
-            return node in gateways or (is_near and signal.spreading_factor == sent.spreading_factor)
+            tuned = self.signal(node)
+            is_near = abs(tuned.frequency - sent.frequency) <= TUNING * sent.bandwidth
+            return node in gateways or (is_near and tuned.spreading_factor == sent.spreading_factor)
 
         return np.array([*map(is_heard_by, nodes.tolist())], dtype=bool)
 
@@ -273,21 +273,22 @@ class LoRa(Radio):
 
         Symbols longer than 16 ms carry two bits fewer (low data rate optimisation).
         """
-        symbol: float = 2**factor / self.bandwidth
-        per_block = 4 * (factor - 2 * (symbol > 0.016))
+        symbol_time: float = 2**factor / self.bandwidth
+        bits_per_block = 4 * (factor - 2 * (symbol_time > 0.016))
         bits = 8 * size - 4 * factor + 28 + 16 * self.crc - 20 * self.implicit_header
-        payload = 8 + max(ceil(bits / per_block) * (self.coding_rate + 4), 0)
-        return (self.preamble + 4.25 + payload) * symbol
+        payload = 8 + max(ceil(bits / bits_per_block) * (self.coding_rate + 4), 0)
+        return (self.preamble + 4.25 + payload) * symbol_time
 
 
 def airtime_of(medium: Medium, size: int, nodes: int) -> float:
     """Return the longest airtime, s, of a message of `size` bytes that one of `nodes` nodes transmits.
 
-    It is limited to `MAX_TIME`, which is longer than any run. A medium of a user that has an `airtime` of its own is
-    asked for each node.
+    It is limited to `MAX_TIME`, which is longer than any run. A medium of a user with its own method `airtime` is asked
+    for each node.
 
     Raises:
-        ValueError: if the medium returns anything else than a finite time of at least 0 s, or is not for so many nodes.
+        ValueError: if the medium returns anything else than a finite time of at least 0 s, or does not apply to a
+            network of this size.
     """
     if is_ours(type(medium)) or MediumTraits.of(medium).airtime is None or inherits(medium, Radio, "airtime"):
         return _checked(medium(size), medium)
