@@ -144,7 +144,7 @@ class Edges(Value):
     nodes: Annotated[int, Field(ge=1, strict=True)] | None = None
     """Number of nodes; if absent, that of the network."""
     directed: Flag = False
-    """Whether edges are one-way; beside a file, only for lists and matrices, which do not say it."""
+    """Whether edges are one-way. With a file, only for lists and matrices, which do not state it."""
     names: tuple[str, ...] = ()
     """The name of each node, by its number, if the file has names; `desim check` shows them."""
 
@@ -154,8 +154,9 @@ class Edges(Value):
         if is_networkx(data):
             fields, notes = _fields(data)
         elif isinstance(data, dict) and data.get("file") is not None:
-            if beside := [name for name in ("edges", "nodes", "names") if name in data]:
-                raise ValueError(f"should have either a file or {' and '.join(beside)}: a file gives all of them")
+            if excluded := [name for name in ("edges", "nodes", "names") if name in data]:
+                raise ValueError(f"should have either a file or {' and '.join(excluded)}: a file gives all of them")
+            # A model without the file validates `directed`, which the reader of the file needs.
             directed = make(data | {"file": None}).directed if "directed" in data else None
             file = resolve_path(data["file"], info)
             graph = read_graph(file, directed)
@@ -163,31 +164,31 @@ class Edges(Value):
                 fields, notes = _fields(graph)
             except ValueError as error:
                 raise ValueError(f"{file}: {error}") from error
-            if directed is None and _is_one_way(graph):  # of a list, `directed` says it
+            if directed is None and _is_one_way(graph):  # a user who states `directed` means it
                 notes += (ONE_WAY,)
             fields = data | {"file": None} | fields
         else:
             return make(data)
-        made = make(fields)
-        made.__dict__["notes"] = notes  # not a part of its identity
-        return made
+        model = make(fields)
+        model.__dict__["notes"] = notes  # no field, so it is not a part of the identity of the model
+        return model
 
     @model_validator(mode="after")
     def _simple(self) -> Self:
         if self.names and self.nodes is not None and len(self.names) != self.nodes:
             nodes, names = counted(self.nodes, "node"), counted(len(self.names), "name")
             raise ValueError(f"names should be one per node (got {names} for {nodes})")
-        seen: dict[tuple[int, int], int] = {}
+        first_by_ends: dict[tuple[int, int], int] = {}
         for k, edge in enumerate(self.edges):
             ends = (edge.src, edge.dst) if self.directed else (min(edge.src, edge.dst), max(edge.src, edge.dst))
-            if (first := seen.setdefault(ends, k)) != k:
+            if (first := first_by_ends.setdefault(ends, k)) != k:
                 src, dst = (self.names[end] if end < len(self.names) else end for end in (edge.src, edge.dst))
                 raise ValueError(f"edges {first} and {k} are parallel: both join nodes {src} and {dst}")
         return self
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
-        """Warnings about the file or graph that it was made of: attributes that are not read, shifted numbers."""
+        """Warnings about the file or graph that the model was made of: attributes not read, shifted numbers."""
         return ()
 
     @classmethod
@@ -242,7 +243,7 @@ def _fields(graph: "nx.Graph[Any]") -> tuple[dict[str, Any], tuple[str, ...]]:
             " in the same order (`names`)"
         )
     edges = list[dict[str, Any]]()
-    first: dict[tuple[int, int], dict[str, Any]] = {}
+    models_by_ends: dict[tuple[int, int], dict[str, Any]] = {}
     for src, dst, attributes in graph.edges(data=True):
         models: dict[str, Any] = {
             name: _attribute(src, dst, name, attributes[name])
@@ -250,8 +251,9 @@ def _fields(graph: "nx.Graph[Any]") -> tuple[dict[str, Any], tuple[str, ...]]:
             if name in attributes
         }
         ends = numbers[src], numbers[dst]
-        before = first.setdefault(ends if graph.is_directed() else (min(ends), max(ends)), models)
-        if before is models or before != models:  # parallel edges with other models are refused
+        first_models = models_by_ends.setdefault(ends if graph.is_directed() else (min(ends), max(ends)), models)
+        # A repeated edge with equal models is left out. One with other models is kept, and `Edges` refuses it.
+        if first_models is models or first_models != models:
             edges.append({"src": ends[0], "dst": ends[1]} | models)
     if repeated := graph.number_of_edges() - len(edges):
         notes.append(f"{repeated} of its edges repeat another one, with equal latency, loss and order, and count once")
@@ -267,7 +269,7 @@ ONE_WAY = (
 
 
 def _is_one_way(graph: "nx.Graph[Any]") -> bool:
-    """Return whether a graph is directed, has several edges, and none of them has a way back."""
+    """Return whether a graph is directed and has several edges, and no edge has a reverse edge."""
     return (
         graph.is_directed()
         and graph.number_of_edges() > 1
@@ -292,7 +294,7 @@ def links_with_attributes(graph: "nx.Graph[int]") -> Iterator[tuple[int, int, di
 def as_model(name: str, value: Any) -> Any:
     """Convert an edge attribute: a number becomes a constant latency (s) or a Bernoulli loss.
 
-    So does a text with a latency and its unit, such as "5 ms". Any other value is returned unchanged.
+    A latency as a text with its unit, such as "5 ms", counts as a number. Any other value is returned unchanged.
 
     Raises:
         ValueError: if the attribute is an invalid order, or a number that is not a valid latency or probability.
@@ -302,7 +304,7 @@ def as_model(name: str, value: Any) -> Any:
     number = value if name == "order" or callable(value) else as_python(value)
     if name == "latency" and isinstance(number, str):
         number = seconds_in(number)
-    if type(number) is not int and type(number) is not float:
+    if type(number) is not int and type(number) is not float:  # a boolean is no number
         return value
     return Constant(value=number) if name == "latency" else Bernoulli(p=number)
 
@@ -325,7 +327,7 @@ def edge_model(src: int, dst: int, name: str, value: Any) -> Any:
         return as_model(name, value)
     try:
         model = as_model(name, value)
-        if not callable(model):
+        if not callable(model):  # a table or a name: an edge makes a model of it
             return dict(Edge(src=0, dst=0, **{name: model}))[name]
         (LATENCIES if name == "latency" else LOSSES).check(model)
     except KeyedError as error:

@@ -35,7 +35,7 @@ from desim.kernel.models.traits import InterferenceTraits, ReceptionTraits
 from desim.kernel.models.transport import TRANSPORTS, BestEffort, Transport
 
 HAVE_POWER = 'with fading = "correlated" it should be disk, log_distance, nakagami or rice, or have a method `received`'
-"""Which models of reception follow a channel."""
+"""The end of the error about a model of reception that does not follow a correlated channel."""
 LoRaPreset = Literal["lora_sf7", "lora_sf8", "lora_sf9", "lora_sf10", "lora_sf11", "lora_sf12"]
 Owner = TypeVar("Owner", bound=Value)
 Place = tuple[str | int, ...]
@@ -47,19 +47,19 @@ class Processing(Value):
 
     sender: Annotated[Latency, JITTERS] = Constant()
     """Processing delay at the sender, s, drawn for each transmission; the kinds are those of `latency` that do not
-    depend on the receiver. A message reaches the queue of its transmitter after this delay, in the order of its
-    sender. A random delay separates messages that several nodes create at one instant."""
+    depend on the receiver. A message reaches the queue of its transmitter after this delay. Messages of one sender keep
+    their order. A random delay separates messages that several nodes create at one instant."""
     receiver: Time = 0.0
     """Processing delay at the receiver, s."""
 
 
 def _completed(value: Any, preset: Any) -> Any:
-    """Return a given table, with the keys that it and the tables in it lack filled in from the table of a preset.
+    """Return a table of a user completed by that of a preset: missing keys are filled in, in the tables in it, too.
 
-    A value that is not a table, or has another kind, is returned unchanged.
+    A value that is not a table, or has another kind than the preset, is returned unchanged.
     """
-    tables = isinstance(value, dict) and isinstance(preset, dict)
-    if not tables or value.get("kind", preset.get("kind")) != preset.get("kind"):
+    are_tables = isinstance(value, dict) and isinstance(preset, dict)
+    if not are_tables or value.get("kind", preset.get("kind")) != preset.get("kind"):
         return value
     return preset | {key: _completed(part, preset.get(key)) for key, part in value.items()}
 
@@ -69,7 +69,7 @@ def _numbered(owner: Owner, names: tuple[str, ...], keys: Iterable[str] = ("late
     numbered: dict[str, NamedTable] = {}
     for key in keys:
         if isinstance(table := getattr(owner, key), NamedTable):
-            with suppress(ValueError):
+            with suppress(ValueError):  # of a table with other names; `own_links` reports it
                 numbered[key] = table.numbered(names)
     changed = {key: table for key, table in numbered.items() if table is not getattr(owner, key)}
     return BaseModel.model_copy(owner, update=changed) if changed else owner
@@ -118,9 +118,10 @@ class Links(Value):
 
     @property
     def delays_start(self) -> bool:
-        """Whether transmissions start after the processing delay of their sender: it is drawn, or there is a queue.
+        """Whether a transmission starts only after the processing delay of its sender.
 
-        If not, the delay is constant, and is added to that of the receiver.
+        It need not if the delay is constant and the medium has no queues: the delay is then added to that of the
+        receiver.
 
         Kept equal to a delay before the queue by
         `tests/kernel/test_hosts.py::test_a_constant_delay_is_that_of_a_model_that_always_draws_it`.
@@ -150,9 +151,9 @@ class Links(Value):
                     yield (*place, name), model
 
     def numbered(self, names: tuple[str, ...]) -> "Links":
-        """Return the links with tables of measurements that give the nodes of these names their numbers.
+        """Return the links with all tables of measurements numbering the nodes in the order of `names`.
 
-        A table that has other names is unchanged; see `desim.kernel.models.own_links`.
+        A table with other names is unchanged; `desim.kernel.models.own_links` reports it.
         """
         numbered, changed = _numbered(self, names, ("latency", "loss", "duplicate")), dict[str, Any]()
         if (links := tuple(_numbered(link, names) for link in self.link)) != self.link:
@@ -207,7 +208,7 @@ class Links(Value):
     @field_validator("link", mode="before")
     @classmethod
     def _has_numbers(cls, value: Any, info: ValidationInfo) -> Any:
-        """Raise ValueError with the number of a node that is named instead."""
+        """Raise ValueError, with the number of the node, if a link gives the name of a node instead."""
         graph = info.data.get("graph")
         names = names_of(graph)
         for k, link in enumerate(value if isinstance(value, list | tuple) else ()):
@@ -228,8 +229,8 @@ class Links(Value):
         return _completed(data, PRESETS[preset])
 
     def _derived(self) -> Set[str]:
-        """Return the names of the fields with the value that the preset stands for."""
+        """Return the names of the fields with the value of the preset."""
         if self.preset is None:
             return super()._derived()
-        fields, stands_for = dict(self), dict(type(self)(preset=self.preset))
-        return {key for key in PRESETS[self.preset] if fields[key] == stands_for[key]}
+        fields, preset_fields = dict(self), dict(type(self)(preset=self.preset))
+        return {key for key in PRESETS[self.preset] if fields[key] == preset_fields[key]}

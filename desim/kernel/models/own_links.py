@@ -52,10 +52,10 @@ def link_misfits(links: Links, graph: "nx.Graph[int]") -> Iterator[tuple[Place, 
         links: the link models; their links are in the graph.
         graph: the communication graph.
     """
-    seen: dict[Way, int] = {}
+    first_by_way: dict[Way, int] = {}
     for k, link in enumerate(links.link):
-        for src, dst in [way for way in link.ways() if seen.setdefault(way, k) != k][:1]:
-            yield ("link", k), f"the link from {src} to {dst} is also in link.{seen[src, dst]}"
+        for src, dst in [way for way in link.ways() if first_by_way.setdefault(way, k) != k][:1]:
+            yield ("link", k), f"the link from {src} to {dst} is also in link.{first_by_way[src, dst]}"
     yield from _name_misfits(links)
     for name in ("latency", "loss", "duplicate"):
         link_models = {} if name == "duplicate" else dict(_own_models(links, graph, name))
@@ -88,7 +88,7 @@ def _name_misfits(links: Links) -> Iterator[tuple[Place, str]]:
         except ValueError as error:
             yield place, f"{error}: the nodes are {shortened(names)}"
             continue
-        if order and is_numbered:
+        if order and is_numbered:  # the table keeps another order, which its `nodes` state
             text = f"numbers the nodes {shortened(order)}, and the network {shortened(names)}"
             yield place, f"{table.name} {text}: nodes should be in the order of the network, or absent"
 
