@@ -65,8 +65,8 @@ class Coherence(Value):
     shared: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.0
     """Share of the variance of the shadowing that is due to the surroundings of the two nodes, half to each, in [0, 1).
 
-    So two links with one node in common have the correlation shared / 2, and the autocorrelation of a link of which
-    only one node moves tends to that.
+    So two links with one node in common have the correlation shared / 2, and if only one node of a link moves, the
+    autocorrelation tends to shared / 2.
 
     If in doubt, 0.5, half of the variance.
     """
@@ -80,8 +80,8 @@ class Coherence(Value):
     """
 
     def lacks(self, variation: Variation) -> str:
-        """Return which keys are missing for a model of reception that varies so, as a sentence; "" if none is."""
+        """Return which keys are missing for a model of reception with this variation, as a sentence; "" if none is."""
         if variation == "shadowing":
             return "" if self.decorrelation is not None else "decorrelation (m) is needed, because of the shadowing"
-        is_enough = self.frequency is not None or self.doppler is not None
-        return "" if is_enough else "frequency or doppler (Hz) is needed, because the power fades"
+        can_fade = self.frequency is not None or self.doppler is not None
+        return "" if can_fade else "frequency or doppler (Hz) is needed, because the power fades"

@@ -45,13 +45,13 @@ def rice_survival(k: float, ratios: Floats) -> Floats:
     if small.any():
         numbers, weights = _poisson(k)
         tails = weights * gammaincc(numbers + 1.0, (k + 1.0) * ratios[small])
-        survival[small] = np.add.reduce(tails, axis=0)  # row by row
+        survival[small] = np.add.reduce(tails, axis=0)  # row by row, so in the same order on all machines
     return survival
 
 
 @lru_cache(maxsize=16)
 def _poisson(mean: float) -> tuple[Floats, Floats]:
-    """Return (n, 1) numbers, those within 9 standard deviations of the mean, and their Poisson probabilities."""
+    """Return (n, 1) numbers, all within 9 standard deviations and 20 of the mean, and their Poisson probabilities."""
     reach = 9.0 * math.sqrt(mean) + 20.0
     numbers = range(max(math.floor(mean - reach), 0), math.ceil(mean + reach))
     weights = [math.exp(n * math.log(mean) - mean - math.lgamma(n + 1)) if mean else float(n == 0) for n in numbers]
@@ -92,7 +92,7 @@ def nakagami_powers(m: float, normals: Callable[[int], Floats]) -> Floats:
     from scipy.special import gammaincc
 
     count = min(max(round(2.0 * m), 1), MAX_NORMALS)
-    squares: Floats = portable_sum(normals(count) ** 2)  # row by row
+    squares: Floats = portable_sum(normals(count) ** 2)  # of the rows
     if count == 2.0 * m:
         return squares / count
     return nakagami_quantiles(m, gammaincc(count / 2.0, squares / 2.0))

@@ -245,7 +245,7 @@ TAKES = ("context", "rng")
 """The arguments of a latency."""
 DISTRIBUTIONS = (Constant, Uniform, ShiftedExponential, Gamma, Lognormal, Empirical, Netem)
 """The models with quantiles: they may be the base latencies of `PerPair`, and jitters."""
-BASES = OneOf(*DISTRIBUTIONS, number=("constant", "value"), traits=LinkTraits)
+BASES = OneOf(*DISTRIBUTIONS, number=("constant", "value"), traits=LinkTraits)  # only their quantiles are used
 JITTERS = OneOf(*DISTRIBUTIONS, number=("constant", "value"), takes=TAKES, traits=LinkTraits)
 
 
@@ -264,12 +264,13 @@ def mean_latency(model: Latency) -> float | None:
 
 
 def mean_of(model: Latency, seed: int) -> float:
-    """Return the mean latency, s, of a model that does not depend on links, or an estimate by a thousand draws.
+    """Return the mean latency, s, of a model that does not depend on links; if unknown, that of a thousand draws.
 
     It is limited to `MAX_TIME`, as each latency is.
     """
     if (mean := mean_latency(model)) is not None:
         return min(mean, MAX_TIME)
-    rng, of_run = stream(seed, "typical processing"), model_of_run(model, 1)
-    draws = (as_seconds(of_run(LinkContext(0, np.zeros(1, dtype=np.intp)), rng), model).item() for _ in range(1000))
+    rng, run_model = stream(seed, "typical processing"), model_of_run(model, 1)
+    context = LinkContext(0, np.zeros(1, dtype=np.intp))
+    draws = (as_seconds(run_model(context, rng), model).item() for _ in range(1000))
     return min(fsum(draws) / 1000, MAX_TIME)

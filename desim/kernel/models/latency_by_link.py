@@ -1,6 +1,7 @@
-"""One-way latencies that differ from link to link, drawn per pair of nodes or from a matrix; and all models of latency.
+"""One-way latencies that differ from link to link, drawn per pair of nodes or from a matrix.
 
-Each model adds a jitter, itself a model of `desim.kernel.models.latency`, to the base latency of the link.
+Each model adds a jitter, itself a model of `desim.kernel.models.latency`, to the base latency of the link. The module
+also has the list of all models of latency, `LATENCIES`.
 """
 
 from collections.abc import Iterable
@@ -59,7 +60,7 @@ class PerPair(Value):
         """Return a model for one run of `size` nodes; it caches the base latencies."""
         base, jitter = model_of_run(self.base, size), model_of_run(self.jitter, size)
         _check_quantiles(base)
-        # `model_copy` does not validate: the model of a run need not be valid in a scenario.
+        # `model_copy` of pydantic does not validate: the model of a run need not be valid in a scenario.
         return _Pairs(BaseModel.model_copy(self, update={"base": base, "jitter": jitter}), size)
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
@@ -95,15 +96,15 @@ class _Pairs:
     """
 
     def __init__(self, model: PerPair, size: int):
-        self._model, self._all = model, np.arange(size)
+        self._model, self._nodes = model, np.arange(size)
         self._base: dict[int, Floats] = {}
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
         """Return (k,) latencies, s: the base latencies plus a drawn jitter."""
-        if context.src not in self._base and (len(self._base) + 1) * len(self._all) <= ROOM:
-            self._base[context.src] = self._model.base_latencies(replace(context, dst=self._all))
-        to_all = self._base.get(context.src)
-        base = self._model.base_latencies(context) if to_all is None else to_all[context.dst]
+        if context.src not in self._base and (len(self._base) + 1) * len(self._nodes) <= ROOM:
+            self._base[context.src] = self._model.base_latencies(replace(context, dst=self._nodes))
+        base_to_all = self._base.get(context.src)
+        base = self._model.base_latencies(context) if base_to_all is None else base_to_all[context.dst]
         return base + as_seconds(self._model.jitter(context, rng), self._model.jitter)
 
 
@@ -112,7 +113,7 @@ MATRIX = "the matrix of latencies"
 
 
 def _is_absent(number: Any) -> bool:
-    """Return whether an entry of a matrix stands for a link that does not exist."""
+    """Return whether an entry of a matrix, such as None, nan or pandas.NA, stands for a link that does not exist."""
     return number is None or is_missing(number) or (isinstance(number, SupportsFloat) and isnan(number))
 
 
@@ -166,18 +167,18 @@ class LatencyMatrix(NamedTable):
         if self.nodes is not None and (len(self.nodes) != len(self.values) or len({*self.nodes}) < len(self.nodes)):
             raise ValueError(f"nodes should have a name for each of {len(self.values)} rows, and each name once")
         base = self.base_latencies
-        upper, lower = np.triu(base).any(), np.tril(base).any()
-        if len(base) > 2 and upper != lower:
-            side = "below" if upper else "above"
-            why = "give the latencies of both ways, and nan where a link does not exist"
-            raise ValueError(f"all values {side} the diagonal are 0: {why}")
+        has_upper, has_lower = np.triu(base).any(), np.tril(base).any()
+        if len(base) > 2 and has_upper != has_lower:
+            side = "below" if has_upper else "above"
+            advice = "give the latencies of both ways, and nan where a link does not exist"
+            raise ValueError(f"all values {side} the diagonal are 0: {advice}")
         for src, dst in np.argwhere((base > MAX_TIME) & (base < inf))[:1].tolist():
-            which = f"got {base[src, dst]:g} s from {src} to {dst}"
-            raise ValueError(f"a latency should be at most {MAX_TIME:g} s ({which})")
+            latency = f"{base[src, dst]:g} s from {src} to {dst}"
+            raise ValueError(f"a latency should be at most {MAX_TIME:g} s (got {latency})")
         return self
 
     def given(self) -> dict[str, Any]:
-        """Return the fields that differ from their defaults, see `Value.given`; only the size of the matrix."""
+        """Return the fields that differ from their defaults, see `Value.given`; instead of the matrix, its size."""
         return super().given() | {"values": f"{len(self.values)} x {len(self.values)}"}
 
     @property
@@ -209,14 +210,14 @@ class LatencyMatrix(NamedTable):
             return self
         if unknown := {*self.nodes} - {*names}:
             raise ValueError(f"{MATRIX} has a node {min(unknown)!r}, which the network does not have")
-        if lacking := {*names} - {*self.nodes}:
-            raise ValueError(f"{MATRIX} has no node {min(lacking)!r}")
+        if missing := {*names} - {*self.nodes}:
+            raise ValueError(f"{MATRIX} has no node {min(missing)!r}")
         order = [self.nodes.index(name) for name in names]
         values = [[self.values[src][dst] for dst in order] for src in order]
         return self.model_copy(update={"values": values, "nodes": names})
 
     def check_links(self, size: int, links: Iterable[tuple[int, int]]) -> None:
-        """Raise ValueError if the matrix is not one of `size` nodes, or has no latency for one of some links."""
+        """Raise ValueError if the matrix is not one of `size` nodes, or has no latency for one of the links."""
         base = self.base_latencies
         if len(base) != size:
             raise ValueError(f"{MATRIX} should have a row for each of {counted(size, 'node')}, it has {len(base)}")

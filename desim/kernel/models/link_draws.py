@@ -1,6 +1,6 @@
 """The draws of link models: their validation, their conversion to nanoseconds and booleans, and their buffers.
 
-Kept equal to a draw for each transmission by
+A buffer draws ahead, in blocks. Kept equal to a draw for each transmission by
 `tests/kernel/test_propagation.py::test_latencies_are_exactly_the_draws_that_their_stream_gives`.
 """
 
@@ -40,11 +40,11 @@ class Buffer:
         begin, end = self._next, self._next + count
         if self._block is None or end > self._end:
             size = max(BLOCK, count)
-            drawn: Any = self._draw(size, self._rng)
-            if np.shape(drawn) != (size,):
-                raise wrong_answer(f"draw({size}, rng) should return an array of {size} draws", drawn, self._model)
-            fresh = self._convert(drawn, self._model)
-            self._block = fresh if self._block is None else np.concatenate((self._block[begin:], fresh))
+            answer: Any = self._draw(size, self._rng)
+            if np.shape(answer) != (size,):
+                raise wrong_answer(f"draw({size}, rng) should return an array of {size} draws", answer, self._model)
+            draws = self._convert(answer, self._model)
+            self._block = draws if self._block is None else np.concatenate((self._block[begin:], draws))
             begin, end, self._end = 0, count, len(self._block)
         self._next = end
         return self._block[begin:end]

@@ -92,7 +92,7 @@ class QuasiUnitDisk(Value):
         return self.p if distance <= range else 0.0
 
     def border(self, draws: Floats, range: float) -> Floats:  # noqa: A002
-        """Return R where a draw is at most p, else q R."""
+        """Return the distance up to which a message is received, by its draw: R if the draw is at most p, else q R."""
         return np.where(draws <= self.p, range, self.certain * range)
 
     def bound(self, range: float) -> float:  # noqa: A002
@@ -127,10 +127,11 @@ class LogDistance(Value):
 
     def received(self, distances: Floats, range: float, channel: ChannelState) -> Bools:  # noqa: A002
         """Return where the shadowing takes no more than the margin 10 n log10(R / d), dB."""
-        hidden = self.shadowing * channel.shadowing()
-        return hidden <= self._margin(distances, range)
+        attenuation = self.shadowing * channel.shadowing()
+        return attenuation <= self._margin(distances, range)
 
     def _margin(self, distances: Floats, range: float) -> Floats:  # noqa: A002
+        """Return (k,) the margin of the mean power above the least that is received: 10 n log10(R / d), dB."""
         from scipy.special import xlogy
 
         with np.errstate(divide="ignore", over="ignore"):
@@ -154,8 +155,8 @@ class LogDistance(Value):
 
         There P(d) < NormalCDF(-8.3) = 5e-17, which is less than any draw of `pair_uniform`.
         """
-        ranges: float = 10.0 ** min(0.83 * self.shadowing / self.exponent, 300.0)
-        return ranges * range
+        ratio: float = 10.0 ** min(0.83 * self.shadowing / self.exponent, 300.0)
+        return ratio * range
 
 
 LEAST = 5e-17
@@ -228,15 +229,16 @@ class Rice(Value):
 
 
 def _threshold(distances: Floats, range: float, exponent: float) -> Floats:  # noqa: A002
-    """Return the least power that is received in units of the mean power at (k,) distances: (d / R)^n."""
+    """Return the least power that is received, in units of the mean power at (k,) distances: (d / R)^n."""
     with np.errstate(over="ignore"):
+        # A power of Python is the same on all machines; with the limit, it does not overflow (n is at most 20).
         return np.array([min(ratio, 1e15) ** exponent for ratio in (distances / range).tolist()])
 
 
 def bound(reception: ReceptionModel, range: float) -> float:  # noqa: A002
     """Return the distance, m, beyond which no message is ever received; inf if the model has no bound."""
-    ends = ReceptionTraits.of(reception).bound
-    return inf if ends is None else float(ends(range))
+    bound_of_range = ReceptionTraits.of(reception).bound
+    return inf if bound_of_range is None else float(bound_of_range(range))
 
 
 RECEPTION_MODELS = OneOf(

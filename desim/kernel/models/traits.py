@@ -52,12 +52,15 @@ class LinkTraits(Traits):
 
     @classmethod
     def check(cls, value: Any) -> None:
-        """Check the traits of a model, see `Traits.check`, and that its state is started by its own class."""
+        """Check the traits of a model, see `Traits.check`, and that `start_run` makes a model with its own methods.
+
+        If it makes another one, methods that the class of a user overrides, or wraps, would have no effect in a run.
+        """
         super().check(value)
         model: type = type(value)
         if "start_run" in cls.passed_on(value) and (start_run := getattr(value, "start_run", None)) is not None:
             inner = getattr(start_run, "__self__", None)
-            if start_run(1) is not inner:
+            if start_run(1) is not inner:  # the wrapped model has state
                 raise ValueError(
                     f"{name_of(value)} passes on start_run of {name_of(inner)}, which makes another model for each run,"
                     f" and its own __call__ knows only the one without state: {NEEDED}"
@@ -67,6 +70,8 @@ class LinkTraits(Traits):
         starter = _definer(model, "start_run")
         method = next(name for name in ("__call__", "draw", "quantile") if _is_newer(model, name, "start_run"))
         function = getattr(model, method)
+        # A function with `super()` has the free variable `__class__`. A method that does not call the built-in one
+        # needs no state: the model then is that of the run, too.
         calls_super = "__class__" in getattr(getattr(function, "__code__", None), "co_freevars", ())
         if (calls_super or not is_ours(starter)) and not isinstance(value.start_run(1), model):
             raise ValueError(
@@ -79,7 +84,7 @@ NEEDED = (
     "it should have its own start_run(size), too, which returns the model of one run of `size` nodes (itself if it has"
     " no state)"
 )
-"""What a model needs if the `start_run` that it has belongs to another class."""
+"""The end of the error about a model whose `start_run` makes a model of another class."""
 
 
 def link_trait(model: Any, name: str) -> Any:
@@ -99,25 +104,28 @@ def model_of_run(model: Any, size: int) -> Any:
             raise wrong_answer("start_run(size) should return the model of a run (itself if it can)", started, model)
         return started
     kind: type = type(model)
-    if "start_run" in LinkTraits.outdated(kind) and isinstance(made := model.start_run(size), kind):
-        return made
+    # An inherited `start_run` that keeps the class keeps the overriding methods, too.
+    if "start_run" in LinkTraits.outdated(kind) and isinstance(run_model := model.start_run(size), kind):
+        return run_model
     if is_ours(kind):
         return model
     if (draw := LinkTraits.of(model).draw) is not None and _is_newer(kind, "draw", "__call__"):
         return _DrawnOnly(model, draw)
-    older = [name for name in ("__call__", "draw") if positions(kind, name)]
-    inherited = all(_is_newer(kind, "quantile", name) and is_ours(_definer(kind, name)) for name in older)
-    if inherited and "__call__" in older and len(positions(kind, "quantile")) > 1:
+    # A user's class that overrides only `quantile` means all draws: the inherited `__call__` may not use it.
+    drawing = [name for name in ("__call__", "draw") if positions(kind, name)]
+    is_inherited = all(_is_newer(kind, "quantile", name) and is_ours(_definer(kind, name)) for name in drawing)
+    if is_inherited and "__call__" in drawing and len(positions(kind, "quantile")) > 1:
         return _DrawnOnly(model, lambda count, rng: model.quantile(rng.random(count)))
     return model
 
 
 def _is_newer(model: type, method: str, other: str) -> bool:
-    """Return whether a class inherits a method from a more derived class than another method."""
+    """Return whether the definition of `method` that a class uses is in a more derived class than that of `other`."""
     return min(positions(model, method), default=inf) < min(positions(model, other), default=inf)
 
 
 def _definer(model: type, method: str) -> type:
+    """Return the class, in the method resolution order of a model, whose definition of a method it uses."""
     return model.__mro__[positions(model, method)[0]]
 
 
@@ -152,7 +160,7 @@ class MediumTraits(Traits):
 
 
 class InterferenceTraits(Traits):
-    """The attributes of a model of interference, in addition to `__call__`; the first it must have."""
+    """The attributes of a model of interference, in addition to `__call__`; it must have the first two."""
 
     needs_positions: Flag = False
     """Whether it depends on the positions of nodes."""
@@ -194,11 +202,12 @@ class FaultTraits(Traits):
     cause: Annotated[str, Field(min_length=1)] | None = None
     """The cause of the losses by a fault, in traces and counts, see `events.CAUSES`; None: its kind or class."""
     named: Callable[[], Mapping[str, Sequence[int]]] | None = None
-    """`named()` returns the nodes that it names, by key; an error about a node that does not exist names the key."""
+    """`named()` returns the nodes that it names, by key; an error about a node that does not exist states the key."""
     breaks: frozenset[str] = frozenset()
     """The assumptions of protocols (`assumes`) that it breaks, such as "no_crashes"."""
     messages_only: Flag = False
-    """Whether it only loses or delays messages, so that a perfect network is without it; a `Fault` does by default."""
+    """Whether it only loses or delays messages, so that a perfect network is without it; true for a `Fault` by
+    default."""
     is_scheduled: Annotated[Flag, Follows("begin", "separates")] = False
     """Whether its fields and the seed determine when it begins and what it does, so that the processes of a live run
     agree on it."""

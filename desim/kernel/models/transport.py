@@ -25,8 +25,6 @@ MAX_WINDOW = 1024
 """Largest window of a reliable transport."""
 MaxInterval = Annotated[float, Field(ge=MIN_PERIOD, strict=True), BeforeValidator(from_json), Counted]
 """A time of at least `MIN_PERIOD`, s; inf = never."""
-
-
 SendWindow = Annotated[int, Field(ge=1, le=MAX_WINDOW, strict=True)]
 """A number of successive messages."""
 Depth = Annotated[int, Field(ge=1, le=1_000_000, strict=True)]
@@ -72,6 +70,7 @@ class BestEffort(Quality):
     """A message is transmitted once, and is not acknowledged."""
 
     kind: Literal["best_effort"] = "best_effort"
+    # A message is its only piece, see `Coded`.
     pieces: ClassVar[int] = 1
     needed: ClassVar[int] = 1
     spacing: ClassVar[float] = 0.0
@@ -182,7 +181,7 @@ TRANSPORTS = OneOf(BestEffort, Reliable, Coded, is_closed=True)
 
 
 def check_transport(transport: Any) -> None:
-    """Raise ValueError if what is given as the transport of a message is none: for example its name, or its class."""
+    """Raise ValueError if the transport of a message is no transport, but for example the name of one, or a class."""
     if not isinstance(transport, Quality):
         raise ValueError(
             f"transport should be BestEffort(...), Reliable(...) or Coded(...), or None for that of the links (got"
