@@ -7,7 +7,8 @@ Names of the nodes may stand in a first line and at the beginning of each line:
     uav1,1,0,1
     uav2,0,1,0
 
-A symmetric matrix has edges that hold both ways. Any other may be of one-way links, or half of a symmetric one.
+A symmetric matrix has edges that hold both ways. Any other matrix may have one-way links, or be half of a symmetric
+matrix; the user says which.
 """
 
 from collections.abc import Sequence
@@ -38,17 +39,17 @@ def read_matrix(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any] 
         directed: whether edges are one-way; None if it is not known.
 
     Raises:
-        ValueError: if it is not symmetric and `directed` does not say what this means, or the first line may be numbers
-            or names of nodes.
+        ValueError: if the matrix is not symmetric and `directed` is None, or its first line may be numbers or names of
+            nodes.
     """
     import networkx as nx
 
     lines = [line for line in text.split("\n") if line.strip() and line.strip()[0] != "#"]
-    if not lines or len(lines) > len(lines[0]) + 1:  # long lists are not parsed twice
+    if not lines or len(lines) > len(lines[0]) + 1:  # too many for a matrix: long lists are not parsed twice
         return None
     try:
         rows = [[cell.strip() for cell in cells] for _, cells in plain_rows(text, str(file))]
-        names, numbers = _parts(rows)
+        names, numbers = _names_and_numbers(rows)
     except UnclearNamesError as error:
         raise ValueError(f"{file}: {error}") from error
     except ValueError:
@@ -81,13 +82,13 @@ def read_matrix(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any] 
     return graph
 
 
-def _is_link_or_none(place: int, number: float) -> bool:
+def _is_link_or_none(index: int, number: float) -> bool:
     """Return whether a number is 0 or 1, or is missing on the diagonal of a matrix of three nodes."""
-    return number in {0.0, 1.0} or (place % (LEAST + 1) == 0 and isnan(number))
+    return number in {0.0, 1.0} or (index % (LEAST + 1) == 0 and isnan(number))
 
 
-def _parts(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[float]]]:
-    """Return the names of the nodes, none if there are none, and the numbers.
+def _names_and_numbers(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[float]]]:
+    """Return the names of the nodes, an empty list if the matrix has none, and its numbers.
 
     Raises:
         ValueError: if a cell is not a number, or the names of lines and of columns differ.

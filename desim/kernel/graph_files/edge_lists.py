@@ -21,9 +21,9 @@ from desim.kernel.measured.csv_tables import separator_in, with_points
 
 if TYPE_CHECKING:
     import networkx as nx
-PARTS = re.compile(r"""(?:'[^']*'|"[^"]*"|[^,'"])+""")
+DICT_ITEM = re.compile(r"""(?:'[^']*'|"[^"]*"|[^,'"])+""")
 """Matches an item of a dict."""
-PAIR = re.compile(r"""\s*(['"])(.*?)\1\s*:\s*(?:(['"])(.*?)\3|([\w.+-]+))\s*""")
+NAME_AND_VALUE = re.compile(r"""\s*(['"])(.*?)\1\s*:\s*(?:(['"])(.*?)\3|([\w.+-]+))\s*""")
 """Matches the name and the value of an item: a text or a word, such as a number."""
 
 
@@ -33,7 +33,7 @@ class EdgeRow(NamedTuple):
     line: int
     cells: list[str]
     attributes: dict[str, Any]
-    """The attributes that it gives as a dict."""
+    """The attributes that the line gives as a dict."""
 
 
 NamedEdge = tuple[str, str, dict[str, Any]]
@@ -50,9 +50,9 @@ WAYS = (
 )
 """Words by which the names of both columns may differ, as in `source_id`, `Device From` or `ip.src`."""
 OF_NODES = frozenset({"id", "node", "name", "label", "node_id", "nodeid", "vertex"})
-"""The name of the first column of a table of nodes, in lower case."""
+"""Names of the first column of a table of nodes, in lower case."""
 OVER_TIME = frozenset({*COLUMNS["t"]} - {"t"})
-"""The name of the first column of a table over time, in lower case; t may be a node."""
+"""Names of the first column of a table over time, in lower case; not t, which may be a node."""
 ONE_WAY = re.compile(r"[#%]\s*(directed\b|asym\b)", re.IGNORECASE)
 """Matches the comment of a list whose edges are one-way: of SNAP and of KONECT."""
 QUOTED = re.compile(r'"((?:[^"\n]|"")*)"')
@@ -69,7 +69,7 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
     """
     header, rows = _table_of(file, text)
     src, dst = _ends_in(header) or (0, 1)
-    kinds, nodes, edges = set[str](), list[str](), list[NamedEdge]()
+    types, nodes, edges = set[str](), list[str](), list[NamedEdge]()
     for line, cells, attributes in rows:
         if len(cells) == 1:
             nodes.append(cells[0])
@@ -79,12 +79,12 @@ def read_edge_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[An
         place = f"{file}, line {line}"
         if not (cells[src] and cells[dst]):
             raise ValueError(f"{place}: should have two nodes; a node without edges is a line with its name only")
-        named = {name: cells[k] for k, name in enumerate(header) if name and k not in {src, dst} and cells[k]}
-        kinds |= {value.lower() for name, value in named.items() if name.lower() == "type"}
-        read = {name: attribute_of(name, value, place) for name, value in named.items() if name.lower() != "type"}
-        edges.append((cells[src], cells[dst], read | attributes))
+        texts = {name: cells[k] for k, name in enumerate(header) if name and k not in {src, dst} and cells[k]}
+        types |= {text.lower() for name, text in texts.items() if name.lower() == "type"}
+        named = {name: attribute_of(name, text, place) for name, text in texts.items() if name.lower() != "type"}
+        edges.append((cells[src], cells[dst], named | attributes))
     comment = next((line for line in text.split("\n", 9)[:9] if ONE_WAY.match(line.strip())), "")
-    return listed_graph(file, nodes, edges, _directed_by(file, kinds, directed), comment.strip())
+    return listed_graph(file, nodes, edges, _directed_by(file, types, directed), comment.strip())
 
 
 def _table_of(file: Path, text: str) -> tuple[list[str], list[EdgeRow]]:
@@ -106,9 +106,9 @@ def _table_of(file: Path, text: str) -> tuple[list[str], list[EdgeRow]]:
         rows = [row._replace(cells=cells) for row, (_, cells) in zip(rows, points, strict=True)]
     if not _ends_in(header):
         _check_names(file, rows)
-        long = {name.strip() for row in rows for name in row.cells[:2] if len(name.split()) > 1}
-        quoted = {match[1].replace('""', '"').strip() for match in QUOTED.finditer(text)} if long else set()
-        if not long <= quoted:  # a name in quotes is meant as one
+        long_names = {name.strip() for row in rows for name in row.cells[:2] if len(name.split()) > 1}
+        quoted = {match[1].replace('""', '"').strip() for match in QUOTED.finditer(text)} if long_names else set()
+        if not long_names <= quoted:  # several words in quotes are certainly one name
             _check_form(file, rows)
     if not header:
         is_weighted = all(len(row.cells) == 3 and is_number_text(row.cells[2]) for row in rows)
@@ -136,7 +136,7 @@ def _directed_by(file: Path, types: set[str], directed: bool | None) -> bool | N
 def read_adjacency_list(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any]":
     """Return the graph in an adjacency list, a node and its neighbours in each line; see `read_edge_list`.
 
-    Spaces, commas or semicolons separate names. A colon may follow the first one, if it does in all lines.
+    Spaces, commas or semicolons separate names. A colon may follow the first name, if it does so in all lines.
     """
     text = re.sub(r"(?m)^[ \t]*[#%].*", "", text)
     text = re.sub(r'("[^"\n]*")|[,;]', lambda part: part[1] or " ", text)
@@ -185,11 +185,11 @@ def _rows(file: Path, text: str, delimiter: str) -> list[EdgeRow]:
             ):
                 raise ValueError(f"{file}, line {number}: a quote is not closed; a name is in one line")
             cells = split(bare)
-            if not any(cells):  # the last rows of a spreadsheet
+            if not any(cells):  # as the last rows of a spreadsheet
                 continue
             if any(cell.startswith("{") for cell in cells[:2]):
-                why = f"{' '.join(cells)[:40]} is no edge; multiline lists are not read"
-                raise ValueError(f"{file}, line {number}: {why}")
+                reason = f"{' '.join(cells)[:40]} is no edge; multiline lists are not read"
+                raise ValueError(f"{file}, line {number}: {reason}")
             rows.append(EdgeRow(number, cells, {}))
     return rows
 
@@ -197,7 +197,7 @@ def _rows(file: Path, text: str, delimiter: str) -> list[EdgeRow]:
 def _dict(text: str, place: str) -> dict[str, Any]:
     """Return the attributes that a text gives as Python writes a dict of numbers and texts."""
     inside = text[1:-1].strip()
-    pairs = [PAIR.fullmatch(part) for part in PARTS.findall(inside)] if inside else []
+    pairs = [NAME_AND_VALUE.fullmatch(item) for item in DICT_ITEM.findall(inside)] if inside else []
     if None in pairs or (inside and not pairs):
         raise ValueError(f"{place}: the attributes should be like {{'latency': 0.1}} (got {text[:40]})")
     entries = [(pair[2], pair[4], pair[5]) for pair in pairs if pair is not None]
@@ -206,13 +206,13 @@ def _dict(text: str, place: str) -> dict[str, Any]:
 
 
 def _ends_in(names: Sequence[str]) -> tuple[int, int] | None:
-    """Return the columns of both ends, given the names of all; None if they are not named so."""
+    """Return the columns of both ends, given the names of all columns; None if no names are of ends."""
     lower = [name.lower() for name in names]
     words = [[word.lower() for word in WORD.findall(name)] for name in names]
     for a, b in WAYS:
-        for src, of_src in enumerate(words):
-            if of_src.count(a) == 1 and (of_dst := [b if word == a else word for word in of_src]) in words:
-                return src, words.index(of_dst)
+        for src, src_words in enumerate(words):
+            if src_words.count(a) == 1 and (dst_words := [b if word == a else word for word in src_words]) in words:
+                return src, words.index(dst_words)
     return next(((lower.index(a), lower.index(b)) for a, b in ENDS if a in lower and b in lower), None)
 
 
@@ -231,33 +231,35 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
     has_numbers = bool(nodes) and all(map(str.isdecimal, nodes))
     is_header = has_numbers and not any(cell.isdecimal() for cell in first[:2])
     if not _ends_in(first):
-        of = "of nodes" if first[0].lower() in OF_NODES else "over time" if first[0].lower() in OVER_TIME else ""
-        if of and nodes and nodes.isdisjoint(first[:2]) and not any(map(is_number_text, first)):
+        name = first[0].lower()
+        subject = "of nodes" if name in OF_NODES else "over time" if name in OVER_TIME else ""
+        if subject and nodes and nodes.isdisjoint(first[:2]) and not any(map(is_number_text, first)):
             raise ValueError(
-                f"{file}, line {rows[0].line}: {', '.join(first)[:60]} are the columns of a table {of}; those of edges"
-                " are source and target"
+                f"{file}, line {rows[0].line}: {', '.join(first)[:60]} are the columns of a table {subject}; those of"
+                " edges are source and target"
             )
         return (first, below) if is_header else ([], rows)
-    if len(first) > 2 and (again := next((row.line for row in below if row.cells == first), 0)):
-        raise ValueError(f"{file}, line {again}: repeats the names of the columns: it should be left out")
+    if len(first) > 2 and (repeated := next((row.line for row in below if row.cells == first), 0)):
+        raise ValueError(f"{file}, line {repeated}: repeats the names of the columns: it should be left out")
     if any(map(is_number_text, first)) or (not has_numbers and not nodes.isdisjoint(first[:2])):
         return [], rows
     is_plain = (first[0].lower(), first[1].lower()) in {*ENDS, *WAYS}
-    if not has_numbers and not is_plain and (not below or any(_ends_in(row.cells[:2]) for row in below)):  # tx1,rx1
+    # Nodes may be called tx1 and rx1, too.
+    if not has_numbers and not is_plain and (not below or any(_ends_in(row.cells[:2]) for row in below)):
         return [], rows
     if len(first) == 2 and nodes and max(map(len, nodes)) == 1 == max(map(len, first)) and not has_numbers:
-        why = f"{first[0]} {first[1]} may be an edge or the names of the columns: write source and target above"
-        raise ValueError(f"{file}, line {rows[0].line}: {why}")
+        reason = f"{first[0]} {first[1]} may be an edge or the names of the columns: write source and target above"
+        raise ValueError(f"{file}, line {rows[0].line}: {reason}")
     if not below:
-        why = f"{', '.join(first)[:60]} are the names of columns, and no edge follows"
-        raise ValueError(f"{file}, line {rows[0].line}: {why}; if they are an edge, write source and target above")
+        reason = f"{', '.join(first)[:60]} are the names of columns, and no edge follows"
+        raise ValueError(f"{file}, line {rows[0].line}: {reason}; if they are an edge, write source and target above")
     return first, below
 
 
-MOSTLY = 0.9
-"""The share of different names among the ends from which on lines are hardly edges; in a tree, it is about a half.
+MAX_DISTINCT = 0.9
+"""Largest ratio of different names to ends with which lines are probably edges; in a tree, it is about 1/2.
 
-In disjoint pairs all names differ, so a list of these with names of several words needs a header, or quotes.
+In disjoint pairs all names differ, so a list of such pairs with names of several words needs a header, or quotes.
 """
 
 
@@ -266,8 +268,8 @@ def _check_names(file: Path, rows: Sequence[EdgeRow]) -> None:
     for line, cells, _ in rows:
         for name in cells[:2] if len(cells) > 1 else ():
             if name.endswith(":") or (is_number_text(name) and not _is_count(number_of(name))):
-                why = "is probably no name of a node; if it is, name the columns in a first line, such as source,target"
-                raise ValueError(f"{file}, line {line}: {name!r} {why}")
+                advice = "if it is, name the columns in a first line, such as source,target"
+                raise ValueError(f"{file}, line {line}: {name!r} is probably no name of a node; {advice}")
 
 
 def _is_count(number: float) -> bool:
@@ -275,26 +277,27 @@ def _is_count(number: float) -> bool:
 
 
 def _check_form(file: Path, rows: Sequence[EdgeRow]) -> None:
-    """Raise ValueError if rows without a header are probably no edges: names with spaces are then parts of other lines.
+    """Raise ValueError if rows without a header are probably no edges, but some text with spaces.
 
-    Such are a title, several words behind different first names only, and lines that have hardly a name in common.
+    The signs are a title, names of several words in the second column only, behind different first names, and hardly a
+    name that is in two lines.
     """
     edges = [row.cells for row in rows if len(row.cells) == 2]
     names = [name for cells in edges for name in cells]
     title = next((row for row in rows if len(row.cells) == 1 and len(row.cells[0].split()) > 1), None)
     have_spaces = [[len(name.split()) > 1 for name in side] for side in zip(*edges, strict=True)]
     if title is not None:
-        why = f"{title.cells[0][:40]!r} is no edge, and no name of a node"
+        reason = f"{title.cells[0][:40]!r} is no edge, and no name of a node"
     elif edges and len({first for first, _ in edges}) > 1 and all(have_spaces[1]) and not any(have_spaces[0]):
-        why = f"{edges[0][1][:40]!r} has several words, and {edges[0][0][:40]!r} has one"
-    elif len(edges) > 2 and len(set(names)) > MOSTLY * len(names) and any(map(any, have_spaces)):
-        why = "hardly a name is in two lines"
+        reason = f"{edges[0][1][:40]!r} has several words, and {edges[0][0][:40]!r} has one"
+    elif len(edges) > 2 and len(set(names)) > MAX_DISTINCT * len(names) and any(map(any, have_spaces)):
+        reason = "hardly a name is in two lines"
     else:
         return
     line = (title or rows[0]).line
     raise ValueError(
-        f"{file}, line {line}: {why}: each line should be an edge; if these are edges, put names in quotes, or name the"
-        " columns in a first line, such as source,target"
+        f"{file}, line {line}: {reason}: each line should be an edge; if these are edges, put names in quotes, or name"
+        " the columns in a first line, such as source,target"
     )
 
 
@@ -321,28 +324,29 @@ def listed_graph(
         nodes: nodes, perhaps without edges.
         edges: the edges.
         directed: whether edges are one-way; None if it is not known.
-        comment: a comment that says that they are; it counts if some have no way back.
+        comment: a comment of the file which says that edges are one-way; it counts if some have no reverse edge.
 
     Raises:
-        ValueError: if it is not known, and matters.
+        ValueError: if it is not known whether edges are one-way, and some have no reverse edge, although others have
+            one, or a comment says that edges are one-way.
     """
     import networkx as nx
 
     graph: nx.Graph[Any] = nx.MultiDiGraph() if directed else nx.MultiGraph()
     graph.add_nodes_from(nodes)
-    seen: dict[tuple[str, str], dict[str, Any]] = {}
-    twice = 0
+    listed: dict[tuple[str, str], dict[str, Any]] = {}
+    reverse_count = 0
     for src, dst, attributes in edges:
-        if not directed and src != dst and seen.get((dst, src)) == attributes and (src, dst) not in seen:
-            twice += 1
+        if not directed and src != dst and listed.get((dst, src)) == attributes and (src, dst) not in listed:
+            reverse_count += 1
         else:
             graph.add_edge(src, dst, **attributes)
-        seen[src, dst] = attributes
-    if directed is None and (twice or comment) and twice < len(edges) / 2:
-        why = (
+        listed[src, dst] = attributes
+    if directed is None and (reverse_count or comment) and reverse_count < len(edges) / 2:
+        sign = (
             f"the comment {comment[:40]!r}"
             if comment
-            else f"{twice} of its edges in both directions and the others in one"
+            else f"{reverse_count} of its edges in both directions and the others in one"
         )
-        raise ValueError(f"{file} has {why}: set directed = true if edges are one-way, or false")
+        raise ValueError(f"{file} has {sign}: set directed = true if edges are one-way, or false")
     return graph

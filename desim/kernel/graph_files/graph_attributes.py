@@ -1,4 +1,4 @@
-"""Attributes of a graph that are not read, and what was probably meant by them."""
+"""Warnings about attributes of a graph that are not read, with what their author probably meant."""
 
 import re
 from collections.abc import Collection, Iterator, Mapping
@@ -16,6 +16,7 @@ DRAWN = {"id", "key", "label", "name", "color", "colour", "shape", "shape_type",
 DRAWN |= {"description", "url", "pid", "parents", "thickness", "interaction", "selected", "weight_label"}
 """Attributes that name or draw a node or an edge, without a meaning in a run."""
 POSITIONS = {"pos", "position", "x", "y", "z", "lat", "latitude", "lon", "lng", "long", "longitude", "coordinates"}
+"""Attributes of nodes with their positions; the sets below have names in the form of `_simple`."""
 LATENCY = ("latency", "delay", "linkdelay", "propagationdelay", "lat", "ping")
 LOSS = (
     *("loss", "packetloss", "packetlossrate", "packetlossratio", "lossrate", "lossratio", "lossprobability", "plr"),

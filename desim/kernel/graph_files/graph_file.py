@@ -1,8 +1,8 @@
 """Graphs in files of many formats, as networkx graphs whose nodes have any names.
 
-The content determines the format, but for adjacency lists, which have the ending `.adjlist`, and the Trivial Graph
-Format (`.tgf`): JSON (node-link, adjacency, Cytoscape or graphology), GraphML, GEXF, GML, Pajek, METIS, an adjacency
-matrix, or else an edge list.
+The content determines the format: JSON (node-link, adjacency, Cytoscape or graphology), GraphML, GEXF, GML, Pajek,
+METIS, an adjacency matrix, or else an edge list. Only adjacency lists and the Trivial Graph Format are known by their
+endings, `.adjlist` and `.tgf`.
 """
 
 import json
@@ -43,7 +43,7 @@ UNREAD = {
 }
 """The functions that read graphs of formats that are not read here, by the ending of the file."""
 METIS = {".metis", ".chaco", ".graph"}
-"""The endings of graphs in the format of METIS; an edge list may have the last one, too."""
+"""The endings of graphs in the format of METIS; an edge list may end in `.graph`, too."""
 
 
 def read_graph(file: Path, directed: bool | None = None) -> "nx.Graph[Any]":
@@ -51,7 +51,7 @@ def read_graph(file: Path, directed: bool | None = None) -> "nx.Graph[Any]":
 
     Args:
         file: the path; the file may be compressed by gzip.
-        directed: whether edges are one-way; only for formats that do not say it, which are the lists.
+        directed: whether edges are one-way; only for lists and matrices, which do not state it.
 
     Raises:
         ValueError: if the file cannot be read, or is not a graph in one of these formats.
@@ -126,7 +126,8 @@ def _metis(file: Path, ending: str, text: str) -> "nx.Graph[Any] | None":
     """Return the graph in the format of METIS; None if the text is a list of edges.
 
     Raises:
-        ValueError: if the ending says that it is in this format and it is not, or it may be.
+        ValueError: if the ending is one of METIS and the text begins like such a graph, but is none. If the ending is
+            of METIS only, also if the text does not begin so.
     """
     try:
         graph = read_metis(file, text)
@@ -137,7 +138,8 @@ def _metis(file: Path, ending: str, text: str) -> "nx.Graph[Any] | None":
         return None
     if graph is None and ending in METIS - {".graph"}:
         raise ValueError(f"{file} is not a graph of METIS: its first line should have the number of the lines below")
-    return graph if ending in METIS or (graph is not None and graph.number_of_edges()) else None  # 1 0 is an edge
+    # Without edges, it is more probably a list: the line `1 0` is an edge there, and a node without edges here.
+    return graph if ending in METIS or (graph is not None and graph.number_of_edges()) else None
 
 
 # JSON
@@ -178,14 +180,14 @@ def _from_json(text: str) -> "nx.Graph[Any]":
 def _of_graphology(data: dict[str, Any]) -> dict[str, Any]:
     """Return a graph of graphology (sigma.js, Gephi), whose nodes have keys and attributes, in node-link form."""
     kind = data.get("options", {}).get("type", "mixed")
-    one_way = {not edge.get("undirected", kind == "undirected") for edge in data["edges"]}
-    if len(one_way) > 1:
+    are_one_way = {not edge.get("undirected", kind == "undirected") for edge in data["edges"]}
+    if len(are_one_way) > 1:
         raise ValueError("it has directed and undirected edges: all should be of one type")
     nodes = [{"id": node["key"], **node.get("attributes", {})} for node in data["nodes"]]
     edges = [
         {"source": edge["source"], "target": edge["target"], **edge.get("attributes", {})} for edge in data["edges"]
     ]
-    return {"directed": True in one_way, "nodes": nodes, "edges": edges}
+    return {"directed": True in are_one_way, "nodes": nodes, "edges": edges}
 
 
 def _from_cytoscape(data: dict[str, Any]) -> "nx.Graph[Any]":
@@ -341,7 +343,7 @@ def _from_gml(text: str) -> "nx.Graph[Any]":
     labels = {node: attributes.get("label") for node, attributes in graph.nodes(data=True)}
     if None in labels.values() or len(set(map(str, labels.values()))) < len(labels):
         return graph
-    named: nx.Graph[Any] = nx.relabel_nodes(graph, labels)
-    for _, attributes in named.nodes(data=True):
+    relabelled: nx.Graph[Any] = nx.relabel_nodes(graph, labels)
+    for _, attributes in relabelled.nodes(data=True):
         del attributes["label"]
-    return named
+    return relabelled

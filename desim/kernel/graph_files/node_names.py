@@ -38,31 +38,33 @@ def numbered(graph: "nx.Graph[Any]") -> Numbering:
         ValueError: if both the nodes and their labels are 0 .. n - 1, in different orders.
     """
     nodes = list(graph)
-    by_name, labels = _integers(nodes), _labels(graph)
-    by_label = None if labels is None else _integers(labels)
-    size = set(range(len(nodes)))
-    is_name, is_label = (numbers is not None and set(numbers) == size for numbers in (by_name, by_label))
-    if is_name and is_label and by_name != by_label:
-        k = next(k for k in range(len(nodes)) if by_name[k] != by_label[k])  # type: ignore[index]
+    of_names, labels = _integers(nodes), _labels(graph)
+    of_labels = None if labels is None else _integers(labels)
+    plain = set(range(len(nodes)))
+    names_are_plain, labels_are_plain = (
+        integers is not None and set(integers) == plain for integers in (of_names, of_labels)
+    )
+    if names_are_plain and labels_are_plain and of_names != of_labels:
+        k = next(k for k in range(len(nodes)) if of_names[k] != of_labels[k])  # type: ignore[index]
         raise ValueError(f"node {nodes[k]!r} has the label {labels[k]!r}, so that its number is not clear")  # type: ignore[index]
-    if is_label and by_label is not None:
-        numbers = by_label
-    elif is_name and by_name is not None:
-        numbers = by_name
+    if labels_are_plain and of_labels is not None:
+        numbers = of_labels
+    elif names_are_plain and of_names is not None:
+        numbers = of_names
     else:
-        order = range(len(nodes)) if by_name is None else sorted(range(len(nodes)), key=by_name.__getitem__)
+        order = range(len(nodes)) if of_names is None else sorted(range(len(nodes)), key=of_names.__getitem__)
         numbers = [0] * len(nodes)
         for number, k in enumerate(order):
             numbers[k] = number
     shown = [_name(*pair) for pair in zip(nodes if labels is None else labels, numbers, strict=True)]
     names = tuple(name for _, name in sorted(zip(numbers, shown, strict=True)))
     is_plain = names == tuple(map(str, range(len(nodes))))
-    is_shifted = not (is_name or is_label) and (by_name if labels is None else by_label) is not None
+    is_shifted = not (names_are_plain or labels_are_plain) and (of_names if labels is None else of_labels) is not None
     return Numbering(dict(zip(nodes, numbers, strict=True)), () if is_plain else names, is_shifted)
 
 
 def _name(node: Any, number: int) -> str:
-    """Return the name of a node: its text or, if this would be an address, which differs by run, type and number."""
+    """Return the name of a node: its text; but if the text is an address, which differs by run, its type and number."""
     kind: Any = type(node)
     is_default = kind.__repr__ is object.__repr__ and kind.__str__ is object.__str__
     return f"{kind.__name__} {number}" if is_default else str(node)

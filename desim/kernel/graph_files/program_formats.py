@@ -1,6 +1,6 @@
 """Graphs in the text formats of other programs: METIS, Pajek and the Trivial Graph Format of yEd.
 
-Unlike lists, they declare their nodes. The graphs are those of networkx, with texts as nodes.
+Unlike lists, these formats declare their nodes. The graphs are those of networkx, with texts as nodes.
 """
 
 import re
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def read_metis(file: Path, text: str) -> "nx.Graph[Any] | None":
     """Return the graph in the format of METIS; None if the text does not have as many lines as its first one says.
 
-    The first line has the numbers of nodes and edges and perhaps a code for weights. Line i of the others has the
+    The first line has the numbers of nodes and edges and perhaps a code for weights. Line i of the other lines has the
     neighbours of node i, from 1, so that each edge is there twice. Weights and sizes of nodes are not read.
 
     Raises:
@@ -33,28 +33,30 @@ def read_metis(file: Path, text: str) -> "nx.Graph[Any] | None":
     head = lines[0][1].split() if lines else []
     if not 2 <= len(head) <= 4 or not all(map(str.isdecimal, head)):
         return None
-    size, number, code = int(head[0]), int(head[1]), (head[2] if len(head) > 2 else "").zfill(3)
+    size, edge_count, code = int(head[0]), int(head[1]), (head[2] if len(head) > 2 else "").zfill(3)
     rows = lines[1:]
     while len(rows) > size and not rows[-1][1].strip():
         rows.pop()
     if len(rows) != size or not set(code) <= {"0", "1"} or len(code) > 3:
         return None
-    before = int(code[0]) + (int(head[3]) if len(head) > 3 else 1) * int(code[1])
+    # The digits of the code: whether a line begins with the size of its node, then whether with weights of the node
+    # (one, or as many as the first line says), and whether each neighbour is followed by the weight of the edge.
+    skipped = int(code[0]) + (int(head[3]) if len(head) > 3 else 1) * int(code[1])
     step = 2 if code[2] == "1" else 1
     weights: dict[tuple[int, int], str] = {}
     for node, (line, row) in enumerate(rows, 1):
-        cells = row.split()[before:]
+        cells = row.split()[skipped:]
         if not all(map(str.isdecimal, cells[::step])) or len(cells) % step:
             raise ValueError(f"{file}, line {line}: should have the numbers of the neighbours of node {node}")
         for neighbour, weight in zip(map(int, cells[::step]), cells[step - 1 :: step], strict=True):
             if not 1 <= neighbour <= size or neighbour == node or (node, neighbour) in weights:
-                why = f"{neighbour} is no other node from 1 to {size}, or is there twice"
-                raise ValueError(f"{file}, line {line}: {why}")
+                reason = f"{neighbour} is no other node from 1 to {size}, or is there twice"
+                raise ValueError(f"{file}, line {line}: {reason}")
             weights[node, neighbour] = weight if step == 2 else ""
     if one_way := next((ends for ends in weights if weights.get(ends[::-1]) != weights[ends]), None):
         raise ValueError(f"{file}: the edge between the nodes {one_way[0]} and {one_way[1]} should be in both lines")
-    if len(weights) != 2 * number:
-        raise ValueError(f"{file}, line {lines[0][0]}: says {counted(number, 'edge')}, but has {len(weights) // 2}")
+    if len(weights) != 2 * edge_count:
+        raise ValueError(f"{file}, line {lines[0][0]}: says {counted(edge_count, 'edge')}, but has {len(weights) // 2}")
     graph: nx.Graph[Any] = nx.MultiGraph()
     graph.add_nodes_from(map(str, range(1, size + 1)))
     for (node, neighbour), weight in weights.items():
@@ -72,11 +74,11 @@ def read_trivial(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any]
     lines = [line.split(maxsplit=2) for line in text.split("\n")]
     if ["#"] not in lines:
         raise ValueError(f"{file}: should have a line # between nodes and edges")
-    between = lines.index(["#"])
-    nodes = [cells[0] for cells in lines[:between] if cells]
+    separator = lines.index(["#"])
+    nodes = [cells[0] for cells in lines[:separator] if cells]
     check_once(nodes, f"{file}: the list of nodes")
     edges: list[NamedEdge] = []
-    for number, cells in enumerate(lines[between + 1 :], between + 2):
+    for number, cells in enumerate(lines[separator + 1 :], separator + 2):
         if cells and not (len(cells) > 1 and {*cells[:2]} <= {*nodes}):
             raise ValueError(f"{file}, line {number}: should be two of the nodes above the line #")
         if cells:
@@ -92,7 +94,7 @@ def read_pajek(file: Path, text: str) -> "nx.Graph[Any]":
     """
     import networkx as nx
 
-    labels, edges, parts, part = dict[str, str](), list[NamedEdge](), list[str](), ""
+    labels, edges, edge_parts, part = dict[str, str](), list[NamedEdge](), set[str](), ""
     vertices = list[str]()
     for number, line in enumerate(text.split("\n"), 1):
         place = f"{file}, line {number}"
@@ -116,18 +118,18 @@ def read_pajek(file: Path, text: str) -> "nx.Graph[Any]":
         elif part in {"*edges", "*arcs"}:
             if len(cells) < 2 or not {*cells[:2]} <= labels.keys():
                 raise ValueError(f"{place}: should be two vertices from 1 to {len(labels)}")
-            named = [*zip(cells[3::2], cells[4::2], strict=False)]
-            check_once((name for name, _ in named), f"{place}:")
-            attributes = {name: attribute_of(name, value, place) for name, value in named}
+            pairs = [*zip(cells[3::2], cells[4::2], strict=False)]
+            check_once((name for name, _ in pairs), f"{place}:")
+            attributes = {name: attribute_of(name, value, place) for name, value in pairs}
             weight = {"weight": attribute_of("weight", cells[2], place)} if len(cells) > 2 else {}
-            parts.append(part)
+            edge_parts.add(part)
             edges.append((cells[0], cells[1], weight | attributes))
         else:
             raise ValueError(f"{place}: should begin with *Vertices")
     check_once(vertices, f"{file}: the list of vertices")
-    if len(set(parts)) > 1:
+    if len(edge_parts) > 1:
         raise ValueError(f"{file} has edges and arcs: all should be of one type")
-    graph: nx.Graph[Any] = nx.MultiDiGraph() if parts[:1] == ["*arcs"] else nx.MultiGraph()
+    graph: nx.Graph[Any] = nx.MultiDiGraph() if "*arcs" in edge_parts else nx.MultiGraph()
     graph.add_nodes_from((vertex, {"label": label}) for vertex, label in labels.items())
     graph.add_edges_from(edges)
     return graph
