@@ -5,8 +5,8 @@ ray through the common corner of two walls, one on each side, crosses exactly on
 where walls meet. A ray that only grazes a corner crosses both walls there, or none. Rays are ordered by their ends, so
 that a ray and its reverse cross the same walls.
 
-Players may touch walls. With a `margin`, only those walls are crossed that separate the ends of the ray by more than
-this distance, and that the ray separates likewise.
+Players may touch walls. With a `margin`, a ray crosses a wall only if both ends of the ray are farther than this
+distance from the line of the wall, on different sides, and both ends of the wall likewise from the line of the ray.
 """
 
 from collections.abc import Iterable, Sequence
@@ -82,15 +82,17 @@ def crossings(starts: Floats, ends: Floats, segments: Segments, margin: float = 
         starts: (m, 2) or (1, 2) one end of each ray, m.
         ends: (m, 2) or (1, 2) the other ends, m.
         segments: the walls.
-        margin: 0 for rays of radio and sight; for paths that may touch walls, the distance, m, up to which they do.
+        margin: 0 for rays of radio and sight; for paths that may touch walls, the distance, m, up to which a path only
+            touches a wall.
     """
     if not margin:
         return crossed_by(starts, ends, segments.corners)[segments.firsts].T
-    before, after, begin, end = _sides(starts, ends, segments)
+    wall_start, wall_end, ray_start, ray_end = _sides(starts, ends, segments)
     rays, walls = ends - starts, segments.ends - segments.starts
-    along_ray = margin * np.hypot(rays[:, 0], rays[:, 1])[:, np.newaxis]
-    along_wall = margin * np.hypot(walls[:, 0], walls[:, 1])
-    return _apart(before, after, along_ray) & _apart(begin, end, along_wall)
+    # Each side is a distance times the length of a segment, so the margin is multiplied by this length, too.
+    of_ray = margin * np.hypot(rays[:, 0], rays[:, 1])[:, np.newaxis]
+    of_wall = margin * np.hypot(walls[:, 0], walls[:, 1])
+    return _apart(wall_start, wall_end, of_ray) & _apart(ray_start, ray_end, of_wall)
 
 
 def crossed_by(starts: Floats, ends: Floats, corners: Floats) -> Bools:
@@ -102,29 +104,30 @@ def crossed_by(starts: Floats, ends: Floats, corners: Floats) -> Bools:
     """
     (start_x, start_y), (end_x, end_y), (x, y) = starts.T, ends.T, corners.T[..., np.newaxis]
     from_start_x, from_start_y, from_end_x, from_end_y = x - start_x, y - start_y, x - end_x, y - end_y
-    corner = from_start_x * from_end_y
-    corner -= from_start_y * from_end_x
-    left = corner > 0.0
-    if not corner.all():  # some are exactly on a ray, and left of it as seen along the order of the coordinates
-        later = (start_x > end_x) | ((start_x == end_x) & (start_y > end_y))
-        left |= (corner == 0.0) & ~later
-    begin = from_start_x[:-1] * from_start_y[1:] >= from_start_y[:-1] * from_start_x[1:]
-    end = from_end_x[:-1] * from_end_y[1:] >= from_end_y[:-1] * from_end_x[1:]
-    crossed: Bools = left[:-1] != left[1:]
-    crossed &= begin != end
+    side = from_start_x * from_end_y
+    side -= from_start_y * from_end_x
+    is_left = side > 0.0
+    if not side.all():  # a corner on a ray counts as left of it, seen from the end with the smaller coordinates
+        is_reversed = (start_x > end_x) | ((start_x == end_x) & (start_y > end_y))
+        is_left |= (side == 0.0) & ~is_reversed
+    is_start_left = from_start_x[:-1] * from_start_y[1:] >= from_start_y[:-1] * from_start_x[1:]
+    is_end_left = from_end_x[:-1] * from_end_y[1:] >= from_end_y[:-1] * from_end_x[1:]
+    crossed: Bools = is_left[:-1] != is_left[1:]
+    crossed &= is_start_left != is_end_left
     return crossed
 
 
 def _sides(starts: Floats, ends: Floats, segments: Segments) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return on which side of each ray the two ends of each wall lie, and the reverse, (m, s) each; left is positive.
+    """Return the sides of each ray on which start and end of each wall lie, and the reverse, (m, s) each.
 
-    Each number is the distance of the end from the line times the length of the segment on the line, m^2.
+    Each number is the distance of an end from a line times the length of the segment on the line, m^2; left of the line
+    it is positive.
     """
     (ax, ay), (bx, by) = segments.starts.T, segments.ends.T
     x, y = starts[:, 0, np.newaxis], starts[:, 1, np.newaxis]
     u, v = ends[:, 0, np.newaxis], ends[:, 1, np.newaxis]
-    before, after = _cross(ax - x, ay - y, ax - u, ay - v), _cross(bx - x, by - y, bx - u, by - v)
-    return before, after, _cross(ax - x, ay - y, bx - x, by - y), _cross(ax - u, ay - v, bx - u, by - v)
+    wall_start, wall_end = _cross(ax - x, ay - y, ax - u, ay - v), _cross(bx - x, by - y, bx - u, by - v)
+    return wall_start, wall_end, _cross(ax - x, ay - y, bx - x, by - y), _cross(ax - u, ay - v, bx - u, by - v)
 
 
 def _cross(x: Floats, y: Floats, u: Floats, v: Floats) -> Floats:
@@ -132,7 +135,7 @@ def _cross(x: Floats, y: Floats, u: Floats, v: Floats) -> Floats:
 
 
 def _apart(first: Floats, second: Floats, least: Floats) -> Bools:
-    """Return where two numbers have different signs, and both are larger than a bound."""
+    """Return where two numbers have different signs, and the absolute values of both are larger than a bound."""
     apart: Bools = (np.signbit(first) != np.signbit(second)) & (np.minimum(abs(first), abs(second)) > least)
     return apart
 
@@ -145,11 +148,12 @@ def are_inside(points: Floats, shapes: Sequence[WallShape]) -> Bools:
     segments = segments_of((0, shape) for shape in shapes if shape.closed)
     (ax, ay), (bx, by) = segments.starts.T, segments.ends.T
     x, y = points[:, 0, np.newaxis], points[:, 1, np.newaxis]
-    spans = (ay > y) != (by > y)
+    # A point is inside if the ray from it to the right crosses an odd number of edges.
+    spans_height = (ay > y) != (by > y)
     with np.errstate(invalid="ignore", divide="ignore"):
-        right = x < ax + (y - ay) * (bx - ax) / (by - ay)
-    odd: Bools = np.count_nonzero(spans & right, axis=1) % 2 == 1
-    return odd
+        is_right = x < ax + (y - ay) * (bx - ax) / (by - ay)
+    is_odd: Bools = np.count_nonzero(spans_height & is_right, axis=1) % 2 == 1
+    return is_odd
 
 
 def gaps(points: Floats, segments: Segments) -> Floats:
@@ -187,24 +191,23 @@ def first_contact(shapes: Iterable[tuple[int, WallShape]]) -> Contact | None:
     """
     edges = segments_of(shapes)
     starts, ends, owners = edges.starts, edges.ends, edges.owners
-    follows = np.zeros(len(owners), dtype=np.intp)
+    follows = np.zeros(len(owners), dtype=np.intp)  # the index of the edge after each edge
     for owner in np.unique(owners):
         ring = np.flatnonzero(owners == owner)
         follows[ring] = np.roll(ring, -1)
     for begin in range(0, len(owners), ROWS):
         rows = slice(begin, begin + ROWS)
         touched = _touching(Segments.of(starts[rows], ends[rows]), edges)
-        at = np.arange(begin, begin + len(touched))[:, np.newaxis]
-        touched &= (
-            (follows[rows, np.newaxis] != np.arange(len(owners))) & (follows != at) & (at < np.arange(len(owners)))
-        )
+        # Each pair counts once, and edges that follow each other do not: they have a common corner.
+        first, second = np.arange(begin, begin + len(touched))[:, np.newaxis], np.arange(len(owners))
+        touched &= (follows[rows, np.newaxis] != second) & (follows != first) & (first < second)
         pairs = np.argwhere(touched)
         if len(pairs):
             return _contact(edges, begin + int(pairs[0, 0]), int(pairs[0, 1]))
-    before, after = ends - starts, (ends - starts)[follows]
-    folds = (before[:, 0] * after[:, 1] == before[:, 1] * after[:, 0]) & (np.add.reduce(before * after, axis=1) < 0.0)
-    back = np.flatnonzero(folds)
-    return _contact(edges, int(back[0]), int(follows[back[0]])) if len(back) else None
+    edge, following = ends - starts, (ends - starts)[follows]
+    is_parallel = edge[:, 0] * following[:, 1] == edge[:, 1] * following[:, 0]
+    goes_back = np.flatnonzero(is_parallel & (np.add.reduce(edge * following, axis=1) < 0.0))
+    return _contact(edges, int(goes_back[0]), int(follows[goes_back[0]])) if len(goes_back) else None
 
 
 def _contact(edges: Segments, first: int, second: int) -> Contact:
@@ -214,8 +217,8 @@ def _contact(edges: Segments, first: int, second: int) -> Contact:
 
 def _touching(first: Segments, second: Segments) -> Bools:
     """Return which of k edges touch or cross which of s others, (k, s)."""
-    before, after, begin, end = _sides(first.starts, first.ends, second)
-    separated = (before * after > 0.0) | (begin * end > 0.0)
+    second_start, second_end, first_start, first_end = _sides(first.starts, first.ends, second)
+    separated = (second_start * second_end > 0.0) | (first_start * first_end > 0.0)
     low, high = np.minimum(first.starts, first.ends), np.maximum(first.starts, first.ends)
     lower, upper = np.minimum(second.starts, second.ends), np.maximum(second.starts, second.ends)
     # The boxes decide where both edges are on one line.

@@ -11,8 +11,8 @@ from typing import Literal, NamedTuple, get_args
 SPEED_OF_LIGHT = 299_792_458.0
 """m/s"""
 LOWEST = 0.4e9
-"""Lowest frequency, Hz, down to which the properties of a material whose range begins at 1 GHz are extrapolated: there
-are bands at 433, 868 and 915 MHz."""
+"""Frequency, Hz, down to which the properties are extrapolated for materials whose range begins at 1 GHz: radios use
+433, 868 and 915 MHz."""
 Material = Literal[
     "concrete",
     "brick",
@@ -62,7 +62,7 @@ MATERIALS: dict[str, Properties] = {
     "floorboard": Properties(3.66, 0.0044, 1.3515, 50e9, 100e9),
     "metal": Properties(1.0, 1e7, 0.0, 1e9, 100e9),
 }
-"""Table 3 of ITU-R P.2040-3, by name; b is 0 for all of these materials."""
+"""Table 3 of ITU-R P.2040-3, by name. The permittivity there is a f^b; b is 0 for all of these materials."""
 assert tuple(MATERIALS) == get_args(Material)
 
 
@@ -82,6 +82,7 @@ def slab_loss(material: str, thickness: float, frequency: float) -> float:
         span = f"{properties.lowest / 1e9:g} to {properties.high / 1e9:g} GHz"
         raise ValueError(f"frequency: {material} is known from {span} (got {frequency:g} Hz)")
     in_ghz = frequency / 1e9
+    # 17.98 is 1 / (2 pi epsilon_0) in units of GHz m / S.
     root = sqrt(
         complex(properties.permittivity, -17.98 * properties.conductivity * in_ghz**properties.exponent / in_ghz)
     )

@@ -35,16 +35,16 @@ def without_repeat(corners: Corners) -> Corners:
 def check_outlines(outlines: Sequence[Outline], where: str = "") -> None:
     """Raise ValueError, beginning with `where`, if an outline has too few corners, equal ones, or one too far away."""
     for number, (corners, closed) in enumerate(outlines):
-        which = where + (f"shape {number}: " if len(outlines) > 1 else "")
+        place = where + (f"shape {number}: " if len(outlines) > 1 else "")
         form, least = ("polygon", 3) if closed else ("line", 2)
         if len(corners) < least:
-            raise ValueError(f"{which}a {form} should have at least {least} corners (has {len(corners)})")
+            raise ValueError(f"{place}a {form} should have at least {least} corners (has {len(corners)})")
         for x, y in corners:
-            if not (abs(x) <= MAX_COORDINATE and abs(y) <= MAX_COORDINATE):  # neither if it is nan
-                raise ValueError(f"{which}a coordinate should be from {-MAX_COORDINATE:g} to {MAX_COORDINATE:g} m")
+            if not (abs(x) <= MAX_COORDINATE and abs(y) <= MAX_COORDINATE):  # also if one is nan
+                raise ValueError(f"{place}a coordinate should be from {-MAX_COORDINATE:g} to {MAX_COORDINATE:g} m")
         if (k := repeated_corner(corners, closed=closed)) is not None:
             x, y = corners[k % len(corners)]
-            raise ValueError(f"{which}an edge should have a length: the corner [{x:g}, {y:g}] comes twice")
+            raise ValueError(f"{place}an edge should have a length: the corner [{x:g}, {y:g}] comes twice")
 
 
 WKT_FORMS = ("LINESTRING", "POLYGON", "MULTILINESTRING", "MULTIPOLYGON", "GEOMETRYCOLLECTION")
@@ -106,7 +106,7 @@ class _Wkt:
             yield from self._items(lambda: [item()])
 
     def _items(self, item: Callable[[], Iterable[_Item]]) -> Iterator[_Item]:
-        """Yield what is in brackets, separated by commas."""
+        """Yield the items in brackets, separated by commas; `item` reads one of them."""
         self._expect("(")
         yield from item()
         while self.token == ",":
@@ -170,26 +170,26 @@ def svg_outlines(text: str) -> list[Outline]:
     if tokens and isinstance(tokens[0], str) and tokens[0] not in "Mm":
         raise ValueError(f"SVG path: should begin with M, not {tokens[0]}")
     outlines: list[Outline] = []
-    corners: list[complex] = []
+    corners: list[complex] = []  # x + y j
     begin = place = 0j
     command, at = "", 0
     while at < len(tokens):
         if isinstance(token := tokens[at], str):
             command, at = token, at + 1
-        elif command in "Zz":
+        elif command in {"", "Z", "z"}:
             raise ValueError(f"SVG path: a command should come before {token:g}: one of M, L, H, V, Z")
         if command in "Zz":
             outlines += _svg_outline(corners, closed=True)
             corners, place = [], begin
             continue
-        if not corners and command not in "Mm":
+        if not corners and command not in "Mm":  # after Z, the next part begins where the last one began
             corners = [place]
         numbers, at = _svg_numbers(tokens, at, command)
         place = _moved(place, command, numbers)
         if command in "Mm":
             outlines += _svg_outline(corners, closed=False)
             corners, begin = [], place
-            command = "L" if command == "M" else "l"
+            command = "L" if command == "M" else "l"  # further numbers after M are lines
         if not corners or corners[-1] != place:
             corners.append(place)
     return outlines + _svg_outline(corners, closed=False)

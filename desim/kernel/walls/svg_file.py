@@ -31,8 +31,8 @@ REFUSED |= {
     name: f"<{name}> is not read: convert objects to paths in the editor"
     for name in ("circle", "ellipse", "use", "image", "foreignObject")
 }
-"""The elements that are drawn and not read, and why. All that are neither these nor groups nor shapes draw nothing
-where they stand."""
+"""The elements that are drawn and not read, and why. Any other element that is no group and no shape draws nothing
+where it stands."""
 INHERITED = frozenset({"fill", "fill-opacity", "fill-rule", "stroke", "stroke-opacity", "stroke-width", "visibility"})
 """The properties that elements inherit."""
 MOVES = frozenset({"translate", "rotate", "scale"})
@@ -96,9 +96,9 @@ def svg_file_outlines(text: str) -> list[Outline]:
         raise ValueError("a style sheet in another file is not read: give styles to objects")
     rules = _style_rules(root)
     drawn: list[_Drawn] = []
-    waiting = [(root, _Inherited({}, (1.0, 0.0, 0.0, 1.0, 0.0, 0.0), ""))]
-    while waiting:
-        element, around = waiting.pop()
+    pending = [(root, _Inherited({}, (1.0, 0.0, 0.0, 1.0, 0.0, 0.0), ""))]
+    while pending:
+        element, inherited = pending.pop()
         name = _name(element)
         if name == "svg" and element is not root:
             raise ValueError("a drawing inside the drawing (<svg>) is not read: ungroup it in the editor")
@@ -107,18 +107,18 @@ def svg_file_outlines(text: str) -> list[Outline]:
         if name not in GROUPS and name not in SHAPES:
             continue
         properties = _style(element, name, rules)
-        around = _within(around, properties)
+        inherited = _within(inherited, properties)
         if name in SHAPES and (outlines := svg_outlines(SHAPES[name](element))):  # a single point draws nothing
-            is_evenodd = around.style.get("fill-rule") == "evenodd"
+            is_evenodd = inherited.style.get("fill-rule") == "evenodd"
             number = drawn[-1].element + 1 if drawn else 0
-            drawn += [_Drawn(outline, number, is_evenodd) for outline in _placed(outlines, name, around)]
-        waiting += [(child, around) for child in reversed(element)]
+            drawn += [_Drawn(outline, number, is_evenodd) for outline in _placed(outlines, name, inherited)]
+        pending += [(child, inherited) for child in reversed(element)]  # the first child is taken first
     _check_nesting([shape for shape in drawn if shape.outline.closed])
     return [shape.outline for shape in drawn]
 
 
 def _check_nesting(rings: list[_Drawn]) -> None:
-    """Raise ValueError if the inside of a ring is not solid or free in turns, from the outermost to the innermost."""
+    """Raise ValueError unless rings in each other are filled and empty in turns, as those of a wall are."""
     if len(rings) < 2:
         return
     shapes = [WallShape(np.array(ring.outline.corners), closed=True) for ring in rings]
@@ -129,11 +129,11 @@ def _check_nesting(rings: list[_Drawn]) -> None:
     elements = np.array([ring.element for ring in rings])
     solid = np.zeros(len(rings), dtype=bool)
     for element in np.unique(elements):
-        mine = elements == element
-        if rings[int(mine.argmax())].is_evenodd:
-            solid |= within[mine].sum(axis=0) % 2 == 1
+        of_element = elements == element
+        if rings[int(of_element.argmax())].is_evenodd:
+            solid |= within[of_element].sum(axis=0) % 2 == 1
         else:
-            solid |= (turns[mine, np.newaxis] * within[mine]).sum(axis=0) != 0
+            solid |= (turns[of_element, np.newaxis] * within[of_element]).sum(axis=0) != 0
     if (solid != (within.sum(axis=0) % 2 == 1)).any():
         raise ValueError(
             "a closed shape lies in another one that has a fill, and is no hole in it: delete the inner one, or unite"
@@ -160,7 +160,7 @@ class _Rule(NamedTuple):
     """A rule of a style sheet for one selector."""
 
     weight: tuple[int, int]
-    """The greatest counts: the sum of 4 for an id, 2 for a class and 1 for an element, then the place of the rule."""
+    """The sum of 4 for an id, 2 for a class and 1 for an element, and the number of the rule; the greatest wins."""
     element: str
     """"": all."""
     style: Mapping[str, str]
@@ -173,7 +173,7 @@ _Rules = dict[str, list[_Rule]]
 def _style_rules(root: ElementTree.Element) -> _Rules:
     """Return the rules of all style sheets that say what is drawn."""
     rules: _Rules = {}
-    places = count()
+    rule_numbers = count()
     for sheet in root.iter():
         if _name(sheet) != "style" or sheet.get("media", "all") not in {"all", "screen"}:
             continue
@@ -191,7 +191,7 @@ def _style_rules(root: ElementTree.Element) -> _Rules:
                         f"the selector {selector!r} of its style sheet is not read: give styles to objects"
                     )
                 element, kind = (match[1] or "").strip("*"), match[2] or ""
-                weight = {"": 0, ".": 2, "#": 4}[kind] + bool(element), next(places)
+                weight = {"": 0, ".": 2, "#": 4}[kind] + bool(element), next(rule_numbers)
                 rules.setdefault(kind + (match[3] or ""), []).append(_Rule(weight, element, style))
     return rules
 
@@ -210,14 +210,14 @@ def _declarations(text: str) -> dict[str, str]:
 
 
 def _style(element: ElementTree.Element, name: str, rules: _Rules) -> dict[str, str]:
-    """Return the properties of an element: its style before the rules of style sheets, and these before attributes."""
+    """Return the properties of an element: its style overrides the rules of style sheets, and these its attributes."""
     stripped = {key: value.strip() for key, value in element.attrib.items() if key in PROPERTIES}
     attributes = {key: value if key in PLACES else value.lower() for key, value in stripped.items()}
     if "transform-origin" in attributes:
         raise ValueError("transform-origin is not read: apply transformations in the editor")
-    keys = ["", *(f".{one}" for one in element.get("class", "").split()), f"#{element.get('id')}"]
-    concerned = [rule for key in keys for rule in rules.get(key, ()) if rule.element in {"", name}]
-    for rule in sorted(concerned, key=lambda rule: rule.weight):
+    keys = ["", *(f".{word}" for word in element.get("class", "").split()), f"#{element.get('id')}"]
+    matching = [rule for key in keys for rule in rules.get(key, ()) if rule.element in {"", name}]
+    for rule in sorted(matching, key=lambda rule: rule.weight):
         attributes |= rule.style
     attributes |= _declarations(element.get("style", ""))
     if variable := next((key for key, value in attributes.items() if "var(" in value), ""):
@@ -225,25 +225,25 @@ def _style(element: ElementTree.Element, name: str, rules: _Rules) -> dict[str, 
     return {key: value for key, value in attributes.items() if value not in DEFAULTS}
 
 
-def _within(around: _Inherited, properties: Mapping[str, str]) -> _Inherited:
-    """Return what the children of an element inherit."""
+def _within(inherited: _Inherited, properties: Mapping[str, str]) -> _Inherited:
+    """Return what the children of an element inherit, given what the element inherits and its properties."""
     for key in ("clip-path", "mask"):
         if properties.get(key, "none") != "none":
             raise ValueError(f"{key} hides a part, which would be a wall: release it in the editor")
-    hidden = around.hidden
+    hidden = inherited.hidden
     if properties.get("display") == "none":
         hidden = "display: none"
     elif re.fullmatch(ZERO, properties.get("opacity", "1")):
         hidden = f"opacity: {properties['opacity']}"
-    style = {**around.style, **{key: value for key, value in properties.items() if key in INHERITED}}
-    return _Inherited(style, _product(around.matrix, _matrix(properties.get("transform", ""))), hidden)
+    style = {**inherited.style, **{key: value for key, value in properties.items() if key in INHERITED}}
+    return _Inherited(style, _product(inherited.matrix, _matrix(properties.get("transform", ""))), hidden)
 
 
-def _placed(outlines: list[Outline], name: str, around: _Inherited) -> Iterator[Outline]:
-    """Yield the outlines of a shape where they are drawn; raise ValueError if they would look otherwise."""
-    style, (a, b, c, d, e, f) = around.style, around.matrix
+def _placed(outlines: list[Outline], name: str, inherited: _Inherited) -> Iterator[Outline]:
+    """Yield the outlines of a shape where they are drawn; raise ValueError if a wall would differ from the drawing."""
+    style, (a, b, c, d, e, f) = inherited.style, inherited.matrix
     visibility = style.get("visibility", "visible")
-    if hidden := around.hidden or (f"visibility: {visibility}" if visibility in {"hidden", "collapse"} else ""):
+    if hidden := inherited.hidden or (f"visibility: {visibility}" if visibility in {"hidden", "collapse"} else ""):
         raise ValueError(f"{hidden!r} hides a <{name}>, which would be a wall: delete it, or show it")
     has_fill = _shows(style, "fill", "black", "fill-opacity")
     if not has_fill and not _shows(style, "stroke", "none", "stroke-opacity", "stroke-width"):
@@ -251,11 +251,11 @@ def _placed(outlines: list[Outline], name: str, around: _Inherited) -> Iterator[
             f"a <{name}> has neither a fill nor a stroke, and would be a wall: delete it, or give it a stroke"
         )
     for corners, closed in outlines:
-        # The outline has y up, the transformation is for y down.
         if has_fill and not closed and len(corners) > 2:
             raise ValueError(f"an open <{name}> has a fill, and looks solid: close it, or take away its fill")
+        # The outline has y up, the transformation is for y down.
         moved = tuple((a * x - c * y + e, d * y - b * x - f) for x, y in corners)
-        is_free = closed and not has_fill
+        is_free = closed and not has_fill  # then it is a line that ends where it begins
         yield Outline((*moved, moved[0]) if is_free else moved, closed and has_fill)
 
 
@@ -303,8 +303,8 @@ def _transformation(kind: str, numbers: list[float]) -> Transformation:
         case "scale", [along_x, along_y]:
             return along_x, 0.0, 0.0, along_y, 0.0, 0.0
         case "rotate", [degrees]:
-            quarters, rest = divmod(degrees, 90.0)  # quarter turns are exact
-            c, s = cos(radians(rest)), sin(radians(rest))
+            quarters, remainder = divmod(degrees, 90.0)  # quarter turns are exact
+            c, s = cos(radians(remainder)), sin(radians(remainder))
             for _ in range(int(quarters) % 4):
                 c, s = -s, c
             return c, s, -s, c, 0.0, 0.0

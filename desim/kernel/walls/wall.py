@@ -100,12 +100,12 @@ class Wall(Value):
                 check_outlines([placed], f"shape {k}, scaled and displaced: ")
         self._check_rings()
         if self.material is not None:
-            slab_loss(self.material, self.thickness, self.frequency)
+            slab_loss(self.material, self.thickness, self.frequency)  # raises ValueError for a wrong frequency
         return self
 
     @property
     def unused_fields(self) -> dict[str, str]:
-        """The fields of a slab without a material, and all fields of radio if the wall does not block it."""
+        """All fields about radio if the wall does not block radio, or those of a slab if there is no material."""
         if "radio" not in self.blocks:
             return dict.fromkeys(("loss", "material", "thickness", "frequency"), f"blocks {list(self.blocks)}")
         return dict.fromkeys(("thickness", "frequency"), "no material") if self.material is None else {}
