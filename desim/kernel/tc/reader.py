@@ -32,7 +32,7 @@ def read_script(text: str, source: str = "tc", folder: Path | None = None) -> Re
     """Return the table `[network]` that commands of tc describe.
 
     A command below a comment `# link SRC -> DST` is for this link, any other for the whole network. The last command
-    for a device counts, see `_changed`; a deletion at the end does not.
+    for a device counts, see `_changed`; a deletion that no further command follows has no effect.
 
     Args:
         text: the commands, see `desim.kernel.tc.syntax.commands`.
@@ -48,15 +48,16 @@ def read_script(text: str, source: str = "tc", folder: Path | None = None) -> Re
         raise TcError(f"{source}: no command adds netem, so nothing is read; {FORM.partition('; ')[2]}")
     tables: dict[Way | None, TomlTable] = {}
     ignored: list[str] = []
-    for where, way, _, _, _, options in disciplines:
+    for command in disciplines:
+        where, way = command.where, command.way
         try:
-            table = _checked(_network(options, folder or Path()))
+            table = _checked(_network(command.options, folder or Path()))
         except ValueError as error:
             raise TcError(f"{where}: {error}") from error
         if tables.setdefault(way, table) != table:
-            which = "the whole network; a command for one link follows a comment # " + _name(("SRC", "DST"))
-            raise TcError(f"{where}: differs from the command above for {_name(way) if way else which}")
-        if "limit" in options and "rate" not in options:
+            network_name = "the whole network; a command for one link follows a comment # " + _name(("SRC", "DST"))
+            raise TcError(f"{where}: differs from the command above for {_name(way) if way else network_name}")
+        if "limit" in command.options and "rate" not in command.options:
             ignored.append(f"{where}: limit has no effect without a rate: a link holds any number of messages")
     network = tables.pop(None, {})
     links = [_link(way, table, network, source) for way, table in tables.items() if way is not None]
@@ -73,35 +74,37 @@ def _disciplines(script: Iterable[Command]) -> list[Command]:
 
     A second `add` for a device, which Linux refuses, counts as one for another device.
     """
-    last: dict[tuple[Device, int], Command] = {}
+    # The key of a discipline is its device and the number of the command that added it. `present` has the keys of
+    # those that no command has deleted.
+    commands_by_key: dict[tuple[Device, int], Command] = {}
     present: dict[Device, tuple[Device, int]] = {}
     for number, command in enumerate(script):
         if command.action == "delete":
             *device, parent = command.device
-            gone = [place for place in present if [*place[:-1]] == device and parent in {"", place[-1]}]
-            present = {place: key for place, key in present.items() if place not in gone}
+            deleted = [place for place in present if [*place[:-1]] == device and parent in {"", place[-1]}]
+            present = {place: key for place, key in present.items() if place not in deleted}
             continue
         key = present.get(command.device)
         if key is not None and command.action != "add":
-            last[key] = _changed(last[key], command)
+            commands_by_key[key] = _changed(commands_by_key[key], command)
             continue
-        if key is None:  # there is no netem now: what the device had before a deletion no longer counts
-            last = {
-                other: before
-                for other, before in last.items()
+        if key is None:  # a new discipline replaces those of the device that were deleted
+            commands_by_key = {
+                other: last
+                for other, last in commands_by_key.items()
                 if other[0][:-1] != command.device[:-1] or other[0] in present
             }
         key = present[command.device] = command.device, number
-        last[key] = command
-    return list(last.values())
+        commands_by_key[key] = command
+    return list(commands_by_key.values())
 
 
 def _changed(before: Command, command: Command) -> Command:
-    """Return a command `change` or `replace`, with what it leaves of the one before.
+    """Return a command `change` or `replace`, with the options that it leaves in effect of the command before.
 
-    Linux changes a discipline that a `replace` finds, unless its handle differs (tc_modify_qdisc, net/sched/sch_api.c).
-    Options that are not given are reset, but for the table of a distribution, the rate, and the correlations if none is
-    given (netem_change, net/sched/sch_netem.c).
+    A `replace` changes an existing discipline, unless its handle differs (tc_modify_qdisc, net/sched/sch_api.c of
+    Linux). Options that are not given are reset, but for the table of a distribution, the rate, and the correlations if
+    none is given (netem_change, net/sched/sch_netem.c).
 
     Raises:
         TcError: if correlations stay in effect.
@@ -109,14 +112,15 @@ def _changed(before: Command, command: Command) -> Command:
     way = command.way or before.way
     if command.action == "replace" and command.handle not in {"", before.handle}:
         return command._replace(way=way)
-    if _correlation(before.options) and not _correlation(command.options):
-        why = "leaves the correlations of the command before in effect: give one of them again"
-        raise TcError(f"{command.where}: {why}")
+    if _has_correlation(before.options) and not _has_correlation(command.options):
+        raise TcError(
+            f"{command.where}: leaves the correlations of the command before in effect: give one of them again"
+        )
     kept = {name: before.options[name] for name in ("distribution", "rate") if name in before.options}
     return command._replace(way=way, handle=command.handle or before.handle, options=kept | command.options)
 
 
-def _correlation(options: TomlTable) -> bool:
+def _has_correlation(options: TomlTable) -> bool:
     """Return whether the options of a command have a correlation of delay, loss or duplicate."""
     model, values = options.get("loss", ("", []))
     delay, duplicate = options.get("delay", (0.0, 0.0, 0.0)), options.get("duplicate", (0.0, 0.0))
@@ -124,10 +128,10 @@ def _correlation(options: TomlTable) -> bool:
 
 
 def _network(options: dict[str, Any], folder: Path) -> TomlTable:
-    """Return the table `[network]` of the options of a command; `folder` is that of the tables.
+    """Return the table `[network]` of the options of a command; `folder` has the tables NAME.dist.
 
     Raises:
-        ValueError: if it has no such models.
+        ValueError: if desim has no model of the options.
     """
     latency, medium = _latency(options, folder), _medium(options)
     order = order_of(reorders="reorder" in latency, has_rate=bool(medium))
@@ -187,6 +191,7 @@ def _bursts(p: float, r: float) -> TomlTable:
     burst = shortest(1.0 / r, lambda burst: steps_of(1.0 / burst) == steps_of(r))
     odds = p * burst
     share = shortest(odds / (1.0 + odds), lambda share: share < 1.0 and steps_of(to_bad(share, burst)) == steps_of(p))
+    # The maximum allows for rounding: these are the shortest bursts of the model.
     return {"kind": "gilbert_elliott", "share": share, "burst": max(burst, share / (1.0 - share), 1.0)}
 
 
@@ -202,6 +207,7 @@ def _medium(options: dict[str, Any]) -> TomlTable:
     if "rate" not in options:
         return {}
     bitrate, overhead = options["rate"]
+    # netem counts the packet that is transmitted, too.
     limit = {"queue_limit": float(options["limit"] - 1)} if "limit" in options else {}
     return {"kind": "bitrate", "bitrate": bitrate, "header": HEADERS + overhead, **limit}
 
@@ -220,7 +226,7 @@ def _link(way: Way, table: TomlTable, network: TomlTable, source: str) -> TomlTa
 
 
 def _merged(links: list[TomlTable]) -> list[TomlTable]:
-    """Return the tables of links, with one table for the two ways of a link that follow each other and are equal."""
+    """Return the tables of links; if those of both ways of a link are equal and successive, they are one table."""
     merged: list[TomlTable] = []
     for link in links:
         if merged and merged[-1] == link | {"src": link["dst"], "dst": link["src"]}:

@@ -66,6 +66,7 @@ NOTHING = frozenset({"true", ":", "set", "echo"})
 SET_UP = frozenset({"ip", "ifconfig", "modprobe", "sysctl"})
 """The commands that set up addresses and modules, unless they have one of the words in `ENDING`."""
 ENDING = frozenset({"down", "del", "delete", "flush"})
+"""Words with which such a command may end a link."""
 IP_OBJECTS = frozenset({"link", "addr", "address", "route", "neigh", "rule", "netns", "tuntap"})
 """What `ip` may set up by `add` or `set`."""
 _ASSIGNMENT = re.compile(r"(\w+)=(.*)", re.ASCII)
@@ -170,13 +171,14 @@ def commands(text: str, source: str) -> Iterator[Command]:
     words: list[tuple[str, str]] = []
     values: dict[str, str] = {}  # of variables
     before: Command | None = None  # the command before `||`
-    line, begin = 1, 0
+    line, line_begin = 1, 0
     for token in _TOKEN.finditer(text.removeprefix("\ufeff") + "\n"):
-        where = f"{source}:{line}:{token.start() - begin + 1}"
+        where = f"{source}:{line}:{token.start() - line_begin + 1}"
         match token.lastgroup:
             case "word":
                 word = _QUOTES.sub(lambda part: part[1] or part[2] or part[3] or "", token[0])
                 expanded = word if "'" in token[0] else _with_values(word, values)
+                # As a shell does, a value without quotes is split into words.
                 parts = expanded.split() if expanded != word and '"' not in token[0] else [expanded]
                 words += ((part, where) for part in parts)
             case "comment" if match := _COMMENT.fullmatch(token[0].strip()):
@@ -189,10 +191,10 @@ def commands(text: str, source: str) -> Iterator[Command]:
                 words = []
                 if command is not None and not _repeats(command, before):
                     yield command
-                    way = way if command.action == "delete" else None
+                    way = way if command.action == "delete" else None  # the comment is for the command after a deletion
                 before = command if token[0] == "||" else None
         if "\n" in token[0]:
-            line, begin = line + 1, token.end()
+            line, line_begin = line + 1, token.end()
 
 
 def _with_values(word: str, values: dict[str, str]) -> str:
@@ -208,8 +210,8 @@ def _with_values(word: str, values: dict[str, str]) -> str:
 
 
 def _assign(words: list[str], values: dict[str, str]) -> bool:
-    """Return whether a command gives values to variables, and keep them; those that a shell computes are not known."""
-    pairs = [_ASSIGNMENT.fullmatch(word) for word in words[words[0] == "export" :]]
+    """Return whether a command gives values to variables; keep the values, but forget those that a shell computes."""
+    pairs = [_ASSIGNMENT.fullmatch(word) for word in (words[1:] if words[0] == "export" else words)]
     if not pairs or None in pairs:
         return False
     for pair in pairs:
@@ -235,7 +237,7 @@ def _repeats(command: Command, before: Command | None) -> bool:
     """Return whether a command is the same as the one before `||`, as in `tc ... change ... || tc ... add ...`.
 
     Raises:
-        TcError: if it is another one, because which of both has an effect is not known.
+        TcError: if it is another command, because it is not known which of the two has an effect.
     """
     if before is None or "delete" in {before.action, command.action}:
         return False
@@ -245,7 +247,7 @@ def _repeats(command: Command, before: Command | None) -> bool:
 
 
 def _command(words: _Words, way: Way | None) -> Command | None:
-    """Return the command that some words are; None if it changes nothing.
+    """Return the command that the words make; None if it changes nothing.
 
     Raises:
         TcError: if it is no command of `tc qdisc`.
@@ -257,7 +259,7 @@ def _command(words: _Words, way: Way | None) -> Command | None:
     namespace = _flags(words, "tc")
     if not "qdisc".startswith(words.take("qdisc")):
         raise words.wrong(FORM)
-    if not words.peek():  # which shows the disciplines
+    if not words.peek():  # `tc qdisc` alone shows the disciplines
         return None
     word = words.take("|".join(ACTIONS))
     action = next((action for action in ACTIONS if action.startswith(word)), None)
@@ -265,18 +267,16 @@ def _command(words: _Words, way: Way | None) -> Command | None:
         raise words.wrong(FORM)
     if action in {"show", "list", "lst"}:
         return None
-    device, parent, handle = "", "", ""
+    place = {"dev": "", "parent": "", "handle": ""}
     while words.peek() and (word := words.take("netem")) != "netem":
-        if word in {"dev", "parent", "handle"}:
-            value = words.take("a value")
-            device, handle = value if word == "dev" else device, value if word == "handle" else handle
-            parent = value if word == "parent" else parent
+        if word in place:
+            place[word] = words.take("a value")
         elif word != "root" and action != "delete":
             raise words.wrong("is not allowed here; allowed: dev, parent, handle, root, netem")
     if action != "delete" and word != "netem":
         words.take("netem")
     options = {} if action == "delete" else _options(words)
-    return Command(where, way, action, (*runner, *namespace, device, parent), handle, options)
+    return Command(where, way, action, (*runner, *namespace, place["dev"], place["parent"]), place["handle"], options)
 
 
 def _runner(words: _Words) -> list[str]:
@@ -346,7 +346,7 @@ def _delay(words: _Words) -> tuple[float, float, float]:
     return delay, more[0] if more else 0.0, correlation
 
 
-def _event(words: _Words) -> tuple[float, float]:
+def _probability(words: _Words) -> tuple[float, float]:
     probability, *more = words.values(share_of, 2)
     return probability, more[0] if more else 0.0
 
@@ -385,10 +385,10 @@ def _packets(words: _Words) -> int:
 OPTIONS: dict[str, Callable[[_Words], Any]] = {
     "delay": _delay,
     "distribution": lambda words: words.value(_table_name),
-    "reorder": _event,
+    "reorder": _probability,
     "gap": _packets,
     "loss": _loss,
-    "duplicate": _event,
+    "duplicate": _probability,
     "rate": _rate,
     "limit": _packets,
 }

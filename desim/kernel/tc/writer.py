@@ -53,8 +53,8 @@ def script(links: Links, size: int, device: str = "eth0", walls: Sequence[Wall] 
     ways += [(src, dst) for models in overrides.values() for src, receivers in models.items() for dst in receivers]
     for src, dst in dict.fromkeys(ways):
         latency, loss, order = (
-            overrides[name].get(src, {}).get(dst, usual)
-            for name, usual in (("latency", links.latency), ("loss", links.loss), ("order", links.order))
+            overrides[name].get(src, {}).get(dst, default)
+            for name, default in (("latency", links.latency), ("loss", links.loss), ("order", links.order))
         )
         link = LINK.format(src=src, dst=dst)
         lines += ["", f"# {link}", writer.command(f"{device}-{src}-{dst}", f"{link}: ", latency, loss, order)]
@@ -100,10 +100,10 @@ class _Writer:
                 "device", f": the name has at most 15 letters, digits and characters . _ : @ - (got {device!r})"
             )
         delay, rate = self._delay(f"{place}latency", latency), _rate(self._medium)
-        keeps_order = order_of(reorders="reorder" in delay, has_rate=bool(rate))
-        if len(delay) > 2 and order != keeps_order:
-            which = "keeps the order of packets" if keeps_order == "fifo" else "lets packets overtake each other"
-            self.missing.append((f"{place}order", f"netem {which} here, see its rate and reorder"))
+        netem_order = order_of(reorders="reorder" in delay, has_rate=bool(rate))
+        if len(delay) > 2 and order != netem_order:  # with equal delays, no packet overtakes another
+            effect = "keeps the order of packets" if netem_order == "fifo" else "lets packets overtake each other"
+            self.missing.append((f"{place}order", f"netem {effect} here, see its rate and reorder"))
         losses = self._words(f"{place}loss", "loss", _loss(loss))
         copies = self._words("network.duplicate", "duplicate", _random(self._duplicate))
         return " ".join(["tc qdisc add dev", device, "root netem", *delay, *losses, *copies, *rate])
@@ -148,8 +148,8 @@ class _Writer:
 
     def _name(self, kind: str, numbers: tuple[int, ...]) -> str:
         """Return the name of a table; it begins with "desim-" unless it is one of iproute2."""
-        plain = f"desim-{re.sub('[^A-Za-z0-9_]+', '-', kind)}"
-        names = [kind] if kind in TABLES else [plain, *(f"{plain}-{k}" for k in range(2, len(self.tables) + 2))]
+        stem = f"desim-{re.sub('[^A-Za-z0-9_]+', '-', kind)}"
+        names = [kind] if kind in TABLES else [stem, *(f"{stem}-{k}" for k in range(2, len(self.tables) + 2))]
         name = next(name for name in names if self.tables.get(name, numbers) == numbers)
         self.tables[name] = numbers
         return name
@@ -174,8 +174,8 @@ def _loss(loss: Any) -> Words | None:
     """Return the values of the option `loss`; None if netem has no such model."""
     if is_as_built(loss, GilbertElliott) and loss.advance == "message":
         shares = [to_bad(loss.share, loss.burst), 1.0 / loss.burst, loss.loss_bad, loss.loss_good]
-        is_gilberts = loss.loss_bad == 1.0 and loss.loss_good == 0.0
-        return ["gemodel", *map(share_word, shares[:2] if is_gilberts else shares)]
+        are_defaults = loss.loss_bad == 1.0 and loss.loss_good == 0.0  # the model of Gilbert
+        return ["gemodel", *map(share_word, shares[:2] if are_defaults else shares)]
     if is_as_built(loss, FourState):
         return ["state", *map(share_word, (loss.p13, loss.p31, loss.p32, loss.p23, loss.p14))]
     values = _random(loss)
