@@ -63,7 +63,7 @@ class LinkTrace(NamedTable):
     """Base of the models that follow measurements: the table, its columns, and how it is replayed."""
 
     NOUN: ClassVar[str] = "a value"
-    """A value of the table, for error messages."""
+    """What a value of the table is called in error messages."""
     LIMITS: ClassVar[tuple[float, float]] = (-np.inf, np.inf)
     """The smallest and the largest value that the table may have, unless they depend on the model."""
 
@@ -116,13 +116,13 @@ class LinkTrace(NamedTable):
             if text is not None:
                 raise ValueError("should have a file or a table, not both")
             path = resolve_path(data["file"], info)
-            units = "s" if {"unit", "time_unit"}.isdisjoint(data) else ""  # else, the comments may explain these
+            units = ("s",) if {"unit", "time_unit"}.isdisjoint(data) else ()  # comments may explain the given units
             text, read_from = csv_text(path, names.used(), units=units), path.name
         name = read_from or TABLE
         columns = _columns_in(csv_header(str(text), name), names, data, name)
-        read = {"table": select(str(text), columns.used(), name), "src": columns.src, "dst": columns.dst}
+        reduced = {"table": select(str(text), columns.used(), name), "src": columns.src, "dst": columns.dst}
         parameters = {key: value for key, value in data.items() if key not in {"file", "read_from"}}
-        return parameters | read | ({"read_from": read_from} if read_from else {})
+        return parameters | reduced | ({"read_from": read_from} if read_from else {})
 
     @model_validator(mode="after")
     def _is_valid(self) -> Self:
@@ -144,16 +144,16 @@ class LinkTrace(NamedTable):
         return self
 
     def _units(self) -> list[tuple[str, str, str]]:
-        """Return key, name and unit of the columns; a name that ends in another unit contradicts the key."""
+        """Return key, column and unit for each key about a unit; a column whose name ends in another one is refused."""
         return [("time_unit", self.time, self.time_unit)]
 
     @property
     def doubt(self) -> tuple[str, str] | None:
-        """The key that is probably wrong, by the name of the column or its values, and why; None if none is."""
+        """The key that is probably wrong, judging by the name of a column or its values, and why; None if none is."""
         return None
 
     def given(self) -> dict[str, Any]:
-        """Return the fields that differ from their defaults, see `Value.given`; only the length of the table."""
+        """Return the fields that differ from their defaults, see `Value.given`; instead of the table, its length."""
         rows = len(self.measurements.values) // (2 if self.both_ways and self.src is not None else 1)
         return super().given() | {"table": f"{rows} rows"}
 
@@ -191,8 +191,8 @@ class LinkTrace(NamedTable):
         if names is None:
             return None
         numbers = [f"{number} is {name}" for number, name in enumerate(names)]
-        few = numbers if len(numbers) <= SHOWN else [*numbers[: SHOWN - 1], "...", numbers[-1]]
-        return ", ".join(few)
+        shown = numbers if len(numbers) <= SHOWN else [*numbers[: SHOWN - 1], "...", numbers[-1]]
+        return ", ".join(shown)
 
     @property
     def node_order(self) -> tuple[str, ...] | None:
@@ -203,7 +203,7 @@ class LinkTrace(NamedTable):
         """Return the trace with the numbers that a network gives to the names of its nodes.
 
         The trace is returned unchanged if it numbers them so by itself, has `nodes`, or columns with numbers. But if
-        the names are numbers themselves, as in a graph of the nodes 1 .. n, so are those in the columns.
+        all names are numbers, as in a graph of the nodes 1 .. n, then numbers in the columns are names, too.
 
         Raises:
             ValueError: if the table has another name.
@@ -226,7 +226,7 @@ class LinkTrace(NamedTable):
         return values
 
     def check_links(self, size: int, links: Iterable[tuple[int, int]]) -> None:
-        """Check that the table has a row for each of some links (sender, receiver) of a network of `size` nodes.
+        """Check that the table has a row for each of the links (sender, receiver) of a network of `size` nodes.
 
         A table that is not replayed (`is_replayed`) need not have them.
 

@@ -24,7 +24,7 @@ from desim.kernel.measured.ping import ping_table
 
 MAX_CELLS = 20_000_000
 """Maximum number of cells that are read of a Parquet file: about 400 MB of text."""
-KEPT = 8
+CACHED_TABLES = 8
 """Number of tables that stay in memory, so that the configurations of a sweep do not read their common tables again."""
 SEPARATORS = ",;\t"
 QUOTED = re.compile(r'"[^"]*"')
@@ -91,16 +91,15 @@ def cells_of(table: str, name: str) -> Cells:
     return Cells(name, lines[1:], {column: flat[width + k :: width] for k, column in enumerate(header)})
 
 
-def csv_text(path: Path, columns: Collection[str] | None, *, units: str = "s") -> str:
+def csv_text(path: Path, columns: Collection[str] | None, *, units: Collection[str] = ("s",)) -> str:
     """Return the text of a CSV file, or a file of another format as CSV.
 
-    The other formats are Parquet (*.parquet), with some columns only and the cells of others empty, and the output of
-    ping, see `desim.kernel.measured.ping`.
+    The other formats are Parquet (*.parquet) and the output of ping, see `desim.kernel.measured.ping`.
 
     Args:
         path: the file.
-        columns: the names of the columns that are read; None: all.
-        units: the units, "s", "m", both or none, that comments may not contradict; see `check_comments`.
+        columns: the names of the columns of a Parquet file that are read, the cells of others being empty; None: all.
+        units: the units, "s" and "m", that comments may not contradict; see `check_comments`.
 
     Raises:
         ValueError: if the file cannot be read, or if it is a Parquet file and pyarrow is not installed.
@@ -119,23 +118,23 @@ def csv_text(path: Path, columns: Collection[str] | None, *, units: str = "s") -
         raise ValueError(f"{path} cannot be read: {reason}") from error
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_TABLES)
 def _csv_of(parquet: bytes, columns: tuple[str, ...] | None) -> str:
     from pyarrow import BufferReader
     from pyarrow.parquet import ParquetFile
 
     file = ParquetFile(BufferReader(parquet))
     names = file.schema_arrow.names
-    read = [name for name in names if columns is None or name.strip() in columns]  # as `csv_header` has it
+    used = [name for name in names if columns is None or name.strip() in columns]  # `csv_header` strips names, too
     # A file of a few kB can hold any number of equal rows, so the number of cells is bounded, not the size of the file.
-    if (size := file.metadata.num_rows * len(read)) > MAX_CELLS:
+    if (size := file.metadata.num_rows * len(used)) > MAX_CELLS:
         raise ValueError(
-            f"{file.metadata.num_rows:,} rows of {len(read)} columns are {size:,} cells, above {MAX_CELLS:,}"
+            f"{file.metadata.num_rows:,} rows of {len(used)} columns are {size:,} cells, above {MAX_CELLS:,}"
         )
     text = StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(names)
-    for batch in file.iter_batches(columns=read) if read else ():
+    for batch in file.iter_batches(columns=used) if used else ():
         cells = batch.to_pydict()
         writer.writerows(zip(*(cells.get(name, repeat(None)) for name in names), strict=False))
     return text.getvalue()
@@ -152,7 +151,7 @@ def csv_header(text: str, name: str) -> list[str]:
     raise ValueError(f"{name} is empty: its first line should have the names of its columns")
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_TABLES)
 def select(text: str, columns: tuple[str, ...], name: str) -> str:
     """Return CSV text reduced to some columns, separated by commas, with each row on the same line.
 
@@ -170,11 +169,11 @@ def select(text: str, columns: tuple[str, ...], name: str) -> str:
         if header.count(column) != 1:
             problem = "no column" if column not in header else "several columns"
             raise ValueError(f"{name} has {problem} {column!r}; its columns are {', '.join(header)}{_headless(header)}")
-    chosen = itemgetter(*(header.index(column) for column in columns))
+    cells_in_use = itemgetter(*(header.index(column) for column in columns))
     has_commas = separator_of(text) == ","
-    rows, selected = _as_long_as(header, rows_of(text, name), name, has_commas=has_commas), StringIO()
+    rows, selected = _rows_as_long_as(header, rows_of(text, name), name, has_commas=has_commas), StringIO()
     if not has_commas:
-        rows = with_points(rows, chosen, name)
+        rows = with_points(rows, cells_in_use, name)
     writer = csv.writer(selected, lineterminator="\n")
     first, _ = next(rows)
     selected.write("\n" * (first - 1))
@@ -183,12 +182,12 @@ def select(text: str, columns: tuple[str, ...], name: str) -> str:
     for line, cells in rows:
         if line > next_line:
             selected.write("\n" * (line - next_line))
-        writer.writerow(chosen(cells))
+        writer.writerow(cells_in_use(cells))
         next_line = line + 1
     return selected.getvalue()
 
 
-def _as_long_as(
+def _rows_as_long_as(
     header: Sequence[str], rows: Iterator[tuple[int, list[str]]], name: str, *, has_commas: bool
 ) -> Iterator[tuple[int, list[str]]]:
     """Yield the line and the cells of each row.
@@ -205,7 +204,7 @@ def _as_long_as(
 
 
 def _headless(header: Sequence[str]) -> str:
-    """Return the probable reason why a column is missing, after a semicolon; "" if it is not known."""
+    """Return the probable reason why a column is missing, after a semicolon; "" if the header has names."""
     try:
         [number_of(cell) for cell in header]
     except ValueError:
@@ -236,15 +235,15 @@ def with_points(
         ValueError: if some chosen cells have decimal commas and others decimal points, because one of the two may
             separate thousands.
     """
-    seen: dict[str, tuple[int, str]] = {}
+    first_by_sign: dict[str, tuple[int, str]] = {}
     for line, cells in rows:
         for cell in chosen(cells) if len(cells) > 1 else ():
             if match := DECIMAL.fullmatch(cell.strip()):
-                seen.setdefault(match[1] or match[2], (line, cell.strip()))
-        if len(seen) > 1:
-            (_, first), (where, other) = sorted(seen.values(), key=lambda place: place[0])
-            why = f"numbers should have either decimal points or decimal commas (got {first} and {other})"
-            raise ValueError(f"{name}, {row_place(where, name)}: {why}")
+                first_by_sign.setdefault(match[1] or match[2], (line, cell.strip()))
+        if len(first_by_sign) > 1:
+            (_, first), (other_line, other) = sorted(first_by_sign.values(), key=lambda place: place[0])
+            reason = f"numbers should have either decimal points or decimal commas (got {first} and {other})"
+            raise ValueError(f"{name}, {row_place(other_line, name)}: {reason}")
         yield line, [cell.replace(",", ".") if DECIMAL.fullmatch(cell.strip()) else cell for cell in cells]
 
 

@@ -82,9 +82,9 @@ class UnclearNamesError(ValueError):
 def names_beside(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
     """Return the names in the first line and the first column of a square matrix; an empty tuple if it has no names.
 
-    The cell above the names of the lines is empty or a text. Names that are numbers are different integers. A matrix
-    that lacks its diagonal has an empty first cell without names, too; its numbers are names only if they are 0 .. n-1,
-    which as values would have a 0 beside the diagonal.
+    The first cell is empty or a text. Names may be numbers only if they are different integers. The first cell is also
+    empty in a matrix without names that lacks its diagonal. In a matrix that lacks the diagonal, numbers are therefore
+    names only if they are 0 .. n - 1: as values, they would have a 0 beside the diagonal.
 
     Raises:
         UnclearNamesError: if the first line and the first column may also be numbers of a symmetric matrix.
@@ -92,8 +92,8 @@ def names_beside(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
     """
     if len(rows) < 3 or not rows[0] or is_number_text(rows[0][0]):
         return ()
-    names, begins = tuple(rows[0][1:]), tuple(row[0] for row in rows[1:])
-    if names == begins:
+    names, line_names = tuple(rows[0][1:]), tuple(row[0] for row in rows[1:])
+    if names == line_names:
         if not all(names):
             raise ValueError("a node has no name in the first line and in the first column")
         if not all(map(is_number_text, names)):
@@ -112,7 +112,7 @@ def names_beside(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
                 " empty: write a text into it if they are names, and 0 if not"
             )
         return names
-    if len(names) == len(begins) and not any(map(is_number_text, names + begins)):
+    if len(names) == len(line_names) and not any(map(is_number_text, names + line_names)):
         raise ValueError("the names of the first line and of the first column should be equal")
     return ()
 
@@ -158,16 +158,16 @@ def matrix_of(file: Path, *, unit_is_given: bool = False) -> NamedMatrix:
         raise ValueError(f"{file} contains no numbers")
     first = cells[0][0]
     if not names and {frozenset(row[:2]) for row in rows} in PAIRS_OF_3:
-        why = "each line may be two nodes and a latency: a matrix has a line for each sender"
-        raise ValueError(f"{file}, line {first}: {why}, with a number for each receiver")
-    begins, numbers = [row[0] for row in rows[1:]], list(range(len(rows)))
-    if not names and len(rows) > 2 and rows[0][1:] == begins and begins in (numbers[:-1], numbers[1:]):
+        reason = "each line may be two nodes and a latency: a matrix has a line for each sender"
+        raise ValueError(f"{file}, line {first}: {reason}, with a number for each receiver")
+    column, numbers = [row[0] for row in rows[1:]], list(range(len(rows)))
+    if not names and len(rows) > 2 and rows[0][1:] == column and column in (numbers[:-1], numbers[1:]):
         raise ValueError(f"{file}, line {first}: numbers the nodes, and so does the first column: leave both out")
     for (line, _), row in zip(cells, rows, strict=True):
         if len(row) != len(rows):
             in_row, in_file = counted(len(row), "number"), counted(len(rows), "line")
-            why = f"has {in_row}, but the file has {in_file} of numbers: one per node"
-            raise ValueError(f"{file}, line {line}: {why}; with decimal commas, separate numbers by ;")
+            reason = f"has {in_row}, but the file has {in_file} of numbers: one per node"
+            raise ValueError(f"{file}, line {line}: {reason}; with decimal commas, separate numbers by ;")
     if names and all(map(str.isdecimal, names)):
         order = sorted(range(len(names)), key=lambda node: int(names[node]))
         names, rows = tuple(names[node] for node in order), [[rows[src][dst] for dst in order] for src in order]

@@ -22,7 +22,7 @@ from desim.config.arrays import Bools, Floats, Integers
 from desim.config.model import MAX_TIME
 from desim.config.number_files import hint_of, integer_of, is_plain, not_a_number, number_of
 from desim.kernel.core.units import SECOND
-from desim.kernel.measured.csv_tables import KEPT, Cells, cells_of, csv_text, select
+from desim.kernel.measured.csv_tables import CACHED_TABLES, Cells, cells_of, csv_text, select
 
 Unit = Literal["s", "ms", "us", "ns"]
 PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
@@ -33,6 +33,7 @@ MAX_NODE = 2**31 - 1
 LIKE_NUMBER = re.compile(r"[+-]?[\d_,' ]*\.?[\d_,' ]*(?:e[+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE)
 """Matches a number, also in a wrong form, and an empty cell."""
 NODE = "the number of a node, 0 or more"
+"""What a cell of a sender or receiver should be, for error messages."""
 LAST_TIME = Decimal(10**8)
 """Time, s, from which on a number does not count from the start of a simulation: three years."""
 FIRST_CLOCK = Decimal(10**9)
@@ -136,7 +137,8 @@ def time_of(text: str, unit: Unit = "s") -> Decimal:
     that a mixture of both, or of dates and numbers, spans thousands of years, and is refused.
 
     Raises:
-        ValueError: if the text is neither a number nor a date, or the number is beyond `LAST_CLOCK`.
+        ValueError: if the text is neither a number nor a date, or the number is beyond `LAST_CLOCK`, or probably a
+            date.
     """
     try:
         number = Decimal(text)
@@ -146,7 +148,8 @@ def time_of(text: str, unit: Unit = "s") -> Decimal:
         return _seconds_of_date(text.strip())
     if not is_plain(text):
         raise not_a_number(text)
-    if abs(seconds) >= LAST_TIME and (match := COMPACT_TIME.fullmatch(text)):  # 200 s in ns have as many digits
+    # Shorter times in ns may have as many digits: 200 s have 12.
+    if abs(seconds) >= LAST_TIME and (match := COMPACT_TIME.fullmatch(text)):
         year, month, day, hour, minute, second = match.groups()
         date = f"{year}-{month}-{day}T{hour}:{minute}:{second or '00'}"
         raise ValueError(f"{text!r} is probably a date: write {date} instead")
@@ -228,7 +231,8 @@ def timed_rows(file: Path, columns: Sequence[str], unit: Unit = "s") -> tuple[li
         ValueError: if the file cannot be read, lacks a column, or has a cell that is not a finite number.
     """
     names, time = tuple(columns), columns[0]
-    cells = cells_of(select(csv_text(file, names, units="ms" if unit == "s" else "m"), names, str(file)), str(file))
+    units = ("m", "s") if unit == "s" else ("m",)  # comments may explain another unit of the times
+    cells = cells_of(select(csv_text(file, names, units=units), names, str(file)), str(file))
     times = cells.numbers(time, partial(time_of, unit=unit))
     start = start_of(times, f"{file}, column {time}")
     numbers = [cells.numbers(name, _finite) for name in names[1:]]
@@ -247,7 +251,7 @@ def _finite(cell: str) -> float:
     return number
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_TABLES)
 def measurements_of(table: str, columns: Columns, meaning: Meaning, name: str) -> Measurements:
     """Return the measurements in a table, a text that `select` returned.
 
@@ -259,18 +263,18 @@ def measurements_of(table: str, columns: Columns, meaning: Meaning, name: str) -
     times, values = _times(cells, columns.time, meaning.time_unit), _values(cells, columns.value, meaning)
     names = _names(cells, columns) if meaning.nodes is None else None
     src, dst = _links(cells, columns, names or meaning.nodes, both_ways=meaning.both_ways)
-    row = np.tile(np.arange(len(times)), len(src) // len(times))
+    row = np.tile(np.arange(len(times)), len(src) // len(times))  # twice if `_links` adds the opposite links
     order = np.lexsort((row, dst, src))  # by link, and then as in the table
     src, dst, row = src[order], dst[order], row[order]
     is_first = np.concatenate(([True], (np.diff(src) != 0) | (np.diff(dst) != 0)))
     is_late = ~is_first[1:] & (np.diff(times[row]) <= 0)
     if is_late.any():
         # The error names the first such row in the order of the file, not of the links, for a reader of the file.
-        late = int(row[1:][is_late].min())
-        before = cells.place(int(row[:-1][is_late & (row[1:] == late)][0]))
+        late_row = int(row[1:][is_late].min())
+        row_before = cells.place(int(row[:-1][is_late & (row[1:] == late_row)][0]))
         hint = "" if columns.src else "; if the rows are of several links, src and dst should name their columns"
-        why = f"{columns.time} should increase; it is not later than in {before}, of the same link{hint}"
-        raise cells.error(late, why)
+        reason = f"{columns.time} should increase; it is not later than in {row_before}, of the same link{hint}"
+        raise cells.error(late_row, reason)
     distinct, rank = np.unique(times, return_inverse=True)
     first = np.append(np.flatnonzero(is_first), len(row))
     lines = np.array(cells.lines)[row[first[:-1]]]
@@ -285,13 +289,15 @@ def _times(cells: Cells, column: str, unit: Unit) -> Integers:
     if reason := _why_no_seconds(times, start):
         hint = " (time_unit)" if "probably in" in reason else ""
         raise cells.error(times.index(start), f"{column}: {reason}{hint}")
-    if (most := max(times)) - start > MAX_TIME:
+    if (latest := max(times)) - start > MAX_TIME:
         hint = (
             "; dates should all have a time zone, or none"
             if any(map(DATE.fullmatch, map(str.strip, cells.columns[column])))
             else ""
         )
-        raise cells.error(times.index(most), f"{column} should be at most {MAX_TIME:g} s after the earliest time{hint}")
+        raise cells.error(
+            times.index(latest), f"{column} should be at most {MAX_TIME:g} s after the earliest time{hint}"
+        )
     return np.array([round((time - start) * SECOND) for time in times], dtype=np.int64)
 
 
@@ -334,10 +340,10 @@ def _links(
         raise cells.error(row, f"a link should join two nodes (got {node} and {other})")
     if not both_ways:
         return src, dst
-    seen = dict(zip(zip(src.tolist(), dst.tolist(), strict=True), range(len(src)), strict=True))
-    for node, other in seen:
-        if (other, node) in seen:
-            row = max(seen[node, other], seen[other, node])
+    last_rows = dict(zip(zip(src.tolist(), dst.tolist(), strict=True), range(len(src)), strict=True))
+    for node, other in last_rows:
+        if (other, node) in last_rows:
+            row = max(last_rows[node, other], last_rows[other, node])
             raise cells.error(row, f"with both_ways, only one direction should have rows; {node} and {other} have both")
     return np.concatenate((src, dst)), np.concatenate((dst, src))
 

@@ -56,6 +56,7 @@ class Playback:
             gap = self._end - measured.times[measured.rank[last]] + wait
             begin = begin + (values[first] - begin) * ((gap - wait) / gap)
         finish = begin if repeats else values[last]
+        # The added rows at time 0, the rows of the table, and the added rows at the end.
         keys = [links * self._width, np.repeat(links, counts) * self._width + measured.rank]
         keys += [(links + 1) * self._width - 1]
         # Stable, so that a row of the table at time 0 comes after the added row with the same key, and replaces it.
