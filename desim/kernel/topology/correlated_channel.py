@@ -136,8 +136,8 @@ class CorrelatedChannel:
         """(4, n) wave vectors at both ends, in turns per metre."""
         count, rows = self._coherence.waves, []
         for end in (0, 1):
-            first = pair_draw(self._seed, "shadowing spectrum", end, end)
-            lengths = [self._wave_number((index + first) / count) for index in self._point(2 * end).tolist()]
+            offset = pair_draw(self._seed, "shadowing spectrum", end, end)
+            lengths = [self._wave_number((index + offset) / count) for index in self._point(2 * end).tolist()]
             angles = [2.0 * math.pi * index / count for index in self._point(2 * end + 1).tolist()]
             rows += [
                 [length * function(angle) for length, angle in zip(lengths, angles, strict=True)]
@@ -180,6 +180,7 @@ class CorrelatedChannel:
         return self._drawn(OF_NODE, 1, everyone, everyone) if self._size * self._coherence.waves <= ROOM else None
 
     def _drawn(self, name: str, processes: int, src: int | Integers, dst: Nodes) -> _Phases:
+        """Return the random numbers of processes of k pairs: for each process three angles, then the waves."""
         rows = self._coherence.waves + 3
         count, links = rows * processes, len(dst)
         first = np.tile(np.broadcast_to(src, links), count)

@@ -47,7 +47,9 @@ class CellList:
         """By cell, the nodes in it and in the eight cells around it; an entry is deleted when a node enters or leaves
         one of these nine cells."""
         self._when, self._at = self._now(), positions().copy()
-        self._seen, self._drift = self._at, 0.0
+        """The time and the positions with which the nodes were hashed."""
+        self._compared, self._drift = self._at, 0.0
+        """The positions that were last compared with these, and the largest movement since."""
         self._cells = self._cells_of(self._at)
         self._enter(range(len(self._at)), self._cells)
 
@@ -72,9 +74,9 @@ class CellList:
         if self._max_speed < inf:
             return self._max_speed * (self._now() - self._when)
         at = self._positions()
-        is_unchanged = at is self._seen and at.flags.owndata and not at.flags.writeable
+        is_unchanged = at is self._compared and at.flags.owndata and not at.flags.writeable
         if not is_unchanged:
-            self._seen, self._drift = at, float(np.abs(at - self._at).max())
+            self._compared, self._drift = at, float(np.abs(at - self._at).max())
         return self._drift
 
     def _hash(self) -> None:

@@ -277,10 +277,10 @@ class Topology:
         """Return the current topology as a networkx graph with an arc from each sender to each receiver."""
         if self._complete and self._positions is None:
             return complete_digraph(self.size)
-        now: nx.DiGraph[int] = nx.DiGraph()
-        now.add_nodes_from(range(self.size))
-        now.add_edges_from((node, other) for node in now.nodes for other in self.neighbours(node).tolist())
-        return now
+        current: nx.DiGraph[int] = nx.DiGraph()
+        current.add_nodes_from(range(self.size))
+        current.add_edges_from((node, other) for node in current.nodes for other in self.neighbours(node).tolist())
+        return current
 
     @cached_property
     def _senders(self) -> list[list[int]]:

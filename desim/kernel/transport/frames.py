@@ -83,7 +83,8 @@ def acknowledgement_size(window: int) -> int:
 
 def piece_size(size: int, needed: int) -> int:
     """Return the bytes of a piece of a message of `size` bytes, header included, of which `needed` pieces suffice."""
-    return HEADER + FRAME - (HEADER - size) // needed
+    body_size = -(-(size - HEADER) // needed)  # rounded up
+    return HEADER + FRAME + body_size
 
 
 def carried(body: Any) -> Any:

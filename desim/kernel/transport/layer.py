@@ -125,14 +125,14 @@ class TransportLayer:
             sender = node.senders[flow] = kind(flow, transport, node.endpoint)  # type: ignore[arg-type]
         sender.send(message, size, self._topology.neighbours(src).tolist() if dst is None else [dst])
 
-    def listen(self, usual: Transport, by_port: Mapping[str, Transport]) -> None:
+    def listen(self, default: Transport, by_port: Mapping[str, Transport]) -> None:
         """Let all nodes receive frames before any is sent here, because the senders are in other processes.
 
         Args:
-            usual: the transport of all ports but those in `by_port`, until a message is sent here.
+            default: the transport of all ports but those in `by_port`, until a message is sent here.
             by_port: the transports of some ports.
         """
-        self._default = Reliable() if usual.is_plain else usual
+        self._default = Reliable() if default.is_plain else default
         self._transports.update(by_port)
         if not self._nodes:
             self._start()

@@ -39,13 +39,13 @@ class ReliableReceiver:
 
     def receive(self, src: int, stamp: int, frame: Segment | Skip) -> list[Arrived]:
         """Process a frame with its time stamp, ns; return the messages to be delivered now, in order."""
-        fresh: list[Arrived] = []
+        new: list[Arrived] = []
         if isinstance(frame, Segment) and frame.seq >= self.expected and frame.seq not in self._beyond:
             arrived = _new(Arrived, (frame.seq, _new(Message, (src, stamp, frame.body)), frame.attempt))
             self._beyond[frame.seq] = arrived
-            fresh.append(arrived)
+            new.append(arrived)
         passed = self._advance(frame.base)
-        return passed if self._ordered else fresh
+        return passed if self._ordered else new
 
     def beyond(self) -> tuple[int, ...]:
         """Return the numbers of the messages received beyond `expected`, ascending."""
@@ -81,7 +81,7 @@ class CodedReceiver:
     def receive(self, src: int, stamp: int, piece: CodedPiece) -> Iterator[Arrived]:
         """Process a piece with its time stamp, ns; yield its message if this piece completes it."""
         self._newest = max(self._newest, piece.seq)
-        if piece.seq <= self._newest - REMEMBERED:
+        if piece.seq <= self._newest - REMEMBERED:  # its message may have been delivered, and is forgotten
             return
         pieces = self._pieces.setdefault(piece.seq, set())
         before = len(pieces)

@@ -142,7 +142,7 @@ class ReliableSender:
             if entry.seq < acknowledgement.expected or (entry.seq in received and not self._model.ordered):
                 self._finish(entry, node)
                 must_advance |= not entry.owed
-            elif owed.is_held != (entry.seq in received):  # also to not held: the receiver has lost its memory
+            elif owed.is_held != (entry.seq in received):  # a receiver that has lost its memory holds it no longer
                 owed.is_held, must_advance = not owed.is_held, True
                 owed.due = NEVER if owed.is_held else now
         # `_close_gap` comes first in the condition, because it must always be called.
