@@ -69,7 +69,7 @@ class ReceivingNodes:
         `body` and `stamp` are as in `Network.publish`.
         """
         stamp = self._env.now if stamp is None else stamp
-        self._records.set_initial_belief(Record(self._node(src), 0, stamp, self._own(body)))
+        self._records.set_initial_belief(Record(self._node(src), 0, stamp, self._stored_body(body)))
 
     def insert(self, node: int, record: Record) -> None:
         """Insert a record received by other means than `Network.publish` into the table of a node.
@@ -79,7 +79,7 @@ class ReceivingNodes:
         if not (type(node) is int and 0 <= node < self._size):  # saves a call for each copy in a flood
             node = self._node(node)
         if record.src != node and self._records.is_news(node, record):  # most copies in a flood are not news
-            body = self._own(record.body)
+            body = self._stored_body(record.body)
             self._records.relay(node, record if body is record.body else record._replace(body=body))
 
     def latest_records(self, node: int) -> Table:
@@ -118,11 +118,11 @@ class ReceivingNodes:
             self._arrivals.settle_for_reader(node)
         return node
 
-    def _own(self, body: Any) -> Any:
+    def _stored_body(self, body: Any) -> Any:
         """Return the body of a record as it is stored: a copy if its sender could change it later."""
-        kept = as_sent(body)
-        self._has_mutable |= kept is not body
-        return kept
+        stored = as_sent(body)
+        self._has_mutable |= stored is not body
+        return stored
 
     def _forget(self, node: int) -> None:
         """Delete the received records and the unread messages of a node."""
@@ -249,10 +249,10 @@ class Network(ReceivingNodes):
         Raises:
             ValueError: if the size is not an integer of at least 0, or the body has no size or cannot be copied.
         """
-        src, kept = self._node(src), self._own(body)
-        size = size_of(kept) if size is None else checked_size(size)
+        src, stored = self._node(src), self._stored_body(body)
+        size = size_of(stored) if size is None else checked_size(size)
         self.accepted += 1
-        self._transmit(src, None, self._next_record(src, kept, stamp), size)
+        self._transmit(src, None, self._next_record(src, stored, stamp), size)
 
     def send(
         self,
@@ -270,8 +270,8 @@ class Network(ReceivingNodes):
         The message goes to the inbox of the receiver at `port`; `size` is as in `publish`. It is carried by a
         transport, which may retransmit it (`desim.kernel.models.transport`); None: that of the links
         (`Links.transport`). All messages at a port should have the same transport. With `only`, a message to all
-        neighbours is for some of them: it is transmitted as any broadcast, and the other nodes ignore it; a transport
-        that needs acknowledgements sends it to each of them.
+        neighbours is for the nodes in `only`: it is transmitted as any broadcast, and the other nodes ignore it. A
+        transport instead sends it to each of these nodes.
 
         Use `send` for requests, acknowledgements and tokens, where every message matters; use `publish` for state,
         where only the newest value matters. A transmission to a node that is not linked to the sender is lost, and so
@@ -319,12 +319,12 @@ class Network(ReceivingNodes):
 
     def next_record(self, src: int, body: Any, stamp: int | None = None) -> Record:
         """Return a new record of a node, for a protocol that spreads records by other means than `publish`."""
-        return self._next_record(self._node(src), self._own(body), stamp)
+        return self._next_record(self._node(src), self._stored_body(body), stamp)
 
-    def _next_record(self, src: int, kept: Any, stamp: int | None) -> Record:
-        """Return a new record of a node, given the body to store."""
+    def _next_record(self, src: int, stored: Any, stamp: int | None) -> Record:
+        """Return a new record of a node, given the body to store (`_stored_body`)."""
         self._seq[src] = seq = self._seq[src] + 1
-        return _new(Record, (src, seq, self._env.now if stamp is None else stamp, kept))
+        return _new(Record, (src, seq, self._env.now if stamp is None else stamp, stored))
 
     def overhear(self, listener: TransmissionListener) -> None:
         """Register a function to call whenever a transmission starts; see `link_layer.TransmissionListener`."""
