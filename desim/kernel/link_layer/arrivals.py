@@ -38,11 +38,11 @@ MANY_PAST = 1000
 class KeptArrivals:
     """Arrivals that are kept until their outcomes are decided together.
 
-    Attributes:
-        first: by node, the time of its first kept arrival, ns; inf if there is none.
-
     Args:
         size: number of nodes.
+
+    Attributes:
+        first: by node, the time of its first kept arrival, ns; inf if there is none.
     """
 
     def __init__(self, size: int) -> None:
@@ -55,9 +55,9 @@ class KeptArrivals:
         return self._count
 
     def add(self, flight: Flight, nodes: list[int], times: list[int]) -> bool:
-        """Keep the arrivals (times in ns) at some nodes; return whether to decide all that are due.
+        """Keep the arrivals (times in ns) at some nodes; return whether all that are due should be decided now.
 
-        This is so each time that `MAX_KEPT` arrivals have been added.
+        They should be each time that `MAX_KEPT` arrivals have been added.
         """
         first, of_node = self.first, self._of_node
         # Two items of a flat list take less time and memory than a tuple.
@@ -132,10 +132,10 @@ class Arrivals:
         self._with_events = 0
         """Number of arrivals that have an event."""
         self.kept, self._all = KeptArrivals(topology.size), range(topology.size)
-        self._at_downed: list[tuple[int, Transmission, dict[int, Cause]]] = []
+        self._certain_losses: list[tuple[int, Transmission, dict[int, Cause]]] = []
         """Certain losses at nodes that are down, not counted yet: time, transmission, and the cause by receiver."""
         self._count_at = self._forget_at = MANY_PAST
-        """Lengths of `_at_downed` and of `transmitter.recent` above which past entries are removed."""
+        """Lengths of `_certain_losses` and of `transmitter.recent` above which past entries are removed."""
 
     def crash(self, node: int, cause: Cause) -> None:
         """Note that the radio of a node goes down now: its transmission that is on the air is lost on arrival."""
@@ -143,7 +143,7 @@ class Arrivals:
 
     def in_flight(self) -> int:
         """Return the number of arrivals that are not decided yet."""
-        return self._with_events + len(self.kept) + len(self._at_downed)
+        return self._with_events + len(self.kept) + len(self._certain_losses)
 
     def schedule(self, transmission: Transmission, nodes: list[int], arrival: Arrival, airtime: int) -> None:
         """Schedule the arrivals at some nodes of a transmission that starts now, given their times and airtime (ns)."""
@@ -187,23 +187,24 @@ class Arrivals:
         times = per_receiver(arrival, len(nodes))
         assert self._fault_state is not None
         losses: list[dict[int, Cause]] = [{node: self._fault_state.down_cause(node) or "crash"} for node in nodes]
-        self._at_downed += [(when, transmission, causes) for causes, when in zip(losses, times, strict=True)]
-        if len(self._at_downed) > self._count_at:
+        self._certain_losses += [(when, transmission, causes) for causes, when in zip(losses, times, strict=True)]
+        if len(self._certain_losses) > self._count_at:
             self.count_losses()
-            self._count_at = 2 * len(self._at_downed) + MANY_PAST
+            self._count_at = 2 * len(self._certain_losses) + MANY_PAST
 
     def count_losses(self) -> None:
         """Count the certain losses up to now."""
         now = self._env.now
-        for when, transmission, causes in self._at_downed:
+        for when, transmission, causes in self._certain_losses:
             if when <= now:
                 self._lose(transmission, causes)
-        self._at_downed = [entry for entry in self._at_downed if entry[0] > now]
+        self._certain_losses = [entry for entry in self._certain_losses if entry[0] > now]
 
     def settle_for_reader(self, node: int | None = None) -> None:
         """Decide the kept arrivals at a node, or at all nodes (None), up to and including this instant.
 
-        If a fault has yet to begin or end at this instant, which may change their outcomes, those at this instant wait.
+        If a fault has yet to begin or end at this instant, arrivals at this instant wait for it: it may change their
+        outcomes.
         """
         now = self._env.now
         changes = self._fault_state is not None and self._fault_state.changes_by(now)
@@ -227,15 +228,16 @@ class Arrivals:
             receivers, times = [receivers[k] for k in arrived], [times[k] for k in arrived]
             flights = [flights[k] for k in arrived]
         contents: list[Any] = [flight.transmission.content for flight in flights]
-        messages = [k for k, content in enumerate(contents) if not isinstance(content, Record)]
-        if not messages:  # as a rule
+        of_messages = [k for k, content in enumerate(contents) if not isinstance(content, Record)]
+        if not of_messages:  # as a rule
             self._records.receive(receivers, times, contents)
             return
-        for k in messages:
+        for k in of_messages:
             transmission = flights[k].transmission
             self._inboxes.deliver(contents[k], transmission.port, [receivers[k]], times[k], transmission.number)
-        rest = sorted(set(range(len(contents))).difference(messages))
-        self._records.receive([receivers[k] for k in rest], [times[k] for k in rest], [contents[k] for k in rest])
+        of_records = sorted(set(range(len(contents))).difference(of_messages))
+        records = [contents[k] for k in of_records]
+        self._records.receive([receivers[k] for k in of_records], [times[k] for k in of_records], records)
 
     def _can_wait(self, transmission: Transmission) -> bool:
         """Return whether the outcome of a transmission may be decided after its arrival."""

@@ -104,14 +104,14 @@ class MessageDelivery:
         last = arrival if isinstance(arrival, int) else max(arrival, default=0)
         if last < until and within.issuperset(reached):
             return reached, arrival
-        uncertain, their_times = reached, arrival
+        uncertain, uncertain_times = reached, arrival
         if isinstance(arrival, int) or min(arrival, default=0) >= until:
             reached, arrival = [], []
         else:
-            reached, arrival, uncertain, their_times = _split(
+            reached, arrival, uncertain, uncertain_times = _split(
                 reached, arrival, lambda node, when: when < until and node in within
             )
-        self.arrivals.schedule(transmission, uncertain, their_times, airtime)
+        self.arrivals.schedule(transmission, uncertain, uncertain_times, airtime)
         return reached, arrival
 
     def _not_blocked(
@@ -138,7 +138,7 @@ class MessageDelivery:
 def _split(
     nodes: list[int], arrival: Arrival, holds: Callable[[int, int], bool]
 ) -> tuple[list[int], Arrival, list[int], Arrival]:
-    """Return the nodes for which a predicate of node and arrival time holds, with their times, and the others alike."""
+    """Return the nodes for which a predicate of node and arrival time holds, with their times, and the other nodes."""
     holding = [holds(node, when) for node, when in zip(nodes, per_receiver(arrival, len(nodes)), strict=True)]
     not_holding = [not is_holding for is_holding in holding]
     parts: list[list[int]] = [list(compress(nodes, holding)), list(compress(nodes, not_holding))]

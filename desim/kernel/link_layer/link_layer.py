@@ -175,13 +175,13 @@ class LinkLayer:
     def _enqueue_copy(self, transmission: Transmission) -> None:
         """Start or queue a second transmission to the receivers that the model of duplicates selects."""
         _, src, now, size, receivers, *_ = transmission
-        twice = self._sampler.duplicates(src, receivers, now, size)
-        if twice:
-            self._log.sent += len(twice)
+        duplicated = self._sampler.duplicates(src, receivers, now, size)
+        if duplicated:
+            self._log.sent += len(duplicated)
             number = next(self._numbers)
             if self._fault_state is not None:
-                self._fault_state.note_sent(number, src, twice, transmission.content.body)
-            self._enqueue(transmission._replace(number=number, receivers=twice))
+                self._fault_state.note_sent(number, src, duplicated, transmission.content.body)
+            self._enqueue(transmission._replace(number=number, receivers=duplicated))
 
     def _process(self, transmission: Transmission) -> None:
         """Pass a transmission to the host of its sender; it waits until the host has processed it."""

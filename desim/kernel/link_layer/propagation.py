@@ -79,12 +79,12 @@ class LinkSampler:
         self._latency_overrides = overrides_of_run(overrides["latency"], size)
         self._loss_overrides = overrides_of_run(overrides["loss"], size)
         self._order, self._order_overrides = links.order, overrides["order"]
-        for place, why in link_misfits(links, graph):
-            raise ValueError(f"{'.'.join(map(str, place))}: {why}")
+        for place, reason in link_misfits(links, graph):
+            raise ValueError(f"{'.'.join(map(str, place))}: {reason}")
         self._is_lost = link_trait(self._latency, "is_lost")
         self._is_lost_overrides = {
-            src: {dst: link_trait(model, "is_lost") for dst, model in to.items()}
-            for src, to in self._latency_overrides.items()
+            src: {dst: link_trait(model, "is_lost") for dst, model in by_dst.items()}
+            for src, by_dst in self._latency_overrides.items()
         }
         self._nodes = np.arange(size)
         """(n,) all nodes; a slice of this array costs less than a new one."""
@@ -97,12 +97,14 @@ class LinkSampler:
         self._lossless = _never_loses(links.loss)
         self._cause = LinkTraits.of(links.loss).cause
         self._cause_overrides = {
-            src: {dst: LinkTraits.of(model).cause for dst, model in to.items()} for src, to in overrides["loss"].items()
+            src: {dst: LinkTraits.of(model).cause for dst, model in by_dst.items()}
+            for src, by_dst in overrides["loss"].items()
         }
-        override_models = (model for to in self._loss_overrides.values() for model in to.values())
-        own_is_lost = [is_lost for to in self._is_lost_overrides.values() for is_lost in to.values()]
-        self._latency_loses = any(is_lost is not None for is_lost in (self._is_lost, *own_is_lost))
-        self.lossless = self._lossless and not self._latency_loses and all(map(_never_loses, override_models))
+        loss_models = (model for by_dst in self._loss_overrides.values() for model in by_dst.values())
+        is_lost_of_links = [is_lost for by_dst in self._is_lost_overrides.values() for is_lost in by_dst.values()]
+        self._latency_loses = any(is_lost is not None for is_lost in (self._is_lost, *is_lost_of_links))
+        """Whether a latency model may lose messages."""
+        self.lossless = self._lossless and not self._latency_loses and all(map(_never_loses, loss_models))
         """Whether the link models are known never to lose a message."""
         # With one constant latency, no latency model needs to be sampled, and no message overtakes another.
         self._constant = None
@@ -137,15 +139,15 @@ class LinkSampler:
                 (lost[k],) = booleans_of(model(context, self._override_loss_rng), 1, model)
         if not self._latency_loses:
             return lost
-        without_latency = self._without_latency(src, dst, now, size)
-        return without_latency if lost is None else list(map(or_, lost, without_latency))
+        lost_by_latency = self._lost_by_latency(src, dst, now, size)
+        return lost_by_latency if lost is None else list(map(or_, lost, lost_by_latency))
 
     def cause(self, src: int, dst: int) -> Cause:
         """Return the cause of the losses that the loss model of a link draws."""
-        to = self._cause_overrides.get(src)
-        return self._cause if to is None else to.get(dst, self._cause)
+        by_dst = self._cause_overrides.get(src)
+        return self._cause if by_dst is None else by_dst.get(dst, self._cause)
 
-    def _without_latency(self, src: int, dst: list[int], now: int, size: int) -> list[bool]:
+    def _lost_by_latency(self, src: int, dst: list[int], now: int, size: int) -> list[bool]:
         """Return for each receiver whether its latency model loses the message."""
         lost = [False] * len(dst)
         if self._is_lost is not None:
@@ -209,7 +211,8 @@ class LinkSampler:
         overtaking = self._links.model_copy(update={"order": "overtaking"})
         sampler = LinkSampler(overtaking, self._graph, self._seed, self._positions, "typical ")
         size, rounds = len(self._graph), 1 + 1000 // max(self._graph.number_of_edges(), 1)
-        models = (self._latency, *(model for to in self._latency_overrides.values() for model in to.values()))
+        overrides = (model for by_dst in self._latency_overrides.values() for model in by_dst.values())
+        models = (self._latency, *overrides)
         # Of several spans the shortest is used, because a trace of latencies may end there.
         spans = [span for model in models if (span := link_trait(model, "time_span")) is not None]
         buffer = None if sampler._latency_overrides else sampler._latency_buffer
