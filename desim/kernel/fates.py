@@ -112,12 +112,12 @@ def fates(
             except (TypeError, ValueError) as error:
                 shown = tuple(values) if isinstance(values, tuple) else values
                 raise ValueError(f"message {row} {value_text(shown)}: {error}") from error
-        left = min(duration, MAX_TIME - network.now)
-        while left > 0.0 and (network.counts().in_flight or network.transport_counts() is not None):
-            step(min(STEP, left))
-            left -= STEP
+        remaining = min(duration, MAX_TIME - network.now)
+        while remaining > 0.0 and (network.counts().in_flight or network.transport_counts() is not None):
+            step(min(STEP, remaining))
+            remaining -= STEP
         step(1e-9)  # so that `lost` includes messages that were lost when they were sent, after the last step
-        number = {node: k for k, node in enumerate(network.nodes)}
+        number_of = {node: number for number, node in enumerate(network.nodes)}
     keys = {*arrivals, *losses, *((row, message.dst) for row, message in enumerate(log) if message.dst is not None)}
     return [
         Fate(
@@ -129,7 +129,7 @@ def fates(
             "delivered" if (row, dst) in arrivals else losses.get((row, dst), NONE),
             arrivals.get((row, dst), nan),
         )
-        for row, dst in sorted(keys, key=lambda key: (key[0], number[key[1]]))
+        for row, dst in sorted(keys, key=lambda key: (key[0], number_of[key[1]]))
     ]
 
 

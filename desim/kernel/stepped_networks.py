@@ -15,7 +15,7 @@ from desim.kernel.stepped_positions import copy_of_positions
 if TYPE_CHECKING:
     import networkx as nx
 
-MOST = 100_000
+MAX_NETWORKS = 100_000
 """The greatest number of networks; each takes some 12 kB before its first message."""
 
 
@@ -51,8 +51,8 @@ class SteppedNetworks:
         if "trace" in arguments:
             raise ValueError("a trace is of one network: step single ones, each with a trace")
         count = whole(count, "the number of networks")
-        if not 1 <= count <= MOST:
-            raise ValueError(f"there should be at least 1 network and at most {MOST:,} (got {count:,})")
+        if not 1 <= count <= MAX_NETWORKS:
+            raise ValueError(f"there should be at least 1 network and at most {MAX_NETWORKS:,} (got {count:,})")
         root = seed_of(seed)
         self._shape: tuple[int, ...] | None = None
         """The shape of the published bodies of this episode; None before the first."""
@@ -105,11 +105,11 @@ class SteppedNetworks:
         tables = [[network.latest(node) for node in network.nodes] for network in self._networks]
         size = len(self._networks[0].nodes)
         latest = np.full((len(self), size, size, *(self._shape or ())), np.nan)
-        number = {node: k for k, node in enumerate(self._networks[0].nodes)}
+        number_of = {node: number for number, node in enumerate(self._networks[0].nodes)}
         for e, tables_of_nodes in enumerate(tables):
             for dst, table in enumerate(tables_of_nodes):
                 for src, message in table.items():
-                    latest[e, dst, number[src]] = message.body
+                    latest[e, dst, number_of[src]] = message.body
         return latest
 
     def ages(self) -> Floats:

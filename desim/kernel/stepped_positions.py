@@ -113,8 +113,9 @@ class SteppedPositions(PositionSource):
         assert self._first is not None
         assert self._change is not None
         share = np.asarray((times - self._begin) / (self._end - self._begin))[..., np.newaxis]
-        between = self._first[nodes] + self._change[nodes] * share
-        return np.asarray(np.where(share < 1.0, between, self._last[nodes]))  # at the end, exactly those of the caller
+        interpolated = self._first[nodes] + self._change[nodes] * share
+        # At the end, they are exactly those of the caller.
+        return np.asarray(np.where(share < 1.0, interpolated, self._last[nodes]))
 
     def _read(self, positions: Any) -> Floats:
         """Return a read-only copy of the positions at one instant."""

@@ -36,7 +36,7 @@ class Hosts:
     def __init__(self, env: Clock, delay: Latency, size: int, seed: int, pass_on: Callable[[Transmission], object]):
         self._env, self._pass_on = env, pass_on
         self._draw = _delays(env, delay, size, seed)
-        self._held: list[deque[Transmission]] = [deque() for _ in range(size)]
+        self._pending: list[deque[Transmission]] = [deque() for _ in range(size)]
         """The transmissions of each node that are not passed on yet, in the order sent."""
         self._last = [0] * size
         """The time at which each node passes on its newest transmission, ns."""
@@ -47,26 +47,26 @@ class Hosts:
         """Pass a transmission on after its delay, and not before an earlier one of its sender."""
         src = item.src
         self._last[src] = when = max(self._env.now + self._draw(src), self._last[src])
-        self._held[src].append(item)
+        self._pending[src].append(item)
         restarts = self._restarts[src]
         Instant(self._env, when, Phase.DELIVERY).callbacks.append(lambda _: self._release(src, restarts))
 
     def flush(self, src: int) -> list[Transmission]:
         """Remove and return the transmissions of a node that are not passed on yet."""
-        flushed = list(self._held[src])
-        self._held[src].clear()
+        flushed = list(self._pending[src])
+        self._pending[src].clear()
         self._restarts[src] += 1
         self._last[src] = 0
         return flushed
 
     def waiting(self) -> Iterator[Transmission]:
         """Yield the transmissions that are not passed on yet."""
-        for held in self._held:
-            yield from held
+        for transmissions in self._pending:
+            yield from transmissions
 
     def _release(self, src: int, restarts: int) -> None:
         if restarts == self._restarts[src]:
-            self._pass_on(self._held[src].popleft())
+            self._pass_on(self._pending[src].popleft())
 
 
 def _delays(env: Clock, model: Latency, size: int, seed: int) -> Callable[[int], int]:
@@ -74,7 +74,12 @@ def _delays(env: Clock, model: Latency, size: int, seed: int) -> Callable[[int],
     if type(model) is Constant:
         constant = nanoseconds(model.value)
         return lambda _: constant
-    rng, of_run = stream(seed, "processing"), model_of_run(model, size)
-    if (buffer := buffered(of_run, rng, as_nanoseconds)) is not None:
+    rng, run_model = stream(seed, "processing"), model_of_run(model, size)
+    if (buffer := buffered(run_model, rng, as_nanoseconds)) is not None:
         return lambda _: int(buffer.take(1)[0])
-    return lambda src: int(times_of(of_run(LinkContext(src, np.array([src]), env.now / SECOND), rng), 1, of_run).item())
+
+    def draw(src: int) -> int:
+        context = LinkContext(src, np.array([src]), env.now / SECOND)
+        return int(times_of(run_model(context, rng), 1, run_model).item())
+
+    return draw

@@ -57,12 +57,12 @@ class Transmitter:
         # one. A waiting transmission is in the queue of its channel and in that of its node, so both are O(1).
         self._waiting: list[OrderedDict[int, Transmission]] = [OrderedDict() for _ in range(self.channels)]
         """The waiting transmissions of each channel, by number."""
-        self._of_node: list[deque[Transmission]] = [deque() for _ in range(size)]
+        self._node_queues: list[deque[Transmission]] = [deque() for _ in range(size)]
         """The waiting transmissions of each node."""
         self._free_at = [0] * self.channels
         self._busy = 0
         self.recent: list[tuple[int, int, int]] = []
-        self._lag, self._longest = lag, 0
+        self._lag, self._longest_airtime = lag, 0
 
     def enqueue(self, item: Transmission) -> None:
         """Start a transmission now, or when the channel is free."""
@@ -73,19 +73,19 @@ class Transmitter:
             return
         self._wait(item)
         waiting[item.number] = item
-        of_node = self._of_node[item.src]
-        of_node.append(item)
+        node_queue = self._node_queues[item.src]
+        node_queue.append(item)
         if len(waiting) == 1:
             self._await_turn(channel)
-        if len(of_node) > self._medium.queue_limit:
-            oldest = of_node.popleft()
+        if len(node_queue) > self._medium.queue_limit:
+            oldest = node_queue.popleft()
             del waiting[oldest.number]
             self._drop(oldest)
 
     def flush(self, src: int) -> list[Transmission]:
         """Remove and return all waiting transmissions of a node."""
-        flushed = list(self._of_node[src])
-        self._of_node[src].clear()
+        flushed = list(self._node_queues[src])
+        self._node_queues[src].clear()
         waiting = self._waiting[self._channel(src)]
         for item in flushed:
             del waiting[item.number]
@@ -109,7 +109,7 @@ class Transmitter:
         """
         by_node: dict[int, list[tuple[int, int]]] = {}
         # A reception began at most the longest airtime before its end, and so did a transmission that overlaps it.
-        since = bisect_left(self.recent, (first - 2 * self._longest,))
+        since = bisect_left(self.recent, (first - 2 * self._longest_airtime,))
         for begin, end, node in islice(self.recent, since, None):
             if begin >= last:
                 break
@@ -119,7 +119,7 @@ class Transmitter:
 
     def forget(self, before: float) -> None:
         """Forget the transmissions that are not needed to decide arrivals from a time (ns) on."""
-        del self.recent[: bisect_left(self.recent, (before - 2 * self._longest - self._lag,))]
+        del self.recent[: bisect_left(self.recent, (before - 2 * self._longest_airtime - self._lag,))]
 
     def _channel(self, node: int) -> int:
         """Return the number of the channel on which a node transmits."""
@@ -130,7 +130,7 @@ class Transmitter:
         self._free_at[channel] = now + duration
         self._busy += duration
         if self._medium.half_duplex and not self._medium.shared:
-            self._longest = max(self._longest, duration)
+            self._longest_airtime = max(self._longest_airtime, duration)
             self.recent.append((now, now + duration, item.src))
         self._leave(item, duration)
 
@@ -142,7 +142,7 @@ class Transmitter:
         if not waiting or self._env.now < self._free_at[channel]:
             return  # the transmission for which this event was scheduled has been removed, or has started
         _, item = waiting.popitem(last=False)
-        self._of_node[item.src].popleft()
+        self._node_queues[item.src].popleft()
         self._begin(channel, item)
         if waiting:
             self._await_turn(channel)

@@ -82,10 +82,10 @@ def content(value: Any) -> Any:
     if (parts := quantity_of(value)) is not None:
         return parts
     if (columns := table_columns(value)) is not None:
-        named = dict(columns)
-        if len(named) < len(columns):
+        by_name = dict(columns)
+        if len(by_name) < len(columns):
             raise ValueError("it has several columns of one name")
-        return named
+        return by_name
     if callable(getattr(kind, "tolist", None)):
         return value.tolist()
     if hasattr(kind, "__array__"):

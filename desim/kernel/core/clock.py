@@ -34,12 +34,13 @@ class _RareCollection:
     """Makes garbage collection less frequent in the whole process while at least one run lasts, in any thread."""
 
     def __init__(self) -> None:
-        self._lock, self._runs, self._usual = Lock(), 0, gc.get_threshold()
+        self._lock, self._runs, self._previous = Lock(), 0, gc.get_threshold()
+        """The lock, the number of runs, and the thresholds before the first of them."""
 
     def __enter__(self) -> None:
         with self._lock:
             if not self._runs:
-                self._usual = gc.get_threshold()
+                self._previous = gc.get_threshold()
                 gc.set_threshold(*GC_THRESHOLDS)
             self._runs += 1
 
@@ -47,7 +48,7 @@ class _RareCollection:
         with self._lock:
             self._runs -= 1
             if not self._runs:
-                gc.set_threshold(*self._usual)
+                gc.set_threshold(*self._previous)
 
 
 RARE_COLLECTION = _RareCollection()

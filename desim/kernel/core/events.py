@@ -95,8 +95,8 @@ class Broadcast(NamedTuple):
 
     def fates(self) -> Iterator[tuple[int, int]]:
         """Yield each receiver and its arrival time, ns, or `LOST`."""
-        alike = len(self.arrival) == 1
-        return zip(self.dst, self.arrival * len(self.dst) if alike else self.arrival, strict=True)
+        times = self.arrival * len(self.dst) if len(self.arrival) == 1 else self.arrival
+        return zip(self.dst, times, strict=True)
 
 
 class Sent(NamedTuple):

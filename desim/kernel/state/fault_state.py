@@ -108,7 +108,8 @@ class FaultState:
     def constant_until(self) -> float:
         """The time, ns, before which the faults certainly block the same receptions as now.
 
-        It is 0 (never) if changes are not planned, and while a disc is jammed, because nodes may move into it.
+        It is 0, so that nothing is certain, if changes are not planned. It is also 0 while a disc is jammed, because
+        nodes may move into it.
         """
         if self._planned is None or self._jams:
             return 0
@@ -237,7 +238,7 @@ class FaultState:
         return self._begin(self._jams, (disc, cause))
 
     def intercept(self, delays: Delays, cause: Cause) -> Undo:
-        """Lose, delay or copy messages as a function returns; messages that it has delayed stay so after its end."""
+        """Lose, delay or copy messages as a function says; a message delayed before the fault ends stays delayed."""
         return self._begin(self._interceptions, (delays, cause))
 
     def _begin(self, active: list[Fault], fault: Fault) -> Undo:
@@ -323,6 +324,6 @@ def _checked_delays(answer: Any, receivers: list[int], delays: Delays) -> dict[i
         raise wrong_answer("a list of extra delays, in s, should not be empty", {empty[0]: []}, delays)
     if wrong := [delay for values in checked.values() for delay in values if not delay >= 0.0]:
         raise wrong_answer("an extra delay, in s, should be at least 0", wrong[0], delays)
-    if strange := [node for node in checked if node not in receivers]:
-        raise wrong_answer("delays(src, receivers, body) should name receivers of the message", strange[0], delays)
+    if unknown := [node for node in checked if node not in receivers]:
+        raise wrong_answer("delays(src, receivers, body) should name receivers of the message", unknown[0], delays)
     return checked

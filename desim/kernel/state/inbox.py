@@ -143,9 +143,9 @@ class Inbox:
         if self._sorted < len(letters):
             if FEW * (len(letters) - self._sorted) < len(letters):
                 # Sorting compares all messages with one another; inserting a new one compares it with a few.
-                fresh = letters[self._sorted :]
+                new_letters = letters[self._sorted :]
                 del letters[self._sorted :]
-                for letter in fresh:
+                for letter in new_letters:
                     insort(letters, letter)
             else:
                 letters.sort()
@@ -228,14 +228,15 @@ class Inboxes:
         of a mutable body.
         """
         boxes, copies, now = self.at(port), self.has_mutable and not is_immutable(message.body), self._env.now
-        letter = None if copies or not isinstance(arrival, int) else (arrival, number, message)  # one for all
+        # One letter for all receivers, if they differ in nothing.
+        shared = None if copies or not isinstance(arrival, int) else (arrival, number, message)
         for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
             box = boxes[node]
             if box._ignores is not None and box._ignores(message):
                 self._ignored.append(when)
                 continue
-            own = letter or (when, number, message._replace(body=own_copy(message.body)) if copies else message)
-            box._letters.append(own)
+            letter = shared or (when, number, message._replace(body=own_copy(message.body)) if copies else message)
+            box._letters.append(letter)
             if box._waited_for is not None:
                 box._expect(when) if when > now else box._look()
             elif box._timer is not None:

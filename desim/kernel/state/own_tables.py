@@ -66,16 +66,16 @@ class OwnTables:
 
     def merge(self, node: int, now: int) -> None:
         """Move the records that have arrived at a node by `now` (ns) to its table."""
-        table, matching, fresh, predicate = self.tables[node], self.matching[node], self.unread[node], self._predicate
+        table, matching, unread, predicate = self.tables[node], self.matching[node], self.unread[node], self._predicate
         still_in_flight = self.still_in_flight.pop(node, [])
         if node in self.relayed:
-            still_in_flight, fresh = self._move_in_any_order(node, now, pairs(still_in_flight + fresh)), []
+            still_in_flight, unread = self._move_in_any_order(node, now, pairs(still_in_flight + unread)), []
         elif node in self.out_of_order:
-            still_in_flight, fresh = self._move_newer(node, now, pairs(still_in_flight + fresh)), []
+            still_in_flight, unread = self._move_newer(node, now, pairs(still_in_flight + unread)), []
             self.out_of_order.remove(node)  # what is transmitted from now on is newer than what was unread
         elif still_in_flight:
             still_in_flight = self._move_newer(node, now, pairs(still_in_flight))
-        for arrival, record in pairs(fresh):
+        for arrival, record in pairs(unread):
             if arrival > now:
                 still_in_flight.append(arrival)
                 still_in_flight.append(record)
