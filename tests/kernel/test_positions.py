@@ -9,7 +9,7 @@ import pytest
 from desim.kernel.core.clock import Clock, Instant, Phase
 from desim.kernel.core.events import Trace
 from desim.kernel.core.link_context import LinkContext
-from desim.kernel.core.positions import PositionSource, as_position_source, distances
+from desim.kernel.core.positions import PositionSource, as_position_source, distances_from
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.latency import Uniform
 from desim.kernel.models.links import Links
@@ -71,8 +71,8 @@ def test_a_position_function_is_asked_as_a_record_arrives_with_and_without_a_tra
 
 def test_distances_are_relative_to_one_node():
     """3-4-5 and 6-8-10 triangles."""
-    assert distances(AT, 0).tolist() == [0.0, 5.0, 10.0, 1.0]
-    assert distances(AT, -1).tolist() == [1.0, np.hypot(3.0, 3.0), np.hypot(6.0, 7.0), 0.0]
+    assert distances_from(AT, 0).tolist() == [0.0, 5.0, 10.0, 1.0]
+    assert distances_from(AT, -1).tolist() == [1.0, np.hypot(3.0, 3.0), np.hypot(6.0, 7.0), 0.0]
 
 
 def test_a_transmission_asks_only_for_the_positions_of_its_ends():

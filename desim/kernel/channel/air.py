@@ -10,7 +10,7 @@ from desim.config.arrays import Bools, Floats, Integers, array_of
 from desim.config.errors import KeyedError, Problem
 from desim.kernel.core.clock import Clock
 from desim.kernel.core.events import Cause
-from desim.kernel.core.positions import PositionSource, distances
+from desim.kernel.core.positions import PositionSource, distances_from
 from desim.kernel.core.seeds import pair_uniform
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.coherence import ChannelState
@@ -155,10 +155,10 @@ class Air:
         if self._positions is None:
             raise _no_positions()
         places = self._positions.of(np.append(frame.src, nodes))
-        apart = distances(places, 0)[1:]
+        distances = distances_from(places, 0)[1:]
         if self._walls is None:
-            return apart
-        return np.asarray(np.minimum(self._walls.stretched(frame.src, nodes, places[:1], places[1:], apart), FAR))
+            return distances
+        return np.asarray(np.minimum(self._walls.stretched(frame.src, nodes, places[:1], places[1:], distances), FAR))
 
 
 def _no_positions() -> KeyedError:

@@ -8,7 +8,7 @@ from desim.config.arrays import Bools, Integers
 from desim.config.errors import KeyedError, Problem
 from desim.kernel.channel.access_methods import AccessMethod, Contenders
 from desim.kernel.core.clock import Clock, Instant, Phase
-from desim.kernel.core.positions import PositionSource, distances
+from desim.kernel.core.positions import PositionSource, distances_from
 from desim.kernel.core.seeds import ROOM
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.access import Access, CarrierSensing
@@ -77,13 +77,12 @@ class CarrierSense:
             return self._topology.neighbours(node)
         assert self._positions is not None
         places = self._positions()
-        apart = distances(places, node)
+        distances = distances_from(places, node)
         if (walls := self._topology.walls) is not None:
-            everyone = np.arange(len(places))
-            apart = walls.stretched(node, everyone, places[node : node + 1], places, apart)
-        near = apart <= self._range
-        near[node] = False
-        return near.nonzero()[0]
+            distances = walls.stretched(node, np.arange(len(places)), places[node : node + 1], places, distances)
+        is_near = distances <= self._range
+        is_near[node] = False
+        return is_near.nonzero()[0]
 
     def sense(self, frame: Frame, change: int) -> None:
         """Let nodes sense the start (1) or the end (-1) of a frame: its sender now, all others after the delay."""
@@ -102,9 +101,9 @@ class CarrierSense:
         A node that must be silent for another reason counts one more frame, as if it sensed one.
         """
         state, now = self._nodes, self._env.now
-        before = state.busy[nodes]
-        state.busy[nodes] = before + change
-        changed = nodes[before == (0 if change > 0 else 1)]  # those that begin or cease to sense a busy channel
+        old_counts = state.busy[nodes]
+        state.busy[nodes] = old_counts + change
+        changed = nodes[old_counts == (0 if change > 0 else 1)]  # those that begin or cease to sense a busy channel
         if not len(changed):
             return
         if change > 0:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.kernel.core.positions import PositionFunction, as_position_source, distances
+from desim.kernel.core.positions import PositionFunction, as_position_source, distances_from
 from desim.kernel.core.seeds import pair_uniform
 
 
@@ -39,7 +39,7 @@ class LinkContext:
         if self.positions is None:
             raise ValueError("a latency or loss model that depends on distance needs the positions of the nodes")
         nodes = np.concatenate((self.dst, [self.src]))  # the sender last, so that one question has all positions
-        return distances(as_position_source(self.positions).of(nodes), -1)[:-1]
+        return distances_from(as_position_source(self.positions).of(nodes), -1)[:-1]
 
     def uniform(self, name: str, *, symmetric: bool = True) -> NDArray[np.float64]:
         """Return (k,) uniform draws in (0, 1), one per receiver, that stay the same throughout a run.

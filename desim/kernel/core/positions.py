@@ -71,7 +71,7 @@ def as_position_source(positions: PositionFunction) -> PositionSource:
     return positions if isinstance(positions, PositionSource) else _FunctionSource(positions)
 
 
-def distances(at: Floats, index: int) -> Floats:
+def distances_from(at: Floats, index: int) -> Floats:
     """Return the (k,) distances, m, of (k, 2) positions from the position at an index."""
     x, y = at[index].tolist()
     return np.asarray(np.hypot(at[:, 0] - x, at[:, 1] - y))

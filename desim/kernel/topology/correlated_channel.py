@@ -88,8 +88,8 @@ class CorrelatedChannel:
 
     def _normals(self, ends: Ends, count: int) -> Floats:
         """Return (count, k) Gaussian numbers of k links: the cosine and the sine parts of sums of waves."""
-        coherence, pairs = self._coherence, (count + 1) // 2
-        phases = self._phases("fading", pairs, ends)
+        coherence, processes = self._coherence, (count + 1) // 2  # each gives two numbers
+        phases = self._phases("fading", processes, ends)
         per_metre = (coherence.frequency or 0.0) / LIGHT
         rows = _turned(ends, phases.rotations, per_metre) if per_metre else []
         directions = self._directions[: len(rows)]
@@ -100,7 +100,7 @@ class CorrelatedChannel:
             raise _missing(coherence.lacks("fading"))
         phase = _phase(directions, rows, phases.waves)
         parts = _sum(np.stack([phase, phase - 0.25], axis=2))  # sin(2 pi x) = cos(2 pi (x - 1/4))
-        return parts.reshape(2 * pairs, -1)[:count]
+        return parts.reshape(2 * processes, -1)[:count]
 
     @cached_property
     def _directions(self) -> Floats:
@@ -116,15 +116,15 @@ class CorrelatedChannel:
         if lack := self._coherence.lacks("shadowing"):
             raise _missing(lack)
         phases, shared = self._phases("shadowing", 1, ends), self._coherence.shared
-        of_pair: Floats = _sum(_phase(self._spectrum, _turned(ends, phases.rotations, 1.0), phases.waves))[0]
+        by_pair: Floats = _sum(_phase(self._spectrum, _turned(ends, phases.rotations, 1.0), phases.waves))[0]
         if not shared:
-            return of_pair
+            return by_pair
         nodes, at = np.append(ends.dst, ends.src), np.concatenate((ends.dst_at, np.atleast_2d(ends.src_at)))
-        of_nodes = self._of_nodes(nodes, at)
-        of_ends = of_nodes[: len(ends.dst)] + of_nodes[len(ends.dst) :]
-        return math.sqrt(1.0 - shared) * of_pair + math.sqrt(shared / 2.0) * of_ends
+        by_node = self._shadowing_by_nodes(nodes, at)
+        by_both_ends = by_node[: len(ends.dst)] + by_node[len(ends.dst) :]
+        return math.sqrt(1.0 - shared) * by_pair + math.sqrt(shared / 2.0) * by_both_ends
 
-    def _of_nodes(self, nodes: Nodes, at: Floats) -> Floats:
+    def _shadowing_by_nodes(self, nodes: Nodes, at: Floats) -> Floats:
         """Return (k,) the shadowing by what surrounds nodes at their positions, with variance 1."""
         ends = Ends(nodes, nodes, at, at, 0.0)
         phases = self._drawn(OF_NODE, 1, nodes, nodes) if self._kept_of_nodes is None else self._kept_of_nodes.of(nodes)
@@ -158,8 +158,9 @@ class CorrelatedChannel:
     def _point(self, axis: int) -> Nodes:
         """Return (n,) the indices along an axis of the points of the lattice."""
         count = self._coherence.waves
-        near = sorted(range(1, count), key=lambda step: abs(step - STEPS[axis] * count))
-        step = next(step for step in near if math.gcd(step, count) == 1) if axis else 1
+        # The step nearest to the ideal one with which the indices are all different.
+        nearest = sorted(range(1, count), key=lambda step: abs(step - STEPS[axis] * count))
+        step = next(step for step in nearest if math.gcd(step, count) == 1) if axis else 1
         return np.arange(count) * step % count
 
     def _phases(self, name: str, processes: int, ends: Ends) -> _Phases:
@@ -168,23 +169,23 @@ class CorrelatedChannel:
         if not isinstance(src, int) or self._size**2 * processes * self._coherence.waves > ROOM:
             return self._drawn(name, processes, src, ends.dst)
         key = name, processes, src
-        kept = self._kept.get(key)
-        if kept is None:
-            kept = self._kept[key] = self._drawn(name, processes, src, np.arange(self._size))
-        return kept.of(ends.dst)
+        phases = self._kept.get(key)
+        if phases is None:
+            phases = self._kept[key] = self._drawn(name, processes, src, np.arange(self._size))
+        return phases.of(ends.dst)
 
     @cached_property
     def _kept_of_nodes(self) -> _Phases | None:
         """The random numbers of what surrounds each node; None: there are too many to keep them."""
-        everyone = np.arange(self._size)
-        return self._drawn(OF_NODE, 1, everyone, everyone) if self._size * self._coherence.waves <= ROOM else None
+        nodes = np.arange(self._size)
+        return self._drawn(OF_NODE, 1, nodes, nodes) if self._size * self._coherence.waves <= ROOM else None
 
     def _drawn(self, name: str, processes: int, src: int | Integers, dst: Nodes) -> _Phases:
         """Return the random numbers of processes of k pairs: for each process three angles, then the waves."""
         rows = self._coherence.waves + 3
         count, links = rows * processes, len(dst)
-        first = np.tile(np.broadcast_to(src, links), count)
-        draws = pair_uniform(self._seed, name, first, np.tile(dst, count), np.repeat(np.arange(count), links))
+        senders = np.tile(np.broadcast_to(src, links), count)
+        draws = pair_uniform(self._seed, name, senders, np.tile(dst, count), np.repeat(np.arange(count), links))
         by_process = draws.reshape(processes, rows, links).transpose(1, 0, 2)
         angles, waves = by_process[:3], np.ascontiguousarray(by_process[3:])
         return _Phases(waves, np.stack([cos_of_turns(angles), cos_of_turns(angles - 0.25)]))

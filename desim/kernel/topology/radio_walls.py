@@ -47,6 +47,7 @@ class RadioWalls:
         self._losses[segments.firsts, 0] = np.array([wall.decibels for wall in walls])[segments.owners]
         self._per_decibel = log(10.0) / (10.0 * exponent)
         self._keeps = size * size <= ROOM
+        """Whether there is room to keep the factors of all pairs of nodes."""
         self._kept: dict[int, _Row] = {}
         """By sender, the factors that were computed since it last moved."""
 
@@ -60,7 +61,7 @@ class RadioWalls:
         return np.asarray(np.add.reduce(np.where(crossed, self._losses, 0.0), axis=0))  # wall by wall
 
     def stretched(
-        self, src: int | Nodes, dst: Nodes, starts: Floats, ends: Floats, apart: Floats, farthest: float = inf
+        self, src: int | Nodes, dst: Nodes, starts: Floats, ends: Floats, distances: Floats, farthest: float = inf
     ) -> Floats:
         """Return the (k,) distances, m, at which nodes without walls would receive as much power; inf if opaque.
 
@@ -69,22 +70,23 @@ class RadioWalls:
             dst: (k,) the receivers, each once, ascending if they are all nodes.
             starts: (1, 2) or (k, 2) positions of the senders, m.
             ends: (k, 2) positions of the receivers, m.
-            apart: (k,) their distances, m.
+            distances: (k,) their distances, m.
             farthest: a distance, m, beyond which results need not be exact: they are only greater than it.
         """
         if not self._keeps or not isinstance(src, int):
-            return apart * self._factors(starts, ends)
+            return distances * self._factors(starts, ends)
         row, position = self._kept.get(src), complex(*starts[0].tolist())
         if row is None or row.position != position:
             row = self._kept[src] = _Row(position, np.full(self._size, NOWHERE), np.ones(self._size))
         positions = np.ascontiguousarray(ends).view(np.complex128)[:, 0]
         is_all = len(dst) == self._size  # then `dst` is ascending, so `row` needs no index
-        moved = (((row.positions if is_all else row.positions[dst]) != positions) & (apart <= farthest)).nonzero()[0]
+        row_positions = row.positions if is_all else row.positions[dst]
+        moved = ((row_positions != positions) & (distances <= farthest)).nonzero()[0]
         if len(moved):
             nodes = dst[moved]
             row.factors[nodes] = self._factors(starts, ends[moved])
             row.positions[nodes] = positions[moved]
-        return apart * (row.factors if is_all else row.factors[dst])
+        return distances * (row.factors if is_all else row.factors[dst])
 
     def _factors(self, starts: Floats, ends: Floats) -> Floats:
         """Return the (k,) factors by which the walls between positions stretch their distances."""

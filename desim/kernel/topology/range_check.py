@@ -30,8 +30,8 @@ class RangeCheck:
         size: number of nodes.
 
     The arguments of its methods, for k receivers, are the sender `src` (one for all or (k,)), the receivers `dst` (k,),
-    their distances `apart` (k,) in m, and the number of the `message` (one for all or (k,)). If fading is per message
-    and there is no number, a message is received where the probability is at least 1/2.
+    their `distances` (k,) in m, and the number of the `message` (one for all or (k,)). If fading is per message and
+    there is no number, a message is received where the probability is at least 1/2.
     """
 
     def __init__(self, reception: ReceptionModel | None, range: float, per_link: bool, seed: int, size: int):  # noqa: A002
@@ -59,16 +59,16 @@ class RangeCheck:
         """Return the distances, m, up to which messages are received: one for all of the nodes `dst`, or (k,)."""
         return self._range if self._border is None else self._border(self._draws(src, dst, None), self._range)
 
-    def __call__(self, src: int | Nodes, dst: Nodes, apart: Floats, message: int | Integers | None) -> Bools:
+    def __call__(self, src: int | Nodes, dst: Nodes, distances: Floats, message: int | Integers | None) -> Bools:
         """Return (k,) booleans: which of the nodes `dst` receive a message."""
         if self._is_certain:
-            return apart <= self._range
-        probability = self._reception(apart, self._range)
+            return distances <= self._range
+        probability = self._reception(distances, self._range)
         if not self._is_ours:
-            probability = _probabilities(probability, len(apart), self._reception)
+            probability = _probabilities(probability, len(distances), self._reception)
         return self._draws(src, dst, message) <= probability
 
-    def through(self, channel: ChannelState, apart: Floats) -> Bools:
+    def through(self, channel: ChannelState, distances: Floats) -> Bools:
         """Return (k,) which messages are received in the present states of their channels, at (k,) distances, m.
 
         Raises:
@@ -77,22 +77,22 @@ class RangeCheck:
         received = ReceptionTraits.of(self._reception).received
         if received is None:
             raise wrong_answer("a model of reception should have a method received", self._reception, self._reception)
-        booleans = array_of(answer := received(apart, self._range, channel))
-        if booleans.dtype != bool or booleans.shape != apart.shape:
+        booleans = array_of(answer := received(distances, self._range, channel))
+        if booleans.dtype != bool or booleans.shape != distances.shape:
             raise wrong_answer(
-                f"received should return a boolean for each of {len(apart)} links", answer, self._reception
+                f"received should return a boolean for each of {len(distances)} links", answer, self._reception
             )
         return booleans
 
-    def one(self, src: int, dst: int, apart: float, message: int) -> bool:
+    def one(self, src: int, dst: int, distance: float, message: int) -> bool:
         """Return whether one node receives a message.
 
         Kept equal to the receivers among several nodes by
         `tests/kernel/test_topology.py::test_several_messages_reach_what_each_of_them_reaches`.
         """
         if self._is_certain:
-            return apart <= self._range
-        probability = self._probability(apart)
+            return distance <= self._range
+        probability = self._probability(distance)
         if self._per_link:
             draws = self._drawn.get(src)
             draw = pair_draw(self._seed, "fading", src, dst) if draws is None else draws.item(dst)
@@ -100,11 +100,11 @@ class RangeCheck:
             draw = pair_draw(self._seed, "fading", src, dst, message, symmetric=False)
         return draw <= probability
 
-    def _probability(self, apart: float) -> float:
+    def _probability(self, distance: float) -> float:
         """Return the probability of reception at a distance, m."""
         if self._one is not None:
-            return real(self._one(apart, self._range), "a probability of reception")
-        probability = self._reception(np.array([apart]), self._range)
+            return real(self._one(distance, self._range), "a probability of reception")
+        probability = self._reception(np.array([distance]), self._range)
         if not self._is_ours:
             probability = np.broadcast_to(_probabilities(probability, 1, self._reception), 1)
         return float(probability[0])
@@ -130,24 +130,24 @@ class RangeCheck:
 class WalledRangeCheck(RangeCheck):
     """A range check among walls: distances are stretched by walls, and infinite where a wall is opaque."""
 
-    def __call__(self, src: int | Nodes, dst: Nodes, apart: Floats, message: int | Integers | None) -> Bools:
+    def __call__(self, src: int | Nodes, dst: Nodes, distances: Floats, message: int | Integers | None) -> Bools:
         """Return (k,) booleans: which of the nodes `dst` receive a message."""
         if self._is_certain and self._range < inf:
-            return apart <= self._range
-        audible: Bools = apart < inf
+            return distances <= self._range
+        audible: Bools = distances < inf
         if self._range == inf:
             return audible
         received = np.zeros(len(dst), dtype=bool)
         if audible.any():
             sources = src if isinstance(src, int) else src[audible]
             numbers = message if message is None or isinstance(message, int) else message[audible]
-            received[audible] = super().__call__(sources, dst[audible], apart[audible], numbers)
+            received[audible] = super().__call__(sources, dst[audible], distances[audible], numbers)
         return received
 
-    def through(self, channel: ChannelState, apart: Floats) -> Bools:
+    def through(self, channel: ChannelState, distances: Floats) -> Bools:
         """Return (k,) which messages are received in the present states of their channels, at (k,) distances, m."""
-        audible: Bools = apart < inf
-        return audible & super().through(channel, np.where(audible, apart, 1.0))
+        audible: Bools = distances < inf
+        return audible & super().through(channel, np.where(audible, distances, 1.0))
 
 
 def _probabilities(answer: object, count: int, model: ReceptionModel) -> Floats:

@@ -9,7 +9,7 @@ import networkx as nx
 import numpy as np
 
 from desim.config.arrays import Bools, Floats, Integers
-from desim.kernel.core.positions import Nodes, PositionFunction, PositionSource, as_position_source, distances
+from desim.kernel.core.positions import Nodes, PositionFunction, PositionSource, as_position_source, distances_from
 from desim.kernel.core.seeds import ROOM
 from desim.kernel.core.units import SECOND
 from desim.kernel.models.graphs import node_names
@@ -177,18 +177,18 @@ class Topology:
         nodes = np.asarray(dst)
         if isinstance(src, int):
             at = positions_of(np.append(src, nodes))
-            apart, starts, ends = distances(at, 0)[1:], at[:1], at[1:]
+            distances, starts, ends = distances_from(at, 0)[1:], at[:1], at[1:]
         else:
             starts, ends = positions_of(src), positions_of(nodes)
             x, y = (ends - starts).T
-            apart = np.hypot(x, y)
+            distances = np.hypot(x, y)
         if self.walls is not None:
-            apart = self.walls.stretched(src, nodes, starts, ends, apart, self._bound)
+            distances = self.walls.stretched(src, nodes, starts, ends, distances, self._bound)
         if self.channel is None:
-            received: list[bool] = self._range_check(src, nodes, apart, message).tolist()
+            received: list[bool] = self._range_check(src, nodes, distances, message).tolist()
         else:
             pairs = Ends(src, nodes, starts[0] if isinstance(src, int) else starts, ends, self._seconds(times))
-            received = self._range_check.through(self.channel.between(pairs), apart).tolist()
+            received = self._range_check.through(self.channel.between(pairs), distances).tolist()
         return received
 
     def steady_receivers(self, node: int) -> tuple[set[int], float]:
@@ -303,24 +303,26 @@ class Topology:
     def _search(self, node: int, kept: KeptReceivers) -> list[int]:
         """Search for the nodes that receive from a node now, and keep them."""
         candidates = self._candidates(node)
-        index, _, apart = self._distances(node, candidates)
-        beyond = apart - self._range_check.border(node, candidates)
-        beyond[index] = inf
-        receivers: list[int] = candidates[beyond <= 0.0].tolist()
-        kept.keep(node, receivers, np.abs(beyond).min().item())
+        index, _, distances = self._distances(node, candidates)
+        excess = distances - self._range_check.border(node, candidates)
+        excess[index] = inf  # the node does not receive from itself
+        receivers: list[int] = candidates[excess <= 0.0].tolist()
+        kept.keep(node, receivers, np.abs(excess).min().item())
         return receivers
 
     def _near(self, node: int, candidates: Nodes, message: int | None = None) -> Nodes:
         """Return the candidates that receive from a node; the candidates must include the node, the result does not."""
-        index, places, apart = self._distances(node, candidates)
-        apart[index] = self._range  # in place of 0, the distance of the node from itself: a model may divide by it
+        index, places, distances = self._distances(node, candidates)
+        distances[index] = self._range  # in place of 0, the distance of the node from itself: a model may divide by it
         if self.walls is not None:
-            apart = self.walls.stretched(node, candidates, places[index : index + 1], places, apart, self._bound)
+            distances = self.walls.stretched(
+                node, candidates, places[index : index + 1], places, distances, self._bound
+            )
         if self.channel is None or message is None:
-            received = self._range_check(node, candidates, apart, message)
+            received = self._range_check(node, candidates, distances, message)
         else:
             state = self.channel.between(Ends(node, candidates, places[index], places, self._seconds()))
-            received = self._range_check.through(state, apart)
+            received = self._range_check.through(state, distances)
         received[index] = False
         return candidates[received]
 
@@ -331,7 +333,7 @@ class Topology:
             index, places = node, self._positions()
         else:
             index, places = int(candidates.searchsorted(node)), self._positions.of(candidates)
-        return index, places, distances(places, index)
+        return index, places, distances_from(places, index)
 
 
 class _AllOthers(dict[int, list[int]]):
@@ -383,8 +385,8 @@ def _candidate_finder(
         return [_with_linked(node, linked) for node, linked in enumerate(lists)].__getitem__
     if size > SMALL_NETWORK and bound < inf:
         return CellList(positions, bound, now).around
-    everyone = np.arange(size)
-    return lambda _: everyone
+    all_nodes = np.arange(size)
+    return lambda _: all_nodes
 
 
 def _with_linked(node: int, linked: list[int]) -> Nodes:
