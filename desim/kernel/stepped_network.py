@@ -476,15 +476,15 @@ class SteppedNetwork:
         if self._problem in {CLOSED, CALLED}:
             raise RuntimeError(self._problem)
         array = self._positions.array if positions is None else positions
-        last = None if self._problem else (self._network, self._trace)
-        before, self._problem = self._problem, CALLED
+        last_episode = None if self._problem else (self._network, self._trace)
+        problem, self._problem = self._problem, CALLED
         try:
             self._start(seed, array, trace)
         except BaseException:
-            self._problem = before
+            self._problem = problem
             raise
-        if last is not None:
-            self._call(_finish, *last)
+        if last_episode is not None:
+            self._call(_finish, *last_episode)
 
     def close(self) -> None:
         """Append the final counts to the trace, and delete the network; a second call has no effect.

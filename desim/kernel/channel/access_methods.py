@@ -90,6 +90,8 @@ class AccessMethod:
 
 
 class _SlottedAloha(AccessMethod):
+    """Slotted ALOHA: a node transmits at the start of a slot of its own clock."""
+
     def __init__(self, model: SlottedAloha, nodes: Contenders, rng: np.random.Generator, clocks: Sequence[NodeClock]):
         super().__init__(nodes, rng)
         self._slot, self._p, self._clocks = nanoseconds(model.slot), model.p, clocks
@@ -97,12 +99,14 @@ class _SlottedAloha(AccessMethod):
     def prepare(self, node: int, now: int, *, arrived: bool) -> None:
         clock = self._clocks[node]
         # The number of slots up to the first success is geometric, so one draw and one event replace one for each slot.
-        first = -(-round(clock.at(now) * SECOND) // self._slot)
-        start = (first + int(self._rng.geometric(self._p)) - 1) * self._slot
-        self._nodes.due[node] = min(max(clock.when(seconds(start)), now), NEVER)
+        next_slot = -(-round(clock.at(now) * SECOND) // self._slot)
+        local_start = (next_slot + int(self._rng.geometric(self._p)) - 1) * self._slot
+        self._nodes.due[node] = min(max(clock.when(seconds(local_start)), now), NEVER)
 
 
 class _Nonpersistent(AccessMethod):
+    """Nonpersistent CSMA: a node that senses a busy channel senses again after a random time."""
+
     senses = True
 
     def __init__(self, model: Csma, nodes: Contenders, rng: np.random.Generator):
@@ -124,6 +128,8 @@ class _Nonpersistent(AccessMethod):
 
 
 class _Persistent(AccessMethod):
+    """p-persistent CSMA: a node with a due time of `NEVER` waits until the channel is idle."""
+
     senses = True
 
     def __init__(self, model: Csma, nodes: Contenders, rng: np.random.Generator):
@@ -218,6 +224,8 @@ class _CsmaCa(AccessMethod):
 
 
 class _Tdma(AccessMethod):
+    """TDMA: a node transmits at the start of its slots, which it reads from its own clock."""
+
     def __init__(self, model: Tdma, nodes: Contenders, rng: np.random.Generator, clocks: Sequence[NodeClock]):
         super().__init__(nodes, rng)
         self._slot, self._clocks = seconds(nanoseconds(model.slot)), clocks
@@ -233,9 +241,9 @@ class _Tdma(AccessMethod):
     def prepare(self, node: int, now: int, *, arrived: bool) -> None:
         clock = self._clocks[node]
         round_before = floor(clock.at(now) / self._slot) // self._slots_per_round - 1  # negative if the local time is
-        rounds, first = range(round_before, round_before + 4), max(now, int(self._used[node]) + 1)
+        rounds, earliest = range(round_before, round_before + 4), max(now, int(self._used[node]) + 1)
         for k in (turn * self._slots_per_round + slot for turn in rounds for slot in self._slots[node]):
-            if (start := clock.when(k * self._slot)) >= first:
+            if (start := clock.when(k * self._slot)) >= earliest:
                 self._nodes.due[node] = start
                 return
         raise AssertionError("a node has a slot in every round")

@@ -28,7 +28,8 @@ from desim.kernel.state.transmission import Transmission
 ACKNOWLEDGEMENT = -1
 """The number of the frames of acknowledgements, which no node receives as a message."""
 FIRST_DRAW = 1 << 40
-"""The first number for draws of acknowledgements and repeated frames; other frames use that of their transmission."""
+"""The first number for draws of acknowledgements and repeated frames; the draws of other frames have the number of
+their transmission."""
 
 
 @dataclass(frozen=True)
@@ -38,18 +39,18 @@ class Callbacks:
     start: Callable[[Transmission], None]
     """Called when a frame of the transmission starts."""
     leave: Callable[[Transmission, int], None]
-    """Called after `start` with a transmission that needs no acknowledgement, and its airtime, ns."""
+    """Called after `start` if the transmission needs no acknowledgement, with its airtime, ns."""
     land: Callable[[Transmission, dict[int, Cause]], None]
-    """Called with a transmission that needs no acknowledgement when its frame ends, and the causes of its losses on the
-    air, by receiver."""
+    """Called at the end of a frame that needs no acknowledgement, with the causes of its losses on the air, by
+    receiver."""
     attempt: Callable[[Transmission, int], Cause | None]
-    """Called with a transmission that needs an acknowledgement at the end of each attempt, and the number of the draws
-    of the attempt; draws the losses, and returns the cause, or None."""
+    """Called at the end of each attempt of a transmission that needs an acknowledgement, with the number of the draws
+    of the attempt; draws whether the attempt is lost, and returns the cause, or None."""
     succeed: Callable[[Transmission], None]
-    """Called with a transmission that needs an acknowledgement at the end of the first attempt that succeeds."""
+    """Called at the end of the first attempt that succeeds, if the transmission needs an acknowledgement."""
     acknowledge: Callable[[Transmission, int], Cause | None]
-    """Called with a transmission at the end of an acknowledgement that can be lost, and the number of the draws of the
-    acknowledgement; draws its losses, and returns the cause, or None."""
+    """Called at the end of an acknowledgement that can be lost, with its transmission and the number of its draws;
+    draws whether it is lost, and returns the cause, or None."""
     wait: Callable[[Transmission], None]
     """Called with each transmission, because it may have to wait."""
     lose: Callable[[Transmission, Cause], None]
@@ -117,6 +118,7 @@ class Contention:
         self._silent_until = [0] * topology.size
         """The time until which each node does not transmit because of the duty cycle, ns."""
         self._wake: int = NEVER
+        """The time of the scheduled event at which nodes act, ns; `NEVER`: there is none."""
 
     def enqueue(self, item: Transmission) -> None:
         """Let a transmission contend for the channel, after those of its node that wait."""
@@ -128,11 +130,11 @@ class Contention:
         queue.append(item)
         if len(queue) == 1:
             self._prepare(item.src, arrived=True)
-        # The oldest is dropped, but not the first if it contends or is to be transmitted again.
-        oldest = int(self._nodes.ready[item.src] or queue[0].number in self._repeated)
-        if len(queue) > self._medium.queue_limit + oldest:
-            self._callbacks.lose(queue[oldest], "queue")
-            del queue[oldest]
+        # The oldest is dropped, but the first is protected if it contends or is to be transmitted again.
+        protected = int(self._nodes.ready[item.src] or queue[0].number in self._repeated)
+        if len(queue) > self._medium.queue_limit + protected:
+            self._callbacks.lose(queue[protected], "queue")
+            del queue[protected]
 
     def flush(self, src: int) -> list[Transmission]:
         """Remove and return all transmissions of a node whose radio goes down now, also that on the air.

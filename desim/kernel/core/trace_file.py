@@ -127,8 +127,8 @@ class TraceFile:
     def _misused(self, t: int) -> ValueError:
         """Return the error about an event at a time, ns, that cannot be written."""
         if self._file is None:
-            how = f"with TraceFile({str(self._path)!r}) as file: run(scenario, seed, file)"
-            return ValueError(f"a TraceFile is written in a with block: {how}")
+            example = f"with TraceFile({str(self._path)!r}) as file: run(scenario, seed, file)"
+            return ValueError(f"a TraceFile is written in a with block: {example}")
         return ValueError(
             f"{self._path}: an event at {t / SECOND:g} s comes after one at {self._last / SECOND:g} s: a TraceFile is"
             " of one run, so each run needs its own"
@@ -347,8 +347,8 @@ def _reason(error: Exception) -> str:
     """Return the message of an error; for a validation error, its first problem on one line."""
     if not isinstance(error, ValidationError):
         return str(error)
-    fault = error.errors(include_url=False, include_input=False)[0]
-    return f"{'.'.join(map(str, fault['loc']))}: {text_of(fault)}"
+    problem = error.errors(include_url=False, include_input=False)[0]
+    return f"{'.'.join(map(str, problem['loc']))}: {text_of(problem)}"
 
 
 def _with_named_tuples(value: Any) -> Any:

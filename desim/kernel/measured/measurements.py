@@ -175,14 +175,14 @@ def _seconds_of_date(text: str) -> Decimal:
     match = DATE.fullmatch(text)
     if match is None:
         raise ValueError(f"{text!r} is neither a number nor a date such as {DATE_FORM}{hint_of(text)}")
-    *whole, fraction, utc, hours, minutes = match.groups()
+    *parts, fraction, utc, hours, minutes = match.groups()
     try:
-        date = datetime(*(int(part or 0) for part in whole))  # type: ignore[arg-type]
+        date = datetime(*(int(part or 0) for part in parts))  # type: ignore[arg-type]
     except ValueError as error:
         raise ValueError(f"{text!r} is not a date: {error}") from error
-    east = timedelta(hours=int(hours or 0), minutes=int(f"{(hours or '+')[0]}{minutes or 0}"))
-    since = date - (YEAR_1970 if utc or hours else YEAR_1) - east
-    return DateTime(Decimal(since // timedelta(seconds=1)) + Decimal(f"0.{fraction or 0}"))
+    utc_offset = timedelta(hours=int(hours or 0), minutes=int(f"{(hours or '+')[0]}{minutes or 0}"))
+    elapsed = date - (YEAR_1970 if utc or hours else YEAR_1) - utc_offset
+    return DateTime(Decimal(elapsed // timedelta(seconds=1)) + Decimal(f"0.{fraction or 0}"))
 
 
 def start_of(times: Iterable[Decimal], file: Path | str) -> Decimal:

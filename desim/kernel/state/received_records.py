@@ -74,7 +74,7 @@ class Records:
             record: as in `schedule`.
             transmitted: the number of nodes to which it was transmitted.
             arrival: its arrival time at all nodes that it reaches, ns.
-            unreached: those of these nodes that it does not reach.
+            unreached: the nodes among these that it does not reach.
 
         Returns:
             Whether it has been stored.
