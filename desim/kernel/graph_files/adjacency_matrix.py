@@ -24,8 +24,8 @@ from desim.kernel.measured.measurements import number_or_nan
 if TYPE_CHECKING:
     import networkx as nx
 
-LEAST = 3
-"""The least number of nodes; with fewer, lines are edges."""
+MIN_NODES = 3
+"""Smallest number of nodes; with fewer, lines are edges."""
 
 
 def read_matrix(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any] | None":
@@ -55,13 +55,13 @@ def read_matrix(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any] 
     except ValueError:
         return None
     size = len(numbers)
-    if size < LEAST or any(len(row) != size for row in numbers):
+    if size < MIN_NODES or any(len(row) != size for row in numbers):
         return None
     if not names and numbers[0][1:] == [row[0] for row in numbers[1:]] and numbers[0][1:] in counts_of(size - 1):
         raise ValueError(
             f"{file}: the first line may number the nodes: write a text into its first cell, or leave it out"
         )
-    if size == LEAST and not names and not all(_is_link_or_none(*cell) for cell in enumerate(chain(*numbers))):
+    if size == MIN_NODES and not names and not all(_is_link_or_none(*cell) for cell in enumerate(chain(*numbers))):
         return None  # lines of three numbers may also be edges with weights
     weights = {
         (src, dst): weight
@@ -84,7 +84,7 @@ def read_matrix(file: Path, text: str, directed: bool | None) -> "nx.Graph[Any] 
 
 def _is_link_or_none(index: int, number: float) -> bool:
     """Return whether a number is 0 or 1, or is missing on the diagonal of a matrix of three nodes."""
-    return number in {0.0, 1.0} or (index % (LEAST + 1) == 0 and isnan(number))
+    return number in {0.0, 1.0} or (index % (MIN_NODES + 1) == 0 and isnan(number))
 
 
 def _names_and_numbers(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[float]]]:
@@ -93,7 +93,7 @@ def _names_and_numbers(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[l
     Raises:
         ValueError: if a cell is not a number, or the names of lines and of columns differ.
     """
-    names = list(names_beside(rows)) if len(rows) > LEAST else []
+    names = list(names_beside(rows)) if len(rows) > MIN_NODES else []
     if len({*names}) < len(names):
         raise ValueError("the names should differ from each other")
     inner = [row[1:] for row in rows[1:]] if names else rows

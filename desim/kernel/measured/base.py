@@ -22,7 +22,7 @@ from desim.kernel.measured.measurements import Columns, Meaning, Measurements, U
 
 UNIT_AT_END = re.compile(r".*[_\s\[(](ms|us|ns|s|sec|min|h|%|pct|percent)[\])]?", re.IGNORECASE)
 """Matches the unit at the end of the name of a column, such as rtt_ms or time [s]."""
-LEAST = re.compile(r".*[_\s]min", re.IGNORECASE)
+MINIMA = re.compile(r".*[_\s]min", re.IGNORECASE)
 """Matches the name of a column of minima, such as rtt_min: of all columns, only times are in minutes."""
 Name = Annotated[str, Field(min_length=1)]
 SHOWN = 20
@@ -133,9 +133,9 @@ class LinkTrace(NamedTable):
         if self.nodes is not None and self.src is None:
             raise ValueError("nodes are the names in the columns src and dst, which the table does not have")
         for key, column, unit in self._units():
-            is_least = key != "time_unit" and LEAST.fullmatch(column.strip())
-            if (named := unit_of_column(column)) and named != unit and not is_least:
-                raise ValueError(f"{key}: column {column!r} is in {named}, and should be in {unit}")
+            has_minima = key != "time_unit" and MINIMA.fullmatch(column.strip())
+            if (column_unit := unit_of_column(column)) and column_unit != unit and not has_minima:
+                raise ValueError(f"{key}: column {column!r} is in {column_unit}, and should be in {unit}")
         end = self.measurements.end / SECOND
         if self.start == "random" and self.after != "repeat":
             raise ValueError(f'start = "random" requires after = "repeat" (got {self.after!r})')

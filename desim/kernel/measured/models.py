@@ -48,11 +48,11 @@ class LatencyTrace(LinkTrace):
 
     @property
     def doubt(self) -> tuple[str, str] | None:
-        """Round-trip times that are read as one-way latencies, or a number that may stand for no answer."""
+        """Round-trip times read as one-way latencies, or a number that may mean no answer; see `LinkTrace.doubt`."""
         if "rtt" in self.value.lower() and not self.rtt:
             return "rtt", f"column {self.value!r} seems to have round-trip times: rtt = true halves them"
-        if is_fill(most := float(self.measurements.values.max())):
-            return "value", f"{most:g} {self.unit} may stand for a message without an answer: leave its cells empty"
+        if is_fill(largest := float(self.measurements.values.max())):
+            return "value", f"{largest:g} {self.unit} may stand for a message without an answer: leave its cells empty"
         return None
 
     @property
@@ -164,9 +164,9 @@ class SignalTrace(_LossTrace):
     def doubt(self) -> tuple[str, str] | None:
         """A power that is too large for a received signal; see `LinkTrace.doubt`."""
         words, measured = set(re.findall("[a-z]+", self.value.lower())), self.measurements
-        most = float(measured.values[~measured.is_missing].max(initial=-math.inf))
-        if words & IN_DBM and most >= 0.0:
-            return "value", f"no radio receives {most:g} dBm: if it stands for no signal, leave its cells empty"
+        strongest = float(measured.values[~measured.is_missing].max(initial=-math.inf))
+        if words & IN_DBM and strongest >= 0.0:
+            return "value", f"no radio receives {strongest:g} dBm: if it stands for no signal, leave its cells empty"
         return None
 
     def loss(self, values: Any) -> Any:

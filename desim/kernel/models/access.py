@@ -17,9 +17,9 @@ from desim.config.choice import OneOf
 from desim.config.errors import KeyedError, Problem
 from desim.config.model import MAX_TIME, Extent, FirstError, Limit, NotEmpty, Period, Time, Value
 from desim.kernel.core.units import nanoseconds
+from desim.kernel.models.graphs import Node
 
 ContentionWindow = Annotated[int, Field(ge=1, le=1_000_000, strict=True)]
-Owner = Annotated[int, Field(ge=0, strict=True)]
 
 
 class Channel(NamedTuple):
@@ -272,7 +272,7 @@ class Tdma(_Access):
     If in doubt, the largest difference of two clocks during the run; with `clock_sync`, the difference after a
     correction plus the drift until the next one.
     """
-    slots: Annotated[tuple[Owner, ...], FirstError(), NotEmpty()] | None = None
+    slots: Annotated[tuple[Node, ...], FirstError(), NotEmpty()] | None = None
     """The owners of the slots, which are repeated; if None, the nodes take turns by id."""
 
     @model_validator(mode="after")

@@ -1,6 +1,6 @@
-"""Clocks that are wrong, as a frozen model and as functions of it: which nodes have an error, and how large it is.
+"""Errors of clocks: a frozen model, and functions that return which nodes have an error, and how large it is.
 
-`desim.kernel.wandering_clock` computes what such a clock shows.
+`desim.kernel.wandering_clock` computes what a clock with such an error shows.
 """
 
 from collections.abc import Iterable
@@ -30,7 +30,7 @@ class ClockSkew(Value):
     """The node. If absent, each node draws its errors from normal distributions with mean 0; offset and drift are their
     standard deviations."""
     offset: Annotated[float, Field(ge=-1e6, le=1e6, strict=True)] = 0.0
-    """s"""
+    """Error at the time 0, s."""
     drift: Annotated[float, Field(ge=MIN_DRIFT, le=1e3, strict=True)] = 0.0
     """Seconds gained per second; if the sum of the drifts of a node is below -0.99, it is raised to -0.99.
 

@@ -102,11 +102,11 @@ class CommonBursts:
 def max_common(share: float) -> float:
     """Return the largest correlation of two links with a node in common that are bad for a share of the time.
 
-    Only nodes have bad periods then. The correlation is a little less than 1/2, because a link has two nodes.
+    It is reached if only nodes have bad periods. It is a little less than 1/2, because a link has two nodes.
     """
     return (math.sqrt(1.0 - share) - (1.0 - share)) / share if share else 0.5
 
 
-def _chances(last: Floats, share: float, rate: float, times: Floats, now: float) -> Floats:
+def _chances(states: Floats, share: float, rate: float, times: Floats, now: float) -> Floats:
     """Return the (k,) probabilities that nodes or links are bad now, given their states at (k,) times, s."""
-    return share + (last - share) * exp(rate * (times - now))
+    return share + (states - share) * exp(rate * (times - now))

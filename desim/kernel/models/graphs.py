@@ -56,6 +56,7 @@ class Ring(Value):
         """Return the graph."""
         import networkx as nx
 
+        # A cycle of one node would be a link of the node to itself.
         graph: nx.Graph[int] = nx.cycle_graph(size) if size > 2 else nx.path_graph(size)
         return graph
 

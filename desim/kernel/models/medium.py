@@ -15,7 +15,8 @@ from desim.config.model import MAX_TIME, FirstError, Flag, Limit, Value
 from desim.config.number_texts import counted
 from desim.config.python_numbers import as_real
 from desim.config.traits import inherits, is_ours
-from desim.kernel.models.access import ACCESSES, Access, Channel, Ideal, Owner
+from desim.kernel.models.access import ACCESSES, Access, Channel, Ideal
+from desim.kernel.models.graphs import Node
 from desim.kernel.models.interference import INTERFERENCES, Collision, Interference, LoRaInterference, LoRaSignal
 from desim.kernel.models.traits import MediumTraits
 
@@ -200,7 +201,7 @@ class LoRa(Radio):
     """SF of each node, for nodes that contend; if None, all have `spreading_factor`."""
     frequencies: Annotated[tuple[Annotated[float, Field(gt=0, le=1e12, strict=True)], ...], FirstError()] | None = None
     """Carrier frequency of each node, Hz, for nodes that contend; if None, all are equal."""
-    gateways: Annotated[tuple[Owner, ...], FirstError()] | None = None
+    gateways: Annotated[tuple[Node, ...], FirstError()] | None = None
     """Nodes that hear all spreading factors and frequencies, for nodes that contend. Each other node has one radio: it
     hears only frames with the spreading factor that it transmits with, and with its frequency, up to a quarter of the
     bandwidth. It loses other frames ("tuning"). If None, all nodes are gateways."""
@@ -224,7 +225,7 @@ class LoRa(Radio):
 
     def __call__(self, size: int) -> float:
         """Return the airtime, s, of all frames of a message with the largest spreading factor of the nodes."""
-        return self._message(size, max(self.spreading_factors or (self.spreading_factor,)))
+        return self._message_airtime(size, max(self.spreading_factors or (self.spreading_factor,)))
 
     def check(self, size: int) -> None:
         """Raise KeyedError if the medium does not apply to a network of `size` nodes."""
@@ -255,7 +256,7 @@ class LoRa(Radio):
 
     def airtime(self, size: int, node: int) -> float:
         """Return the airtime, s, of a message of `size` bytes that a node transmits."""
-        return self._message(size, self.signal(node).spreading_factor)
+        return self._message_airtime(size, self.signal(node).spreading_factor)
 
     def signal(self, node: int) -> LoRaSignal:
         """Return the parameters of the frames of a node."""
@@ -263,12 +264,12 @@ class LoRa(Radio):
         frequency = 0.0 if self.frequencies is None else self.frequencies[node]
         return LoRaSignal(factor, self.bandwidth, frequency, self.preamble)
 
-    def _message(self, size: int, factor: int) -> float:
+    def _message_airtime(self, size: int, factor: int) -> float:
         full, remainder = divmod(size, MAX_BYTES)
-        last = self._frame(remainder, factor) if remainder or not full else 0.0
-        return full * self._frame(MAX_BYTES, factor) + last
+        last = self._frame_airtime(remainder, factor) if remainder or not full else 0.0
+        return full * self._frame_airtime(MAX_BYTES, factor) + last
 
-    def _frame(self, size: int, factor: int) -> float:
+    def _frame_airtime(self, size: int, factor: int) -> float:
         """Return the airtime, s, of one frame: preamble + 4.25 + payload, in symbols, times the duration of a symbol.
 
         Symbols longer than 16 ms carry two bits fewer (low data rate optimisation).

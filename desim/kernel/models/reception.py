@@ -159,8 +159,8 @@ class LogDistance(Value):
         return ratio * range
 
 
-LEAST = 5e-17
-"""A probability that is less than any draw of `pair_uniform`."""
+NEGLIGIBLE = 5e-17
+"""A probability of reception that is less than any draw of `pair_uniform`, so nothing is received."""
 
 
 class Nakagami(Value):
@@ -190,7 +190,7 @@ class Nakagami(Value):
 
     def bound(self, range: float) -> float:  # noqa: A002
         """Return a distance, m, beyond which no message is received: there P(d) < 5e-17."""
-        ratio = float(nakagami_quantiles(self.m, np.array([LEAST]))[0])
+        ratio = float(nakagami_quantiles(self.m, np.array([NEGLIGIBLE]))[0])
         return float(range * min(ratio, 1e300) ** (1.0 / self.exponent))
 
 
@@ -224,7 +224,7 @@ class Rice(Value):
 
         There P(d) < 5e-17, because Q_1(a, b) <= exp(-(b - a)^2 / 2) for b > a (Simon & Alouini 2000).
         """
-        b = sqrt(2.0 * self.k) + sqrt(-2.0 * log(LEAST))
+        b = sqrt(2.0 * self.k) + sqrt(-2.0 * log(NEGLIGIBLE))
         return float(range * (b**2 / (2.0 * (self.k + 1.0))) ** (1.0 / self.exponent))
 
 
