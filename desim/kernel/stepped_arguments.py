@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     import networkx as nx
 
 
-IMPLAUSIBLE = 10.0
+IMPLAUSIBLE_LATENCY = 10.0
 """Mean latency, s, from which on it was probably given in ms; sound takes so long through 15 km of water."""
 LARGEST_NETWORK = 1_000_000
-"""Largest number of nodes of a network, as of pursuers in a scenario."""
+"""Largest number of nodes of a network; it is also that of the pursuers in a scenario."""
 
 
 class _Tables(Value):
@@ -51,14 +51,14 @@ def walls_argument(walls: Any) -> tuple[Wall, ...]:
 
 
 def _checked_tables(key: str, tables: Any, example: str) -> tuple[Any, ...]:
-    """Return checked tables; an error names their keys, but not the list, which is no argument of the caller."""
+    """Return checked tables; an error names a key in a table, but not `key`, which is no argument of the caller."""
     if isinstance(tables, str | Mapping | Wall) or not isinstance(tables, Iterable):
         raise ValueError(f"{key}s should be a list of {key}s, such as [{example}] (got {value_text(tables)})")
     try:
         return tuple(getattr(_Tables(**{key: tuple(tables)}), key))
     except KeyedError as error:
         problems = [problem._replace(where="") for problem in error.problems]
-    raise KeyedError(*problems)  # not from the error, whose text names the list
+    raise KeyedError(*problems)  # not from the first error, whose text names `key`
 
 
 def links_argument(links: Any) -> Links:
@@ -82,9 +82,9 @@ def nodes_argument(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, t
         try:
             size = whole(nodes, "nodes")
         except ValueError:
-            names = "networkx.complete_graph(['a', 'b']) for nodes with names"
+            example = "networkx.complete_graph(['a', 'b']) for nodes with names"
             raise ValueError(
-                f"nodes should be their number, or a networkx graph, such as {names} (got {value_text(nodes)})"
+                f"nodes should be their number, or a networkx graph, such as {example} (got {value_text(nodes)})"
             ) from None
         if not 1 <= size <= LARGEST_NETWORK:
             raise ValueError(f"a network should have at least 1 node and at most {LARGEST_NETWORK:,} (got {size:,})")
@@ -96,7 +96,7 @@ def nodes_argument(nodes: "int | nx.Graph[Any]", links: Links) -> tuple[Links, t
     if not len(graph):
         raise ValueError("a network should have at least 1 node (got an empty graph)")
     edges, numbers = Edges.of(graph), numbered(graph).numbers
-    for note in unread_attributes(graph, of_links_only=True):  # others of nodes may be positions
+    for note in unread_attributes(graph, of_links_only=True):  # other attributes of nodes may be positions
         warn_caller(note)
     labels = tuple(sorted(numbers, key=numbers.__getitem__))
     links = links.model_copy(update={"graph": edges}).numbered(edges.names)
@@ -116,7 +116,7 @@ def _check_unit(links: Links) -> None:
             models["the edge from {} to {}".format(*ends)] = edge.latency
     means = {key: mean for key, model in models.items() if (mean := mean_latency(model)) is not None}
     slowest = max(means, key=means.__getitem__, default="")
-    if means.get(slowest, 0.0) >= IMPLAUSIBLE:
+    if means.get(slowest, 0.0) >= IMPLAUSIBLE_LATENCY:
         warn_caller(f"{slowest}: a mean latency of {means[slowest]:g} s: times are in s, not ms")
 
 

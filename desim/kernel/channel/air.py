@@ -70,6 +70,7 @@ class Air:
             if frame.locked is not None and other.locked is not None:
                 frame.locked[other.src] = other.locked[frame.src] = False  # a node that transmits locks onto none
                 first, second = (other, frame) if other.begin < frame.begin else (frame, other)
+                # A receiver that hears the first of two frames is locked on to it, and misses the second.
                 if first.begin < second.begin and first.locked is not None and second.locked is not None:
                     second.locked &= ~(first.locked & self._tuned(first) & self._audible(first, self._all))
         if not self._frames:

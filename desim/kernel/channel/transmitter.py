@@ -60,7 +60,7 @@ class Transmitter:
         self._node_queues: list[deque[Transmission]] = [deque() for _ in range(size)]
         """The waiting transmissions of each node."""
         self._free_at = [0] * self.channels
-        self._busy = 0
+        self._total_airtime = 0
         self.recent: list[tuple[int, int, int]] = []
         self._lag, self._longest_airtime = lag, 0
 
@@ -97,7 +97,7 @@ class Transmitter:
 
     def busy_time(self) -> int:
         """Return the total time, ns, that the channels have been busy so far."""
-        return self._busy - portable_sum(max(0, free_at - self._env.now) for free_at in self._free_at)
+        return self._total_airtime - portable_sum(max(0, free_at - self._env.now) for free_at in self._free_at)
 
     def during(self, nodes: Collection[int], first: int, last: int) -> dict[int, list[tuple[int, int]]]:
         """Return start and end, ns, of the recent transmissions of some nodes that may overlap receptions, by node.
@@ -128,7 +128,7 @@ class Transmitter:
     def _begin(self, channel: int, item: Transmission) -> None:
         now, duration = self._env.now, nanoseconds(self._airtime_of(item.size, item.src))
         self._free_at[channel] = now + duration
-        self._busy += duration
+        self._total_airtime += duration
         if self._medium.half_duplex and not self._medium.shared:
             self._longest_airtime = max(self._longest_airtime, duration)
             self.recent.append((now, now + duration, item.src))

@@ -40,7 +40,7 @@ ATOMS = JSON_ATOMS | {
 }
 """Types without parts whose objects never change. Objects of a type that is derived from one may have attributes."""
 COMPARED = (int, float, complex, np.generic, tuple)
-"""Types with objects that may equal objects of another of these types."""
+"""Types whose objects may equal an object of another one of these types, as 1 equals 1.0."""
 SHARED = (list, dict, set, bytearray, deque, np.ndarray)
 """Types of collections that can be changed, so that a sender and its receivers must not share them."""
 COPIED = {"mappingproxy": "a dict", "dict_keys": "a list", "dict_values": "a list", "dict_items": "a list"}

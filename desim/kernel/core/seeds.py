@@ -44,7 +44,7 @@ def seed_of(value: int) -> int:
 
 
 RUNS_PER_SEED = 1_000_000
-"""The number of runs that a root seed has seeds for."""
+"""The number of runs of one root seed, each of which has a seed of its own."""
 
 
 def run_seed(root: int, run: int) -> int:
@@ -102,8 +102,8 @@ def pair_draw(seed: int, name: str, src: int, dst: int, number: int = 0, *, symm
     Kept equal to the draws of many pairs by `tests/kernel/test_seeds.py::test_the_draw_of_one_pair_is_that_of_many`.
     """
     first, second = (dst, src) if symmetric and dst < src else (src, dst)
-    pair = (first << 32 | second) + int(_key(seed, name)) & WORD
-    mixed = _mixed(_mixed(pair) + (number + 1) * 0x9E3779B97F4A7C15 & WORD)
+    pair = ((first << 32 | second) + int(_key(seed, name))) & WORD
+    mixed = _mix_one((_mix_one(pair) + (number + 1) * 0x9E3779B97F4A7C15) & WORD)
     return ((mixed >> 12) + 0.5) * 2.0**-52
 
 
@@ -111,11 +111,11 @@ WORD = 2**64 - 1
 """The mask that reduces an integer of Python to 64 bits."""
 
 
-def _mixed(z: int) -> int:
+def _mix_one(z: int) -> int:
     """Mix the bits of one number, as `_mix` does with those of an array."""
-    z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9 & WORD
-    z = (z ^ z >> 27) * 0x94D049BB133111EB & WORD
-    return z ^ z >> 31
+    z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & WORD
+    z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & WORD
+    return z ^ (z >> 31)
 
 
 @lru_cache(maxsize=256)

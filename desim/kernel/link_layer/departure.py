@@ -50,7 +50,7 @@ class Departure:
         return causes if transmission.reachable else dict.fromkeys(receivers, "out_of_range")
 
     def attempt(self, transmission: Transmission, draw: int) -> Cause | None:
-        """Draw the losses of an attempt to transmit to one node, which ends now; return the cause, or None."""
+        """Return the cause if an attempt to transmit to one node, which ends now, is lost; `draw` numbers its draws."""
         (node,), faults = transmission.receivers, self._fault_state
         if faults is not None and (down := faults.down_cause(node) or faults.down_cause(transmission.src)) is not None:
             return down
@@ -62,7 +62,7 @@ class Departure:
         return self._drawn(transmission).get(node)
 
     def acknowledgement(self, transmission: Transmission, draw: int) -> Cause | None:
-        """Draw the losses of an acknowledgement of a transmission to one node; return the cause, or None."""
+        """Return the cause if the acknowledgement of a transmission to one node is lost; see `attempt`."""
         (node,) = transmission.receivers
         acknowledgement = transmission._replace(src=node, receivers=[transmission.src], size=ACKNOWLEDGEMENT_SIZE)
         return self.attempt(acknowledgement, draw)

@@ -55,7 +55,7 @@ class LinkLayer:
         self._log, self._is_traced = MessageLog(env, trace), trace is not None
         self._departure = Departure(state, sampler, checks_range=links.range_check != "delivery")
         medium = links.medium
-        # A transmission whose start is delayed has waited since its host began to process it.
+        # If hosts delay transmissions, `_process` has recorded already that each of them waits.
         wait: Callable[[Transmission], None] = (lambda _: None) if links.delays_start else self._log.queue
         self._transmitter: Transmitter | Contention | None = None
         radios: Transmitter | None = None
@@ -124,7 +124,7 @@ class LinkLayer:
         flushed += self._hosts.flush(node) if self._hosts is not None else []
         for transmission in flushed:  # of a frame on the air, the losses drawn at its start are counted already
             reached, *_ = self._on_air.pop(transmission.number, (transmission.receivers,))
-            self._lose_unstarted(transmission, dict.fromkeys(reached, cause))
+            self._lose_unscheduled(transmission, dict.fromkeys(reached, cause))
 
     def message_counts(self) -> MessageCounts:
         """Return the counts of messages up to now; each sent message is delivered, lost or in flight."""
@@ -191,9 +191,9 @@ class LinkLayer:
 
     def _give_up(self, transmission: Transmission, cause: Cause = "queue") -> None:
         """Lose a transmission that never starts, or that its sender stops repeating."""
-        self._lose_unstarted(transmission, dict.fromkeys(transmission.receivers, cause))
+        self._lose_unscheduled(transmission, dict.fromkeys(transmission.receivers, cause))
 
-    def _lose_unstarted(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
+    def _lose_unscheduled(self, transmission: Transmission, causes: Mapping[int, Cause]) -> None:
         """Lose a transmission whose arrivals are never scheduled, and forget what interceptions would do to it."""
         if self._fault_state is not None:
             self._fault_state.forget(transmission.number)
@@ -355,8 +355,9 @@ class MessageLog:
                 arrivals = iter(arrival)
                 times = [LOST if node in causes else next(arrivals) for node in receivers]
         if isinstance(content, Record):
-            recorded = (times,) * bool(receivers) if isinstance(times, int) else tuple(times)
-            broadcast = now, number, src, content.seq, tuple(receivers), recorded, created, size, content.body
+            # One time stands for all receivers, but for no receiver there is none.
+            arrivals_field = (times,) * bool(receivers) if isinstance(times, int) else tuple(times)
+            broadcast = now, number, src, content.seq, tuple(receivers), arrivals_field, created, size, content.body
             self._trace.append_message(_new(Broadcast, broadcast))
             return
         for node, arrives in zip(receivers, per_receiver(times, len(receivers)), strict=True):

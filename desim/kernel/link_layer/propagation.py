@@ -74,7 +74,7 @@ class LinkSampler:
         """Whether messages may be transmitted twice."""
         self._latency_buffer = buffered(self._latency, self._latency_rng, as_nanoseconds)
         self._loss_buffer = buffered(self._loss, self._loss_rng, as_booleans)
-        self._bursts: Bursts | None = self._loss if type(self._loss) is Bursts else None
+        self._bursts: Bursts | None = self._loss if type(self._loss) is Bursts else None  # is fast for one receiver
         overrides = link_overrides(links, graph)
         self._latency_overrides = overrides_of_run(overrides["latency"], size)
         self._loss_overrides = overrides_of_run(overrides["loss"], size)

@@ -19,7 +19,7 @@ from desim.kernel.core.records import Arrival, per_receiver
 from desim.kernel.core.units import nanoseconds
 from desim.kernel.models.faults import Delays, Undo
 
-Fault = TypeVar("Fault")
+ActiveFault = TypeVar("ActiveFault")
 
 
 class Outage(NamedTuple):
@@ -241,7 +241,7 @@ class FaultState:
         """Lose, delay or copy messages as a function says; a message delayed before the fault ends stays delayed."""
         return self._begin(self._interceptions, (delays, cause))
 
-    def _begin(self, active: list[Fault], fault: Fault) -> Undo:
+    def _begin(self, active: list[ActiveFault], fault: ActiveFault) -> Undo:
         """Append a fault to the active ones of its kind; return the function that removes it."""
         self._require_change()
         active.append(fault)

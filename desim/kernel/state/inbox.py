@@ -116,7 +116,7 @@ class Inbox:
         if event is None:
             event = self._waited_for = simpy.Event(self._env)
         if self._letters:
-            self._look()
+            self._trigger_or_expect()
         return event
 
     def drain(self) -> list[Message]:
@@ -152,7 +152,7 @@ class Inbox:
             self._sorted = len(letters)
         return letters
 
-    def _look(self) -> None:
+    def _trigger_or_expect(self) -> None:
         """If a message has arrived, trigger the event that processes wait for, else schedule a wake-up for the next."""
         letters = self._in_order()
         if not letters:
@@ -173,7 +173,7 @@ class Inbox:
     def _wake(self, _: simpy.Event) -> None:
         self._wake_time = inf
         if self._waited_for is not None:  # None: another arrival has woken the processes
-            self._look()
+            self._trigger_or_expect()
 
 
 class Inboxes:
@@ -238,7 +238,7 @@ class Inboxes:
             letter = shared or (when, number, message._replace(body=own_copy(message.body)) if copies else message)
             box._letters.append(letter)
             if box._waited_for is not None:
-                box._expect(when) if when > now else box._look()
+                box._expect(when) if when > now else box._trigger_or_expect()
             elif box._timer is not None:
                 box._timer.set(when)
         if len(self._ignored) > self._prune_at:

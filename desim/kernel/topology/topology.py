@@ -83,7 +83,7 @@ class Topology:
             raise ValueError(f"{needs} positions")
         self._complete = is_complete(graph)
         self._directed = graph.is_directed() and not self._complete
-        self._lists: list[list[int]] | _AllOthers = (
+        self._linked_nodes: list[list[int]] | _AllOthers = (
             _AllOthers(size) if self._complete else [sorted(graph.adj[node]) for node in sorted(graph)]
         )
         self._range, self._now = range, now
@@ -105,26 +105,28 @@ class Topology:
         if self._positions is not None:
             if type(self._positions).distance is not PositionSource.distance:
                 self._few = FEW
-            self._candidates = _candidate_finder(self._lists, size, self._positions, self._range_check.bound, now)
+            self._candidates = _candidate_finder(
+                self._linked_nodes, size, self._positions, self._range_check.bound, now
+            )
             have_borders = self._range_check.has_border and channel is None and self.walls is None
             if have_borders and size <= SMALL_NETWORK and now is not None and self._positions.max_speed < inf:
                 self._kept = KeptReceivers(size, self._positions.max_speed, now)
 
     def linked(self, node: int) -> list[int]:
         """Return the nodes that the graph links `node` to, ascending, regardless of range; read-only."""
-        return self._lists[node]
+        return self._linked_nodes[node]
 
     def are_linked(self, src: int, dst: int) -> bool:
         """Return whether the graph links `src` to `dst`, regardless of range."""
         if self._complete:
             return src != dst
-        linked = self._lists[src]
+        linked = self._linked_nodes[src]
         index = bisect_left(linked, dst)
         return index < len(linked) and linked[index] == dst
 
     def links_to(self, src: int, nodes: Nodes) -> Bools:
         """Return (k,) whether the graph links `src` to each of some nodes, regardless of range."""
-        return nodes != src if self._complete else np.isin(nodes, self._lists[src])
+        return nodes != src if self._complete else np.isin(nodes, self._linked_nodes[src])
 
     def hearers(self, node: int, message: int = 0) -> list[int]:
         """Return the nodes that a message of `node` reaches now, ascending; read-only.
@@ -137,10 +139,10 @@ class Topology:
         if node < 0:
             raise IndexError(f"there is no node {node}")
         if self._positions is None:
-            return self._lists[node]
+            return self._linked_nodes[node]
         if self._kept is not None:
             return self._within_border(node, self._kept)
-        near: list[int] = self._near(node, self._candidates(node), message).tolist()
+        near: list[int] = self._receivers_among(node, self._candidates(node), message).tolist()
         return near
 
     def reaches(
@@ -239,10 +241,10 @@ class Topology:
         if node < 0:
             raise IndexError(f"there is no node {node}")
         if self._positions is None:
-            return np.array(self._lists[node], dtype=np.intp)
+            return np.array(self._linked_nodes[node], dtype=np.intp)
         if self._kept is not None:
             return np.array(self.hearers(node), dtype=np.intp)
-        return self._near(node, self._candidates(node))
+        return self._receivers_among(node, self._candidates(node))
 
     def audible(self, node: int) -> list[int]:
         """Return the nodes that `node` receives from now, ascending; see `neighbours`, also for errors."""
@@ -254,7 +256,7 @@ class Topology:
         elif self._positions is None:
             senders = self._senders[node]
         else:  # reception is the same in both directions
-            senders = self._near(node, _with_linked(node, self._senders[node])).tolist()
+            senders = self._receivers_among(node, _with_linked(node, self._senders[node])).tolist()
         return senders
 
     def component(self, node: int) -> set[int]:
@@ -287,7 +289,7 @@ class Topology:
         """For each node, the nodes that the graph links to it, ascending."""
         senders: list[list[int]] = [[] for _ in range(self.size)]
         for node in range(self.size):
-            for other in self._lists[node]:
+            for other in self._linked_nodes[node]:
                 senders[other].append(node)
         return senders
 
@@ -297,7 +299,7 @@ class Topology:
             return receivers
         if kept.is_worthwhile(node):
             return self._search(node, kept)
-        near: list[int] = self._near(node, self._candidates(node)).tolist()
+        near: list[int] = self._receivers_among(node, self._candidates(node)).tolist()
         return near
 
     def _search(self, node: int, kept: KeptReceivers) -> list[int]:
@@ -310,7 +312,7 @@ class Topology:
         kept.keep(node, receivers, np.abs(excess).min().item())
         return receivers
 
-    def _near(self, node: int, candidates: Nodes, message: int | None = None) -> Nodes:
+    def _receivers_among(self, node: int, candidates: Nodes, message: int | None = None) -> Nodes:
         """Return the candidates that receive from a node; the candidates must include the node, the result does not."""
         index, places, distances = self._distances(node, candidates)
         distances[index] = self._range  # in place of 0, the distance of the node from itself: a model may divide by it
@@ -370,7 +372,7 @@ def _check(graph: "nx.Graph[int]") -> None:
 
 
 def _candidate_finder(
-    lists: "list[list[int]] | _AllOthers",
+    linked_nodes: "list[list[int]] | _AllOthers",
     size: int,
     positions: PositionSource,
     bound: float,
@@ -378,11 +380,11 @@ def _candidate_finder(
 ) -> Callable[[int], Nodes]:
     """Return a function from a node to the nodes that may receive from it now, and the node itself, ascending.
 
-    `lists` has the nodes that the graph links each node to, and `bound` is the distance, m, beyond which nothing is
-    received. The other arguments are as in `Topology`.
+    `linked_nodes` has the nodes that the graph links each node to, and `bound` is the distance, m, beyond which nothing
+    is received. The other arguments are as in `Topology`.
     """
-    if isinstance(lists, list):
-        return [_with_linked(node, linked) for node, linked in enumerate(lists)].__getitem__
+    if isinstance(linked_nodes, list):
+        return [_with_linked(node, linked) for node, linked in enumerate(linked_nodes)].__getitem__
     if size > SMALL_NETWORK and bound < inf:
         return CellList(positions, bound, now).around
     all_nodes = np.arange(size)

@@ -224,19 +224,19 @@ class TransportLayer:
         if transport.deadline < inf:
             self._expect(node, "deadline", flow.src, flow.port, transport.deadline)
 
-    def _expect(self, node: int, kind: Literal["deadline", "lease"], src: int, port: str, within: float) -> None:
-        """Let a node expect a message, or any frame, of another within a time, s, by its own clock."""
+    def _expect(self, node: int, kind: Literal["deadline", "lease"], src: int, port: str, duration: float) -> None:
+        """Let a node expect a message, or any frame, of another one within a duration, s, by its own clock."""
         expectations = self._nodes[node].expectations
         expectation = expectations.get((kind, src, port))
-        if expectation is None and within <= MAX_TIME:
+        if expectation is None and duration <= MAX_TIME:
             record = self._log.deadline_missed if kind == "deadline" else self._log.liveliness_lost
 
             def miss() -> None:
                 if self._is_up(node):
                     record(src, node, port)
 
-            span, priority = partial(self._clocks[node].span, within), Phase.RELAY + node
-            expectation = Expectation(self._env, priority, span, miss, again=kind == "deadline")
+            span, priority = partial(self._clocks[node].span, duration), Phase.RELAY + node
+            expectation = Expectation(self._env, priority, span, miss, repeats=kind == "deadline")
             expectations[kind, src, port] = expectation
         if expectation is not None:
             expectation.meet()

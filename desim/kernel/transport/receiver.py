@@ -84,11 +84,11 @@ class CodedReceiver:
         if piece.seq <= self._newest - REMEMBERED:  # its message may have been delivered, and is forgotten
             return
         pieces = self._pieces.setdefault(piece.seq, set())
-        before = len(pieces)
+        count_before = len(pieces)
         pieces.add(piece.part)
         if len(self._pieces) > REMEMBERED:
             self._pieces = {seq: parts for seq, parts in self._pieces.items() if seq > self._newest - REMEMBERED}
-        if before < self._needed == len(pieces):
+        if count_before < self._needed == len(pieces):
             yield Arrived(piece.seq, Message(src, stamp, piece.body), piece.part)
 
 
@@ -100,11 +100,13 @@ class Expectation:
         priority: the priority of the event at which it is missed.
         span: returns the time, ns; it may change, as the clock of the node may wander.
         miss: called when the event has not happened for that time.
-        again: whether `miss` is called again each time that the time has passed once more without the event.
+        repeats: whether `miss` is called again each time that the time has passed once more without the event.
     """
 
-    def __init__(self, env: Clock, priority: int, span: Callable[[], int], miss: Callable[[], object], *, again: bool):
-        self._env, self._span, self._miss, self._again = env, span, miss, again
+    def __init__(
+        self, env: Clock, priority: int, span: Callable[[], int], miss: Callable[[], object], *, repeats: bool
+    ):
+        self._env, self._span, self._miss, self._repeats = env, span, miss, repeats
         self._due = 0
         self._timer = Timer(env, priority, self._check)
 
@@ -120,7 +122,7 @@ class Expectation:
     def _check(self) -> None:
         if self._env.now >= self._due:
             self._miss()
-            if not self._again:
+            if not self._repeats:
                 return
             self._due = self._env.now + self._span()
         self._timer.set(self._due)

@@ -88,7 +88,7 @@ class Entry(NamedTuple):
     expires: int
     """The end of its lifespan, ns, or `NEVER`."""
     owed: dict[int, Owed]
-    """By receiver that has not acknowledged it."""
+    """The state of the message at each receiver that has not acknowledged it."""
 
 
 class ReliableSender:
@@ -112,9 +112,9 @@ class ReliableSender:
         self._acknowledged: dict[int, int] = {}
         """The time stamp, ns, of the newest acknowledgement of each receiver."""
         self._timer = Timer(endpoint.env, Phase.RELAY + flow.src, self.advance)
-        # The true time of a time-out by a clock that wanders depends on when it begins.
-        is_kept = not endpoint.clock.wanders
-        self._timeout = lru_cache(MAX_TIMEOUTS)(self._timeout_after) if is_kept else self._timeout_after
+        # By a clock that wanders, the true duration of a time-out depends on when it begins, so none is cached.
+        is_cached = not endpoint.clock.wanders
+        self._timeout = lru_cache(MAX_TIMEOUTS)(self._timeout_after) if is_cached else self._timeout_after
 
     def send(self, message: Message, size: int, receivers: Iterable[int]) -> None:
         """Accept a message for some receivers, and transmit it if the window allows."""

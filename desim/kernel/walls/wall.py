@@ -22,7 +22,7 @@ What = Literal["radio", "sight", "motion", "start"]
 Thickness = Annotated[float, Field(gt=0, le=10, allow_inf_nan=False, strict=True)]
 """m: a greater number is one in cm or mm."""
 SHAPE_KEYS = ("line", "polygon", "wkt", "svg", "file")
-"""The keys one of which describes the shapes of a wall."""
+"""The keys of which exactly one describes the shapes of a wall."""
 
 
 def _each_once(blocks: tuple[What, ...]) -> tuple[What, ...]:
@@ -63,7 +63,7 @@ class Wall(Value):
     material: Material | None = None
     """Instead of a loss: a material of ITU-R P.2040-3, of which the wall is a slab of some thickness."""
     thickness: Thickness = 0.1
-    """Thickness of the slab, m; only with a material. Its shape remains that of the line."""
+    """Thickness of the slab, m; only with a material. The wall keeps the shape of its lines or polygons."""
     frequency: Positive = 2.4e9
     """Frequency of the radio, Hz; only with a material.
 
