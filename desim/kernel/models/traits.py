@@ -43,7 +43,7 @@ class LinkTraits(Traits):
     """`is_lost(context)` returns (k,) booleans, or one for all: which messages a latency model loses. Their latencies
     have no effect."""
     time_span: Limit | None = None
-    """For a latency that is a function of time: the time from 0, s, whose mean latency is typical."""
+    """For a latency that is a function of time: the duration from time 0, s, whose mean latency is typical."""
     check_links: Annotated[
         Callable[[int, Iterable[tuple[int, int]]], object] | None, Follows("__call__", "start_run", not_above="draw")
     ] = None
@@ -57,7 +57,7 @@ class LinkTraits(Traits):
         If it makes another one, methods that the class of a user overrides, or wraps, would have no effect in a run.
         """
         super().check(value)
-        model: type = type(value)
+        kind: type = type(value)
         if "start_run" in cls.passed_on(value) and (start_run := getattr(value, "start_run", None)) is not None:
             inner = getattr(start_run, "__self__", None)
             if start_run(1) is not inner:  # the wrapped model has state
@@ -65,15 +65,15 @@ class LinkTraits(Traits):
                     f"{name_of(value)} passes on start_run of {name_of(inner)}, which makes another model for each run,"
                     f" and its own __call__ knows only the one without state: {NEEDED}"
                 )
-        if "start_run" not in cls.outdated(model):
+        if "start_run" not in cls.outdated(kind):  # no method is overridden below it
             return
-        starter = _definer(model, "start_run")
-        method = next(name for name in ("__call__", "draw", "quantile") if _is_newer(model, name, "start_run"))
-        function = getattr(model, method)
+        starter = _definer(kind, "start_run")
+        method = next(name for name in ("__call__", "draw", "quantile") if _is_newer(kind, name, "start_run"))
+        function = getattr(kind, method)
         # A function with `super()` has the free variable `__class__`. A method that does not call the built-in one
-        # needs no state: the model then is that of the run, too.
+        # needs no state, so a run may use the model itself.
         calls_super = "__class__" in getattr(getattr(function, "__code__", None), "co_freevars", ())
-        if (calls_super or not is_ours(starter)) and not isinstance(value.start_run(1), model):
+        if (calls_super or not is_ours(starter)) and not isinstance(value.start_run(1), kind):
             raise ValueError(
                 f"{name_of(value)} has its own {method}, and start_run of {starter.__name__} makes another model for"
                 f" each run, which keeps the state of the links: {NEEDED}"
@@ -119,14 +119,14 @@ def model_of_run(model: Any, size: int) -> Any:
     return model
 
 
-def _is_newer(model: type, method: str, other: str) -> bool:
+def _is_newer(kind: type, method: str, other: str) -> bool:
     """Return whether the definition of `method` that a class uses is in a more derived class than that of `other`."""
-    return min(positions(model, method), default=inf) < min(positions(model, other), default=inf)
+    return min(positions(kind, method), default=inf) < min(positions(kind, other), default=inf)
 
 
-def _definer(model: type, method: str) -> type:
-    """Return the class, in the method resolution order of a model, whose definition of a method it uses."""
-    return model.__mro__[positions(model, method)[0]]
+def _definer(kind: type, method: str) -> type:
+    """Return the class, in the method resolution order of `kind`, whose definition of a method `kind` uses."""
+    return kind.__mro__[positions(kind, method)[0]]
 
 
 class _DrawnOnly:
