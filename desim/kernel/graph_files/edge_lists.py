@@ -170,21 +170,21 @@ def _rows(file: Path, text: str, delimiter: str) -> list[EdgeRow]:
     split: Callable[[str], list[str]] = cells_of if delimiter else words_of
     rows: list[EdgeRow] = []
     for number, line in enumerate(lines, 1):
-        bare = line.strip(" \r" if delimiter == "\t" else None)  # a row of a table may end in empty cells
-        if bare and bare[0] in "#%":
-            names = split(bare.lstrip("#% "))
+        stripped = line.strip(" \r" if delimiter == "\t" else None)  # a row of a table may end in empty cells
+        if stripped and stripped[0] in "#%":
+            names = split(stripped.lstrip("#% "))
             if not rows and _ends_in(names):
                 rows.append(EdgeRow(number, names, {}))
-        elif match := None if delimiter else WITH_DICT.fullmatch(bare):
-            rows.append(EdgeRow(number, [match[1], match[2]], _dict(match[3], f"{file}, line {number}")))
-        elif bare.strip():
+        elif match := None if delimiter else WITH_DICT.fullmatch(stripped):
+            rows.append(EdgeRow(number, [match[1], match[2]], _dict_attributes(match[3], f"{file}, line {number}")))
+        elif stripped.strip():
             if (
                 delimiter
-                and any(cell.lstrip().startswith('"') for cell in bare.split(delimiter))
-                and bare.count('"') % 2
+                and any(cell.lstrip().startswith('"') for cell in stripped.split(delimiter))
+                and stripped.count('"') % 2
             ):
                 raise ValueError(f"{file}, line {number}: a quote is not closed; a name is in one line")
-            cells = split(bare)
+            cells = split(stripped)
             if not any(cells):  # as the last rows of a spreadsheet
                 continue
             if any(cell.startswith("{") for cell in cells[:2]):
@@ -194,7 +194,7 @@ def _rows(file: Path, text: str, delimiter: str) -> list[EdgeRow]:
     return rows
 
 
-def _dict(text: str, place: str) -> dict[str, Any]:
+def _dict_attributes(text: str, place: str) -> dict[str, Any]:
     """Return the attributes that a text gives as Python writes a dict of numbers and texts."""
     inside = text[1:-1].strip()
     pairs = [NAME_AND_VALUE.fullmatch(item) for item in DICT_ITEM.findall(inside)] if inside else []
@@ -247,6 +247,7 @@ def _header_of(file: Path, rows: list[EdgeRow]) -> tuple[list[str], list[EdgeRow
     # Nodes may be called tx1 and rx1, too.
     if not has_numbers and not is_plain and (not below or any(_ends_in(row.cells[:2]) for row in below)):
         return [], rows
+    # Single letters, such as `a b` above `c d`, may be either.
     if len(first) == 2 and nodes and max(map(len, nodes)) == 1 == max(map(len, first)) and not has_numbers:
         reason = f"{first[0]} {first[1]} may be an edge or the names of the columns: write source and target above"
         raise ValueError(f"{file}, line {rows[0].line}: {reason}")

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
 LABELS = ("label", "name")
 """The attributes in which programs keep the names of nodes that their users see."""
-
 SHOWN = 5
 """Number of names in a message."""
 

@@ -122,19 +122,19 @@ def _check_nesting(rings: list[_Drawn]) -> None:
     if len(rings) < 2:
         return
     shapes = [WallShape(np.array(ring.outline.corners), closed=True) for ring in rings]
-    firsts = np.array([shape.corners[0] for shape in shapes])
-    within = np.array([are_inside(firsts, [shape]) for shape in shapes])  # (outer, inner)
-    np.fill_diagonal(within, val=True)
+    first_corners = np.array([shape.corners[0] for shape in shapes])
+    is_within = np.array([are_inside(first_corners, [shape]) for shape in shapes])  # (outer, inner)
+    np.fill_diagonal(is_within, val=True)
     turns = np.array([_turn(shape.corners) for shape in shapes])
     elements = np.array([ring.element for ring in rings])
     solid = np.zeros(len(rings), dtype=bool)
     for element in np.unique(elements):
         of_element = elements == element
         if rings[int(of_element.argmax())].is_evenodd:
-            solid |= within[of_element].sum(axis=0) % 2 == 1
+            solid |= is_within[of_element].sum(axis=0) % 2 == 1
         else:
-            solid |= (turns[of_element, np.newaxis] * within[of_element]).sum(axis=0) != 0
-    if (solid != (within.sum(axis=0) % 2 == 1)).any():
+            solid |= (turns[of_element, np.newaxis] * is_within[of_element]).sum(axis=0) != 0
+    if (solid != (is_within.sum(axis=0) % 2 == 1)).any():
         raise ValueError(
             "a closed shape lies in another one that has a fill, and is no hole in it: delete the inner one, or unite"
             " them in the editor"
@@ -199,8 +199,8 @@ def _style_rules(root: ElementTree.Element) -> _Rules:
 def _declarations(text: str) -> dict[str, str]:
     """Return the properties in a list `name: value; ...` that say what is drawn."""
     pairs = (part.partition(":") for part in COMMENT.sub("", text).split(";"))
-    named = ((name.strip().lower(), value.strip().lower()) for name, sign, value in pairs if sign)
-    style = {name: value for name, value in named if name in PROPERTIES}
+    properties = ((name.strip().lower(), value.strip().lower()) for name, sign, value in pairs if sign)
+    style = {name: value for name, value in properties if name in PROPERTIES}
     for name, value in style.items():
         if "!" in value:
             raise ValueError(f"'{name}: {value}' is not read: leave out !important")
