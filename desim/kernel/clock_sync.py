@@ -102,7 +102,7 @@ class Synchroniser:
         seed: the seed of the random phases of the requests.
         trace: receives the corrections; None if they are not needed.
         send: sends the messages; None: the network.
-        nodes: the nodes that send and answer here; None: all.
+        nodes: the nodes that send and answer in this process; None: all.
 
     Attributes:
         answered: t3 of each answer on its way, ns, by the clock of the reference; the key is the answer, because a

@@ -25,7 +25,7 @@ given it up, or its sender was down."""
 WAIT = 60.0
 """How long a network is observed after the last message, s."""
 STEP = 1.0
-"""Duration of a step of the network during this time, s."""
+"""Duration of a step of the network after the last message, s."""
 COLUMNS = ("t", "src", "dst", "size")
 ALL = ("", "*")
 """The cells of the column `dst` that stand for all neighbours."""
@@ -71,8 +71,9 @@ def fates(
 ) -> list[Fate]:
     """Send the messages of a log over a network, and return what happens to each at each of its receivers.
 
-    The fates are in the order of the log, then of the receivers. A message that is transmitted twice
-    (`Links.duplicate`) has its first arrival. A message to all neighbours has a fate where it has arrived or been lost.
+    The fates are in the order of the log, then of the receivers. Of a message that is transmitted twice
+    (`Links.duplicate`), the first arrival counts. A message to all neighbours has a fate for each node at which it has
+    arrived or been lost.
 
     Args:
         messages: rows of the time, s, the sender, the receiver (None: all neighbours) and the size, bytes, ascending in
@@ -110,7 +111,7 @@ def fates(
                 log.append(message)
                 network.send(message.src, message.dst, row, size=message.size)
             except (TypeError, ValueError) as error:
-                shown = tuple(values) if isinstance(values, tuple) else values
+                shown = tuple(values) if isinstance(values, tuple) else values  # a named tuple without its names
                 raise ValueError(f"message {row} {value_text(shown)}: {error}") from error
         remaining = min(duration, MAX_TIME - network.now)
         while remaining > 0.0 and (network.counts().in_flight or network.transport_counts() is not None):

@@ -42,7 +42,6 @@ from desim.kernel.walls.wall import Wall
 if TYPE_CHECKING:
     import networkx as nx
 
-
 _new = tuple.__new__  # creates a named tuple in a third of the time
 
 
@@ -310,7 +309,7 @@ class Network(ReceivingNodes):
             self._transport_layer.send(src, receiver, message, port, size, chosen)
 
     def listen(self, by_port: Mapping[str, Transport]) -> None:
-        """Let all nodes receive frames of transports before any is sent here; see `TransportLayer.listen`.
+        """Let all nodes receive frames of transports before this process sends any; see `TransportLayer.listen`.
 
         Args:
             by_port: the transports of the ports whose transport is not that of the links.

@@ -26,7 +26,6 @@ from desim.kernel.walls.wall import Wall
 if TYPE_CHECKING:
     import networkx as nx
 
-
 IMPLAUSIBLE_LATENCY = 10.0
 """Mean latency, s, from which on it was probably given in ms; sound takes so long through 15 km of water."""
 LARGEST_NETWORK = 1_000_000

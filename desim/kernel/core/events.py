@@ -278,7 +278,6 @@ DELIVERIES = (Delivered, Retransmitted, GivenUp, Expired)
 TRANSPORT = (*DELIVERIES, DeadlineMissed, LivelinessLost, TransportCounts)
 """The types of events of transports; without a transport there are none."""
 
-
 Kind = TypeVar("Kind")
 Watcher = Callable[[Event], object]
 """A function called with each event; the run ends if the function returns True, and fails if it raises."""

@@ -92,14 +92,16 @@ def _size(body: Any) -> int:
     if kind is Record:
         return HEADER + _size(body.body)
     if isinstance(body, COLLECTIONS):
-        items = 0
+        total = 0
         for item in body:  # in three quarters of the time of `portable_sum`
-            items += NUMBER if type(item) in SCALARS else _size(item)
-        return items + _attributes(body) if kind.__dictoffset__ else items  # 0: it has no attributes
+            total += NUMBER if type(item) in SCALARS else _size(item)
+        return (
+            total + _size_of_attributes(body) if kind.__dictoffset__ else total
+        )  # an offset of 0: it has no attributes
     return 0 if body is None else size(body)
 
 
-def _attributes(items: Any) -> int:
+def _size_of_attributes(items: Any) -> int:
     return portable_sum(map(_size, public_attributes(items).values()))
 
 
@@ -137,8 +139,6 @@ def _no_size(body: Any) -> int:
 
 
 size.register(types.ModuleType, lambda _: 0)
-
-
 for _scalar in (int, float, np.generic, Decimal, Fraction, datetime.date, datetime.time, datetime.timedelta):
     size.register(_scalar, lambda _: NUMBER)
 for _pair in (complex, np.complexfloating, uuid.UUID):
@@ -155,8 +155,8 @@ size.register(Set, lambda items: portable_sum(map(_size, items)))
 
 @size.register
 def _pairs(items: Mapping) -> int:  # type: ignore[type-arg]
-    pairs = portable_sum(_size(key) + _size(value) for key, value in items.items())
-    return pairs if type(items) is dict else pairs + _attributes(items)
+    total = portable_sum(_size(key) + _size(value) for key, value in items.items())
+    return total if type(items) is dict else total + _size_of_attributes(items)
 
 
 @size.register

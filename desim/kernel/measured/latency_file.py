@@ -70,8 +70,8 @@ def _items(row: str, file: Path, line: int) -> list[str]:
         return [word.replace(",", ".") if DECIMAL.fullmatch(word) else word for word in words]
     for word in words:
         if re.search(r",0\d", word) or AMBIGUOUS.fullmatch(word):
-            why = "may be one number or several: write decimal points, and white space between numbers"
-            raise ValueError(f"{file}, line {line}: {word!r} {why}")
+            reason = "may be one number or several: write decimal points, and white space between numbers"
+            raise ValueError(f"{file}, line {line}: {word!r} {reason}")
     return words_of(" ".join(words).replace(",", " "))
 
 

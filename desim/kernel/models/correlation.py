@@ -13,7 +13,6 @@ from desim.kernel.core.link_context import LinkContext
 if TYPE_CHECKING:
     from desim.config.arrays import Floats
 
-
 NO_LINKS: "NDArray[np.intp]" = np.array([], dtype=np.intp)
 """The receivers of a `LinkMemory` whose numbers are all put aside."""
 

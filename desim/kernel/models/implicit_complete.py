@@ -80,11 +80,11 @@ def _implicit(graph: Graph, size: int) -> Graph:
     """Return a graph whose node and adjacency dictionaries are replaced by computed, read-only mappings."""
     import networkx as nx
 
-    emptied: Any = graph
-    emptied._node, emptied._adj = _NodeRange(size), _CompleteAdjacency(size)
-    if emptied.is_directed():
-        emptied._pred = emptied._adj
-    nx.freeze(emptied)
+    implicit: Any = graph
+    implicit._node, implicit._adj = _NodeRange(size), _CompleteAdjacency(size)
+    if implicit.is_directed():
+        implicit._pred = implicit._adj
+    nx.freeze(implicit)
     return graph
 
 

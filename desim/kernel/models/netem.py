@@ -38,9 +38,9 @@ class Netem(Value):
     """Unit of the distribution, s: half of the width if it is uniform, the standard deviation if it is normal; for
     pareto and paretonormal the standard deviation is 0.82 and 0.83 of it."""
     correlation: Probability = 0.0
-    """Share of the last random number of the link in the next one, in [0, 1]. In Linux and here, it has no effect with
-    a table. Without a table, it has one only if the jitter is about 1 s, or the correlation about 0.9. The reason: U is
-    the random number modulo the length of the table, or modulo 2 `jitter` in ns."""
+    """Share of the last random number of the link in the next one, in [0, 1]. As in Linux, it has no effect with a
+    table. Without a table, it has an effect only if the jitter is about 1 s, or the correlation about 0.9. The reason:
+    U is the random number modulo the length of the table, or modulo 2 `jitter` in ns."""
     distribution: Literal["uniform", "normal", "pareto", "paretonormal"] = "uniform"
     """Distribution of the jitter; the tables of the last three are those of iproute2."""
     table: Annotated[tuple[TableNumber, ...], FirstError(), NotEmpty(), Field(max_length=LONGEST)] | None = None

@@ -70,8 +70,4 @@ PRESETS: dict[str, dict[str, Any]] = {
         "medium": {"kind": "bitrate", "bitrate": 5000.0, "half_duplex": True},
     },
 } | {f"lora_sf{sf}": _lora(sf) for sf in range(7, 13)}
-"""Default parameters of a network by the name of its preset; a scenario may override each of them.
-
-The presets are wifi (one hop of 802.11g), lte and 5g (via the base station), satellite (geostationary), acoustic
-(under water), lora_sf7 .. lora_sf12 (by spreading factor).
-"""
+"""Default parameters of a network by the name of its preset; a scenario may override each of them."""

@@ -180,7 +180,7 @@ class Inboxes:
     """The inboxes of all nodes at all ports; the inboxes of a port are created when the port is first used.
 
     A message that its receiver ignores (`Inbox.listen`) is not put into the inbox, even if it is still in flight: its
-    arrival is certain then (`desim.kernel.link_layer.delivery`), so the receiver does not lose its memory before. Two
+    arrival is certain (`desim.kernel.link_layer.delivery`), so the receiver does not lose its memory until then. Two
     thirds of the messages of a flood are copies of messages that their receivers have; without events for these copies
     a run takes an eighth less time.
 

@@ -142,8 +142,8 @@ class Topology:
             return self._linked_nodes[node]
         if self._kept is not None:
             return self._within_border(node, self._kept)
-        near: list[int] = self._receivers_among(node, self._candidates(node), message).tolist()
-        return near
+        receivers: list[int] = self._receivers_among(node, self._candidates(node), message).tolist()
+        return receivers
 
     def reaches(
         self,
@@ -299,8 +299,8 @@ class Topology:
             return receivers
         if kept.is_worthwhile(node):
             return self._search(node, kept)
-        near: list[int] = self._receivers_among(node, self._candidates(node)).tolist()
-        return near
+        nodes: list[int] = self._receivers_among(node, self._candidates(node)).tolist()
+        return nodes
 
     def _search(self, node: int, kept: KeptReceivers) -> list[int]:
         """Search for the nodes that receive from a node now, and keep them."""

@@ -126,10 +126,10 @@ class TransportLayer:
         sender.send(message, size, self._topology.neighbours(src).tolist() if dst is None else [dst])
 
     def listen(self, default: Transport, by_port: Mapping[str, Transport]) -> None:
-        """Let all nodes receive frames before any is sent here, because the senders are in other processes.
+        """Let all nodes receive frames before this process sends any, because the senders are in other processes.
 
         Args:
-            default: the transport of all ports but those in `by_port`, until a message is sent here.
+            default: the transport of all ports but those in `by_port`, until this process sends a message at the port.
             by_port: the transports of some ports.
         """
         self._default = Reliable() if default.is_plain else default
