@@ -29,7 +29,8 @@ from desim.pursuit.paths.space import PLANE, Plane, Walled
 class EvaderController:
     """The perception and the decisions of one evader in one run.
 
-    Kept equal to an observation for the strategy by
+    Pure evasion with full and immediate perception is computed from the state, without an observation. Kept equal to an
+    observation for the strategy by
     `tests/pursuit/test_perception.py::test_full_and_immediate_perception_gives_exactly_the_heading_of_the_strategy`.
 
     Args:
@@ -40,8 +41,8 @@ class EvaderController:
         radius: capture radius, m.
         sensing_range: range up to which the evader senses pursuers, m.
         reaction_delay: delay, s, with which the evader perceives the positions and actions of pursuers.
-        motion_interval: time, s, between two looks from which the evader infers who chases; 0: it knows.
-        motion_error: standard deviation, m, of each coordinate of the positions at these looks.
+        motion_interval: time, s, between two looks from which the evader infers who chases it; 0: it knows the actions.
+        motion_error: standard deviation, m, of the error of each coordinate that it observes in a look.
         space: the space in which the players move.
     """
 
@@ -68,7 +69,7 @@ class EvaderController:
         flees_all = type(strategy) is PureEvasion and strategy.flees_from == "all"
         self._is_pure_evasion = flees_all and sensing_range == inf and self._memory is None and space is PLANE
         self._heading = 0j
-        self._since: int | None = None
+        self._heading_stamp: int | None = None
 
     def heading(self, state: State, handover: bool = False) -> complex:
         """Return the heading of the evader, of length at most 1; calls must be in order of time.
@@ -91,7 +92,7 @@ class EvaderController:
             self._speed,
             self._radius,
             self._heading,
-            0.0 if self._since is None else seconds(state.stamp - self._since),
+            0.0 if self._heading_stamp is None else seconds(state.stamp - self._heading_stamp),
             handover,
         )
         if self._sensing_range < inf:
@@ -104,65 +105,67 @@ class EvaderController:
         heading = as_complex(answer)
         if not abs(heading) <= 1.0 + 1e-9:
             raise wrong_answer("a heading should be a complex number of length at most 1", answer, self._strategy)
-        self._heading, self._since = heading, state.stamp
+        self._heading, self._heading_stamp = heading, state.stamp
         return heading
 
 
 class DelayedState:
     """Delayed perception: a call returns the present state, but with the pursuers as they were `delay` (ns) earlier.
 
-    Positions are interpolated linearly between two successive states; the actions are those of the earlier one. The
-    first state also stands for all times before it.
+    Positions are interpolated linearly between the two states around that time; the actions are those of the earlier
+    state. The first state also stands for all times before it.
     """
 
     def __init__(self, delay: int):
         self._delay = delay
-        self._seen: deque[State] = deque()
+        self._states: deque[State] = deque()
 
     def __call__(self, state: State) -> State:
         """Append a state, not earlier than the last, and return the perceived state."""
-        seen, then = self._seen, state.stamp - self._delay
-        seen.append(state)
-        while len(seen) > 1 and seen[1].stamp <= then:
-            seen.popleft()
-        pursuers = seen[0].pursuers
-        if seen[0].stamp < then:
-            share = (then - seen[0].stamp) / (seen[1].stamp - seen[0].stamp)
-            pursuers = pursuers + share * (seen[1].pursuers - pursuers)
-        return State(state.stamp, pursuers, state.evader, seen[0].active)
+        states, perceived = self._states, state.stamp - self._delay
+        states.append(state)
+        while len(states) > 1 and states[1].stamp <= perceived:
+            states.popleft()
+        pursuers = states[0].pursuers
+        if states[0].stamp < perceived:
+            fraction = (perceived - states[0].stamp) / (states[1].stamp - states[0].stamp)
+            pursuers = pursuers + fraction * (states[1].pursuers - pursuers)
+        return State(state.stamp, pursuers, state.evader, states[0].active)
 
 
 class InferredActivity:
-    """Activity that is inferred from motion: a call returns a state in which those chase that seem to move.
+    """Activity that is inferred from motion: a call returns a state in which the pursuers that seem to move are active.
 
-    The pursuers are looked at in intervals. One that seems to have moved, from one look to the next, by more than half
-    of what its speed allows counts as active until the next look. So the evader notices a change after half an interval
-    to one and a half. With errors of deviation s, a pursuer of speed v that stands still counts as active after a look
-    with the probability exp(-(v T / 4 s)^2), where T is the interval: the difference of two positions has the deviation
-    sqrt(2) s per coordinate, and its length is distributed by Rayleigh's law. Before the second look, all count as
-    active.
+    The evader looks at the pursuers in intervals. A pursuer that seems to have moved between two looks by more than
+    half of what its speed allows counts as active until the next look. The evader therefore notices a change after half
+    an interval to one and a half. Before the second look, all pursuers count as active.
+
+    A pursuer of speed v that stands still counts as active after a look with the probability exp(-(v T / 4 s)^2), where
+    T is the interval and s the standard deviation of errors: the difference of two observed positions has the deviation
+    sqrt(2) s per coordinate, so its length has a Rayleigh distribution.
 
     Args:
-        interval: T, ns; a look is at the first state that is at least as late.
-        error: s, m.
+        interval: T, ns; the next look is at the first state that is at least T later than the last look.
+        error: s, the standard deviation of each observed coordinate, m.
         speeds: (N,) the speeds of the pursuers, m/s.
         rng: the random stream of the errors.
     """
 
     def __init__(self, interval: int, error: float, speeds: Floats, rng: np.random.Generator):
         self._interval, self._error, self._speeds, self._rng = interval, error, speeds, rng
-        self._last: tuple[int, Points] | None = None
+        self._last_look: tuple[int, Points] | None = None
         self._active: NDArray[np.bool_] = np.ones(len(speeds), dtype=bool)
 
     def __call__(self, state: State) -> State:
         """Return a state, not earlier than the last, with the inferred activity."""
-        then, before = self._last or (-self._interval, None)
-        if state.stamp >= then + self._interval:
-            across, along = self._rng.standard_normal((2, len(self._speeds)))
-            seen = state.pursuers + self._error * (across + 1j * along)
-            if before is not None:
-                self._active = lengths(seen - before) > 0.5 * self._speeds * seconds(state.stamp - then)
-            self._last = state.stamp, seen
+        last_stamp, last_positions = self._last_look or (-self._interval, None)
+        if state.stamp >= last_stamp + self._interval:
+            x_errors, y_errors = self._rng.standard_normal((2, len(self._speeds)))
+            positions = state.pursuers + self._error * (x_errors + 1j * y_errors)
+            if last_positions is not None:
+                reach = self._speeds * seconds(state.stamp - last_stamp)
+                self._active = lengths(positions - last_positions) > 0.5 * reach
+            self._last_look = state.stamp, positions
         return State(state.stamp, state.pursuers, state.evader, self._active)
 
 
@@ -179,13 +182,13 @@ class EvaderBody:
         number: its number, 1 .. M; a pursuer that chases it has this number as its action.
         speed: its speed, m/s.
         controller: its controller, which chooses its heading.
-        path: its path, as pursuers observe it.
+        path: the record of its motion, from which pursuers observe it.
         players: positions and velocities of all players: the N pursuers, then the evaders in order.
         speeds: (N,) speeds of the pursuers, m/s.
         radius: capture radius, m.
         top_speed: the greatest speed of any pursuer, m/s.
         dynamics: the dynamics of the pursuers.
-        environment: the medium.
+        environment: the medium, whose flow may carry the players.
         space: the space in which the players move.
         is_recorded: whether a record determines its motion.
         relays: the pursuers that never chase; their capture times are inf, wherever the evader is.
@@ -232,7 +235,8 @@ class EvaderBody:
         self._state: State | None = None
         self._state_positions: Points | None = None  # the positions from which _state was computed
         self._times: tuple[float, ...] | None = None
-        self._lengths: tuple[complex, dict[complex, float]] | None = None  # of paths to this place, from each place
+        # The position of the evader, and the lengths of paths to it by the position of the pursuer.
+        self._lengths_to: tuple[complex, dict[complex, float]] | None = None
 
     @property
     def position(self) -> complex:
@@ -284,15 +288,16 @@ class EvaderBody:
         return self.capture_times_from(pursuers, motions, self.position, distances)
 
     def _path_lengths(self, walled: Walled, pursuers: Iterable[int]) -> list[float]:
-        """Return the lengths of the paths from some pursuers, m; those at one instant are kept."""
-        place, kept = self.position, self._lengths
-        if kept is None or kept[0] != place:
-            kept = self._lengths = place, {}
-        here = list(map(self._players.position, pursuers))
-        missing = [position for position in here if position not in kept[1]]
+        """Return the lengths of the paths from some pursuers, m, each computed once while the evader has a position."""
+        place, cached = self.position, self._lengths_to
+        if cached is None or cached[0] != place:
+            cached = self._lengths_to = place, {}
+        length_from = cached[1]
+        positions = list(map(self._players.position, pursuers))
+        missing = [position for position in positions if position not in length_from]
         if missing:
-            kept[1].update(zip(missing, walled.distances(np.array(missing), place).tolist(), strict=True))
-        return [kept[1][position] for position in here]
+            length_from.update(zip(missing, walled.distances(np.array(missing), place).tolist(), strict=True))
+        return [length_from[position] for position in positions]
 
     def capture_times_at(self, place: complex, pursuers: Points, distances: Floats) -> tuple[float, ...]:
         """Return the capture time, s, of each pursuer for this evader, which must be at large, at an assumed position.
@@ -300,8 +305,8 @@ class EvaderBody:
         Args:
             place: the assumed position, m.
             pursuers: (N,) positions of the pursuers, m.
-            distances: (N,) distances to allow for, m, among walls lengths of paths: at least the actual ones, if the
-                position is uncertain.
+            distances: (N,) distances from the pursuers to the evader, m; among walls, lengths of paths. If the position
+                is uncertain, a caller passes greater distances, so that capture times are cautious.
         """
         if self.is_radial:
             times = self._radial_time(distances)
@@ -317,7 +322,7 @@ class EvaderBody:
     ) -> list[float]:
         """Return the capture times, s, of k pursuers with assumed motions; see `capture_times_at`.
 
-        If they depend on distances alone (`is_radial`), no motions are needed.
+        If the capture times depend on distances alone (`is_radial`), the motions may be empty.
         """
         if self.is_radial:
             times = list(map(self._radial_time.of, pursuers, distances))
@@ -337,9 +342,9 @@ class EvaderBody:
             limit = self._dynamics.limit
             return turning_capture_time(stretched, course.heading, speed, self.speed, self._radius, limit)
         courses = None if course is None else Courses(np.array([course.velocity]), np.array([course.heading]))
-        places, distances = np.array([motion.position]), np.array([distance])
+        positions, distances = np.array([motion.position]), np.array([distance])
         speeds = self._speeds[pursuer : pursuer + 1]
-        return float(self._planar_times(place, places, distances, courses, speeds)[0])
+        return float(self._planar_times(place, positions, distances, courses, speeds)[0])
 
     def _planar_times(
         self, place: complex, pursuers: Points, distances: Floats, courses: Courses | None, speeds: Floats
@@ -365,7 +370,10 @@ class EvaderBody:
         return self.speed * self._controller.heading(state, handover)
 
     def slid(self, velocity: complex, duration: float) -> complex:
-        """Return the velocity, m/s, of the evader in a motion step (s) for which it chooses one: along walls ahead."""
+        """Return the velocity, m/s, of the evader in a motion step of a duration (s), given the velocity it chooses.
+
+        Walls that it would meet in the step deflect it. They do not deflect a recorded motion.
+        """
         if self._walled is None or self._is_recorded:
             return velocity
         return self._walled.slide(self.position, velocity * duration) / duration
@@ -401,17 +409,17 @@ class EvaderBody:
     ) -> tuple[float, int] | None:
         """Return the first capture on a path that no wall crosses, as `contact` does."""
         assert self._walled is not None
-        place, velocity, players = state.evader, self._players.velocity, self._players
-        flight, radius = velocity(self.player), self._radius
-        times: list[tuple[float, int]] = []
+        players, radius = self._players, self._radius
+        evader, evader_velocity = state.evader, players.velocity(self.player)
+        contacts: list[tuple[float, int]] = []  # (time, s; pursuer), or (distance at the end of the step, m; pursuer)
         near = state.distances <= radius + self._closing_bound * duration
         for pursuer in (near & ~broken).nonzero()[0].tolist():
-            here, way = players.position(pursuer), velocity(pursuer)
+            position, velocity = players.position(pursuer), players.velocity(pursuer)
             if test == "segment":
-                time = self._walled.contact(place, flight, here, way, radius, duration)
-                times += [(time, pursuer)] if time is not None else []
+                time = self._walled.contact(evader, evader_velocity, position, velocity, radius, duration)
+                contacts += [(time, pursuer)] if time is not None else []
             else:
-                distance = self._walled.distance(here + way * duration, place + flight * duration)
-                times += [(distance, pursuer)] if distance <= radius else []
-        first = min(times, default=None)
+                distance = self._walled.distance(position + velocity * duration, evader + evader_velocity * duration)
+                contacts += [(distance, pursuer)] if distance <= radius else []
+        first = min(contacts, default=None)
         return first if first is None or test == "segment" else (duration, first[1])

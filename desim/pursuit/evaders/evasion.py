@@ -24,7 +24,7 @@ from desim.pursuit.evaders.recorded import RecordedMotion
 from desim.pursuit.motion.capture import intercept_times
 
 
-def _with_area(bounds: tuple[float, float]) -> tuple[float, float]:
+def _increasing(bounds: tuple[float, float]) -> tuple[float, float]:
     if not bounds[0] < bounds[1]:
         raise ValueError(f"should be [lower, upper] with lower < upper (got {bounds[0]:g} and {bounds[1]:g})")
     return bounds
@@ -112,7 +112,7 @@ class MaxMin(Fleeing):
 
 
 class MaxGeodesic(Fleeing):
-    """Flee in the direction that maximises the least length of the paths from all pursuers, a look ahead.
+    """Flee in the direction that maximises the least length of the paths from all pursuers after the look-ahead time.
 
     It is for walls: where a straight flight ends in a corner, another direction keeps pursuers farther away. Without
     walls, paths are straight.
@@ -125,18 +125,19 @@ class MaxGeodesic(Fleeing):
     If in doubt, use 16; the time of a run grows with it.
     """
     look_ahead: Period = 1.0
-    """Time for which it would keep a heading, s.
+    """Time for which the evader assumes to keep a heading, s.
 
-    With a short one it flees as pure evasion does, into dead ends; in a long one, pursuers come closer than it expects.
+    With a short time it flees as pure evasion does, into dead ends. In a long time, pursuers come closer than it
+    expects.
 
-    If in doubt, use the time in which it passes a wall.
+    If in doubt, use the time in which the evader passes a wall.
     """
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return the candidate heading after which the nearest pursuer has the longest path.
 
-        It would slide along walls in its way. Of equally good candidates, the first counter-clockwise from the heading
-        of pure evasion is chosen.
+        The evader assumes that it slides along walls in its way. Of equally good candidates, the first
+        counter-clockwise from the heading of pure evasion is chosen.
         """
         fled_from = self.fled_from(state)
         straight = away(fled_from)
@@ -145,7 +146,7 @@ class MaxGeodesic(Fleeing):
         headings: list[complex] = [straight * turn for turn in _turns(self.candidates).tolist()]
         length, space = state.speed * self.look_ahead, state.space
         ends = np.array([state.evader + space.slide(state.evader, heading * length) for heading in headings])
-        # No other pursuer can be the nearest after the way.
+        # The way changes the length of each path by at most `length`, so no other pursuer can be the nearest after it.
         near = fled_from.distances <= fled_from.distances[fled_from.nearest] + 2.0 * length
         distances = [space.distances(ends, place) for place in fled_from.pursuers[near].tolist()]
         return headings[int(np.min(distances, axis=0).argmax())]
@@ -176,8 +177,9 @@ class Hide(Fleeing):
         places = space.hiding_places(self.distance)
         nearest = lengths(places - evader).argsort(kind="stable")[:MAX_HIDING_PLACES]
         places = places[nearest][space.hidden(places[nearest], pursuers)]
-        ways = space.distances(places, evader)
-        places, times = places[ways < inf], ways[ways < inf] / max(state.speed, SMALLEST)
+        path_lengths = space.distances(places, evader)
+        has_path = path_lengths < inf
+        places, times = places[has_path], path_lengths[has_path] / max(state.speed, SMALLEST)
         for pursuer, speed in zip(pursuers.tolist(), fled_from.speeds.tolist(), strict=True):
             times[lengths(places - pursuer) <= speed * times] = inf
         if not len(times) or times.min() == inf:
@@ -200,8 +202,8 @@ class Zigzag(Fleeing):
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return the heading of pure evasion, rotated by the amplitude to the left or right."""
-        halves = 2 * state.stamp // round(self.period * 1e9)  # ns
-        return away(self.fled_from(state)) * rect(1.0, -self.amplitude if halves % 2 else self.amplitude)
+        half_periods = 2 * state.stamp // round(self.period * 1e9)  # that have passed; both times are in ns
+        return away(self.fled_from(state)) * rect(1.0, -self.amplitude if half_periods % 2 else self.amplitude)
 
 
 class VoronoiVertex(Fleeing):
@@ -213,11 +215,11 @@ class VoronoiVertex(Fleeing):
 
     assumes_plane: ClassVar[bool] = True
     kind: Literal["voronoi_vertex"] = "voronoi_vertex"
-    arena: Annotated[tuple[Coordinate, Coordinate], AfterValidator(_with_area)]
+    arena: Annotated[tuple[Coordinate, Coordinate], AfterValidator(_increasing)]
     """Lower and upper bound of both coordinates of the arena, m."""
     hysteresis: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.1
-    """Share by which another vertex must be farther than the vertex ahead, the one closest to the present heading,
-    before the evader turns to the farther one.
+    """Share by which another vertex must be farther than the vertex ahead before the evader turns to it. The vertex
+    ahead is the one closest to the present heading.
 
     With 0 the evader may turn back and forth between two vertices at each motion step; with values near 1 it goes on to
     a vertex that has become worse.
@@ -243,7 +245,7 @@ class VoronoiVertex(Fleeing):
 
 
 class Diffusion(Value):
-    """Move randomly, independently of the pursuers: the initial angle is uniform, and it follows a Brownian motion."""
+    """Move randomly, independently of the pursuers: the initial angle is uniform and then follows a Brownian motion."""
 
     turns_at_once: ClassVar[bool] = False
     kind: Literal["diffusion"] = "diffusion"
@@ -252,7 +254,7 @@ class Diffusion(Value):
 
     The evader keeps its direction for about 2 / sigma^2.
 
-    If in doubt, use 0.5, a turn every 8 seconds.
+    If in doubt, use 0.5: the evader keeps its direction for about 8 s.
     """
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
@@ -343,7 +345,7 @@ def away(state: State) -> complex:
 
 
 def first_captures(state: EvaderObservation, headings: Points) -> Floats:
-    """Return for each of (K,) constant headings the least intercept time, s, over all pursuers; (K,)."""
+    """Return the (K,) least intercept times, s, over all pursuers, one for each of (K,) constant headings."""
     velocities = state.speed * headings[:, np.newaxis]
     times: Floats = intercept_times(state.offsets, velocities, state.speeds, state.radius).min(axis=1)
     return times
@@ -364,11 +366,11 @@ def voronoi_cell(state: State, arena: tuple[float, float]) -> list[complex]:
 def _clipped(polygon: list[complex], middle: complex) -> list[complex]:
     """Return the part of a convex polygon that is nearer to the origin than to the point `2 * middle`."""
     beyond = [((z - middle) * middle.conjugate()).real for z in polygon]
-    kept = []
+    clipped = []
     for k, z in enumerate(polygon):
-        if (beyond[k - 1] > 0.0) != (beyond[k] > 0.0):
+        if (beyond[k - 1] > 0.0) != (beyond[k] > 0.0):  # the edge to this vertex crosses the bisector
             share = beyond[k - 1] / (beyond[k - 1] - beyond[k])
-            kept.append(polygon[k - 1] + share * (z - polygon[k - 1]))
+            clipped.append(polygon[k - 1] + share * (z - polygon[k - 1]))
         if beyond[k] <= 0.0:
-            kept.append(z)
-    return kept
+            clipped.append(z)
+    return clipped
