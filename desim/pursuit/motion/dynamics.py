@@ -1,8 +1,8 @@
 """Dynamics: the motion of a player that has been commanded a velocity.
 
 A player with simple motion takes any commanded velocity at once. Robots with inertia need time to change their
-velocity: their acceleration or their turn rate is limited. In each case the motion is known in closed form, a curve and
-then a straight line. It is a `Piece`.
+velocity: their acceleration or their turn rate is limited. In each case the motion until the next command has a closed
+form, a curve and then a straight line: a `Piece`.
 """
 
 from cmath import isfinite, phase, rect
@@ -44,37 +44,38 @@ class Piece(NamedTuple):
     course: Course
     """Course at the start."""
     curved: float = 0.0
-    """Duration of the curve, s."""
+    """Duration of the curve, s; 0: the piece is straight."""
     acceleration: complex = 0j
     """Acceleration in the curve, m/s^2."""
     turn_rate: float = 0.0
     """Turn rate in the curve, rad/s, positive to the left."""
     drift: complex = 0j
-    """Velocity of the flow, m/s; the course is relative to it."""
+    """Velocity of the flow, m/s. The course is relative to the flow."""
 
     def at(self, t: float) -> complex:
         """Return the position, m, at a time t >= 0 after the start, s."""
-        bent = min(t, self.curved)
+        curve_time = min(t, self.curved)
         velocity = self.course.velocity
         if self.turn_rate:
-            angle = self.turn_rate * bent
+            angle = self.turn_rate * curve_time
+            # The chord of the arc, which is turned by half of the angle.
             place = self.position + velocity * rect(2.0 * sin(angle / 2.0) / self.turn_rate, angle / 2.0)
-            if t > bent:
-                place += velocity * rect(1.0, angle) * (t - bent)
+            if t > curve_time:
+                place += velocity * rect(1.0, angle) * (t - curve_time)
         else:
-            place = self.position + velocity * bent + self.acceleration * (0.5 * bent * bent)
-            if t > bent:
-                place += (velocity + self.acceleration * bent) * (t - bent)
+            place = self.position + velocity * curve_time + self.acceleration * (0.5 * curve_time * curve_time)
+            if t > curve_time:
+                place += (velocity + self.acceleration * curve_time) * (t - curve_time)
         return place + self.drift * t
 
     def course_at(self, t: float) -> Course:
         """Return the course at a time t >= 0 after the start, s."""
-        bent = min(t, self.curved)
+        curve_time = min(t, self.curved)
         velocity, heading = self.course
         if self.turn_rate:
-            turned = rect(1.0, self.turn_rate * bent)
+            turned = rect(1.0, self.turn_rate * curve_time)
             return Course(velocity * turned, heading * turned)
-        velocity = velocity + self.acceleration * bent
+        velocity = velocity + self.acceleration * curve_time
         return Course(velocity, velocity / abs(velocity) if velocity else heading)
 
     def velocity_at(self, t: float) -> complex:
@@ -105,11 +106,11 @@ class Dynamics(Protocol):
         """Return the initial headings, of length 1, of several players."""
 
     def steered(self, command: complex, course: Course, aim: complex, radius: float) -> complex:
-        """Return the command, m/s, that a pursuer follows if its guidance commands another one.
+        """Return the velocity, m/s, that a pursuer commands instead of that of its guidance; it may be the same.
 
         Args:
             command: the velocity that the guidance commands, m/s.
-            course: its course.
+            course: the course of the pursuer.
             aim: the vector from the pursuer to the point at which it aims, m.
             radius: capture radius, m.
         """
@@ -131,13 +132,13 @@ class Dynamics(Protocol):
 
 
 def coasts(dynamics: Dynamics) -> bool:
-    """Return whether a moving player that is commanded to stand still goes on moving, for instance brakes."""
+    """Return whether a moving player that is commanded to stand still goes on moving, for instance while it brakes."""
     return dynamics(0j, Course(1.0 + 0j), 0j).at(1.0) != 0j
 
 
 @runtime_checkable
 class Limited(Protocol):
-    """Dynamics with a limit that a watcher can compare with positions (`desim.testing.pursuits`)."""
+    """Dynamics with a limit that invariants of a run compare with positions (`desim.testing.pursuits`)."""
 
     @property
     def limits(self) -> Literal["acceleration", "turn rate"]:
@@ -189,11 +190,11 @@ class Simple(_WithoutHeading):
 class Acceleration(_WithoutHeading):
     """Change the velocity with an acceleration of limited magnitude: x'' = a, |a| <= limit and |x'| <= v.
 
-    A player begins at rest. The acceleration has the limit as its magnitude and the direction of the missing velocity,
-    until the velocity is the commanded one. A player that is to stand still brakes.
+    A player begins at rest. It accelerates at the limit in the direction of the difference between the commanded
+    velocity and its own, until both are equal. A player that is commanded to stand still brakes.
 
-    A pursuer assumes that it and the evader move along the line of sight. The time of its capture is the root of the
-    parabola, or of the line that follows it: see `desim.pursuit.motion.capture.accelerated_capture_times`.
+    A pursuer assumes that it and the evader move along the line of sight. Its capture time is the root of the parabola,
+    or of the line that follows it: see `desim.pursuit.motion.capture.accelerated_capture_times`.
     """
 
     is_simple: ClassVar[bool] = False
@@ -204,15 +205,15 @@ class Acceleration(_WithoutHeading):
 
     A player needs speed / limit to reach its speed from rest.
 
-    If in doubt, use the speed divided by 1 s; if this time is below the motion step, simple motion does as well.
+    If in doubt, use the speed divided by 1 s. If speed / limit is below the motion step, simple motion does as well.
     """
 
     def __call__(self, position: complex, course: Course, command: complex) -> Piece:
         """Return a parabola and a line."""
-        missing = command - course.velocity
-        if abs(missing) < SMALLEST:
+        change = command - course.velocity
+        if abs(change) < SMALLEST:
             return Piece(position, course)
-        return Piece(position, course, abs(missing) / self.limit, missing / abs(missing) * self.limit)
+        return Piece(position, course, abs(change) / self.limit, change / abs(change) * self.limit)
 
     def capture_times(
         self, offsets: Points, courses: Courses, speeds: Floats, evader_speed: float, radius: float
@@ -224,9 +225,9 @@ class Acceleration(_WithoutHeading):
 class TurnRate(Value):
     """Turn at a limited rate, and move forwards only: a unicycle with the least turning radius v / limit.
 
-    A player that is commanded a velocity takes its speed at once, and turns to its direction along the shorter arc. A
-    pursuer whose aim is within its turning circle turns away first.
-    A player that is to stand still stops at once and keeps its heading.
+    A player takes the speed of a commanded velocity at once, and turns to its direction along the shorter arc.
+    A pursuer whose aim is within its turning circle turns away first.
+    A player that is commanded to stand still stops at once and keeps its heading.
 
     A pursuer computes its capture time along the shortest path of bounded curvature with a free final heading
     (Boissonnat & Bui 1994), towards an evader that flees straight along the present line of sight: see
@@ -242,8 +243,8 @@ class TurnRate(Value):
 
     The least turning radius is speed / limit.
 
-    If in doubt, choose it so that this radius is a few capture radii; with a much smaller one, simple motion does as
-    well.
+    If in doubt, choose it so that this radius is a few capture radii; if the radius is much smaller, simple motion does
+    as well.
     """
     heading: Annotated[float, Field(ge=-2 * pi, le=2 * pi, allow_inf_nan=False, strict=True)] | None = None
     """Initial heading, rad from the x axis to the left; if absent, a uniform random draw per player and seed."""
@@ -254,11 +255,11 @@ class TurnRate(Value):
         return [rect(1.0, angle) for angle in angles]
 
     def steered(self, command: complex, course: Course, aim: complex, radius: float) -> complex:
-        """Return the command of the guidance or, while its aim is within the turning circle, one to turn away from it.
+        """Return the command of the guidance or, while the aim is within the turning circle, one to turn away from it.
 
-        Otherwise the pursuer would circle around its aim. This is the first arc of the shortest path.
+        Otherwise the pursuer would circle around its aim. Turning away is the first arc of the shortest path.
         """
-        speed, ahead = abs(command), aim / course.heading
+        speed, ahead = abs(command), aim / course.heading  # ahead: the aim in axes with the heading along x
         side, turning_radius = 1j if ahead.imag >= 0.0 else -1j, speed / self.limit
         within = abs(ahead - side * turning_radius) < turning_radius - radius
         return -side * course.heading * speed if within else command
@@ -269,8 +270,8 @@ class TurnRate(Value):
         if not speed:
             return Piece(position, Course(0j, heading))
         angle = phase(command / heading)
-        begun = Course(speed * heading, heading)
-        return Piece(position, begun, abs(angle) / self.limit, turn_rate=self.limit if angle > 0.0 else -self.limit)
+        start = Course(speed * heading, heading)
+        return Piece(position, start, abs(angle) / self.limit, turn_rate=self.limit if angle > 0.0 else -self.limit)
 
     def capture_times(
         self, offsets: Points, courses: Courses, speeds: Floats, evader_speed: float, radius: float
@@ -299,19 +300,21 @@ def piece_with(dynamics: Dynamics, position: complex, course: Course, command: c
     """Return the motion with some dynamics if a velocity is commanded; see `Dynamics`.
 
     Raises:
-        ValueError: if the dynamics of a user return no piece, or one that has something else than finite numbers.
+        ValueError: if the dynamics of a user return no piece, or a piece with anything but finite numbers.
     """
-    made: Any = dynamics(position, course, command)
+    answer: Any = dynamics(position, course, command)
     if is_ours(type(dynamics)):
-        return made  # type: ignore[no-any-return]
+        return answer  # type: ignore[no-any-return]
     try:
-        velocity, heading = made.course
-        vectors = [as_complex(vector) for vector in (made.position, velocity, heading, made.acceleration, made.drift)]
-        curved, turn_rate = as_real(made.curved), as_real(made.turn_rate)
+        velocity, heading = answer.course
+        vectors = [
+            as_complex(vector) for vector in (answer.position, velocity, heading, answer.acceleration, answer.drift)
+        ]
+        curved, turn_rate = as_real(answer.curved), as_real(answer.turn_rate)
     except (AttributeError, TypeError, ValueError) as error:
-        raise wrong_answer("dynamics should return a Piece", made, dynamics) from error
+        raise wrong_answer("dynamics should return a Piece", answer, dynamics) from error
     if not all(map(isfinite, (*vectors, turn_rate))) or not curved >= 0.0:
-        raise wrong_answer("dynamics should return a Piece of finite numbers", made, dynamics)
+        raise wrong_answer("dynamics should return a Piece of finite numbers", answer, dynamics)
     start, velocity, heading, acceleration, drift = vectors
     return Piece(start, Course(velocity, heading), curved, acceleration, turn_rate, drift)
 
@@ -322,7 +325,7 @@ def capture_times_with(
     """Return the (k,) capture times, s, with some dynamics; see `Dynamics.capture_times`.
 
     Raises:
-        ValueError: if those of a user return something else.
+        ValueError: if the dynamics of a user return anything else.
     """
     times = dynamics.capture_times(offsets, courses, speeds, evader_speed, radius)
     if is_ours(type(dynamics)):
@@ -353,7 +356,7 @@ def headings_with(dynamics: Dynamics, rng: np.random.Generator, count: int) -> l
     """Return the initial headings, of length 1, of several players; see `Dynamics.headings`.
 
     Raises:
-        ValueError: if the dynamics of a user return something else.
+        ValueError: if the dynamics of a user return anything else.
     """
     headings = dynamics.headings(rng, count)
     array = array_of(headings)
