@@ -2,7 +2,7 @@
 
 An agent senses its own position, the evaders within `sensing.radius` and, if `announce.payload` is "action", the
 positions of its teammates. It learns the actions of teammates only from delivered messages; with `announce.start` =
-"known" it knows the initial actions without any.
+"known" it knows the initial actions without messages.
 """
 
 from collections.abc import Callable, Generator, Iterable
@@ -92,7 +92,7 @@ class Agent(Beliefs, Timing, HintedItems):
         seed: seed of its random streams.
         announcements: the content and the times of its announcements.
         clock: its local clock.
-        voice: sends its messages; None: the network, as it is asked to.
+        voice: sends its messages; None: the network, which sends them unchanged.
         judge: decides which announcements it believes; None: it believes all.
     """
 
@@ -115,8 +115,8 @@ class Agent(Beliefs, Timing, HintedItems):
         self._seed, self._trigger = seed, announcements.trigger
         # The body set by `set_payload`; None: the standard body, which depends on `announce.payload`.
         self._payload: Any = None
-        # The result of `_news` at the last announcement. With the trigger "change" or "both", an announcement is due if
-        # this result has changed, or is None. Other triggers do not use it.
+        # The result of `_news` at the last announcement; None: the next announcement is due in any case. Used with the
+        # triggers "change" and "both" only.
         self._announced: Any = None if announcements.start == "silent" else (self.action,)
         self._streams: dict[str, np.random.Generator] = {}
 
@@ -169,7 +169,7 @@ class Agent(Beliefs, Timing, HintedItems):
         return stream(self._seed, f"shared {name}")
 
     def _check_stream(self, name: Any) -> None:
-        """Raise ValueError if the name of a stream is no text: that of an object may differ from run to run."""
+        """Raise ValueError if the name of a stream is no text; the text of an object may differ from run to run."""
         if not isinstance(name, str):
             raise ValueError(
                 f"pursuer {self.id}: the name of a random stream should be a text (got {value_text(name)})"
@@ -210,6 +210,7 @@ class Agent(Beliefs, Timing, HintedItems):
         """Announce the action of the pursuer through `announce.dissemination`, even if the action has not changed."""
         self._announced = None
         if self._trigger in {"change", "both"}:
+            # The protocol may change the news of its own payload later, so these are copied.
             self._announced = self._news() if self._payload is None else as_sent(self._news())
         self._announcements.dissemination.broadcast(self, self.announcement())
 
@@ -290,9 +291,9 @@ class Agent(Beliefs, Timing, HintedItems):
         """Send a message to a teammate, or to all neighbours (None), into the inbox of a port.
 
         Use it for events: each message wakes a receiver that waits at this port (`arrival`) and then reads the message
-        (`mail`). A body may be any object that can be copied. It is copied at sending, and for each receiver, unless it
-        is known to be immutable (`desim.kernel.core.message_body`): what the sender or a receiver changes later changes
-        no other message, and not the trace.
+        (`mail`). A body may be any object that can be copied. It is copied at sending, and for each receiver, unless
+        all its parts are immutable (`desim.kernel.core.message_body`): later changes by the sender or by a receiver
+        affect no other message, and not the trace.
 
         Args:
             dst: the receiver; None: all neighbours.
@@ -304,8 +305,8 @@ class Agent(Beliefs, Timing, HintedItems):
 
         Raises:
             ValueError: if the receiver is the sender, there is no such teammate, the size is not an integer of at least
-                0, the body has no size or cannot be copied, the port is no text, the transport is none, or messages at
-                the port have another transport.
+                0, the body has no size or cannot be copied, the port is no text, `transport` is no transport, or
+                messages at the port have another transport.
         """
         self._voice.send(self.id, dst, body, port=port, size=size, transport=transport)
 
@@ -325,6 +326,7 @@ def repeat(me: Agent, act: Callable[[], object], period: float, name: str, jitte
     for k in count(1):
         yield me.at(due, Phase.HEARTBEAT)
         act()
+        # Without jitter, rounding errors do not add up.
         due = due + period * rng.uniform(1.0 - jitter, 1.0 + jitter) if jitter else first + k * period
 
 

@@ -146,8 +146,8 @@ def announced_action(body: Any) -> int | None:
 def action_in_game(body: Any, evaders: int) -> int | None:
     """Return the action that a message announces in a game with a number of evaders; None if there is no action.
 
-    A protocol of a user may give an attribute `active` another meaning: a number that is no action is none. The keys of
-    a dict count as attributes, because a trace that is read does not tell one from the other.
+    A protocol of a user may give an attribute `active` another meaning, so a number outside of the game is no action.
+    The keys of a dict count as attributes, because in a trace file objects and dicts look alike.
     """
     action = body.get("active") if _is_mapping(body) else announced_action(body)
     return int(action) if isinstance(action, INTEGERS) and 0 <= action <= evaders else None
@@ -186,14 +186,14 @@ def with_records(body: Any, records: Iterable[Record]) -> Any:
     if isinstance(body, tuple):
         return body._replace(records=tuple(records))  # type: ignore[attr-defined]  # a named tuple
     changed = copy(body)
-    object.__setattr__(changed, "records", tuple(records))  # also if it is frozen
+    object.__setattr__(changed, "records", tuple(records))  # the object may be frozen
     return changed
 
 
 def own_records(event: Broadcast | Sent | Delivered) -> Sequence[Record]:
-    """Return the record of a broadcast that relays none; other messages have none.
+    """Return the record that a broadcast publishes, given that it relays no records; other messages publish none.
 
-    A frame of a transport (`desim.kernel.transport.frames`) has none: they count when they are delivered.
+    The records in a frame of a transport (`desim.kernel.transport.frames`) count when they are delivered.
     """
     return (Record(event.src, event.seq, event.created, event.body),) if isinstance(event, Broadcast) else ()
 
@@ -210,8 +210,8 @@ class Eavesdropper:
 
     def __init__(self, profile: Sequence[int]):
         self._actions = dict(enumerate(profile))
-        self._changed: dict[int, int] = {}
-        self._until = 0
+        self._changed: dict[int, int] = {}  # the sequence number of the last change of action, by pursuer
+        self._last_arrival = 0  # of all announcements of a change, ns
 
     def __call__(self, content: Record | Message, last_arrival: int) -> None:
         """Overhear a transmission at its start; `last_arrival` is the time of its last arrival, ns, or `LOST`."""
@@ -221,14 +221,14 @@ class Eavesdropper:
 
     def hands_over(self, now: int) -> bool:
         """Return whether an announcement of a change of action is in flight at `now` (ns)."""
-        return now < self._until
+        return now < self._last_arrival
 
     def _overhear(self, record: Record, last_arrival: int) -> None:
-        action, newer = announced_action(record.body), record.seq > self._changed.get(record.src, 0)
-        if newer and action is not None and action != self._actions.get(record.src, 0):
+        action, is_newer = announced_action(record.body), record.seq > self._changed.get(record.src, 0)
+        if is_newer and action is not None and action != self._actions.get(record.src, 0):
             self._actions[record.src], self._changed[record.src] = action, record.seq
-        if self._changed.get(record.src) == record.seq:
-            self._until = max(self._until, last_arrival)
+        if self._changed.get(record.src) == record.seq:  # the change itself, or a teammate that relays it
+            self._last_arrival = max(self._last_arrival, last_arrival)
 
 
 DISSEMINATIONS = OneOf(
@@ -239,8 +239,8 @@ DISSEMINATIONS = OneOf(
 
 def one_hop() -> Any:
     """Create the default dissemination."""
-    made: Any = DISSEMINATIONS.choice("one_hop")
-    return made()
+    dissemination: Any = DISSEMINATIONS.choice("one_hop")
+    return dissemination()
 
 
 class Announcements(Value):
@@ -261,16 +261,16 @@ class Announcements(Value):
     either; revision: after every decision, even if the action has not changed; never."""
     start: Start = "announced"
     """How pursuers learn the initial actions. announced: each announces its first action at time 0, over the network,
-    whatever the trigger; known: all know them at time 0 without a message; silent: a pursuer announces its first action
-    as any later one, by the trigger, and until then the others know nothing of it.
+    whatever the trigger; known: all know them at time 0 without a message; silent: the trigger decides when a pursuer
+    announces its first action, as any later one, and until then the others do not know this action.
 
     If in doubt, use announced: with known, initial knowledge crosses any network for free.
     """
     heartbeat: Period = 0.1
     """Time between two heartbeats of a pursuer, s.
 
-    A long time delays the news of a lost announcement and of a crash, because beliefs last three heartbeats by default;
-    a short one loads the channel with N messages each time.
+    With a long time, teammates notice a lost announcement or a crash late, because beliefs last three heartbeats by
+    default. A short time loads the channel with N messages per heartbeat.
 
     If in doubt, use half the mean time between two decisions of a pursuer.
     """
@@ -287,11 +287,11 @@ class Announcements(Value):
     ] = "auto"
     """Time for which an announcement is believed after its arrival, s; "auto" is 3 * heartbeat + 2 * (typical
     latency + airtime of an announcement), or inf without heartbeats. It is longer if a duty cycle or the slots of a
-    TDMA keep a pursuer from sending every heartbeat. "affordable": as long, but no longer than the pursuer can wait and
-    still capture in time, and at least one heartbeat; so a slow pursuer stands in for one that is down before it is too
-    late, and at worst chases beside one that is up.
+    TDMA keep a pursuer from sending every heartbeat. "affordable": as "auto", but no longer than the pursuer can wait
+    and still capture in time, and at least one heartbeat. So a slow pursuer takes the place of a crashed one before it
+    is too late; at worst, both chase, because no pursuer has crashed.
 
-    If in doubt, use auto; affordable if pursuers may crash and hardly any other could be in time.
+    If in doubt, use auto; use affordable if pursuers may crash and hardly any other pursuer could be in time.
     """
     dissemination: Annotated[Any, DISSEMINATIONS] = Field(default_factory=one_hop)
     """How announcements spread beyond the first receivers."""

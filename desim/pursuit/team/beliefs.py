@@ -1,6 +1,6 @@
 """Beliefs of a pursuer about its teammates: their last announcements, until they expire, and dead reckoning.
 
-Here a pursuer reads the records that have arrived, and what they tell becomes the gain of an action.
+From these beliefs a pursuer computes its gain from an action.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -47,7 +47,7 @@ class Belief(NamedTuple):
     """Time since the announcement was sent, s; may be negative, because sender and receiver read different clocks."""
 
 
-_new = tuple.__new__  # in half of the time of `Belief(...)`
+_new = tuple.__new__  # creates a belief in half of the time of `Belief(...)`
 
 
 class TeamEstimate(NamedTuple):
@@ -89,7 +89,7 @@ class Beliefs(Knowledge):
         super().__init__(pursuer, view, network, clock)
         self._announcements, self._announcement, self._judge = announcements, announcement, judge
         self._constant_timeouts: dict[float | None, float] = {}
-        """By period (`trusted`), the time for which an announcement is believed, ns of true time; unless it varies."""
+        """The time for which an announcement is believed, ns of true time, by period (`trusted`), if it is constant."""
         self.senses_others = announcements.payload == "action"
         """Whether it senses the positions of its teammates, so that announcements need not contain them."""
 
@@ -104,7 +104,7 @@ class Beliefs(Knowledge):
 
         Args:
             period: time between two announcements of a teammate, s; if None, the heartbeat, or inf without heartbeats.
-                It is used only if `belief_timeout` is "auto".
+                A `belief_timeout` in s does not depend on it.
         """
         oldest = self._clock.true - self._timeout(period)
         received = self._network.latest_records(self.id)
@@ -117,8 +117,8 @@ class Beliefs(Knowledge):
         """Return the believed capture time, s, of each teammate that it believes to chase an evader.
 
         A teammate whose last announcement arrived more than `belief_timeout` ago is not believed active, nor is one
-        that the pursuer does not trust (`announce.trust`). The capture time is nan if neither it nor the position of
-        the teammate is announced, and the position is not sensed.
+        that the pursuer does not trust (`announce.trust`). The capture time is nan if it is neither announced nor
+        follows from a position of the teammate, announced or sensed.
         """
         _, rivals, times = self._rivals(evader)
         return dict(zip(rivals, times, strict=True))
@@ -128,10 +128,10 @@ class Beliefs(Knowledge):
         return [j for j, _ in self._chasing_records(evader)] if self._judge is None else self._rivals(evader)[1]
 
     def _chasing_records(self, evader: int) -> list[tuple[int, Record]]:
-        """Return the teammates that chase an evader by fresh announcements, and these, in the order of their ids."""
+        """Return the teammates that chase an evader according to fresh announcements, with these, by ascending id."""
         oldest = self._clock.true - self._timeout()
-        # By id, and not by arrival as they are kept: the gain sums the times, and sums depend on the order in the last
-        # bit.
+        # The network keeps records in the order of arrival. The gain sums capture times, and the last bit of a sum
+        # depends on the order.
         chasing = [
             (j, record)
             for j, (arrival, record) in self._network.matching(self.id).items()
@@ -155,7 +155,7 @@ class Beliefs(Knowledge):
             times = [self._capture_time(record, evader) for _, record in announced]
         if self._judge is not None:
             claims = dict(zip(chasing, times, strict=True))
-            # Claims are judged together, and therefore after all records that are not believed are gone.
+            # A judge compares the claims with each other, so claims that are not believed are removed first.
             ignored = ignored_by(self._judge, own_time, claims)
             chasing = [j for j in chasing if j not in ignored]
             times = [claims[j] for j in chasing]
@@ -165,8 +165,7 @@ class Beliefs(Knowledge):
         """Return the belief about each teammate whose last announcement arrived at most `belief_timeout` ago.
 
         Args:
-            period: time between two announcements of a teammate, s; if None, the heartbeat, or inf without heartbeats.
-                It counts only if `belief_timeout` is "auto".
+            period: see `trusted`.
             evader: the evader to which the capture times refer.
             orders: the orders that this pursuer, as a server, has sent to each teammate; see `Orders`. An announced
                 position is extrapolated with the announced action until the first order to the teammate takes effect,
@@ -208,15 +207,15 @@ class Beliefs(Knowledge):
         team = self._reckoned_team(records, evader)
         positions, times = team.positions.copy(), team.capture_times.copy()
         positions[self.id], times[self.id] = state.position(self.id), self.capture_time(evader)
-        if len(records) == state.size - 1:  # as a rule; then no rows need be selected
+        if len(records) == state.size - 1:  # the usual case: all rows
             return TeamEstimate(list(range(state.size)), positions, state.speeds, times)
         ids = sorted([self.id, *records])
         return TeamEstimate(ids, positions[ids], state.speeds[ids], times[ids])
 
     def _reckoned_team(self, records: Mapping[int, Record], evader: int) -> ReckonedTeam:
-        """Return the positions and capture times that follow from records now; only the rows of their sources count.
+        """Return the positions and capture times that follow from records now; only rows of their sources are valid.
 
-        Pursuers that share a view share what follows from the same records at the same instant.
+        Pursuers that share a view share the rows that follow from the same records at the same instant.
 
         Kept equal to an estimate by each pursuer by
         `tests/pursuit/test_agent.py::test_estimates_that_are_shared_are_those_of_each_pursuer`.
@@ -225,8 +224,8 @@ class Beliefs(Knowledge):
         instant = self._clock.true, self._clock.stamp, state.body(evader).captured
         team = view.reckoned_teams.get(evader)
         if team is None or team.instant != instant or not view.unlimited:
-            nobody: list[Record | None] = [None] * state.size
-            team = ReckonedTeam(instant, nobody, np.zeros(state.size, dtype=complex), np.zeros(state.size))
+            no_records: list[Record | None] = [None] * state.size
+            team = ReckonedTeam(instant, no_records, np.zeros(state.size, dtype=complex), np.zeros(state.size))
             view.reckoned_teams[evader] = team
         new = {j: record for j, record in records.items() if team.records[j] is not record}
         if new:
@@ -265,9 +264,9 @@ class Beliefs(Knowledge):
     def counted_teammates(self, scope: Scope) -> Collection[int]:
         """Return the pursuers whose actions count in its utility, given the scope of the utility.
 
-        They are all pursuers ("heard"), the pursuers that it now hears directly ("neighbours"), or its component
-        ("component"). The component contains all pursuers whose messages can reach it now over any number of hops. If
-        this pursuer does not sense the positions of teammates, the scope is ignored and all pursuers count.
+        They are all pursuers ("heard"), the pursuers that it now hears directly ("neighbours"), or the pursuers whose
+        messages can reach it now over any number of hops ("component"). If this pursuer does not sense the positions of
+        teammates, the scope is ignored and all pursuers count.
 
         Raises:
             ValueError: if there is no such scope.
@@ -302,13 +301,16 @@ class Beliefs(Knowledge):
             estimates, announcement = self._network.estimates, self._announcement()
             delay = estimates.latency + estimates.airtime(announcement)
             period = max(period, estimates.interval(announcement))
-            # Two announcements in a row may be lost before a teammate is given up.
+            # Two announcements in a row may be lost before the belief about a teammate expires.
             auto = 3.0 * period + 2.0 * delay if period < inf else inf
             limit = auto if limit == "auto" else self._affordable(period + 2.0 * delay, auto)
         return inf if limit > MAX_TIME else self._clock.span(limit)  # no run lasts longer than MAX_TIME
 
     def _affordable(self, least: float, most: float) -> float:
-        """Return the time, s, for which it can wait for news and still capture in time; `most` if it cannot at all."""
+        """Return the time, s, from `least` to `most`, for which it can wait for news and still capture in time.
+
+        If it cannot capture in time even without waiting, this is `most`.
+        """
         at_large = self._view.state.at_large
         soonest = min((self._view.capture_times_of([self.id], evader)[0] for evader in at_large), default=inf)
         slack = self.time_left() - soonest
@@ -330,20 +332,21 @@ class Beliefs(Knowledge):
         """Return the motions of teammates: extrapolated from their records, or sensed; nan if neither is possible.
 
         Each teammate is assumed to continue its announced action until an order changes it. Pursuers that share a view
-        share what they extrapolate from the same record at the same instant, or at any if the teammate stands still.
+        share the motion that follows from the same record at the same instant, or at any instant if the teammate stands
+        still.
 
         Kept equal to an extrapolation by each pursuer by
         `tests/pursuit/test_agent.py::test_motions_that_are_shared_are_those_that_each_pursuer_extrapolates`.
         """
         now, reckonings = self._clock.stamp, self._view.reckonings
-        instant = self._clock.true, now  # wrong clocks show one time at several instants
+        instant = self._clock.true, now  # a wrong clock may show one time at several instants
         motions: dict[int, MotionState] = {}
         for j, record in records.items():
-            known, ordered = reckonings.get(j), orders.get(j)
+            cached, ordered = reckonings.get(j), orders.get(j)
             if ordered and len(ordered) == 1 and not ordered[0][1] and not record.body.active:
-                ordered = None  # an order to stay changes nothing
-            if known and known[0] is record and (known[1] is None or known[1] == instant) and not ordered:
-                motions[j] = known[2]
+                ordered = None  # an order to be inactive changes nothing
+            if cached and cached[0] is record and (cached[1] is None or cached[1] == instant) and not ordered:
+                motions[j] = cached[2]
             elif isinstance(record.body, Located):
                 motions[j] = motion = self._reckoned(record, ordered or (), now)
                 if self._view.unlimited and not ordered:
@@ -361,15 +364,15 @@ class Beliefs(Knowledge):
         since = min(record.stamp, now)
         if not body.active and not any(action for _, action in ordered):
             return self._view.idle(motion, now - since)
-        # An order from before the announcement begins with it: its earlier effect is in the announced motion.
-        segments = [(since, body.active), *((max(begun, since), action) for begun, action in ordered)]
+        # The announced motion contains the effect of orders until the announcement, so older orders count from then on.
+        segments = [(since, body.active), *((max(begin, since), action) for begin, action in ordered)]
         exact = self._announcements.reckoning == "exact"
-        for (begun, action), (end, _) in pairwise([*segments, (now, 0)]):
-            if begun >= now:
+        for (begin, action), (end, _) in pairwise([*segments, (now, 0)]):
+            if begin >= now:
                 continue
-            ended = max(now - end, 0)
+            ended = max(now - end, 0)  # time since the end of the segment
             if action:
-                motion = self._view.reckoned(motion, body.speed, now - begun, action, exact=exact, ended=ended)
+                motion = self._view.reckoned(motion, body.speed, now - begin, action, exact=exact, ended=ended)
             else:
-                motion = self._view.idle(motion, now - begun, ended)
+                motion = self._view.idle(motion, now - begin, ended)
         return motion
