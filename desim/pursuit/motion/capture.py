@@ -17,7 +17,7 @@ from desim.pursuit.core.state import lengths
 def capture_time(
     evader: ArrayLike, pursuers: ArrayLike, speeds: ArrayLike, evader_speed: float, radius: float
 ) -> Floats:
-    """Return the (N,) capture times, s, of an evader that flees straight from each pursuer.
+    """Return the (N,) capture times, s, for an evader that flees straight from each pursuer.
 
     At distance d_i, phi_i = (d_i - eps) / (v_i - v_e): the radial case of Lee & Bakolas, section "Time-of-Capture".
     phi_i is 0 inside the capture radius. Beyond it, phi_i is inf for a pursuer no faster than the evader.
@@ -47,7 +47,7 @@ NO_SPEED = 1e-12
 class RadialTime:
     """The (N,) capture times of one team as a function of its (N,) distances to the evader; see `capture_time`.
 
-    Kept equal to the capture times of all by
+    The method `of` computes one of them alone. Kept equal to the capture times of all by
     `tests/pursuit/test_capture.py::test_the_time_of_one_is_that_of_all_to_the_last_bit`.
     """
 
@@ -77,10 +77,10 @@ def accelerated_capture_times(
 ) -> Floats:
     """Return the (k,) capture times, s, of pursuers of limited acceleration for an evader that flees straight.
 
-    The evader flees in the direction of `offsets`. A pursuer changes its velocity u along the straight line to v b,
-    with b the direction to the evader, and keeps it. With the component u_b along b, the distance falls by
-    (u_b - v_e) t + a_b t^2 / 2 until T = |v b - u| / a, where a_b = a (v - u_b) / |v b - u|. Afterwards it falls at the
-    rate v - v_e. Motion across the line of sight is neglected. From rest, phi is
+    The evader flees in the direction of `offsets`. A pursuer accelerates in a constant direction from its velocity u to
+    v b, with b the direction to the evader, and then keeps this velocity. Let u_b be the component of u along b. The
+    distance falls by (u_b - v_e) t + a_b t^2 / 2 until T = |v b - u| / a, where a_b = a (v - u_b) / |v b - u|.
+    Afterwards it falls at the rate v - v_e. Motion across the line of sight is neglected. From rest, phi is
     (v_e + sqrt(v_e^2 + 2 a (d - eps))) / a up to v / a, and (d - eps + v^2 / (2 a)) / (v - v_e) beyond it.
 
     Args:
@@ -94,15 +94,15 @@ def accelerated_capture_times(
     distances = lengths(offsets)
     bearings = offsets / np.maximum(distances, SMALLEST)
     gap = np.maximum(distances - radius, 0.0)
-    along = bearings.real * velocities.real + bearings.imag * velocities.imag
-    lag, missing = np.maximum(speeds - along, 0.0), lengths(speeds * bearings - velocities)
-    duration = missing / limit
-    gain = lag / np.maximum(duration, SMALLEST)  # a_b
+    along = bearings.real * velocities.real + bearings.imag * velocities.imag  # u_b
+    lag, change = np.maximum(speeds - along, 0.0), lengths(speeds * bearings - velocities)
+    duration = change / limit  # T
+    acceleration = lag / np.maximum(duration, SMALLEST)  # a_b
     closing = along - evader_speed
-    root = np.sqrt(closing**2 + 2.0 * gain * gap)
+    root = np.sqrt(closing**2 + 2.0 * acceleration * gap)
     with np.errstate(divide="ignore", invalid="ignore"):
-        # Two forms of the same root, each where nothing cancels; divisions by 0 are in the one that is not taken.
-        time = np.where(closing > 0.0, 2.0 * gap / (closing + root), (root - closing) / gain)
+        # Two forms of the same root. In the form that is taken nothing cancels; only the other one may divide by 0.
+        time = np.where(closing > 0.0, 2.0 * gap / (closing + root), (root - closing) / acceleration)
         straight = (gap - (closing + lag / 2.0) * duration) / (speeds - evader_speed)
         time = np.where(time <= duration, time, duration + straight)
     time[speeds - evader_speed <= NO_SPEED] = inf
@@ -111,10 +111,10 @@ def accelerated_capture_times(
 
 
 def least_capture_time(distance: float, radius: float, top_speed: float, evader_speed: float) -> float:
-    """Return the least capture time, s, of any pursuer of at most a speed at a distance (m) from a fleeing evader.
+    """Return the capture time, s, of a pursuer of the greatest speed at a distance (m) from a fleeing evader.
 
-    It bounds the capture times that a pursuer can truthfully announce: (d - eps) / (v_max - v_e), inf if no pursuer is
-    faster than the evader, and 0 within the capture radius.
+    This is (d - eps) / (v_max - v_e), inf if no pursuer is faster than the evader, and 0 within the capture radius. No
+    pursuer can truthfully announce a lower capture time.
 
     Args:
         distance: the distance d, m.

@@ -103,9 +103,9 @@ class Environment(Value):
     def drift_within(self, place: complex, command: complex, begun: int, now: int, until: int) -> complex:
         """Return the mean velocity of the flow, m/s, along the path of one player in the rest of a motion step.
 
-        If the flow is the same everywhere and varies in time, this is the mean of the whole step, at which the player
-        has drifted until now. So its position at the end of the step is exact, and a flow that carries all players
-        changes no distance, whenever a player turns.
+        If the flow is the same everywhere and varies in time, this is the mean of the whole step, because the player
+        has drifted at this mean velocity until now. So its position at the end of the step is exact, and a flow that
+        carries all players changes no distance, whenever a player turns.
 
         Args:
             place: its position now, m.
@@ -124,8 +124,8 @@ class Environment(Value):
             return place + displacement(self.flow, begin / SECOND, end / SECOND)
         steps = max(-(-(end - begin) // CARRIED_STEP), 1)
         for k in range(steps):
-            t, until = begin + (end - begin) * k // steps, begin + (end - begin) * (k + 1) // steps
-            duration = (until - t) / SECOND
+            step_begin, step_end = begin + (end - begin) * k // steps, begin + (end - begin) * (k + 1) // steps
+            duration = (step_end - step_begin) / SECOND
             if duration:
-                place += self.drift(place, 0j, t, duration) * duration
+                place += self.drift(place, 0j, step_begin, duration) * duration
         return place

@@ -66,7 +66,10 @@ class UniformFlow(Value):
         raise NotImplementedError
 
     def trend(self, begin: float) -> tuple[complex, float]:
-        """Return a mean velocity, m/s, and how far a player drifts at most from it after `begin` (s), m."""
+        """Return a mean velocity, m/s, and an upper bound, m.
+
+        From `begin` (s) on, the displacement differs from that at the mean velocity by at most this bound.
+        """
         raise NotImplementedError
 
     @property
@@ -179,7 +182,7 @@ class RecordedFlow(UniformFlow):
     """Measurements [t, x, y] (s, m/s, m/s), in order of time."""
     file: str | None = None
     """Instead of measurements: path of a CSV file with the columns t, x and y, relative to the scenario file. The file
-    is read once, when the model is created. Times that are dates, or count from one, count from the earliest."""
+    is read once, when the model is created. If its times are dates, or count from a date, the earliest is time 0."""
     time_unit: Unit = "s"
     """Unit of the times of the file: s, ms, us or ns; if in doubt, s."""
 
@@ -220,9 +223,9 @@ class RecordedFlow(UniformFlow):
         """Return the last velocity, m/s, and an upper bound of the displacement by the differences from it, m."""
         last, times = self._values[-1], [max(t, begin) for t in self._times]
         differences = [abs(self.velocity_at(t) - last) for t in times]
-        before = differences[0] * max(times[0] - begin, 0.0)
+        before_first = differences[0] * max(times[0] - begin, 0.0)
         pieces = zip(pairwise(times), pairwise(differences), strict=True)
-        return last, before + portable_sum(max(v, w) * (t - s) for (s, t), (v, w) in pieces)
+        return last, before_first + portable_sum(max(v, w) * (t - s) for (s, t), (v, w) in pieces)
 
     @property
     def top_speed(self) -> float:
@@ -236,11 +239,11 @@ class RecordedFlow(UniformFlow):
         return max((abs(w - v) / (t - s) for (s, t), (v, w) in changes), default=0.0)
 
     def _position(self, t: float) -> complex:
-        """Return the displacement since the first measurement, m; negative times included."""
+        """Return the displacement from the first measurement to a time (s), which may be earlier, m."""
         k = max(bisect_right(self._times, t) - 1, 0)
-        since = t - self._times[k]
+        elapsed = t - self._times[k]
         # The velocity is linear between two measurements, so the trapezoid is its integral.
-        return self._integrals[k] + (self._values[k] + self.velocity_at(t)) * (since / 2.0)
+        return self._integrals[k] + (self._values[k] + self.velocity_at(t)) * (elapsed / 2.0)
 
     @cached_property
     def _times(self) -> list[float]:
@@ -258,7 +261,10 @@ class RecordedFlow(UniformFlow):
 
 
 def _check_measurements(rows: Sequence[Sequence[float]], places: Sequence[str]) -> None:
-    """Raise ValueError unless measurements (t, x, y) are in order of time, and none is missing."""
+    """Raise ValueError unless measurements (t, x, y) are in order of time, and none is missing.
+
+    `places` says where each of them is given, for error messages.
+    """
     for (before, *_), (t, *_), place in zip(rows, rows[1:], places[1:], strict=False):
         if not before < t:
             raise ValueError(f"{place}: t should increase; after {before:g} s comes {t:g} s")
@@ -327,7 +333,7 @@ def is_uniform(flow: Flow) -> TypeGuard[UniformFlow]:
 
 @cache
 def _is_closed(flow: type[UniformFlow]) -> bool:
-    """Return whether a class has the displacement of its own velocity, and no other velocity elsewhere."""
+    """Return whether the closed forms of a class belong to its `velocity_at`, and it has no `__call__` of its own."""
     follows = Follows("velocity_at", "displacement")
     closed = ("displacement", "trend", "top_acceleration")
     return flow.__call__ is UniformFlow.__call__ and not any(follows.is_outdated(name, flow) for name in closed)
@@ -337,7 +343,7 @@ def displacement(flow: UniformFlow, begin: float, end: float) -> complex:
     """Return the displacement by a flow between two times (s), m; see `UniformFlow.displacement`.
 
     Raises:
-        ValueError: if that of a user's flow is no finite number.
+        ValueError: if a user's flow returns no finite number.
     """
     answer: Any = flow.displacement(begin, end)
     vector = as_complex(answer)

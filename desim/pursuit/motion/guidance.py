@@ -86,11 +86,11 @@ class ConstantBearing(Value):
         bearings = gaps / np.maximum(distances, SMALLEST)
         x, y = bearings.real, bearings.imag
         w = evader_velocity
-        away, across = w.real * x + w.imag * y, w.imag * x - w.real * y  # along and across the line of sight
-        along_squared = speeds**2 - across**2
+        w_along, w_across = w.real * x + w.imag * y, w.imag * x - w.real * y  # along and across the line of sight
+        along_squared = speeds**2 - w_across**2
         along = np.sqrt(np.maximum(along_squared, 0.0))
-        meets = (along_squared >= 0.0) & (along - away > NO_SPEED) & (distances > 0.0)
-        return np.where(meets, bearings * along + bearings * (1j * across), toward(aims, speeds))
+        meets = (along_squared >= 0.0) & (along - w_along > NO_SPEED) & (distances > 0.0)
+        return np.where(meets, bearings * along + bearings * (1j * w_across), toward(aims, speeds))
 
     def one(self, gap: complex, aim: complex, evader_velocity: complex, speed: float) -> complex:
         """Return the velocity of one pursuer, m/s.
@@ -99,13 +99,13 @@ class ConstantBearing(Value):
         `tests/pursuit/test_guidance.py::test_the_course_of_one_is_exactly_that_of_the_team`.
         """
         distance = abs(gap)
-        inverse = 1.0 / max(distance, SMALLEST)  # numpy multiplies by it, too
+        inverse = 1.0 / max(distance, SMALLEST)  # numpy divides by multiplying with it, so the last bit is the same
         x, y, w = gap.real * inverse, gap.imag * inverse, evader_velocity
-        away, across = w.real * x + w.imag * y, w.imag * x - w.real * y
-        along_squared = speed * speed - across * across
+        w_along, w_across = w.real * x + w.imag * y, w.imag * x - w.real * y
+        along_squared = speed * speed - w_across * w_across
         along = sqrt(max(along_squared, 0.0))
-        if along_squared >= 0.0 and along - away > NO_SPEED and distance > 0.0:
-            return complex(x * along - y * across, y * along + x * across)
+        if along_squared >= 0.0 and along - w_along > NO_SPEED and distance > 0.0:
+            return complex(x * along - y * w_across, y * along + x * w_across)
         return aim * (speed / max(abs(aim), SMALLEST))
 
 
@@ -152,7 +152,7 @@ def guided_velocities(
 
 
 def _read_only(array: Any) -> Any:
-    """Return a view of an array that a user's law cannot change: it would change the speeds of the team."""
+    """Return a view of an array that a user's law cannot change: a change would last beyond the call."""
     view = array.view()
     view.setflags(write=False)
     return view

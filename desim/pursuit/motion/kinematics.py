@@ -74,12 +74,12 @@ class Kinematics:
         """Return the present distances of other players from one player, m."""
         now, start, velocity = self._env.now, self._origins.item, self._velocities.item
         if self._cached_at == now or self._static:
-            place = self._positions.item
-            here = place(player)
-            return [abs(here - place(other)) for other in others]
-        passed = (now - self._since) / SECOND  # calls of `position` instead make radio some 3 % slower
-        here = start(player) + velocity(player) * passed
-        return [abs(here - (start(other) + velocity(other) * passed)) for other in others]
+            position = self._positions.item
+            origin = position(player)
+            return [abs(origin - position(other)) for other in others]
+        elapsed = (now - self._since) / SECOND  # calls of `position` instead make runs with radio some 3 % slower
+        origin = start(player) + velocity(player) * elapsed
+        return [abs(origin - (start(other) + velocity(other) * elapsed)) for other in others]
 
     def positions_of(self, players: Sequence[int] | NDArray[np.intp]) -> Points:
         """Return the (k,) positions of some players now, m."""
@@ -129,7 +129,7 @@ class Kinematics:
     def contact(
         self, target: int, offsets: Points, broken: NDArray[np.bool_], radius: float, duration: float, test: CaptureTest
     ) -> tuple[float, int] | None:
-        """Return the first contact of the first players with another one in the present pieces, or None.
+        """Return the first contact of one of the first N players with a target in the present pieces, or None.
 
         Args:
             target: the other player.
@@ -143,6 +143,7 @@ class Kinematics:
             (time from now to the contact, s; index of the player).
         """
         approach = self._velocities[target] - self._velocities[: len(offsets)]
+        # Players that make no contact are put too far away for one.
         offsets = np.where(broken, MAX_COORDINATE, offsets) if broken.any() else offsets
         if test == "segment":
             return first_contact(offsets, approach, radius, duration)
@@ -151,12 +152,12 @@ class Kinematics:
         return (duration, nearest) if distances[nearest] <= radius else None
 
     def observe(self, since: int, places: Points, courses: Courses, commands: Points, drifts: Points | None) -> None:
-        """Replace all motions by those of the same players elsewhere, as they were observed a moment ago.
+        """Replace all motions by an observation of the same players in another process, made a moment ago.
 
         Args:
             since: the time of the observation, ns.
-            places: (K,) the positions then, m.
-            courses: (K,) the courses then, of players with inertia.
+            places: (K,) the observed positions, m.
+            courses: (K,) the observed courses; only players with inertia need them.
             commands: (K,) commanded velocities relative to the flow, m/s.
             drifts: (K,) velocities of the flow at the players, m/s; None: there is no flow.
         """
@@ -164,7 +165,7 @@ class Kinematics:
             act()
         places.setflags(write=False)
         self._origins, self._since, self._cached_at = places, since, -1
-        self._positions = places  # of a static world
+        self._positions = places  # a static world computes no others
         self.commands, self.drifts = commands, drifts
         self._velocities = commands if drifts is None else commands + drifts
 

@@ -2,9 +2,9 @@
 
 A pursuer of speed v and turn rate omega moves forwards along paths of radius at least rho = v / omega. Its shortest
 path to a point, with a free final heading, is an arc and a line. If the point lies within the circle on which the
-pursuer would turn towards it, the path is an arc away from the point, and an arc on the other side (Boissonnat & Bui
-1994, "Accessibility region for a car that only moves forwards along optimal paths"). Points are complex numbers; here
-the pursuer is at the origin and heads along the x axis.
+pursuer would turn towards it, the path is an arc away from the point, and then an arc towards it (Boissonnat & Bui
+1994, "Accessibility region for a car that only moves forwards along optimal paths"). Points are complex numbers; in
+these paths the pursuer starts at the origin and heads along the x axis.
 """
 
 from cmath import phase, rect
@@ -50,13 +50,14 @@ def shortest_path(target: complex, rho: float) -> tuple[float, complex]:
 def _path_within(target: complex, rho: float) -> tuple[float, complex]:
     """Return the length, m, and the final heading of the shortest path to a target within the left turning circle."""
     centre = complex(0.0, -rho)  # of the right turning circle
-    there = target - centre
-    half = acos(min((abs(there) ** 2 + 3.0 * rho * rho) / (4.0 * rho * abs(there)), 1.0))
-    angle = phase(there) - half  # phase(there) + half gives a longer path
-    second = centre + rect(2.0 * rho, angle)  # the centre of the second arc
+    offset = target - centre
+    # The angle at `centre` in the triangle of both centres and the target, with the sides 2 rho, rho and |offset|.
+    turn = acos(min((abs(offset) ** 2 + 3.0 * rho * rho) / (4.0 * rho * abs(offset)), 1.0))
+    angle = phase(offset) - turn  # phase(offset) + turn gives a longer path
+    second_centre = centre + rect(2.0 * rho, angle)  # of the second arc
     first_arc = (pi / 2.0 - angle) % (2.0 * pi)
-    second_arc = phase((target - second) / rect(-1.0, angle)) % (2.0 * pi)
-    return rho * (first_arc + second_arc), 1j * (target - second) / rho
+    second_arc = phase((target - second_centre) / rect(-1.0, angle)) % (2.0 * pi)
+    return rho * (first_arc + second_arc), 1j * (target - second_centre) / rho
 
 
 def turning_capture_times(
@@ -82,9 +83,10 @@ def turning_capture_time(
     """Return the capture time, s, of a pursuer of limited turn rate for an evader that flees straight.
 
     This is the least t >= 0 with L(x_e + w t) - eps <= v t, where L is the length of the shortest path, and w the
-    velocity of the evader, in the direction of `offset`. It is 0 within the capture radius. Beyond it, it is inf for a
-    pursuer no faster than the evader. As the evader moves away, L grows at most as fast as its distance, and falls
-    where it leaves a turning circle. L - v t therefore falls strictly, and has one root.
+    velocity of the evader, in the direction of `offset`. The capture time is 0 within the capture radius. Beyond this
+    radius, it is inf for a pursuer no faster than the evader. As the evader moves away, L grows at most as fast as its
+    distance, and jumps down where the evader leaves a turning circle. L - v t therefore falls strictly, and has one
+    root.
 
     Args:
         offset: vector from the pursuer to the evader, m.
@@ -106,22 +108,23 @@ def _root(target: complex, speed: float, rho: float, evader_speed: float, radius
     distance = abs(target)
     bearing = target * (1.0 / distance)
     low, high = 0.0, (distance + 4.0 * pi * rho) / (speed - evader_speed)
-    time, before = low, inf
+    time, last_error = low, inf
     for _ in range(MAX_ITERATIONS):
         length, heading = shortest_path(target + bearing * (evader_speed * time), rho)
-        missing = length - radius - speed * time
-        off = abs(missing)
-        if off <= ROUNDING * (rho + speed * time) or high - low <= ROUNDING * high:
+        missing = length - radius - speed * time  # m
+        error = abs(missing)
+        if error <= ROUNDING * (rho + speed * time) or high - low <= ROUNDING * high:
             break
         if missing > 0.0:
             low = time
         else:
             high = time
         away = bearing.real * heading.real + bearing.imag * heading.imag
-        step = time + missing / (speed - evader_speed * away)
-        # If the step does not improve, Newton's method may alternate across the discontinuity.
-        time = step if off < before / 2.0 and low <= step <= high else (low + high) / 2.0
-        before = off
+        newton_time = time + missing / (speed - evader_speed * away)
+        # Newton's method may alternate across the discontinuity, so a step that has not halved the error is followed by
+        # a bisection.
+        time = newton_time if error < last_error / 2.0 and low <= newton_time <= high else (low + high) / 2.0
+        last_error = error
     return time
 
 
