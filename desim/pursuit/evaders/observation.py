@@ -52,7 +52,7 @@ class EvaderObservation(State):
         self.space: Plane = PLANE
 
     def within(self, space: Plane) -> "EvaderObservation":
-        """Return this observation with the paths from the pursuers in a space.
+        """Return this observation with distances and offsets along the paths in a space; see the attribute `space`.
 
         Raises:
             ValueError: if it is no space: for example a distance, see `only`.
@@ -63,13 +63,13 @@ class EvaderObservation(State):
                 f" {value_text(space)})"
             )
         offsets = space.arrivals(self.evader, self.pursuers)
-        reaches = np.isfinite(offsets)
-        seen = copy(self.only(reaches))
-        seen._set_paths(space, offsets[reaches])
-        return seen
+        has_path = np.isfinite(offsets)
+        observation = copy(self.only(has_path))
+        observation._set_paths(space, offsets[has_path])
+        return observation
 
     def _set_paths(self, space: Plane, offsets: Points) -> None:
-        """Let offsets (N,) be those of paths in a space."""
+        """Set the space and the (N,) offsets along its paths, m, and what follows from them."""
         self.space, self.offsets, self.distances = space, offsets, lengths(offsets)
         self.nearest = int(self.distances.argmin()) if len(offsets) else -1
         for array in (self.offsets, self.distances):
@@ -86,7 +86,8 @@ class EvaderObservation(State):
             raise ValueError(f"only(who) takes an array of {len(self.speeds)} booleans (got {value_text(mask)})")
         if who.all():
             return self
-        seen = copy(self)
-        seen.pursuers, seen.active, seen.speeds = self.pursuers[who], self.active[who], self.speeds[who]
-        seen._set_paths(self.space, self.offsets[who])
-        return seen
+        observation = copy(self)
+        observation.pursuers, observation.active = self.pursuers[who], self.active[who]
+        observation.speeds = self.speeds[who]
+        observation._set_paths(self.space, self.offsets[who])
+        return observation

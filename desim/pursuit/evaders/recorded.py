@@ -1,6 +1,6 @@
 """Recorded motion: an evader, or a pursuer that only relays messages, moves along given waypoints.
 
-Pursuers that chase can begin where the nodes of a record do.
+Pursuers that chase can begin at the first positions of the nodes of a record.
 """
 
 from bisect import bisect_right
@@ -50,23 +50,23 @@ class _Record(Value):
     """Base of the models that read a record: how its times and positions become those of the simulation."""
 
     dimensions: Literal[2, 3] | None = None
-    """Coordinates of each waypoint in a file of BonnMotion: 2 (t x y) or 3 (t x y z, and z is dropped). It is needed
-    only if the file does not tell."""
+    """Coordinates of each waypoint in a file of BonnMotion: 2 (t x y) or 3 (t x y z, and z is dropped). The key is
+    needed only if the file does not tell."""
     start_time: Time = 0.0
-    """Time in the record at which the simulation starts, s; what the record says of earlier times is cut off.
+    """Time in the record at which the simulation starts, s; earlier motion is cut off.
 
     If in doubt, use 0; traces of setdest and SUMO often begin to move after hundreds of seconds.
     """
     scale: Length = 1.0
-    """Factor by which the positions of the record are multiplied, to have them in m: 1 if they are, 1000 for km."""
+    """Factor by which the positions of the record are multiplied, to have them in m: 1 for m, 1000 for km."""
     offset: Point = (0.0, 0.0)
     """Displacement [x, y] that is added to the positions after scaling, m: the negative of the position that becomes
     the origin."""
 
     def placed(self, waypoints: Waypoints) -> tuple[Waypoints, int]:
-        """Return the waypoints as the simulation has them, and the number of those cut off at the beginning.
+        """Return the waypoints in times and positions of the simulation, and the number of those cut off.
 
-        The first of them is at time 0 if the record begins before `start_time`.
+        The first waypoint is at time 0 if the record begins before `start_time`.
 
         Raises:
             ValueError: if the record ends before `start_time`.
@@ -76,15 +76,15 @@ class _Record(Value):
             return waypoints, 0
         # In ns, the times of the simulation, so that no waypoint is a rounding error before the start.
         moved = [(nanoseconds(t) - begin, self.scale * x + dx, self.scale * y + dy) for t, x, y in waypoints]
-        cut = max(sum(t <= 0 for t, _, _ in moved) - 1, 0)
+        cut = max(sum(t <= 0 for t, _, _ in moved) - 1, 0)  # keeps the last waypoint before the start
         if moved[-1][0] < 0:
             end = waypoints[-1][0]
             raise ValueError(
                 f"start_time should be at most the time of the last waypoint, {end:g} s (got {self.start_time:g})"
             )
         if moved[cut][0] < 0:
-            (t, x, y), (after, x_after, y_after) = moved[cut : cut + 2]
-            share = -t / (after - t)
+            (t, x, y), (t_after, x_after, y_after) = moved[cut : cut + 2]
+            share = -t / (t_after - t)
             moved[cut] = 0, x + share * (x_after - x), y + share * (y_after - y)
         return [(seconds(t), x, y) for t, x, y in moved[cut:]], cut
 
@@ -128,13 +128,13 @@ class RecordedMotion(_Record):
         else:
             checked._check_order()
         placed, cut = checked.placed(waypoints)
-        unmoved = {"file": None, "node": 0, "dimensions": None, "start_time": 0.0, "scale": 1.0, "offset": (0.0, 0.0)}
-        made = make({key: value for key, value in data.items() if key not in unmoved} | {"waypoints": placed})
-        if has_file:  # neither the places nor the heights are a part of its identity
-            made.__dict__["places"] = tuple(f"{file}, line {waypoint.line}" for waypoint in track.waypoints[cut:])
-            made.__dict__["has_heights"] = track.has_heights
-        made.check_speed(MAX_COORDINATE)
-        return made
+        applied = {"file": None, "node": 0, "dimensions": None, "start_time": 0.0, "scale": 1.0, "offset": (0.0, 0.0)}
+        motion = make({key: value for key, value in data.items() if key not in applied} | {"waypoints": placed})
+        if has_file:  # set as attributes: equality and hashes do not depend on lines and heights
+            motion.__dict__["places"] = tuple(f"{file}, line {waypoint.line}" for waypoint in track.waypoints[cut:])
+            motion.__dict__["has_heights"] = track.has_heights
+        motion.check_speed(MAX_COORDINATE)
+        return motion
 
     def _check_order(self) -> None:
         """Raise ValueError unless there are waypoints, and their times increase."""
@@ -192,7 +192,7 @@ class RecordedMotion(_Record):
         if k in {0, len(self._times)}:
             return 0j
         velocity = (complex(*self.waypoints[k][1:]) - position) / seconds(self._times[k] - now)
-        # Next to a waypoint, the rounding error of the position is divided by a short time.
+        # Next to a waypoint, the rounding error of the position is divided by a short time, hence the bound.
         return velocity * min(self.top_speed / abs(velocity), 1.0) if velocity else 0j
 
     def check_speed(self, limit: float) -> None:
@@ -206,13 +206,13 @@ class RecordedMotion(_Record):
                 )
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
-        """Return the heading to the next waypoint, as long as the share of the speed that is needed; 0 at rest."""
+        """Return the heading to the next waypoint; its length is the share of the speed that is needed, 0 at rest."""
         velocity = self.velocity(state.stamp, state.evader)
         return velocity / max(state.speed, abs(velocity)) if velocity else 0j
 
 
 def _place(value: Any) -> complex:
-    """Return a position, m; raise ValueError if it is none, for example a text, which `complex` would read."""
+    """Return a position, m; raise ValueError if it is none, for example a text, although `complex` would read it."""
     place = as_complex(value)
     if not (abs(place.real) <= MAX_COORDINATE and abs(place.imag) <= MAX_COORDINATE):
         raise ValueError("should be a position x + iy, m")
@@ -260,16 +260,16 @@ class RecordedPositions(_Record):
         Raises:
             ValueError: if a key is not valid or the file cannot be read.
         """
-        made = cls.model_validate(table, context=info.context)
+        record = cls.model_validate(table, context=info.context)
         mobility = read_mobility(
-            resolve_path(made.file, info), made.dimensions, is_scaled=made.scale != 1.0, needs_times=False
+            resolve_path(record.file, info), record.dimensions, is_scaled=record.scale != 1.0, needs_times=False
         )
-        nodes = mobility.nodes if made.nodes is None else made.nodes
+        nodes = mobility.nodes if record.nodes is None else record.nodes
         tracks = [mobility.track(node) for node in nodes]
-        first = [made.placed([waypoint[:3] for waypoint in track.waypoints])[0][0] for track in tracks]
+        first_waypoints = [record.placed([waypoint[:3] for waypoint in track.waypoints])[0][0] for track in tracks]
         names = tuple(node for node in nodes if isinstance(node, str))
         has_heights = any(track.has_heights for track in tracks)
-        return Starts([(x, y) for _, x, y in first], names, made.nodes is None, has_heights)
+        return Starts([(x, y) for _, x, y in first_waypoints], names, record.nodes is None, has_heights)
 
 
 class Starts(NamedTuple):
