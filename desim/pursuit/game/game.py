@@ -22,7 +22,7 @@ chases it, (w_i - u_m) / 2 <= u_i, or w_i <= 2 u_i + u_m. Each m occurs for one 
 optimal global utility, is therefore at most 3 times the sum of all u_i.
 
 Capture times `phi` are an (N, M) matrix or, with one evader, N numbers; then an action may also be a truth value.
-Functions raise ValueError if they are neither, or if actions are not one of 0 .. M for each pursuer.
+Functions raise ValueError if `phi` is neither, or if `actions` are not N numbers from 0 to M.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -96,7 +96,7 @@ def is_equilibrium(
     """Return whether no pursuer gains by changing its action alone (a pure Nash equilibrium).
 
     Args:
-        phi: (N, M) capture times, s; a pursuer with inf can only be inactive and does not count for the others.
+        phi: (N, M) capture times, s; a pursuer with inf cannot chase this evader and does not count for the others.
         actions: (N,) action of each pursuer.
         reward: the time left, r, s.
         gain: gain from being active; `desim.pursuit.game.utility` has alternatives to the paper's.

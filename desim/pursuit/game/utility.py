@@ -73,15 +73,15 @@ class Mean(Value):
         if own_time == inf:
             return -inf
         phi, q = np.asarray(other_times, dtype=float), np.asarray(chances, dtype=float)
-        s, weight = _nodes(len(q) // 2 + 1)
+        s, weight = _quadrature(len(q) // 2 + 1)
         factors = 1.0 - q[:, None] * (1.0 - s)  # (K, nodes)
-        # Products up to j and from j on give the product without j. A division by the factor of j could be one by 0.
-        # The weights of the quadrature are in the first, and the factor 1 - s of the difference of both means in the
-        # second.
+        # The product without the factor of j is the product before j times that after j: a division by the factor of j
+        # could be one by 0. `before` also has the weights of the quadrature, and `after` the factor 1 - s of the
+        # difference of both means.
         before = np.cumprod(np.vstack([weight, factors]), axis=0)
         after = np.cumprod(np.vstack([1.0 - s, factors[::-1]]), axis=0)[::-1]
-        beside = (before[:-1] * after[1:]).sum(axis=1)  # (K,), for each j without the factor of j
-        return float(reward * np.prod(1.0 - q) - own_time * before[-1].sum() + (phi * q * beside).sum())
+        without_each = (before[:-1] * after[1:]).sum(axis=1)  # (K,)
+        return float(reward * np.prod(1.0 - q) - own_time * before[-1].sum() + (phi * q * without_each).sum())
 
 
 class LocalMean(Mean):
@@ -165,7 +165,7 @@ UTILITIES = OneOf(
 
 
 @lru_cache(maxsize=256)
-def _nodes(count: int) -> tuple[Floats, Floats]:
+def _quadrature(count: int) -> tuple[Floats, Floats]:
     """Return the nodes and weights of Gauss-Legendre quadrature over [0, 1].
 
     The nodes are the roots of the Legendre polynomial, computed by Newton's method (Press et al. 2007, "Numerical
@@ -174,9 +174,9 @@ def _nodes(count: int) -> tuple[Floats, Floats]:
     """
     x = np.array([cos(pi * (k + 0.75) / (count + 0.5)) for k in range(count)])
     for _ in range(NEWTON_STEPS):
-        before, value = np.zeros(count), np.ones(count)
+        previous, value = np.zeros(count), np.ones(count)
         for degree in range(1, count + 1):
-            before, value = value, ((2 * degree - 1) * x * value - (degree - 1) * before) / degree
-        slope = count * (x * value - before) / (x**2 - 1.0)
+            previous, value = value, ((2 * degree - 1) * x * value - (degree - 1) * previous) / degree
+        slope = count * (x * value - previous) / (x**2 - 1.0)
         x = x - value / slope
     return (x + 1.0) / 2.0, 1.0 / ((1.0 - x**2) * slope**2)
