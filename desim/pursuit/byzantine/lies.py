@@ -52,8 +52,8 @@ class ByzantineFault(Window):
     node: Node | None = None
     """The number of the pursuer; give this, `chaser` or `share`."""
     chaser: Flag = False
-    """Whether it is the pursuer that chases when the fault begins: of several, the one that would capture first. It
-    gains most by a lie, as the others rely on it. Without any, the fault has no effect."""
+    """Whether the fault concerns the pursuer that chases when it begins; of several, the one that would capture first.
+    Its lies do most harm, because the others rely on it. If no pursuer chases, the fault has no effect."""
     share: Probability | None = None
     """The share of the team, drawn at random per seed, in [0, 1]; a larger share contains the smaller ones."""
     acts: Literal["protocol", "stay"] = "protocol"
@@ -70,7 +70,7 @@ class ByzantineFault(Window):
         yield self
 
     def liars(self, size: int, rng: np.random.Generator) -> Sequence[int | None]:
-        """Return the pursuers concerned, in a team of some size; None: one that is known when the fault begins."""
+        """Return the pursuers concerned, in a team of some size; None: the chaser, known when the fault begins."""
         if self.share is None:
             return [self.node]
         drawn: list[int] = rng.permutation(size)[: round(self.share * size)].tolist()
@@ -81,11 +81,11 @@ class ByzantineFault(Window):
         return {} if self.node is None else {"node": [self.node]}
 
     def says(self, me: Speaker, body: Any) -> tuple[int, Any]:
-        """Return what a pursuer announces in place of `body`: the pursuer in whose name, and the body."""
+        """Return the pursuer in whose name a pursuer announces, and the body that it announces in place of `body`."""
         return me.id, body
 
     def says_to(self, me: Speaker, body: Any, neighbours: Sequence[int]) -> list[tuple[Collection[int], Any]] | None:
-        """Return each body that a pursuer announces, with the neighbours that it tells so; None if all get the same."""
+        """Return each body that a pursuer announces, with the neighbours that it tells; None: it tells all the same."""
         return None
 
     def drops(self, me: Speaker) -> bool:
@@ -106,7 +106,7 @@ class Silent(ByzantineFault):
 
 
 class FalseAnnouncements(ByzantineFault):
-    """Base of the Byzantine faults with false announcements: what is false about the capture time and the position.
+    """Base of the Byzantine faults whose announcements have a false capture time or a false position.
 
     A lie has an effect if the announcement contains what it falsifies: the payload "time" has a capture time, "state" a
     position, and each payload the action. The claims of auctions have the action and, as a bid, the capture time.
@@ -120,17 +120,17 @@ class FalseAnnouncements(ByzantineFault):
     def falsified(self, me: Speaker, body: Any, action: int) -> Any:
         """Return an announcement with this action and with a false capture time and position."""
         if isinstance(body, Falsifiable):
-            return body.falsified(me.id, action, self._phi(me, action, me.phi(action)))
+            return body.falsified(me.id, action, self._announced_phi(me, action, me.phi(action)))
         if isinstance(body, TimedAssignment):
             truth = body.capture_time if action == body.active else me.phi(action)
-            return TimedAssignment(action, self._phi(me, action, truth))
+            return TimedAssignment(action, self._announced_phi(me, action, truth))
         if isinstance(body, Located):
             place = complex(body.x, body.y)
-            place = place if self.position is None else self._place(place, me)
+            place = place if self.position is None else self._announced_place(place, me)
             return body._replace(active=action, x=place.real, y=place.imag)
         return Assignment(action) if isinstance(body, Assignment) else body
 
-    def _phi(self, me: Speaker, action: int, truth: float) -> float:
+    def _announced_phi(self, me: Speaker, action: int, truth: float) -> float:
         if self.phi is None:
             return truth
         phi = real(self.phi(truth, me.least_phi(action), me.rng), "a false capture time, in s,")
@@ -138,7 +138,7 @@ class FalseAnnouncements(ByzantineFault):
             raise ValueError("a false capture time, in s, should be a number or inf (got nan)")
         return phi
 
-    def _place(self, truth: complex, me: Speaker) -> complex:
+    def _announced_place(self, truth: complex, me: Speaker) -> complex:
         answer: Any = self.position(truth, me.rng)  # type: ignore[misc]  # one is given
         place = as_complex(answer)
         if not isfinite(place):
@@ -162,8 +162,8 @@ class Liar(FalseAnnouncements):
 class Spoof(FalseAnnouncements):
     """A pursuer announces in the name of a teammate, and nothing in its own name.
 
-    The receivers cannot tell. The forged record takes the next sequence number of the victim, so it replaces what the
-    victim has announced, until the victim announces again.
+    Nothing in the message shows the forgery. The forged record takes the next sequence number of the victim, so it
+    replaces what the victim has announced, until the victim announces again.
     """
 
     kind: Literal["spoof"] = "spoof"
@@ -181,26 +181,27 @@ class Spoof(FalseAnnouncements):
         size, victim = me.view.state.size, self.victim
         if victim is None:
             victim = (me.id + int(me.rng.integers(1, size))) % size if size > 1 else me.id
-        other = replace(me, id=victim)
+        as_victim = replace(me, id=victim)
         if isinstance(body, Announcement):
             body = type(body).announced_by(victim, me.view)
-        return victim, self.falsified(other, body, other.action(self.action))
+        return victim, self.falsified(as_victim, body, as_victim.action(self.action))
 
 
 class Equivocate(FalseAnnouncements):
     """A pursuer tells some neighbours that it chases, and the others that it stays.
 
-    It broadcasts two messages, and each neighbour heeds one of them. Which of the two is drawn once per seed.
+    It broadcasts two messages, and each neighbour ignores one of them. Which one is drawn for each neighbour, once per
+    seed.
     """
 
     kind: Literal["equivocate"] = "equivocate"
 
     def says_to(self, me: Speaker, body: Any, neighbours: Sequence[int]) -> list[tuple[Collection[int], Any]]:
-        """Return the two bodies, each with the neighbours that it tells so."""
+        """Return the two bodies, each with the neighbours that are told it."""
         chase, stay = (self.falsified(me, body, me.action(says)) for says in CHASE_OR_STAY)
         drawn = pair_uniform(me.seed, "equivocation", me.id, np.array(neighbours, int), symmetric=False).tolist()
-        told_so = {j for j, draw in zip(neighbours, drawn, strict=True) if draw < 0.5}
-        versions = (told_so, chase), (set(neighbours) - told_so, stay)
+        told_chase = {j for j, draw in zip(neighbours, drawn, strict=True) if draw < 0.5}
+        versions = (told_chase, chase), (set(neighbours) - told_chase, stay)
         return [(told, version) for told, version in versions if told]
 
 
@@ -209,7 +210,7 @@ class ReplayAttack(ByzantineFault):
 
     kind: Literal["replay"] = "replay"
     delay: Duration = 5.0
-    """Age of the announcements, s; before there is one as old, its first one."""
+    """Age of the repeated announcements, s. Until an announcement is this old, the pursuer repeats its first one."""
 
     reads_history: ClassVar[bool] = True
 
@@ -227,7 +228,7 @@ class Selective(ByzantineFault):
     """Probability that a record or a token is withheld, in [0, 1]."""
 
     def drops(self, me: Speaker) -> bool:
-        """Return whether a record is withheld."""
+        """Return whether a record or a token is withheld."""
         return bool(me.rng.random() < self.drop)
 
 
@@ -292,7 +293,7 @@ class PursuerFaultTraits(FaultTraits):
 LIES: tuple[type[ByzantineFault], ...] = (Liar, Silent, ReplayAttack, Spoof, Equivocate, Selective, Slander)
 """The Byzantine faults."""
 PURSUER_FAULTS = OneOf(*FAULTS.models, *TARGETED, *LIES, RandomLies, takes=PLANNED_WITH, traits=PursuerFaultTraits)
-"""The kinds of `[[fault]]` in a scenario: those of the network, of those that chase, and the Byzantine faults."""
+"""The kinds of `[[fault]]` in a scenario: faults of the network, faults of chasers, and the Byzantine faults."""
 
 
 def is_lie(fault: object) -> TypeGuard[ByzantineFault | RandomLies]:
@@ -304,7 +305,7 @@ class Lie(NamedTuple):
     """A Byzantine fault of one pursuer in a run."""
 
     pursuer: int | None
-    """None: whoever chases when it begins."""
+    """None: the pursuer that chases when the fault begins."""
     model: ByzantineFault
     number: int
     """Its number in the run, from 0 on."""
