@@ -1,6 +1,6 @@
 """The space in which the players move: the plane, or the plane among walls.
 
-Distances, directions and captures are asked of the space, so that nothing else needs to know of walls. Among walls, the
+Other modules ask the space for distances, directions and captures, and need not know of walls. Among walls, the
 distance of two players is the length of the shortest path between them.
 """
 
@@ -23,11 +23,11 @@ from desim.pursuit.paths.obstacles import Obstacles
 from desim.pursuit.paths.shortest_paths import ShortestPaths
 
 MAX_FREE_PLACES = 16
-"""Maximum number of free places that are kept: all who ask at one instant ask about the same few estimates."""
+"""Maximum number of free places in the cache; few suffice, as pursuers ask about the same estimates at one instant."""
 MAX_STEPS = 1_000
 """Maximum number of steps towards a contact around a corner."""
 FEW_STEPS = 40
-"""Number of such steps after which a contact that is certain is found by bisection."""
+"""Number of these steps after which bisection finds the contact, if the players are in contact at the end."""
 ROUNDING = 1e-12
 """Gap that counts as a contact, in m and as a share of the distance."""
 
@@ -37,7 +37,7 @@ class Plane:
 
     Args:
         sight: walls that block sight.
-        starts: the walls on and inside which no player starts at random; none if they are just those that block motion.
+        starts: the walls on and inside which no player starts at random; empty: the walls that block motion.
 
     Attributes:
         blocks_sight: whether some walls block sight.
@@ -58,7 +58,7 @@ class Plane:
         return None
 
     def visible(self, places: Points, watcher: complex) -> Bools:
-        """Return which of (k,) places are seen from a place, or see it: no wall is between them, (k,)."""
+        """Return the (k,) mask of the places that a watcher sees, or that see the watcher: no wall is between them."""
         hidden = crossings(coordinates(np.array([watcher])), coordinates(places), self._sight).any(axis=1)
         return np.asarray(~hidden)
 
@@ -71,7 +71,7 @@ class Plane:
         return lengths(target - sources)
 
     def along(self, source: complex, target: complex, length: float) -> complex:
-        """Return the place, m, after a way of some length (m) from a source towards a target, at most up to it."""
+        """Return the place, m, that is a length (m) from a source on the path to a target; at most the target."""
         return moved_towards(source, target, length)
 
     def are_free(self, places: Points) -> Bools:
@@ -105,7 +105,7 @@ class Plane:
         return aim - here, True
 
     def slide(self, place: complex, way: complex) -> complex:
-        """Return the way, m, of a player that would go along a way (m): along walls where these are in its way."""
+        """Return the displacement, m, of a player that intends the displacement `way` (m) and slides along walls."""
         return way
 
     def hidden(self, places: Points, watchers: Points) -> Bools:
@@ -156,7 +156,7 @@ class Walled(Plane):
         return self.paths.distances(target, sources)
 
     def along(self, source: complex, target: complex, length: float) -> complex:
-        """Return the place, m, after a way of some length (m) along the shortest path, at most up to the target."""
+        """Return the place, m, that is a length (m) from a source on the shortest path to a target; at most its end."""
         path = self.paths.path(source, self.free_place(target))
         for begin, end in pairwise(path):
             if abs(end - begin) >= length:
@@ -177,8 +177,8 @@ class Walled(Plane):
         offsets: Points = target - sources
         for k in (~self.obstacles.clear(target, sources)).nonzero()[0].tolist():
             route = self.paths.route(complex(sources[k]), target)
-            along = offsets[k] if route.last is None else target - self.obstacles.turns[route.last]
-            offsets[k] = inf if route.length == inf else along * (route.length / max(abs(along), SMALLEST))
+            last_leg = offsets[k] if route.last is None else target - self.obstacles.turns[route.last]
+            offsets[k] = inf if route.length == inf else last_leg * (route.length / max(abs(last_leg), SMALLEST))
         return offsets
 
     def first_blocked(self, waypoints: Sequence[complex]) -> int | None:
@@ -201,7 +201,7 @@ class Walled(Plane):
         route = self.paths.route(here, aim)
         if route.first is None:
             return (aim - here if route.length < inf else 0j), True
-        # A corner that it reaches within the resolution of time is behind it.
+        # A corner within reach counts as passed: the player is beside it, or gets there in two units of time, 2 ns.
         reach = max(2.0 * self.obstacles.clearance, 2.0 * speed / SECOND)
         piece = complex(self.obstacles.turns[route.first]) - here
         if abs(piece) > reach:
@@ -212,7 +212,7 @@ class Walled(Plane):
     def course(self, here: complex, aim: complex, speed: float, now: int, until: int) -> tuple[complex, int]:
         """Return the velocity, m/s, with which a player follows the shortest path, and until when (ns) it keeps it.
 
-        It arrives at the aim at the end of the step at the earliest, so that it does not pass by it.
+        A player close to the aim slows down and arrives at the end of the step, so that it does not overshoot.
 
         Args:
             here: its position, m.
@@ -239,7 +239,7 @@ class Walled(Plane):
         return here
 
     def slide(self, place: complex, way: complex) -> complex:
-        """Return the way, m, of a player that would go along a way (m): along walls where these are in its way."""
+        """Return the displacement, m, of a player that intends the displacement `way` (m) and slides along walls."""
         return self.obstacles.slide(place, way)
 
     def contact(
@@ -247,15 +247,15 @@ class Walled(Plane):
     ) -> float | None:
         """Return the time, s, at which the shortest path between two players has fallen to a radius, or None.
 
-        There is no contact before the straight distance has fallen to the radius, because it is never longer than the
-        path. From then on, the path shortens at most at the sum of both speeds: steps of the time that the rest of the
-        path needs at this rate approach the contact from before. Where they approach it slowly, it is bisected.
+        The straight distance is never longer than the path, so no contact is earlier than that of straight distances.
+        From then on, the path shortens at most at the sum of both speeds. Each step is the time in which the gap would
+        close at this rate, so no step passes the contact. If the steps approach it slowly, bisection finds it.
 
         Args:
-            target: the position of the one, m.
-            flight: its velocity, m/s.
-            place: the position of the other, m.
-            velocity: its velocity, m/s.
+            target: the position of the evader, m.
+            flight: the velocity of the evader, m/s.
+            place: the position of the pursuer, m.
+            velocity: the velocity of the pursuer, m/s.
             radius: distance of a contact, m.
             duration: length of the interval, s.
         """
@@ -278,13 +278,13 @@ class Walled(Plane):
             t += gap / closing if closing else inf
             if not t <= duration:
                 return None
-            if step == FEW_STEPS and distance_at(duration) <= radius:  # as where both go nearly equally fast
+            if step == FEW_STEPS and distance_at(duration) <= radius:  # for example, both are nearly equally fast
                 return _bisected(lambda time: distance_at(time) <= radius, t, duration)
         return None
 
 
 def _bisected(is_reached: Callable[[float], bool], low: float, high: float) -> float:
-    """Return a time, s, between one at which something is not reached and one at which it is: where that changes."""
+    """Return a time, s, at which a condition begins to hold, if it holds at `high` and not at `low`."""
     while high - low > ROUNDING * (1.0 + high):
         middle = (low + high) / 2.0
         low, high = (low, middle) if is_reached(middle) else (middle, high)
@@ -294,7 +294,7 @@ def _bisected(is_reached: Callable[[float], bool], low: float, high: float) -> f
 PLANE = Plane()
 """The plane without walls."""
 MAX_SPACES = 32
-"""Maximum number of spaces that are kept, for other runs among the same walls."""
+"""Maximum number of spaces in the cache, which serves other runs among the same walls."""
 _spaces: dict[tuple[bytes, ...], Plane] = {}
 
 
@@ -304,17 +304,17 @@ def space_among(walls: Sequence[Wall]) -> Plane:
     starts = [wall for wall in walls if not {"motion", "start"}.isdisjoint(wall.blocks)]
     if not sight and not starts:
         return PLANE
-    others = starts if starts != motion else []
+    other_starts = starts if starts != motion else []
     key = tuple(text for wall in walls for text in _content(wall))
     space = _spaces.get(key)
     if space is None:
-        space = _spaces[key] = Walled(motion, sight, others) if motion else Plane(sight, others)
+        space = _spaces[key] = Walled(motion, sight, other_starts) if motion else Plane(sight, other_starts)
         if len(_spaces) > MAX_SPACES:
             del _spaces[next(iter(_spaces))]
     return space
 
 
 def _content(wall: Wall) -> Iterator[bytes]:
-    """Yield what determines a wall, for motion and sight."""
+    """Yield the content of a wall that matters for motion, sight and starts, as a key of the cache."""
     yield ",".join(wall.blocks).encode()
     yield from (bytes([shape.closed]) + shape.corners.tobytes() for shape in wall.shapes)
