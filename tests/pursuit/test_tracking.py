@@ -407,7 +407,7 @@ def test_what_is_older_than_the_window_is_ignored():
     before = made.track
     made.add(seen[0])
     assert made.track == before
-    assert len(made._seen) <= 7
+    assert len(made._sightings) <= 7
     assert before == filtered(Kalman(), seen[3:]).track
 
 

@@ -79,8 +79,8 @@ class NoisySensor(Sensors):
         self._covariance_at = partial(covariance_of, sensing.noise)
         self._streams = [stream(seed, "sight", j) for j in range(state.evader_count)]
         self._predicted: dict[int, tuple[Tracked, InformedTrack]] = {}
-        """By `id` of a report, the report and its track at `_predicted_at`, ns."""
-        self._predicted_at: int | None = None
+        """By `id` of a report: the report, which keeps its `id` from being reused, and its track at `_predicted_at`."""
+        self._predicted_at: int | None = None  # ns
         self.views = [TrackingView(self, pursuer, clock) for pursuer, clock in enumerate(clocks)]
         self._measure()
         env.process(self._measurements())
@@ -119,7 +119,7 @@ class NoisySensor(Sensors):
         shared, predict = self._predicted, self.sensing.estimator.predict
         tracks: list[InformedTrack] = []
         for report in reports:
-            entry = shared.get(id(report))  # sooner than a hash of all its numbers
+            entry = shared.get(id(report))  # faster than a hash of all its numbers
             if entry is None:
                 entry = shared[id(report)] = report, informed(predict(Track(*report[1:]), now))
             tracks.append(entry[1])
@@ -132,7 +132,10 @@ class NoisySensor(Sensors):
             self._measure()
 
     def _measure(self) -> None:
-        """Let each pursuer that is up measure each evader in its range; the draws do not depend on these."""
+        """Let each pursuer that is up measure each evader in its range.
+
+        Random numbers are drawn for all pursuers, so they do not depend on who measures.
+        """
         state, radius = self.state, self.sensing.radius
         for evader, rng in enumerate(self._streams, start=1):
             draws = rng.standard_normal((state.size, 2)).tolist()
@@ -160,7 +163,8 @@ class TrackingView(LimitedView):
     def __init__(self, sensor: NoisySensor, pursuer: int, clock: NodeClock):
         super().__init__(sensor, pursuer, clock)
         self._sensor = sensor
-        self._last: dict[int, Measurement] = {}
+        self._track_timeout = nanoseconds(min(self._sensing.track_timeout, 1e9))  # inf has no nanoseconds
+        self._last_own: dict[int, Measurement] = {}
         """By evader, the newest sighting of its own."""
         self._newest: dict[int, Measurement] = {}
         """By evader, the newest sighting, its own or a reported one."""
@@ -168,7 +172,7 @@ class TrackingView(LimitedView):
         self._tracks: defaultdict[int, dict[int, Tracked]] = defaultdict(dict)
         """By evader and sender, the newest reported track."""
         self._fused: dict[int, Track | None] = {}
-        """By evader, the track at the time `_fused_at`, ns, until something new is known."""
+        """By evader, the track at the time `_fused_at`, ns, until a new sighting or report."""
         self._fused_at: int | None = None
 
     def sees(self, evader: int) -> bool:
@@ -179,10 +183,10 @@ class TrackingView(LimitedView):
         """Process a sighting of its own: the measured vector to an evader, m."""
         origin = self.state.position(self._id)
         place = origin + offset
-        self._last[evader] = Measurement(
+        self._last_own[evader] = Measurement(
             self._clock.stamp, self._id, place.real, place.imag, covariance, origin.real, origin.imag
         )
-        self._add(evader, self._last[evader])
+        self._add(evader, self._last_own[evader])
 
     def estimate(self, evader: int) -> EvaderEstimate | None:
         """Return the estimate of an evader; None if it is unknown, or lost and not searched for (`on_lost`)."""
@@ -199,15 +203,15 @@ class TrackingView(LimitedView):
             return EvaderEstimate(track.position, track.velocity, 0.0, track.deviation, track.position_covariance)
         if sensing.on_lost == "stay":
             return None
-        lost = track.position - track.velocity * (age - sensing.track_timeout)
-        place = lost + self._search(age, evader)
+        lost_at = track.position - track.velocity * (age - sensing.track_timeout)
+        place = lost_at + self._search(age, evader)
         return EvaderEstimate(place, 0j, 0.0, track.deviation, track.position_covariance)
 
     def newest(self, evader: int) -> Sighting | None:
         """Return the newest sighting of an evader, its own or a reported one, without a velocity; None without any."""
         self._read_reports()
-        seen = self._newest.get(evader)
-        return None if seen is None else Sighting(evader, seconds(seen.stamp), seen.x, seen.y, 0.0, 0.0)
+        sighting = self._newest.get(evader)
+        return None if sighting is None else Sighting(evader, seconds(sighting.stamp), sighting.x, sighting.y, 0.0, 0.0)
 
     def track(self, evader: int) -> Track | None:
         """Return the track of an evader now, fused with those of teammates; None without any."""
@@ -224,54 +228,54 @@ class TrackingView(LimitedView):
         reports = self._tracks[evader]
         if not reports:
             return track
-        # By source, because the fusion of three tracks depends on their order, and arrivals may be in any.
+        # In order of sources: the fusion of three tracks depends on their order, and reports arrive in any order.
         others = self._sensor.predicted((report for _, report in sorted(reports.items())), now)
         return fused(others if track is None else [informed(track), *others], self._sensing.fusion)
 
     def report(self) -> None:
-        """Broadcast what it knows that is at most `track_timeout` old; what others reported only with `relay`."""
+        """Broadcast sightings or tracks that are at most `track_timeout` old, those of teammates only with `relay`."""
         reports = tuple(filter(None, map(self._report_of, self.state.at_large)))
         if reports:
             self._network.send(self._id, None, reports, port=PORT)
 
     def forget(self, *, heard_only: bool) -> None:
-        """Delete all sightings and tracks; those of its own only unless `heard_only`."""
+        """Delete the reported sightings and tracks and, unless `heard_only`, the pursuer's own."""
         self._network.inbox(self._id, PORT).drain()
-        sightings = self._last if heard_only else {}
-        self._last, self._newest, self._filters = dict(sightings), dict(sightings), {}
+        sightings = self._last_own if heard_only else {}
+        self._last_own, self._newest, self._filters = dict(sightings), dict(sightings), {}
         self._tracks.clear()
         self._fused_at = None
-        for evader, seen in sightings.items():
-            self._add(evader, seen)
+        for evader, sighting in sightings.items():
+            self._add(evader, sighting)
 
     def _report_of(self, evader: int) -> Sighted | Tracked | None:
         """Return what it reports about an evader; None if it is too old, or nothing is known."""
         self._read_reports()
-        oldest = self._clock.stamp - nanoseconds(min(self._sensing.track_timeout, 1e9))
+        oldest = self._clock.stamp - self._track_timeout
         if self._sensing.fusion == "by_stamp":
-            seen = (self._newest if self._sensing.relay else self._last).get(evader)
-            return None if seen is None or seen.stamp < oldest else Sighted(evader, seen)
+            sighting = (self._newest if self._sensing.relay else self._last_own).get(evader)
+            return None if sighting is None or sighting.stamp < oldest else Sighted(evader, sighting)
         if self._sensing.relay:
             track = self.track(evader)
             return None if track is None or self._newest_stamp(evader) < oldest else _packed(evader, track)
         track = self._filters[evader].track if evader in self._filters else None
         return None if track is None or track.stamp < oldest else _packed(evader, track)
 
-    def _add(self, evader: int, seen: Measurement) -> None:
+    def _add(self, evader: int, sighting: Measurement) -> None:
         """Process a sighting, its own or a reported one."""
         self._fused_at = None
         newest = self._newest.get(evader)
-        if newest is None or seen.stamp > newest.stamp:
-            self._newest[evader] = seen
+        if newest is None or sighting.stamp > newest.stamp:
+            self._newest[evader] = sighting
         model = self._sensing.estimator
         if not isinstance(model, Unfiltered):
             if evader not in self._filters:
-                window = nanoseconds(min(self._sensing.track_timeout, 1e9))
                 environment = self.state.environment
-                wind = environment.top_speed if environment.on == "all" and environment.top_speed < inf else 0.0
-                speed = self.state.body(evader).speed + wind  # sightings are over ground
-                self._filters[evader] = Filter(model, window, partial(covariance_of, self._sensing.noise), speed=speed)
-            self._filters[evader].add(seen)
+                flow_speed = environment.top_speed if environment.on == "all" and environment.top_speed < inf else 0.0
+                speed = self.state.body(evader).speed + flow_speed  # over ground, as sightings are
+                covariance_at = partial(covariance_of, self._sensing.noise)
+                self._filters[evader] = Filter(model, self._track_timeout, covariance_at, speed=speed)
+            self._filters[evader].add(sighting)
 
     def _newest_stamp(self, evader: int) -> int:
         """Return the time of the newest sighting or reported track of an evader, ns; -1 without any."""

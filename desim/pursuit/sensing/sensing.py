@@ -49,7 +49,8 @@ class Sensing(Value):
     """Time between two reports of a pursuer, s. A pursuer repeats its own last sighting, because reports may be lost,
     until the sighting is `track_timeout` old or a newer one is reported to it.
 
-    An estimate may be wrong by the way of the evader in this time; short periods load a contended channel.
+    An estimate may be wrong by the distance that the evader covers in this time; short periods load a contended
+    channel.
 
     If in doubt, use the heartbeat of the announcements.
     """
@@ -58,17 +59,17 @@ class Sensing(Value):
     track_timeout: Timeout = 5.0
     """Time T_lost, s: an evader is lost if its newest sighting is older than this.
 
-    With a short time, pursuers give up an evader whose estimate is still good; with a long one, they chase a place that
-    it has left.
+    With a short time, pursuers give up an evader whose estimate is still good; with a long time, they chase a place
+    that the evader has left.
 
     If in doubt, use the time in which the evader crosses the sensing radius, and at least ten periods of reports.
     """
     on_lost: Literal["stay", "search"] = "search"
     """Reaction to a lost evader. stay: it may not be chased; search: its estimated position moves along a spiral at
     the speed of the pursuer, from the last estimated position. The spiral starts when the evader is lost, even if the
-    pursuer is still far away. Its turns are 2 R_s apart, at least 2 eps; if only walls limit the sight, R_s is the way
-    of the evader in the time T_lost. It is rotated by another angle for each pursuer. A pursuer without any sighting of
-    an evader may not chase it."""
+    pursuer is still far away. Its turns are 2 R_s apart, at least 2 eps; if only walls limit the sight, R_s is the
+    distance that the evader covers in the time T_lost. The spiral of each pursuer is rotated by another angle. A
+    pursuer without any sighting of an evader may not chase it."""
     noise: Annotated[Noise, NOISES] = Noiseless()
     """Noise of sightings."""
     interval: Period = 0.05
@@ -80,9 +81,9 @@ class Sensing(Value):
     """Filter of noisy sightings; without one, the newest sighting is the estimate (`estimate`)."""
     fusion: Fusion = "by_stamp"
     """How reports are combined. by_stamp: reports contain the newest sighting of a pursuer, and the filter of a
-    receiver processes all sightings in the order of their time stamps; naive, covariance_intersection: reports contain
-    tracks with their covariances, and are fused as if they were independent, or consistently whatever they have in
-    common."""
+    receiver processes all sightings in the order of their time stamps. With the others, reports contain tracks with
+    their covariances. naive: tracks are fused as if they were independent; covariance_intersection: the fused track is
+    consistent, whatever sightings the tracks have in common."""
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -157,7 +158,7 @@ class TeamSensor(Sensors):
     ):
         super().__init__(sensing, state, prune, network)
         shape = state.evader_count, state.size
-        self._seen: NDArray[np.int64] = np.full(shape, NEVER, dtype=np.int64)
+        self._stamps: NDArray[np.int64] = np.full(shape, NEVER, dtype=np.int64)  # of the last sightings
         self._positions: Points = np.full(shape, NOWHERE)
         self._velocities: Points = np.zeros(shape, dtype=complex)
         self.views = [SensedView(self, pursuer, clock) for pursuer, clock in enumerate(clocks)]
@@ -165,11 +166,11 @@ class TeamSensor(Sensors):
 
     def look(self, now: int) -> None:
         """Record, for each pursuer that is not down, a sighting at `now` (ns) of each evader in its sensing range."""
-        state, able = self.state, ~self.state.broken
+        state, working = self.state, ~self.state.broken
         for evader in state.at_large:
-            seeing = able & state.in_sight(evader, self.sensing.radius)
+            seeing = working & state.in_sight(evader, self.sensing.radius)
             row = evader - 1
-            self._seen[row, seeing] = now
+            self._stamps[row, seeing] = now
             self._positions[row, seeing] = state.body(evader).position
             self._velocities[row, seeing] = state.velocity(evader)
 
@@ -184,15 +185,15 @@ class TeamSensor(Sensors):
     def last(self, pursuer: int, evader: int) -> tuple[int, complex, complex]:
         """Return the last sighting of an evader by a pursuer: time (ns, or `NEVER`), position (m), velocity (m/s)."""
         cell = evader - 1, pursuer
-        return int(self._seen[cell]), complex(self._positions[cell]), complex(self._velocities[cell])
+        return int(self._stamps[cell]), complex(self._positions[cell]), complex(self._velocities[cell])
 
     def forget(self, pursuer: int) -> None:
         """Delete all sightings that a pursuer has made itself."""
-        self._seen[:, pursuer] = NEVER
+        self._stamps[:, pursuer] = NEVER
 
 
 class LimitedView(View):
-    """The view of a pursuer that does not always know the true position of an evader: common part of such views.
+    """Base of the views of pursuers that do not always know the true position of an evader.
 
     Args:
         sensor: the sensors of the team.
@@ -224,8 +225,8 @@ class LimitedView(View):
         if sighting is None:
             return None
         age = max(self._clock.now - sighting.seen, 0.0)
-        worst = sensing.estimate == "worst_case"
-        uncertainty = self.state.body(evader).speed * age if worst else 0.0
+        is_worst_case = sensing.estimate == "worst_case"
+        uncertainty = self.state.body(evader).speed * age if is_worst_case else 0.0
         place, velocity = complex(sighting.x, sighting.y), 0j
         if sensing.estimate == "constant_velocity":
             velocity = complex(sighting.velocity_x, sighting.velocity_y)
@@ -233,12 +234,15 @@ class LimitedView(View):
             return EvaderEstimate(place + velocity * age, velocity, uncertainty)
         if sensing.on_lost == "stay":
             return None
-        off = self._search(age, evader)
-        lost = place + velocity * sensing.track_timeout
-        return EvaderEstimate(lost + off, 0j, uncertainty + abs(off) if worst else 0.0)
+        offset = self._search(age, evader)
+        lost_at = place + velocity * sensing.track_timeout
+        return EvaderEstimate(lost_at + offset, 0j, uncertainty + abs(offset) if is_worst_case else 0.0)
 
     def _search(self, age: float, evader: int) -> complex:
-        """Return the place of the search, m from the last estimated position, if the newest sighting is `age` s old."""
+        """Return the offset of the search, m, from the position at which the evader was lost.
+
+        The newest sighting is `age` s old.
+        """
         reach = self._sensing.radius
         if reach == inf:  # only walls limit the sight
             reach = self.state.body(evader).speed * self._sensing.track_timeout
@@ -281,7 +285,7 @@ class SensedView(LimitedView):
         return super().estimate(evader) if self.sees(evader) else self._estimate_from_sighting(evader)
 
     def report(self) -> None:
-        """Broadcast the newest sightings that are at most `track_timeout` old; reported ones only with `relay`."""
+        """Broadcast the newest sightings that are at most `track_timeout` old, those of teammates only with `relay`."""
         oldest = self._clock.now - self._sensing.track_timeout
         reports = tuple(
             sighting
@@ -295,7 +299,7 @@ class SensedView(LimitedView):
 
     def forget(self, *, heard_only: bool) -> None:
         """Delete the reported sightings and, unless `heard_only`, the pursuer's own."""
-        self._read_reports()
+        self._read_reports()  # which have arrived before: these are forgotten, too
         self._reported.clear()
         if not heard_only:
             self._sensor.forget(self._id)
@@ -319,7 +323,7 @@ def spiral(length: float, apart: float) -> complex:
         return 0j
     scaled = 2.0 * pi * length / apart
     # The arc length over b is convex in the angle, and at least angle and angle^2 / 2. So Newton's method begins above
-    # the root and falls to it; the fourth step leaves rounding errors only, at any length.
+    # the root and descends to it. After four steps only rounding errors are left, at any length.
     angle = min(scaled, sqrt(2.0 * scaled))
     for _ in range(4):
         slope = hypot(1.0, angle)

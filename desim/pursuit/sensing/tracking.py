@@ -26,7 +26,7 @@ VelocityDiffusion = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False, st
 START_SPEED = 10.0
 """Standard deviation, m/s, of each component of the velocity after the first sighting of an evader that is no faster.
 
-Of a faster evader it is its speed over ground: with less, a filter would be surer of its first tracks than it can be.
+For a faster evader, its speed over ground takes the place of this value, because its first tracks are less certain.
 """
 
 
@@ -50,35 +50,38 @@ class Measurement(NamedTuple):
 
 WIDE = 4.0
 """Variance of a predicted position, as a multiple of that of the sighting, from which on the covariance of the sighting
-is averaged around the measured position: over so wide a prediction, the error of a near observer would count as large.
+is averaged around the measured position. An average over so uncertain a prediction includes places far from a near
+observer, so its error would count as large.
 """
 CovarianceAt = Callable[[complex], Covariance]
 """Maps the true vector from an observer to an evader, m, to the covariance of the error of a sighting."""
 
 
-def weighed(seen: Measurement, predicted: "Track | None", covariance_at: CovarianceAt) -> Measurement:
+def weighed(sighting: Measurement, predicted: "Track | None", covariance_at: CovarianceAt) -> Measurement:
     """Return a sighting with the covariance that a filter assumes for its error.
 
-    The covariance depends on the true position. It is averaged over where the evader may be: around the predicted
-    position or, where that is much less certain (`WIDE`), around the measured one. At the measured position alone it
-    would depend on the error: of range and bearing, sightings lie on an arc, their thin ellipses are tangents, and
-    these meet beyond it (Bordonaro, Willett & Bar-Shalom 2014, "Decorrelated Unbiased Converted Measurement Kalman
-    Filter"). With the average over the predicted position a correction is the best linear one (Zhao, Li & Jilkov 2004,
-    "Best Linear Unbiased Filtering with Nonlinear Measurements for Target Tracking").
+    The covariance depends on the true position. It is averaged over the positions that the evader may have: around the
+    predicted position or, if that is much less certain (`WIDE`), around the measured one. With the average around the
+    predicted position, a correction is the best linear one (Zhao, Li & Jilkov 2004, "Best Linear Unbiased Filtering
+    with Nonlinear Measurements for Target Tracking").
+
+    The covariance at the measured position alone would depend on the error. For example, sightings by range and bearing
+    lie on an arc: their thin ellipses are tangents to the arc, which intersect beyond it (Bordonaro, Willett &
+    Bar-Shalom 2014, "Decorrelated Unbiased Converted Measurement Kalman Filter").
     """
-    origin = complex(seen.origin_x, seen.origin_y)
-    place, spread = complex(seen.x, seen.y), seen.covariance
+    origin = complex(sighting.origin_x, sighting.origin_y)
+    place, spread = complex(sighting.x, sighting.y), sighting.covariance
     if predicted is not None:
         expected = predicted.position_covariance
         if expected.xx + expected.yy < WIDE * (spread.xx + spread.yy):
             place, spread = predicted.position, expected
     first, second, third, fourth = (covariance_at(point - origin) for point in _points(place, spread))
     mean = ((a + b + c + d) / 4.0 for a, b, c, d in zip(first, second, third, fourth, strict=True))
-    return seen._replace(covariance=Covariance(*mean))
+    return sighting._replace(covariance=Covariance(*mean))
 
 
 def _points(mean: complex, covariance: Covariance) -> tuple[complex, complex, complex, complex]:
-    """Return four points with a mean and a covariance: their mean of a quadratic function is exact.
+    """Return four points with a given mean and covariance; the mean of a quadratic function over them is exact.
 
     They are the mean plus and minus sqrt(2) times the columns of the Cholesky factor of the covariance (Julier &
     Uhlmann 1997, "A New Extension of the Kalman Filter to Nonlinear Systems").
@@ -92,7 +95,7 @@ def _points(mean: complex, covariance: Covariance) -> tuple[complex, complex, co
 
 
 def merged(sighting: Measurement, other: Measurement) -> Measurement:
-    """Return the sighting that two of the same time amount to, weighted by their inverse covariances."""
+    """Return one sighting for two of the same time: their mean, weighted by the inverse covariances."""
     xx, xy, yy = sighting.covariance
     state, covariance = (sighting.x, sighting.y, 0.0, 0.0), (xx, xy, 0.0, 0.0, yy, 0.0, 0.0, 0.0, 0.0, 0.0)
     (x, y, *_), covariance = corrected_by_position(state, covariance, (other.x, other.y), other.covariance)
@@ -167,47 +170,47 @@ class AlphaBeta(_Diffusing):
 
     kind: Literal["alpha_beta"] = "alpha_beta"
 
-    def start(self, seen: Measurement, speed: float = 0.0) -> Track:
+    def start(self, sighting: Measurement, speed: float = 0.0) -> Track:
         """Return the track after the first sighting, whatever the speed: at rest at the measured position."""
-        return Track(seen.stamp, (seen.x, seen.y, 0.0, 0.0))
+        return Track(sighting.stamp, (sighting.x, sighting.y, 0.0, 0.0))
 
     def predict(self, track: Track, stamp: int) -> Track:
         """Return the track at another time, ns."""
         return Track(stamp, _moved(track.state, (stamp - track.stamp) / SECOND))
 
-    def update(self, track: Track, seen: Measurement) -> Track:
+    def update(self, track: Track, sighting: Measurement) -> Track:
         """Return the track after a later sighting."""
-        period = (seen.stamp - track.stamp) / SECOND
+        period = (sighting.stamp - track.stamp) / SECOND
         x, y, vx, vy = _moved(track.state, period)
-        deviation = sqrt((seen.covariance.xx + seen.covariance.yy) / 2.0)
+        deviation = sqrt((sighting.covariance.xx + sighting.covariance.yy) / 2.0)
         is_exact = deviation < 2.0 * LEAST
         alpha, beta = (1.0, 1.0) if is_exact else stationary_gains(period**1.5 * self.velocity_diffusion / deviation)
-        dx, dy, rate = seen.x - x, seen.y - y, beta / period
-        return Track(seen.stamp, (x + alpha * dx, y + alpha * dy, vx + rate * dx, vy + rate * dy))
+        dx, dy, rate = sighting.x - x, sighting.y - y, beta / period
+        return Track(sighting.stamp, (x + alpha * dx, y + alpha * dy, vx + rate * dx, vy + rate * dy))
 
 
 class Kalman(_Diffusing):
     """The Kalman filter (Kalman 1960).
 
     After the first sighting each component of the velocity is unknown: 0, with a standard deviation of 10 m/s or, if
-    that is greater, the speed of the evader over ground, with that of a bounded flow that carries it.
+    greater, the speed of the evader over ground, which includes the top speed of a bounded flow that carries it.
     """
 
     kind: Literal["kalman"] = "kalman"
 
-    def start(self, seen: Measurement, speed: float = 0.0) -> Track:
+    def start(self, sighting: Measurement, speed: float = 0.0) -> Track:
         """Return the track after the first sighting of an evader of a speed, m/s, at the measured position."""
-        xx, xy, yy = seen.covariance
+        xx, xy, yy = sighting.covariance
         variance = max(START_SPEED, speed) ** 2
         covariance = xx, xy, 0.0, 0.0, yy, 0.0, 0.0, variance, 0.0, variance
-        return Track(seen.stamp, (seen.x, seen.y, 0.0, 0.0), covariance)
+        return Track(sighting.stamp, (sighting.x, sighting.y, 0.0, 0.0), covariance)
 
     def predict(self, track: Track, stamp: int) -> Track:
         """Return the track at another time, ns."""
         assert track.covariance is not None
         xx, xy, xu, xv, yy, yu, yv, uu, uv, vv = track.covariance  # (u, v): the velocity
         t = (stamp - track.stamp) / SECOND
-        span = abs(t)  # a track is predicted to an earlier time where clocks differ; it is no surer there
+        span = abs(t)  # t is negative if clocks differ: the track is then as uncertain as after -t
         rate = self.velocity_diffusion**2
         a, b, c = rate * (span**3 / 3.0), rate * (t * span / 2.0), rate * span
         xx, yy = xx + t * (2.0 * xu + t * uu) + a, yy + t * (2.0 * yv + t * vv) + a
@@ -216,11 +219,13 @@ class Kalman(_Diffusing):
         uu, vv = uu + c, vv + c
         return _new(Track, (stamp, _moved(track.state, t), (xx, xy, xu, xv, yy, yu, yv, uu, uv, vv)))
 
-    def update(self, track: Track, seen: Measurement) -> Track:
+    def update(self, track: Track, sighting: Measurement) -> Track:
         """Return the track after a later sighting."""
-        _, state, covariance = self.predict(track, seen.stamp)
+        _, state, covariance = self.predict(track, sighting.stamp)
         assert covariance is not None
-        return Track(seen.stamp, *corrected_by_position(state, covariance, (seen.x, seen.y), seen.covariance))
+        return Track(
+            sighting.stamp, *corrected_by_position(state, covariance, (sighting.x, sighting.y), sighting.covariance)
+        )
 
 
 Estimator = AlphaBeta | Kalman
@@ -235,7 +240,7 @@ def stationary_gains(index: float) -> tuple[float, float]:
     the stationary gains for a white acceleration (Bar-Shalom, Li & Kirubarajan 2001, section 6.5.3).
     """
     w = sqrt(index * (index / 3.0 + sqrt(index * index / 12.0 + 4.0)))
-    s = 2.0 / (w + sqrt(w * w + 4.0))  # nothing cancels
+    s = 2.0 / (w + sqrt(w * w + 4.0))  # a form in which nothing cancels
     return s * w, index * s
 
 
@@ -247,22 +252,22 @@ def _moved(state: StateVector, t: float) -> StateVector:
 class Filter:
     """The track of one evader from sightings that may arrive late and twice.
 
-    A late sighting is inserted at its time stamp, and the later ones are processed again, so the track is that of the
-    sightings in order. Sightings of several observers at the same time are merged into one. A sighting of the same
-    observer and time counts once.
+    A late sighting is inserted at its time stamp, and all later sightings are processed again, so the order of arrival
+    does not change the track. Sightings of several observers at the same time are merged into one. A second sighting of
+    the same observer and time is ignored.
 
     Args:
         model: the filter.
         window: age, ns, beyond which a sighting is ignored; the sightings within it are kept.
-        covariance_at: the covariance of the error of a sighting; None: that which each sighting has.
+        covariance_at: returns the covariance of the error of a sighting; None: that in the sighting.
         speed: the greatest speed of the evader over ground, m/s.
     """
 
     def __init__(self, model: Estimator, window: int, covariance_at: CovarianceAt | None = None, *, speed: float = 0.0):
         self._model, self._window, self._covariance_at, self._speed = model, window, covariance_at, speed
-        self._seen: list[Measurement] = []
+        self._sightings: list[Measurement] = []
         self._merged: list[Measurement] = []
-        """Each sighting, merged with those before it of the same time."""
+        """For each sighting, the merger of it and the sightings of the same time before it."""
         self._tracks: list[Track] = []
 
     @property
@@ -274,36 +279,37 @@ class Filter:
         """Return the track at a time, ns; None without sightings."""
         return self._model.predict(self._tracks[-1], stamp) if self._tracks else None
 
-    def add(self, seen: Measurement) -> None:
+    def add(self, sighting: Measurement) -> None:
         """Process a sighting."""
-        place = bisect_right(self._seen, seen[:2], key=lambda kept: kept[:2])
-        if place and self._seen[place - 1][:2] == seen[:2]:
+        index = bisect_right(self._sightings, sighting[:2], key=lambda other: other[:2])  # in order of time, observer
+        if index and self._sightings[index - 1][:2] == sighting[:2]:
             return
-        if self._seen and seen.stamp < self._seen[-1].stamp - self._window:
+        if self._sightings and sighting.stamp < self._sightings[-1].stamp - self._window:
             return
-        self._seen.insert(place, seen)
-        del self._merged[place:], self._tracks[place:]
-        for sighting in self._seen[place:]:
-            self._append(sighting)
+        self._sightings.insert(index, sighting)
+        del self._merged[index:], self._tracks[index:]
+        for unprocessed in self._sightings[index:]:
+            self._append(unprocessed)
         self._forget_old()
 
-    def _append(self, seen: Measurement) -> None:
+    def _append(self, sighting: Measurement) -> None:
         """Process a sighting that is at least as new as all before."""
-        is_same_time = bool(self._merged) and self._merged[-1].stamp == seen.stamp
+        is_same_time = bool(self._merged) and self._merged[-1].stamp == sighting.stamp
         stamps = attrgetter("stamp")
-        before = bisect_left(self._merged, seen.stamp, key=stamps) if is_same_time else len(self._tracks)
-        last = self._tracks[before - 1] if before else None
+        older = bisect_left(self._merged, sighting.stamp, key=stamps) if is_same_time else len(self._tracks)
+        last = self._tracks[older - 1] if older else None
         if self._covariance_at is not None:
-            # Before the first track, the sightings of the same time are all that is known of the position.
-            predicted = self._model.predict(last, seen.stamp) if last else self._tracks[-1] if self._tracks else None
-            seen = weighed(seen, predicted, self._covariance_at)
+            # Without an older track, only the other sightings of the same time tell the position.
+            latest = self._tracks[-1] if self._tracks else None
+            predicted = self._model.predict(last, sighting.stamp) if last else latest
+            sighting = weighed(sighting, predicted, self._covariance_at)
         if is_same_time:
-            seen = merged(self._merged[-1], seen)
-        self._merged.append(seen)
-        self._tracks.append(self._model.update(last, seen) if last else self._model.start(seen, self._speed))
+            sighting = merged(self._merged[-1], sighting)
+        self._merged.append(sighting)
+        self._tracks.append(self._model.update(last, sighting) if last else self._model.start(sighting, self._speed))
 
     def _forget_old(self) -> None:
         """Keep the sightings of the window, and one before it."""
-        old = bisect_left(self._seen, self._seen[-1].stamp - self._window, key=attrgetter("stamp"))
+        old = bisect_left(self._sightings, self._sightings[-1].stamp - self._window, key=attrgetter("stamp"))
         if old > 1:
-            del self._seen[: old - 1], self._merged[: old - 1], self._tracks[: old - 1]
+            del self._sightings[: old - 1], self._merged[: old - 1], self._tracks[: old - 1]

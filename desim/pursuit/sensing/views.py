@@ -37,12 +37,12 @@ class EvaderEstimate(NamedTuple):
     uncertainty: float = 0.0
     """Upper bound, m, of the distance of the evader from `position`; 0 if this kind of estimate gives no bound."""
     deviation: float = 0.0
-    """Standard deviation of each coordinate of `position`, m; 0 if it is not known."""
+    """Standard deviation of each coordinate of `position`, m; 0 if unknown."""
     covariance: Covariance = Covariance(0.0, 0.0, 0.0)
-    """That of the errors of `position` or, without a filter, of the newest sighting; 0 without noise."""
+    """Covariance of the error of `position` or, without a filter, of the newest sighting, m^2; 0 without noise."""
 
     def distance(self, position: complex, space: Plane = PLANE) -> float:
-        """Return the distance, m, from a position to the evader: the mean over its errors, or the greatest."""
+        """Return the distance, m, from a position to the evader: the mean given `deviation`, plus `uncertainty`."""
         distance = space.distance(position, space.free_place(self.position))
         return expected_distance(distance, self.deviation) + self.uncertainty
 
@@ -81,8 +81,8 @@ class View:
         reckoned_teams: by evader, what was last extrapolated from records of the whole team; used by
             `desim.pursuit.team.beliefs`.
         reckonings: by pursuer, what was last extrapolated from a record of it: the record, the instant (ns, of true
-            time and by the clock of the pursuer that extrapolated; None: any, because the motion is that of a pursuer
-            that stands still), and the motion; used by `desim.pursuit.team.beliefs`.
+            time and by the clock of the pursuer that extrapolated), and the motion. If the instant is None, the motion
+            holds at any, because the pursuer stands still. Used by `desim.pursuit.team.beliefs`.
     """
 
     unlimited: ClassVar[bool] = True
@@ -91,9 +91,10 @@ class View:
     def __init__(self, state: WorldState, prune: Prune):
         self.state, self._prune = state, prune
         self._has_flow = not state.environment.is_still
-        keeps = state.environment.keeps_distances and state.space.is_open
-        self._knows_slow = prune == "inf" and keeps  # whether the speeds alone decide who may chase
-        self._options_last = self.unlimited and prune != "infeasible" and keeps  # until the next capture
+        keeps_distances = state.environment.keeps_distances and state.space.is_open
+        self._knows_slow = prune == "inf" and keeps_distances  # whether the speeds alone decide who may chase
+        # Whether options change at captures only.
+        self._options_last = self.unlimited and prune != "infeasible" and keeps_distances
         self._options: dict[int, tuple[int, ...]] = {}
         self._options_at: Sequence[int] | None = None  # the evaders at large when these options were computed
         self.reckoned_teams: dict[int, ReckonedTeam] = {}
@@ -143,8 +144,8 @@ class View:
                 state.players.positions()
             return state.body(evader).capture_times_of(pursuers, now)
         if len(pursuers) <= MAX_SCALAR_SIZE and state.body(evader).is_radial:
-            places = [MotionState(state.position(pursuer)) for pursuer in pursuers]
-            return self.capture_times_from(list(pursuers), places, evader)
+            motions = [MotionState(state.position(pursuer)) for pursuer in pursuers]
+            return self.capture_times_from(list(pursuers), motions, evader)
         times = self.capture_times(evader)
         return [times[pursuer] for pursuer in pursuers]
 
@@ -222,10 +223,11 @@ class View:
         if exact and self.unlimited:
             reached = body.path.retrace(start, speed, now - age, end)
         else:
-            there = body.position if captured is not None else self.evader(evader)
-            begin = self.idle(MotionState(start.position), age, now - end).position
+            aim = body.position if captured is not None else self.evader(evader)
+            # The flow carries the pursuer during the chase; its own motion is added to this drift.
+            drifted = self.idle(MotionState(start.position), age, now - end).position
             length = speed * seconds(end - now + age)
-            reached = start if isnan(there) else MotionState(state.space.along(begin, there, length))
+            reached = start if isnan(aim) else MotionState(state.space.along(drifted, aim, length))
         return self.idle(reached, now - end, ended)
 
     def stands(self, motion: MotionState) -> bool:
