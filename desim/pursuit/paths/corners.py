@@ -16,10 +16,10 @@ from desim.kernel.walls.crossings import WallShape, are_inside
 from desim.pursuit.core.state import complex_points, coordinates, lengths
 
 TOUCH = 1e-12
-"""Share of the extent of all walls up to which a line touches a wall and does not cross it."""
+"""Distance, as a share of the extent of all walls, up to which a line touches a wall and does not cross it."""
 CLEARANCE = 1e-10
-"""Share of the extent of all walls that players keep from walls, so that the side of a wall is never in doubt. A gap
-between two walls that is narrower is closed."""
+"""Distance that players keep from walls, as a share of the extent of all walls: each player is on one side of a wall
+without doubt. A narrower gap between two walls is closed."""
 ALIGNED = 1e-9
 """Angle, rad, up to which two directions are one."""
 FULL_TURN = 2.0 * pi
@@ -47,7 +47,7 @@ class WallCorner:
         inside: whether it is inside another obstacle.
 
     Attributes:
-        bend: the rays between which a shortest path can bend here: the directions strictly between the first and the
+        bend: the two rays around which a shortest path can bend here. The directions strictly between the first and the
             second, counter-clockwise and less than half a turn, are not free. None if no shortest path bends here.
     """
 
@@ -84,6 +84,7 @@ class WallCorner:
         """Return the sides on which a straight line in a direction (rad) can pass here."""
         turns = [_wrapped(ray.angle - direction) for ray in self.rays]
         sides: set[Side] = set()
+        # The line can pass on a side on which no wall begins, if the only sector there is free.
         if not any(ALIGNED < turn < pi - ALIGNED for turn in turns):
             first = max(range(len(turns)), key=lambda k: turns[k] - FULL_TURN * (turns[k] > ALIGNED))
             sides |= {"left"} if self._is_free[first] else set()
@@ -101,8 +102,8 @@ class WallCorner:
 
     def _width(self, sector: int) -> float:
         """Return the angle of a sector, rad: a full turn at the end of a single wall."""
-        follows = self.rays[(sector + 1) % len(self.rays)].angle
-        return FULL_TURN - (self.rays[sector].angle - follows) % FULL_TURN
+        next_angle = self.rays[(sector + 1) % len(self.rays)].angle
+        return FULL_TURN - (self.rays[sector].angle - next_angle) % FULL_TURN
 
 
 class Arrangement:
@@ -142,7 +143,7 @@ class Arrangement:
             rays[begin].append(Ray(atan2(along.imag, along.real), end, solid))
             rays[end].append(Ray(atan2(-along.imag, -along.real), begin, mirrored(solid)))
         self.corners = [
-            WallCorner(begins, inside=within) for begins, within in zip(rays, enclosed.tolist(), strict=True)
+            WallCorner(corner_rays, inside=inside) for corner_rays, inside in zip(rays, enclosed.tolist(), strict=True)
         ]
 
     def sides_of_piece(self, begin: int, end: int) -> frozenset[Side] | None:
@@ -192,7 +193,7 @@ def is_within(places: Floats, wall: Sequence[WallShape]) -> Bools:
 
 
 def mirrored(sides: frozenset[Side]) -> frozenset[Side]:
-    """Return the sides as seen from the other end."""
+    """Return the sides of a piece as seen from its other end."""
     return frozenset({"left": "right", "right": "left"}[side] for side in sides)  # type: ignore[misc]
 
 

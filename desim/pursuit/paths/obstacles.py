@@ -20,7 +20,7 @@ SLIDES = 3
 
 
 class Rings:
-    """The edges of all polygons, wall by wall.
+    """The edges of all polygons, wall by wall, to find the places inside walls.
 
     Args:
         walls: the lines and polygons of each wall.
@@ -40,12 +40,13 @@ class Rings:
     def cover(self, x: Floats, y: Floats) -> Bools:
         """Return which of k places (x, y), each (k, 1) m, are inside the polygons of a wall and in none of its holes.
 
-        On an outline, either is possible.
+        A ray from such a place along x crosses an odd number of edges of the wall. On an outline, either result is
+        possible.
         """
         if not len(self._first):
             return np.zeros(len(x), dtype=bool)
-        crosses = ((self._y > y) != (self._end_y > y)) & (x < self._x + (y - self._y) * self._slope)
-        odd = np.add.reduceat(crosses.view(np.int8), self._first, axis=1) % 2
+        is_crossed = ((self._y > y) != (self._end_y > y)) & (x < self._x + (y - self._y) * self._slope)
+        odd = np.add.reduceat(is_crossed.view(np.int8), self._first, axis=1) % 2
         return np.asarray(odd.any(axis=1))
 
 
@@ -72,21 +73,24 @@ class Obstacles:
         self._solid = np.array([[side in sides for sides in solid] for side in ("right", "left")], dtype=bool)
         """(2, E) whether the inside of a wall is to the right, and to the left, of each piece."""
         self._rings = Rings(walls)
-        at = [k for k, corner in enumerate(self._plan.corners) if corner.bend is not None]
-        self._bend_at = np.array(at, dtype=np.intp)
-        self.bends: Points = self._places[self._bend_at]
-        blocked = [self._plan.corners[k].bend or () for k in at]
+        bending = [k for k, corner in enumerate(self._plan.corners) if corner.bend is not None]
+        self._bend_corners = np.array(bending, dtype=np.intp)
+        self.bends: Points = self._places[self._bend_corners]
+        blocked = [self._plan.corners[k].bend or () for k in bending]
         self._first, self._second = (
-            np.array([self._direction(k, rays[side].end) for k, rays in zip(at, blocked, strict=True)], dtype=complex)
+            np.array(
+                [self._direction(k, rays[side].end) for k, rays in zip(bending, blocked, strict=True)], dtype=complex
+            )
             for side in (0, 1)
         )
-        """(C,) the directions between which it is not free, counter-clockwise, of length 1."""
-        outward = [self._plan.corners[k].outward() or 0.0 for k in at]
+        """(C,) directions of length 1 that bound the sector of each corner that is not free, counter-clockwise."""
+        outward = [self._plan.corners[k].outward() or 0.0 for k in bending]
         self.turns: Points = self.bends + self.clearance * np.array([complex(cos(a), sin(a)) for a in outward])
-        """(C,) where a player turns that goes around a corner, m."""
+        """(C,) the place beside each corner at which a player turns that goes around it, m."""
         self._sides_of_bends = self._sides(self.bends)
 
     def _direction(self, begin: int, end: int) -> complex:
+        """Return the direction, of length 1, from one corner to another."""
         along = complex(self._places[end] - self._places[begin])
         return along / abs(along)
 
@@ -94,8 +98,8 @@ class Obstacles:
         """Return which of (k,) places, m, a player may have: not inside a wall, and not closer than the clearance."""
         x, y = places.real[:, None], places.imag[:, None]
         along = (x - self._x) * self._along_x + (y - self._y) * self._along_y
-        share = np.minimum(np.maximum(along, 0.0), self._size)
-        gaps = np.hypot(x - self._x - share * self._along_x, y - self._y - share * self._along_y)
+        nearest = np.minimum(np.maximum(along, 0.0), self._size)  # the nearest point of each piece, m from its begin
+        gaps = np.hypot(x - self._x - nearest * self._along_x, y - self._y - nearest * self._along_y)
         free = np.asarray((gaps >= self.clearance).all(axis=1))
         free &= ~self._rings.cover(x, y)
         return free
@@ -113,35 +117,37 @@ class Obstacles:
         after = self._first.real * y - self._first.imag * x
         before = x * self._second.imag - y * self._second.real
         touch = self._touch
+        # The source is outside of the blocked sector. In the sector opposite to it, no taut path bends at the corner.
         is_in_front = (after <= touch) | (before <= touch)
         is_taut = (after >= -touch) | (before >= -touch)
-        at = (is_in_front & is_taut).nonzero()[0]
-        if not len(at):
-            return at, np.zeros(0)
-        clear = self._clear(source, self.bends[at], self._sides_of_bends[at], self._bend_at[at])
-        at = at[clear]
-        return at, np.hypot(x[at], y[at])
+        bends = (is_in_front & is_taut).nonzero()[0]
+        if not len(bends):
+            return bends, np.zeros(0)
+        clear = self._clear(source, self.bends[bends], self._sides_of_bends[bends], self._bend_corners[bends])
+        bends = bends[clear]
+        return bends, np.hypot(x[bends], y[bends])
 
     def slide(self, place: complex, way: complex) -> complex:
-        """Return the way, m, of a player that would go along a way (m): along walls where these are in its way.
+        """Return the displacement, m, of a player that intends the displacement `way` (m) and slides along walls.
 
-        At each wall the part of the way across it is lost. A player stops where walls leave it no way.
+        At each wall the player loses the part across the wall. It stands still if a wall is ahead after `SLIDES` walls.
         """
         longest = abs(way)
         for _ in range(SLIDES):
             wall = self._wall_ahead(place, way)
             if wall is None:
+                # The clearance that was added at walls may have made the way longer.
                 return way if abs(way) <= longest else way * (longest / abs(way))
             along = complex(self._along_x[wall], self._along_y[wall])
             across = along * 1j
             offset = place - complex(self._x[wall], self._y[wall])
             distance, rate = _dot(offset, across), _dot(way, across)
-            on_wall, left = abs(distance) < self.clearance, distance >= 0.0
-            if on_wall and self._solid[int(left), wall]:
-                left = not left
-            if not left:
+            on_wall, is_left = abs(distance) < self.clearance, distance >= 0.0
+            if on_wall and self._solid[int(is_left), wall]:
+                is_left = not is_left
+            if not is_left:
                 across, distance, rate = -across, -distance, -rate
-            way += across * (2.0 * self.clearance - distance - rate)
+            way += across * (2.0 * self.clearance - distance - rate)  # it ends at twice the clearance from the wall
         return 0j if self._wall_ahead(place, way) is not None else way
 
     def free_place(self, place: complex) -> complex:
@@ -149,10 +155,10 @@ class Obstacles:
         if self.are_free(np.array([place]))[0]:
             return place
         x, y = place.real - self._x, place.imag - self._y
-        share = np.clip(x * self._along_x + y * self._along_y, 0.0, self._size)
-        near = self._x + share * self._along_x + 1j * (self._y + share * self._along_y)
+        along = np.clip(x * self._along_x + y * self._along_y, 0.0, self._size)
+        nearest = self._x + along * self._along_x + 1j * (self._y + along * self._along_y)  # point of each piece
         across = 2.0 * self.clearance * (self._along_y - 1j * self._along_x)
-        candidates = np.concatenate([near + across, near - across, self.turns])
+        candidates = np.concatenate([nearest + across, nearest - across, self.turns])
         candidates = candidates[self.are_free(candidates)]
         return complex(candidates[lengths(candidates - place).argmin()]) if len(candidates) else place
 
@@ -165,14 +171,14 @@ class Obstacles:
         gap = np.maximum(abs(distance) - self.clearance, 0.0)
         meets = gap + rate < -self._touch
         along, pace = self._along_x * x + self._along_y * y, self._along_x * way.real + self._along_y * way.imag
-        # A player on the line of a wall, which comes to its end, would be on both of its sides.
+        # A player on the line of a wall meets the end of the wall head-on: there it would be on both sides of the wall.
         low, high = -self.clearance, self._size + self.clearance
         ahead = np.where(along < low, low - along, np.where(along > high, along - high, -inf))
         head_on = (gap == 0.0) & (abs(rate) < self.clearance) & (ahead >= 0.0) & (pace * (low - along) > 0.0)
-        share = np.where(meets, gap / np.where(meets, -rate, 1.0), 2.0)
+        share = np.where(meets, gap / np.where(meets, -rate, 1.0), 2.0)  # of the way; 2: it does not meet the piece
         share = np.where(head_on, ahead / np.maximum(abs(pace), SMALLEST), share)
-        at = along + share * pace
-        share[~head_on & ((at < low) | (at > high))] = 2.0
+        met_at = along + share * pace  # m from the begin of the piece
+        share[~head_on & ((met_at < low) | (met_at > high))] = 2.0
         first = int(share.argmin())
         return first if share[first] <= 1.0 else None
 
@@ -181,19 +187,19 @@ class Obstacles:
         x, y = places.real[:, None] - self._x, places.imag[:, None] - self._y
         return _signs(self._along_x * y - self._along_y * x, self._touch)
 
-    def _clear(self, source: complex, targets: Points, sides: np.ndarray, at: np.ndarray | None) -> Bools:
+    def _clear(self, source: complex, targets: Points, sides: np.ndarray, corners: np.ndarray | None) -> Bools:
         """Return to which of (k,) targets the straight line from a source is free.
 
         Args:
             source: the source, m.
             targets: (k,) the targets, m.
             sides: (k, E) see `_sides`.
-            at: (k,) the numbers of the corners that are the targets; None: they are any places.
+            corners: (k,) the corners that are the targets; None: the targets are any places.
         """
         x, y = targets.real - source.real, targets.imag - source.imag
         corner_x, corner_y = self._places.real - source.real, self._places.imag - source.imag
         length = np.hypot(x, y)
-        across = x[:, None] * corner_y - y[:, None] * corner_x  # times the length
+        across = x[:, None] * corner_y - y[:, None] * corner_x  # m times the length
         turns = _signs(across, self._touch * length[:, None])
         source_sides = self._sides(np.array([source]))[0]
         crossed = (source_sides * sides < 0) & (turns[:, self._begin] * turns[:, self._end] < 0)
@@ -201,8 +207,8 @@ class Obstacles:
         if not source_sides.all():
             clear &= ~self._comes_from_inside(np.array([source]), source_sides, sides)
         on = (turns == 0) & (length > self._touch)[:, None]
-        if at is not None:
-            on[np.arange(len(at)), at] = False
+        if corners is not None:
+            on[np.arange(len(corners)), corners] = False
         elif not sides.all():
             clear &= ~self._comes_from_inside(targets, sides, source_sides)
         if on.any():
@@ -212,11 +218,12 @@ class Obstacles:
             for k in (on.any(axis=1) & clear).nonzero()[0].tolist():
                 passed = on[k].nonzero()[0]
                 order = passed[along[k, passed].argsort(kind="stable")].tolist()
-                clear[k] = self._passes(source, complex(targets[k]), order, None if at is None else int(at[k]))
-        if at is not None and (neighbours := self._neighbours_of(corner_x, corner_y)):
+                end = None if corners is None else int(corners[k])
+                clear[k] = self._passes(source, complex(targets[k]), order, end)
+        if corners is not None and (neighbours := self._neighbours_of(corner_x, corner_y)):
             for k in clear.nonzero()[0].tolist():
-                if int(at[k]) in neighbours and not on[k].any():
-                    clear[k] = self._passes(source, complex(targets[k]), [], int(at[k]))
+                if int(corners[k]) in neighbours and not on[k].any():
+                    clear[k] = self._passes(source, complex(targets[k]), [], int(corners[k]))
         return clear
 
     def _comes_from_inside(self, end: Points, sides_of_end: np.ndarray, sides_of_other: np.ndarray) -> Bools:
@@ -238,9 +245,9 @@ class Obstacles:
         return np.asarray((along > self._touch) & (along < self._size - self._touch))
 
     def _neighbours_of(self, x: Floats, y: Floats) -> set[int]:
-        """Return the corners at the other ends of the pieces that begin at the corner with an offset (x, y) of 0."""
-        at = ((abs(x) <= self._touch) & (abs(y) <= self._touch)).nonzero()[0]
-        return {ray.end for ray in self._plan.corners[int(at[0])].rays} if len(at) else set()
+        """Return the other ends of the pieces that begin at a place; (x, y) are the offsets of all corners from it."""
+        corners = ((abs(x) <= self._touch) & (abs(y) <= self._touch)).nonzero()[0]
+        return {ray.end for ray in self._plan.corners[int(corners[0])].rays} if len(corners) else set()
 
     def _passes(self, source: complex, target: complex, passed: list[int], end: int | None) -> bool:
         """Return whether a line that touches corners, and crosses no wall elsewhere, is free.
@@ -253,12 +260,12 @@ class Obstacles:
         """
         way = target - source
         direction = atan2(way.imag, way.real)
-        corners, before, sides = self._plan.corners, None, BOTH
+        corners, previous, sides = self._plan.corners, None, BOTH
         for corner in passed if end is None else [*passed, end]:
             place = complex(self._places[corner])
             along: frozenset[Side] | None = None
-            if before is not None:
-                along = self._plan.sides_of_piece(before, corner)
+            if previous is not None:
+                along = self._plan.sides_of_piece(previous, corner)
             sides = BOTH if along is None else sides & along
             if abs(place - source) <= self._touch:
                 sides &= corners[corner].sides_along(direction)
@@ -268,7 +275,7 @@ class Obstacles:
                 sides &= corners[corner].sides_past(direction)
             if not sides:
                 return False
-            before = corner
+            previous = corner
         return True
 
 

@@ -15,9 +15,9 @@ from desim.pursuit.core.state import lengths
 from desim.pursuit.paths.obstacles import Obstacles
 
 MAX_SIGHTS = 4096
-"""Maximum number of places of which the corners in sight are kept."""
+"""Maximum number of places in the cache of corners in sight."""
 MAX_ROUTES = 64
-"""Maximum number of paths that are kept: at one instant, a path is asked for by options, utilities and beliefs."""
+"""Maximum number of paths in the cache: at one instant, options, utilities and beliefs ask for the same paths."""
 
 
 class Sight(NamedTuple):
@@ -27,8 +27,8 @@ class Sight(NamedTuple):
     """(c,) their indices."""
     distances: Floats
     """(c,) their distances, m."""
-    beyond: Floats
-    """(C,) the length of the shortest path from the place to each corner, m."""
+    path_lengths: Floats
+    """(C,) the lengths of the shortest paths from the place to all corners, m."""
 
 
 class Route(NamedTuple):
@@ -37,7 +37,7 @@ class Route(NamedTuple):
     length: float
     """Its length, m; inf if there is no path."""
     first: int | None = None
-    """The corner at which it bends first; None if it is straight, or there is none."""
+    """The corner at which it bends first; None if it is straight, or there is no path."""
     last: int | None = None
     """The corner at which it bends last."""
 
@@ -59,18 +59,18 @@ class ShortestPaths:
         columns: list[int] = []
         distances: list[float] = []
         for k, bend in enumerate(obstacles.bends.tolist()):
-            seen, apart = obstacles.bends_in_sight(bend)
-            pairs = [(j, d) for j, d in zip(seen.tolist(), apart.tolist(), strict=True) if j > k]
+            visible, lengths_to = obstacles.bends_in_sight(bend)
+            pairs = [(j, length) for j, length in zip(visible.tolist(), lengths_to.tolist(), strict=True) if j > k]
             rows += [k] * len(pairs)
             columns += [j for j, _ in pairs]
-            distances += [d for _, d in pairs]
-        places = np.array([rows, columns], dtype=np.int32)  # the dijkstra of SciPy 1.14 refuses indices of 64 bits
-        graph = csr_array((distances, (places[0], places[1])), shape=(count, count))
-        self._apart: Floats = np.zeros((0, 0))
-        self._before: Integers = np.zeros((0, 0), dtype=np.int64)
+            distances += [length for _, length in pairs]
+        indices = np.array([rows, columns], dtype=np.int32)  # the dijkstra of SciPy 1.14 refuses indices of 64 bits
+        graph = csr_array((distances, (indices[0], indices[1])), shape=(count, count))
+        self._corner_distances: Floats = np.zeros((0, 0))
+        self._predecessors: Integers = np.zeros((0, 0), dtype=np.int64)
         if count:
-            self._apart, self._before = dijkstra(graph, directed=False, return_predecessors=True)
-        """(C, C) the distance of each two corners, m, and the corner before the second on the path from the first."""
+            self._corner_distances, self._predecessors = dijkstra(graph, directed=False, return_predecessors=True)
+        """(C, C) the length of the path between two corners, m, and the last corner but one on it."""
         self._sight = lru_cache(MAX_SIGHTS)(self._sight_at)
         self.route = lru_cache(MAX_ROUTES)(self._route)
 
@@ -86,10 +86,10 @@ class ShortestPaths:
 
     def distances(self, target: complex, sources: Points) -> Floats:
         """Return the lengths of the shortest paths from (k,) sources to a target, (k,) m; inf without a path."""
-        apart = lengths(target - sources)
+        distances = lengths(target - sources)
         for k in (~self.obstacles.clear(target, sources)).nonzero()[0].tolist():
-            apart[k] = self._bent(complex(sources[k]), target).length
-        return apart
+            distances[k] = self._bent(complex(sources[k]), target).length
+        return distances
 
     def path(self, source: complex, target: complex) -> list[complex]:
         """Return the places, m, between which the shortest path is straight, from source to target; [] without one."""
@@ -98,23 +98,27 @@ class ShortestPaths:
             return []
         bends = [] if route.last is None else [route.last]
         while bends and bends[-1] != route.first:
-            bends.append(int(self._before[route.first, bends[-1]]))
+            bends.append(int(self._predecessors[route.first, bends[-1]]))
         return [source, *(complex(self.obstacles.bends[k]) for k in reversed(bends)), target]
 
     def _bent(self, source: complex, target: complex) -> Route:
         """Return the shortest path over corners."""
-        here, there = self._sight(source), self._sight(target)
-        if not len(here.bends) or not len(there.bends):
+        near, far = self._sight(source), self._sight(target)
+        if not len(near.bends) or not len(far.bends):
             return Route(inf)
-        total = here.distances + there.beyond[here.bends]
+        total = near.distances + far.path_lengths[near.bends]
         best = int(total.argmin())
-        first = int(here.bends[best])
+        first = int(near.bends[best])
         if total[best] == inf:
             return Route(inf)
-        last = int(there.bends[(self._apart[first, there.bends] + there.distances).argmin()])
+        last = int(far.bends[(self._corner_distances[first, far.bends] + far.distances).argmin()])
         return Route(float(total[best]), first, last)
 
     def _sight_at(self, place: complex) -> Sight:
         bends, distances = self.obstacles.bends_in_sight(place)
-        beyond = (self._apart[:, bends] + distances).min(axis=1) if len(bends) else np.full(len(self._apart), inf)
-        return Sight(bends, distances, beyond)
+        path_lengths = (
+            (self._corner_distances[:, bends] + distances).min(axis=1)
+            if len(bends)
+            else np.full(len(self._corner_distances), inf)
+        )
+        return Sight(bends, distances, path_lengths)
