@@ -25,10 +25,8 @@ Dimensions = Literal[2, 3]
 """The coordinates of each waypoint of BonnMotion."""
 MARKER_3D = re.compile(r"#\s*3D\b", re.IGNORECASE)
 """Matches the first line of a file of BonnMotion with heights."""
-
-
 MANY = 10
-"""The least number of lines of a file in which only integers mean that it has no coordinates."""
+"""From this number of lines on, a file of integers has no coordinates, unless its lines begin or end together."""
 
 
 class BonnMotionFile(MobilityFile):
@@ -48,10 +46,10 @@ class BonnMotionFile(MobilityFile):
     def _check_is_no_table(self, dimensions: Dimensions | None) -> None:
         """Raise ValueError if the lines seem to be the rows of a table that lacks a header.
 
-        All lines but one at most are one waypoint each, and their times differ: where nearly no node moves, they have
-        no reason to. Or all lines are equally long, and in any reading some are no waypoints in order of time, or
-        `MANY` lines of integers neither begin nor end together, as contacts do not. With `dimensions` given,
-        integers may be coordinates.
+        This is so in three cases. All lines, except one at most, are one waypoint each, and their times differ: nodes
+        that stand still would have equal times. Or all lines are equally long, and in any reading some are no waypoints
+        in order of time. Or `MANY` such lines consist of integers and neither begin nor end together, as those of
+        contacts. If `dimensions` are given, integers may be coordinates.
         """
         possible = [4] if self._is_marked else [3, 4] if dimensions is None else [dimensions + 1]
         single = [row for row in self._rows if len(row[1]) in possible]
@@ -63,25 +61,25 @@ class BonnMotionFile(MobilityFile):
             unordered = [[row for row in self._rows if not _increase(row[1][::width])] for width in widths]
             if all(unordered):
                 wrong = min((rows[0] for rows in unordered), default=self._rows[0])
-            elif dimensions is None and not self._is_marked and self._are_integers(widths):
+            elif dimensions is None and not self._is_marked and self._are_integers_apart(widths):
                 wrong, end = self._rows[0], "; if they are waypoints, set dimensions = 2"
         if wrong is not None:
             hint = "; if each line is one waypoint of a table, the first line should name its columns, t, x and y"
             raise ValueError(f"{self.file}, line {wrong[0]}: {SHOULD_BE_TRIPLES}, in order of time{hint}{end}")
 
-    def _are_integers(self, widths: Iterable[int]) -> bool:
+    def _are_integers_apart(self, widths: Iterable[int]) -> bool:
         """Return whether the file is many lines of integers that neither begin nor end together.
 
         Args:
-            widths: the numbers of a waypoint that are possible.
+            widths: the possible lengths of a waypoint.
         """
         rows = [row for _, row in self._rows]
         if len(rows) < MANY or not all(cell.isdecimal() for row in rows for cell in row):
             return False
-        return all(len({row[at] for row in rows}) > 1 for at in (0, *(-width for width in widths)))
+        return all(len({row[k] for row in rows}) > 1 for k in (0, *(-width for width in widths)))
 
     def _likely_width(self) -> int:
-        """Return the numbers of a waypoint, 3 or 4; raise ValueError if both are possible."""
+        """Return how many numbers a waypoint has, 3 or 4; raise ValueError if both are possible."""
         if self._is_marked:
             return 4
         if uneven := [(line, len(row)) for line, row in self._rows if len(row) % 3]:
@@ -106,13 +104,13 @@ class BonnMotionFile(MobilityFile):
             form = SHOULD_BE_TRIPLES if width == 3 else "should be t1 x1 y1 z1 t2 ..., four numbers each"
             raise ValueError(f"{place}: {form}; there are {len(row)}{SET_3 if width == 3 and not len(row) % 4 else ''}")
         start = start_of(_first_times(self._rows), self.file)
-        is_high, waypoints = False, list[Waypoint]()
+        has_heights, waypoints = False, list[Waypoint]()
         for k in range(0, len(row), width):
             t, x, y = time(row[k], place, start), coordinate(row[k + 1], place), coordinate(row[k + 2], place)
             if width == 4:
-                is_high |= coordinate(row[k + 3], place) != 0.0
+                has_heights |= coordinate(row[k + 3], place) != 0.0
             append(waypoints, Waypoint(t, x, y, line), place)
-        return NodeTrack(waypoints, is_high)
+        return NodeTrack(waypoints, has_heights)
 
 
 SHOULD_BE_TRIPLES = "should be t1 x1 y1 t2 x2 y2 ..., three numbers each"

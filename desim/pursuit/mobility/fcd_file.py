@@ -38,19 +38,19 @@ class FcdFile(MobilityFile):
 
     def __init__(self, file: Path, text: str):
         self._places = defaultdict[str, list[_Place]](list)
-        now = ""
+        step_time = ""
         parser = ParserCreate("utf-8")  # whatever encoding it declares: the text has been decoded
 
         def start(name: str, attributes: dict[str, str]) -> None:
-            nonlocal now
+            nonlocal step_time
             line = parser.CurrentLineNumber
             needed = ["time"] if name == "timestep" else ["id", "x", "y"] if name in TRAVELLERS else []
             if missing := [key for key in needed if key not in attributes]:
                 raise ValueError(f"{file}, line {line}: <{name}> has no {missing[0]}")
             if name == "timestep":
-                now = attributes["time"]
+                step_time = attributes["time"]
             elif name in TRAVELLERS:
-                self._places[attributes["id"]].append(_Place(now, attributes, line))
+                self._places[attributes["id"]].append(_Place(step_time, attributes, line))
 
         def refuse(*_: object) -> None:
             raise ValueError(f"{file}: it should declare no document type (<!DOCTYPE ...>)")
@@ -88,10 +88,10 @@ class FcdFile(MobilityFile):
             )
 
     def _track(self, node: NodeName) -> NodeTrack:
-        waypoints, is_high = list[Waypoint](), False
+        waypoints, has_heights = list[Waypoint](), False
         for t, attributes, line in self._places[str(node)]:
             place = f"{self.file}, line {line}"
             x, y = coordinate(attributes["x"], place), coordinate(attributes["y"], place)
             append(waypoints, Waypoint(time(t, place, self._start), x, y, line), place)
-            is_high |= coordinate(attributes.get("z", "0"), place) != 0.0
-        return NodeTrack(waypoints, is_high)
+            has_heights |= coordinate(attributes.get("z", "0"), place) != 0.0
+        return NodeTrack(waypoints, has_heights)

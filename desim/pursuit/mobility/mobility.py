@@ -73,6 +73,7 @@ class MobilityFile:
         raise NotImplementedError
 
     def _lacks(self, node: NodeName) -> str:
+        """Return the message that the file has no such node."""
         names, count = list(map(str, self.nodes)), len(self.nodes)
         hint = did_you_mean(node, names) if isinstance(node, str) else ""
         if self.nodes == tuple(range(count)) and count > 1:
@@ -100,7 +101,7 @@ def append(waypoints: list[Waypoint], new: Waypoint, place: str) -> None:
 
 
 def time(text: str, place: str, start: Decimal = Decimal(0), unit: Unit = "s") -> float:
-    """Return the time of the simulation, s, that a text says in a unit; `start` is that of its beginning, s.
+    """Return the time of the simulation, s, that a text says in a unit; the simulation begins at the time `start`, s.
 
     Raises:
         ValueError: if the text is not a time, or is not from 0 to `MAX_TIME`.

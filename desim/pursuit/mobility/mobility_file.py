@@ -36,20 +36,20 @@ def read_mobility(
     text = csv_text(file, None, units="") if file.suffix.lower() == ".parquet" else text_of_file(file)
     for unit in "s" if is_scaled else "sm":
         check_comments(text, file, unit)
-    made = _nodes_of(file, text, dimensions, needs_times=needs_times)
-    if dimensions is not None and not isinstance(made, BonnMotionFile):
+    mobility = _nodes_of(file, text, dimensions, needs_times=needs_times)
+    if dimensions is not None and not isinstance(mobility, BonnMotionFile):
         raise ValueError(f"{file}: dimensions are of a file of BonnMotion, which this is not")
-    return made
+    return mobility
 
 
 def _nodes_of(file: Path, text: str, dimensions: Dimensions | None, *, needs_times: bool) -> MobilityFile:
     """Return the nodes of a mobility file, whose content is `text`; see `read_mobility`."""
     lines = text.split("\n")
-    first = next((line.strip() for line in lines if line.strip()), "")
-    if first.startswith("<") and "<fcd-export" in text:
+    first_line = next((line.strip() for line in lines if line.strip()), "")
+    if first_line.startswith("<") and "<fcd-export" in text:
         return FcdFile(file, text)
     for beginning, advice in UNREAD.items():
-        if first.startswith(beginning):
+        if first_line.startswith(beginning):
             hint = next((why for tag, why in XML_ADVICE.items() if tag in "\n".join(lines[:50])), advice)
             raise ValueError(f"{file} is not a mobility file of BonnMotion, ns-2 or SUMO, or a table: {hint}")
     if is_ns2(lines):

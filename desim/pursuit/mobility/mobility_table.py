@@ -55,7 +55,7 @@ def header_in(lines: Sequence[str]) -> tuple[int, str, Header] | None:
         if count >= (3 if is_comment else 2):
             return number, delimiter, header
         if not is_comment:
-            is_bonnmotion = len(text.split()) > 2 and all(map(NUMBER.fullmatch, text.split()))  # refused there
+            is_bonnmotion = len(text.split()) > 2 and all(map(NUMBER.fullmatch, text.split()))  # its reader refuses it
             return (number, delimiter, header) if delimiter in {",", ";"} and not is_bonnmotion else None
     return None
 
@@ -98,6 +98,7 @@ class MobilityTable(MobilityFile):
             if not rows and self._t < width and cells[self._t].strip().lower() in TIME_UNITS:  # a second line of units
                 units = [cells[k].strip() for k in (self._t, self._x, self._y)]
                 continue
+            # The columns t and node that the header lacks: each row is a node at time 0.
             rows.append((line, [*cells, *["0", str(len(rows))][: len(header.names) - width]]))
         if not rows:
             raise ValueError(f"{file} has no rows below its header")
@@ -148,12 +149,13 @@ class MobilityTable(MobilityFile):
             raise ValueError(f"{self._header_line}: columns {both} have the time together: give it in one, in s")
 
     def _check_names(self, rows: Sequence[tuple[int, list[str]]]) -> None:
-        """Raise ValueError if it is not clear which column names the nodes; one that is called node does."""
+        """Raise ValueError if it is not clear which column names the nodes; a column that is called node does."""
         names = self._header.names
         if "node" in names:
             return
-        named = [k for k, name in enumerate(names) if joined(name) in COLUMNS["node"]]
-        node_columns = [k for k in named if len({cells[k] for _, cells in rows}) > 1]  # equal cells name none
+        candidates = [k for k, name in enumerate(names) if joined(name) in COLUMNS["node"]]
+        node_columns = [k for k in candidates if len({cells[k] for _, cells in rows}) > 1]  # equal cells name none
+        # Columns agree if each of them alone tells the nodes apart.
         groups = {tuple(cells[k] for k in node_columns) for _, cells in rows}
         if any(len({group[k] for group in groups}) < len(groups) for k in range(len(node_columns))):
             listed = " and ".join(names[k] for k in node_columns)
@@ -196,18 +198,18 @@ class MobilityTable(MobilityFile):
     def _track(self, node: NodeName) -> NodeTrack:
         start = start_of((self._time(row) for rows in self._rows.values() for row in rows), self.file)
         z = self._columns["z"]
-        waypoints, is_high = list[Waypoint](), False
+        waypoints, has_heights = list[Waypoint](), False
         for line, cells in self._rows[str(node)]:
             place = f"{self.file}, line {line}"
-            at = time(cells[self._t], place, start, self._unit)
-            new = Waypoint(at, coordinate(cells[self._x], place), coordinate(cells[self._y], place), line)
-            is_high |= z is not None and cells[z].strip() != "" and coordinate(cells[z], place) != 0.0
+            t = time(cells[self._t], place, start, self._unit)
+            waypoint = Waypoint(t, coordinate(cells[self._x], place), coordinate(cells[self._y], place), line)
+            has_heights |= z is not None and cells[z].strip() != "" and coordinate(cells[z], place) != 0.0
             try:
-                append(waypoints, new, place)
+                append(waypoints, waypoint, place)
             except ValueError as error:
                 hint = "; if the file has several nodes, name them in a column node"
                 raise ValueError(f"{error}{hint if self._columns['node'] is None else ''}") from error
-        return NodeTrack(waypoints, is_high)
+        return NodeTrack(waypoints, has_heights)
 
 
 def _column_of_names(header: Header, rows: Sequence[Sequence[str]]) -> str | None:

@@ -91,13 +91,13 @@ class Ns2File(MobilityFile):
                     " the height the speed is another one"
                 )
             x, y = coordinate(numbers[0], place), coordinate(numbers[1], place)
-            converted(time_of, move[1], place)  # refused here, with the line
+            converted(time_of, move[1], place)  # an invalid time is refused here, because its line is known
             self._motion(move, 2, place).moves.append((move[1], Move(0.0, x, y, speed(numbers[2], place), number)))
         else:
             raise ValueError(f"{place}: should have the form {FORMS}")
 
     def _motion(self, match: re.Match[str], group: int, place: str) -> _Motion:
-        """Return what is known about the node that a statement names, from a group of its match on."""
+        """Return the motion of the node that a statement names; its name begins at a group of the match."""
         array, number = match[group], match[group + 1] or match[group + 2]
         name = f"${array}({number})" if match[group + 1] else f"${array}{number}"
         if self._array and array != self._array:
@@ -155,7 +155,7 @@ def _position(last: Waypoint, target: Waypoint | None, t: float) -> tuple[float,
 def _target(here: Waypoint, move: Move) -> Waypoint | None:
     """Return the waypoint at which a move ends; None if the move takes less than a nanosecond, or has no speed.
 
-    Of a move that takes longer than any run lasts, it is where the node is then.
+    If a move takes longer than any run can last, this is the position of the node at the end of the longest run.
     """
     if move.speed == 0.0:
         return None
