@@ -23,8 +23,8 @@ MARGIN = 1e-6
 class Witness:
     """The observations of one pursuer.
 
-    It observes positions, and whether a teammate stands still or chases an evader; it does so for a motion step before
-    it takes a motion for granted.
+    It observes positions, and whether a teammate stands still or chases an evader; a motion is evidence after it has
+    lasted for a motion step.
 
     Args:
         pursuer: its id.
@@ -79,8 +79,8 @@ class Witness:
         The chase of a captured evader is not refuted: heartbeats may repeat it until the next decision of the sender.
         """
         state, action = self._view.state, announced_action(record.body)
-        since = state.acting_since[record.src] + self._step
-        if action is None or since > record.stamp or state.profile[record.src] == action:
+        evident_from = state.acting_since[record.src] + self._step
+        if action is None or evident_from > record.stamp or state.profile[record.src] == action:
             return False
         return not (0 < action <= state.evader_count and state.body(action).captured is not None)
 
@@ -97,18 +97,17 @@ class Witness:
             phi = body.phi(record.src)
         else:
             return False
-        passed = max(self._clock.stamp - record.stamp, 0)
-        # The time of a pursuer that is inactive may be that for any evader that was at large when it was announced, so
-        # it is too short only if it is so for all.
-        since = state.now - passed
-        large = [body.number for body in state.bodies if body.captured is None or body.captured >= since]
-        evaders = [action] if action else large
+        elapsed = max(self._clock.stamp - record.stamp, 0)
+        # The announced time of an inactive pursuer may refer to any evader that was at large then, so it is refuted
+        # only if it is too short for each of them.
+        sent = state.now - elapsed
+        evaders = [action] if action else [b.number for b in state.bodies if b.captured is None or b.captured >= sent]
         if not all(self._view.unlimited or self._view.sees(evader) for evader in evaders):
             return False
-        age, least = passed / SECOND, inf
+        age, least = elapsed / SECOND, inf
         for evader in evaders:
             speed = state.body(evader).speed
-            grown = (state.top_speed + speed) * age if age else 0.0  # the speed may be inf
+            grown = (state.top_speed + speed) * age if age else 0.0  # an infinite speed times 0 would be nan
             distance = abs(self._view.evader(evader) - state.position(record.src)) - grown
             least = min(least, least_capture_time(distance, state.radius, state.top_speed, speed))
         return phi < least * (1.0 - MARGIN) - MARGIN

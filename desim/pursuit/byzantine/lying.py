@@ -36,13 +36,13 @@ from desim.pursuit.team.judges import PORT as ACCUSATIONS
 from desim.pursuit.team.judges import Accusation
 
 PORT = ReservedPort("forged announcements", __name__)
-"""The port at which announcements arrive that are not broadcast in the name of their sender."""
+"""The port of announcements that are in the name of a teammate, or that differ from neighbour to neighbour."""
 AS_PUBLISHED = BestEffort()
 """The transport of forged announcements: like honest ones, which are published, they are transmitted once."""
 SetAction = Callable[[int, int], None]
 """A function that sets the action of a pursuer."""
 Replacement = tuple[int | None, Collection[int] | None, Any]
-"""A message that replaces another one: receiver, None: all; the neighbours that do not ignore it, None: all; body."""
+"""A message that replaces another one: (receiver, or None: all; the neighbours that it is for, or None: all; body)."""
 
 
 class LyingTeam:
@@ -83,7 +83,7 @@ class LyingTeam:
     # What the pursuers do.
 
     def set_action(self, pursuer: int, action: int) -> None:
-        """Set the action of a pursuer, or 0 if it should chase and a Byzantine fault lets it stay."""
+        """Set the action of a pursuer; while one of its Byzantine faults lets it stay, the action is 0."""
         self._set_action(pursuer, 0 if self._stays(pursuer) else action)
 
     def publish(self, src: int, body: Any, size: int | None = None, stamp: int | None = None) -> None:
@@ -93,12 +93,12 @@ class LyingTeam:
             self._network.publish(src, body, size, stamp)
         elif not self._is_silent(src):
             name, announced = self._says(src, body)
-            told = self._says_to(src, announced)
-            if told is None and name == src:
+            versions = self._says_to(src, announced)
+            if versions is None and name == src:
                 self._network.publish(src, announced, size, stamp)
             else:
                 record = self._network.next_record(name, announced, stamp)
-                for only, version in [(None, announced)] if told is None else told:
+                for only, version in [(None, announced)] if versions is None else versions:
                     self._forge(src, only, record._replace(body=version), size)
 
     def next_record(self, src: int, body: Any, stamp: int | None = None) -> Record:
@@ -142,7 +142,7 @@ class LyingTeam:
     # What becomes of a message.
 
     def _says(self, src: int, body: Any) -> tuple[int, Any]:
-        """Return what a pursuer announces in place of a body: in whose name, and the body."""
+        """Return the pursuer in whose name a pursuer announces, and the body that it announces in place of one."""
         name = src
         for model in self._active[src]:
             answer: Any = model.says(self._speaker(src), body)
@@ -152,10 +152,10 @@ class LyingTeam:
         return name, body
 
     def _says_to(self, src: int, body: Any) -> list[tuple[Collection[int], Any]] | None:
-        """Return each body that a pursuer announces, with the nodes that it tells so; None if all get the same."""
+        """Return each body that a pursuer announces, with the nodes that it tells; None: it tells all the same."""
         linked = self._network.topology.linked(src)
-        told = (model.says_to(self._speaker(src), body, linked) for model in self._active[src])
-        return next((versions for versions in told if versions is not None), None)
+        answers = (model.says_to(self._speaker(src), body, linked) for model in self._active[src])
+        return next((versions for versions in answers if versions is not None), None)
 
     def _replacements(self, src: int, dst: int | None, body: Any) -> Iterator[Replacement]:
         """Yield each message that a pursuer sends in place of one."""
@@ -166,11 +166,11 @@ class LyingTeam:
         if body is None:
             return
         original = next((record for record in relayed_records(body) or () if record.src == src), None)
-        told = None if original is None else self._says_to(src, original.body)
-        if original is None or told is None:
+        versions = None if original is None else self._says_to(src, original.body)
+        if original is None or versions is None:
             yield dst, None, body
             return
-        for only, version in told:
+        for only, version in versions:
             if dst is None or dst in only:
                 forged = [
                     original._replace(body=version) if record is original else record
@@ -190,7 +190,7 @@ class LyingTeam:
         return body._replace(records=kept) if kept else None
 
     def _forge(self, src: int, only: Collection[int] | None, record: Record, size: int | None) -> None:
-        """Broadcast a record in the name of any pursuer, as the network broadcasts those that are published."""
+        """Broadcast a record in the name of any pursuer, as the network broadcasts published records."""
         size = size_of(record.body) if size is None else size
         self._network.send(src, None, Forwarded((record,)), port=PORT, size=size, transport=AS_PUBLISHED, only=only)
 
@@ -239,10 +239,10 @@ class LyingTeam:
 
 
 def _check_answer(answer: Any, body: Any, model: ByzantineFault) -> None:
-    """Check what a fault of a user says in place of a body: any other would be read as that of an inactive pursuer.
+    """Check what a fault of a user says in place of a body; a body of another type would count as an inactive pursuer.
 
     Raises:
-        AnswerError: if it is not a pursuer and a body of the same type.
+        AnswerError: if the answer is not a pursuer and a body of the same type.
     """
     is_pair = isinstance(answer, tuple | list) and len(answer) == 2 and type(as_python(answer[0])) is int
     if not is_pair or not isinstance(answer[1], type(body)):

@@ -18,13 +18,13 @@ CHASE_OR_STAY: tuple[Said, Said] = ("chase", "stay")
 
 @runtime_checkable
 class Falsifiable(Protocol):
-    """An announcement of a protocol of its own, such as a claim in an auction, that a liar can change."""
+    """An announcement of a form that a protocol defines, such as a claim in an auction, which a liar can change."""
 
     def falsified(self, pursuer: int, action: int, phi: float) -> Any:
-        """Return the announcement with which a pursuer pretends to act so, and to have the capture time phi, s."""
+        """Return the announcement with another action and capture time phi (s) of a pursuer."""
 
     def phi(self, pursuer: int) -> float:
-        """Return the capture time, s, that it states for the chase of a pursuer; inf if it states none."""
+        """Return the capture time, s, that it states for a pursuer and the evader it chases; inf if it states none."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,12 @@ class Speaker:
     history: Sequence[tuple[int, Any]] = ()
 
     def action(self, says: Said) -> int:
-        """Return the action that it says it has: an evader, or 0."""
-        true = self.view.state.profile[self.id]
-        if says == "truth" or (says == "chase" and true):
-            return true
-        # The evader that it could capture first.
-        return 0 if says == "stay" or true else min(self.view.state.at_large, key=self.phi, default=0)
+        """Return the action that it announces: an evader, or 0."""
+        true_action = self.view.state.profile[self.id]
+        if says == "truth" or (says == "chase" and true_action):
+            return true_action
+        # An inactive pursuer says that it chases the evader that it could capture first.
+        return 0 if says == "stay" or true_action else min(self.view.state.at_large, key=self.phi, default=0)
 
     def phi(self, evader: int) -> float:
         """Return its true capture time for an evader, s; with 0, the least one for any evader at large."""
