@@ -5,10 +5,10 @@ of the step. Guidance depends only on this motion and on the position and speed 
 that has observed the evader can therefore retrace the path of a teammate.
 
 This is exact for simple motion. A teammate with inertia follows, up to the end of the motion step, the command that it
-was given at the start of the step or as its action changed. From an announcement at any other instant, the command is
+was given at the start of the step or when its action changed. From an announcement at any other instant, the command is
 computed anew, with a small error.
 
-Kept equal to a path from its beginning by
+A query goes on from the cached state of the last query of the same chase. Kept equal to a path from its beginning by
 `tests/pursuit/test_dead_reckoning.py::test_an_incremental_query_equals_a_fresh_one`.
 """
 
@@ -130,8 +130,7 @@ class EvaderTrack:
             return MotionState(self._walled.advance(place, segment.aim, speed, begin, end, segment.end))
         step, duration = seconds(segment.end - begin), seconds(end - begin)
         wind = self._drift(place, 0j, segment, begin)
-        # Guidance is relative to the medium: it aims upstream by the way that the flow carries the pursuer in this
-        # step.
+        # Guidance is relative to the medium: it aims upstream by the drift of the pursuer in this step.
         gap, aim = segment.at(begin) - place, segment.aim - place - wind * step
         command = guided_velocity(self._law, gap, aim, segment.velocity - wind, speed)
         if course is not None:

@@ -2,8 +2,8 @@
 
 A flow that carries all players alike changes no capture time. Otherwise the pursuers know the flow, and allow for it:
 
-- a flow on the pursuers alone, the same everywhere: the pursuer meets the evader as if it moved with its own velocity
-  less that of the flow, in closed form or, if the flow changes in time, at the root of the distance;
+- a flow on the pursuers alone, the same everywhere: the pursuer meets the evader as if the evader moved with its own
+  velocity less that of the flow, in closed form or, if the flow changes in time, at the root of the distance;
 - an affine flow on all: the distance d grows at the rate a d + v_e - v;
 - any other flow: the present difference of the flow at the two players is assumed to stay. This is an approximation.
 """
@@ -24,7 +24,7 @@ from desim.pursuit.motion.environment import Environment
 from desim.pursuit.motion.flow import AffineFlow, UniformFlow, displacement, is_uniform
 
 MAX_STEPS = 1_000
-"""Maximum number of steps towards a root; most roots take 5. A pursuer without a root by then is never in time."""
+"""Maximum number of steps towards a root; most roots take 5. Without a root by then, the capture time is inf."""
 ROUNDING = 1e-13
 """Relative error at which a root counts as found."""
 
@@ -45,7 +45,7 @@ def capture_times_in_flow(
         environment: the flow, and the players that it carries.
         target: position of the evader, m.
         places: (k,) positions of the pursuers, m; nan if unknown, and the time is then inf.
-        distances: (k,) distances to allow for, m: at least those of `target`, if it is uncertain.
+        distances: (k,) distances to the evader, m; greater than those to `target` if its position is uncertain.
         speeds: (k,) speeds of the pursuers, m/s.
         evader_speed: speed of the evader, m/s.
         radius: capture radius, m.
@@ -91,27 +91,27 @@ def _drifting_capture_times(
     """Return the (k,) least times t, s, with |offset + flight t - D(t)| <= v t + eps in a flow on the pursuers alone.
 
     D(t) is the displacement by the flow from `begin` (s) on. It stays within a distance B of the displacement at a mean
-    velocity, so no root is earlier than that for this velocity and the radius eps + B. With f the difference of both
-    sides and A the greatest acceleration of the flow, f is at least f + f' t - A t^2 / 2 after a time t. Steps from
-    root to root of this bound approach the least root from before.
+    velocity, so no root is earlier than that for this velocity and the radius eps + B. Let f be the difference of both
+    sides at some time, and A the greatest acceleration of the flow. A time s later, the difference is at least
+    f + f' s - A s^2 / 2. Steps from root to root of this bound approach the least root from before.
     """
     mean, distance = flow.trend(begin)
     times = intercept_times(offsets, flight - as_complex(mean), speeds, radius + distance)
-    left = np.flatnonzero(times < inf)
+    unsolved = np.flatnonzero(times < inf)
     for _ in range(MAX_STEPS):
-        t, speed, w = times[left], speeds[left], flight[left]
+        t, speed, w = times[unsolved], speeds[unsolved], flight[unsolved]
         ends = (begin + t).tolist()
-        gaps = offsets[left] + w * t - np.array([displacement(flow, begin, end) for end in ends])
+        gaps = offsets[unsolved] + w * t - np.array([displacement(flow, begin, end) for end in ends])
         distances = lengths(gaps)
         missing = distances - speed * t - radius
-        remains = missing > ROUNDING * (radius + distances)
-        if not remains.any():
+        is_unsolved = missing > ROUNDING * (radius + distances)
+        if not is_unsolved.any():
             break
         rates = w - np.array([as_complex(flow.velocity_at(end)) for end in ends])
         slopes = (gaps.real * rates.real + gaps.imag * rates.imag) / np.maximum(distances, SMALLEST) - speed
-        root = np.sqrt(slopes**2 + 2.0 * flow.top_acceleration * np.maximum(missing, 0.0)) - slopes
-        times[left] += np.where(remains, 2.0 * missing / np.maximum(root, SMALLEST), 0.0)
-        left = left[remains]
+        divisor = np.sqrt(slopes**2 + 2.0 * flow.top_acceleration * np.maximum(missing, 0.0)) - slopes
+        times[unsolved] += np.where(is_unsolved, 2.0 * missing / np.maximum(divisor, SMALLEST), 0.0)
+        unsolved = unsolved[is_unsolved]
     else:
-        times[left] = inf
+        times[unsolved] = inf
     return times

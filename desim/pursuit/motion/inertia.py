@@ -38,7 +38,7 @@ class InertialKinematics(Kinematics):
     def __init__(self, env: Clock, start: Points, dynamics: Sequence[Dynamics], headings: Points):
         super().__init__(env, start)
         self._dynamics, self._stays = dynamics, [is_ours(type(model)) for model in dynamics]
-        """`_stays`: by player, whether it is known to stay in place if it stands and is commanded to stand."""
+        """`_stays`: by player, whether it stays in place if commanded to stand still; dynamics of a user may not."""
         self._pieces = [
             Piece(place, Course(0j, heading)) for place, heading in zip(start.tolist(), headings.tolist(), strict=True)
         ]
@@ -46,8 +46,8 @@ class InertialKinematics(Kinematics):
     def positions(self) -> Points:
         """Return the (K,) positions now, m; read-only."""
         if self._cached_at != self._env.now:
-            passed = self._passed
-            self._positions = np.array([piece.at(passed) for piece in self._pieces])
+            elapsed = self._elapsed
+            self._positions = np.array([piece.at(elapsed) for piece in self._pieces])
             self._positions.setflags(write=False)
             self._cached_at = self._env.now
         return self._positions
@@ -56,7 +56,7 @@ class InertialKinematics(Kinematics):
         """Return the position of one player now, m."""
         if self._cached_at == self._env.now:
             return self._positions.item(player)
-        return self._pieces[player].at(self._passed)
+        return self._pieces[player].at(self._elapsed)
 
     def positions_of(self, players: Sequence[int] | NDArray[np.intp]) -> Points:
         """Return the (k,) positions of some players now, m."""
@@ -64,16 +64,16 @@ class InertialKinematics(Kinematics):
 
     def positions_at(self, players: NDArray[np.intp], times: int | Integers) -> Points:
         """Return the (k,) positions of some players, m, at times (ns) of the present piece: one for all, or (k,)."""
-        passed = np.broadcast_to((np.asarray(times) - self._since) / SECOND, len(players)).tolist()
-        return np.array([self._pieces[j].at(t) for j, t in zip(players.tolist(), passed, strict=True)], dtype=complex)
+        elapsed = np.broadcast_to((np.asarray(times) - self._since) / SECOND, len(players)).tolist()
+        return np.array([self._pieces[j].at(t) for j, t in zip(players.tolist(), elapsed, strict=True)], dtype=complex)
 
     def velocity(self, player: int) -> complex:
         """Return the velocity of one player over ground now, m/s."""
-        return self._pieces[player].velocity_at(self._passed)
+        return self._pieces[player].velocity_at(self._elapsed)
 
     def course(self, player: int) -> Course:
         """Return the course of one player now, relative to the flow."""
-        return self._pieces[player].course_at(self._passed)
+        return self._pieces[player].course_at(self._elapsed)
 
     def advance(self, player: int, command: complex, duration: float, drift: complex = 0j) -> tuple[complex, complex]:
         """Return where a velocity (m/s) that is commanded now would take a player."""
@@ -84,22 +84,24 @@ class InertialKinematics(Kinematics):
     def contact(
         self, target: int, offsets: Points, broken: NDArray[np.bool_], radius: float, duration: float, test: CaptureTest
     ) -> tuple[float, int] | None:
-        """Return the first contact of the first players with another one in the present pieces, or None."""
-        begin, able = self._passed, np.flatnonzero(~broken).tolist()
+        """Return the first contact of one of the first N players with a target in the present pieces, or None."""
+        begin, working = self._elapsed, np.flatnonzero(~broken).tolist()
         end, piece = begin + duration, self._pieces[target]
         if test == "sample":
-            gaps = [(abs(piece.at(end) - self._pieces[player].at(end)), player) for player in able]
+            gaps = [(abs(piece.at(end) - self._pieces[player].at(end)), player) for player in working]
             distance, nearest = min(gaps, default=(inf, 0))
             return (duration, nearest) if distance <= radius else None
-        times = [(first_contact_of_pieces(piece, self._pieces[player], radius, begin, end), player) for player in able]
+        times = [
+            (first_contact_of_pieces(piece, self._pieces[player], radius, begin, end), player) for player in working
+        ]
         return min(((time, player) for time, player in times if time is not None), default=None)
 
     def observe(self, since: int, places: Points, courses: Courses, commands: Points, drifts: Points | None) -> None:
-        """Replace all motions by those of the same players elsewhere, as they were observed a moment ago."""
+        """Replace all motions by an observation of the same players in another process, made a moment ago."""
         super().observe(since, places, courses, commands, drifts)
         flow = [0j] * len(places) if drifts is None else drifts.tolist()
-        observed = map(Course, *(part.tolist() for part in courses))
-        motions = zip(self._dynamics, places.tolist(), observed, commands.tolist(), flow, strict=True)
+        observed_courses = map(Course, *(part.tolist() for part in courses))
+        motions = zip(self._dynamics, places.tolist(), observed_courses, commands.tolist(), flow, strict=True)
         self._pieces = [
             piece_with(dynamics, place, course, command)._replace(drift=drift)
             for dynamics, place, course, command, drift in motions
@@ -119,14 +121,14 @@ class InertialKinematics(Kinematics):
         self._since, self.commands, self.drifts = self._env.now, velocities, drifts
 
     @property
-    def _passed(self) -> float:
+    def _elapsed(self) -> float:
         """The time since the present pieces began, s."""
         return (self._env.now - self._since) / SECOND
 
     def _piece(self, player: int, command: complex, drift: complex) -> Piece:
         """Return the piece of a player if a velocity (m/s) is commanded now."""
-        made = piece_with(self._dynamics[player], self.position(player), self.course(player), command)
-        return made._replace(drift=drift) if drift else made
+        piece = piece_with(self._dynamics[player], self.position(player), self.course(player), command)
+        return piece._replace(drift=drift) if drift else piece
 
 
 def first_contact_of_pieces(target: Piece, player: Piece, radius: float, begin: float, end: float) -> float | None:
