@@ -19,29 +19,29 @@ Entry = tuple[Sequence[float], float, float]
 """A measured number: the vector h whose product with the state it is, its value, and the variance of its error."""
 
 
-def decorrelated(seen: Sequence[float], errors: Sequence[Sequence[float]]) -> list[Entry]:
+def decorrelated(measured: Sequence[float], errors: Sequence[Sequence[float]]) -> list[Entry]:
     """Return numbers with independent errors that tell as much as a measurement of the first k entries of a state.
 
-    The greatest variance comes first, as in a Cholesky factorisation with pivots: no share exceeds 1, and a variance of
-    which only rounding errors are left is 0, that of an exact number.
+    The greatest variance comes first, as in a Cholesky factorisation with pivots, so no share exceeds 1. A variance of
+    which only rounding errors are left counts as 0: the number is exact.
 
     Args:
-        seen: (k,) the measured entries.
+        measured: (k,) the measured entries.
         errors: (k, k) the covariance of their errors.
     """
-    rows = [[float(i == j) for j in range(4)] for i in range(len(seen))]
-    numbers, left, pending = list(seen), [list(line) for line in errors], list(range(len(seen)))
+    rows = [[float(i == j) for j in range(4)] for i in range(len(measured))]
+    numbers, remaining, pending = list(measured), [list(line) for line in errors], list(range(len(measured)))
     entries: list[Entry] = []
     while pending:
-        k = max(pending, key=lambda i: left[i][i])
+        k = max(pending, key=lambda i: remaining[i][i])
         pending.remove(k)
-        variance = left[k][k] if left[k][k] > ROUNDING * errors[k][k] else 0.0
+        variance = remaining[k][k] if remaining[k][k] > ROUNDING * errors[k][k] else 0.0
         for i in pending if variance else ():
-            share = left[i][k] / variance
+            share = remaining[i][k] / variance
             rows[i] = [x - share * y for x, y in zip(rows[i], rows[k], strict=True)]
             numbers[i] -= share * numbers[k]
             for j in pending:
-                left[i][j] -= share * left[k][j]
+                remaining[i][j] -= share * remaining[k][j]
         entries.append((rows[k], numbers[k], variance))
     return entries
 
@@ -69,17 +69,17 @@ def corrected_by_position(
 
 
 def corrected_by_state(
-    state: StateVector, covariance: Upper, seen: StateVector, errors: Upper
+    state: StateVector, covariance: Upper, measured: StateVector, errors: Upper
 ) -> tuple[StateVector, Upper]:
     """Return a state and its covariance after a measurement of all its entries.
 
     Args:
         state: the state.
         covariance: its covariance.
-        seen: the measured state.
+        measured: the measured state.
         errors: the covariance of its errors.
     """
-    return _with_entries(state, covariance, decorrelated(seen, full_rows(errors)))
+    return _with_entries(state, covariance, decorrelated(measured, full_rows(errors)))
 
 
 def full_rows(matrix: Upper) -> Sequence[Sequence[float]]:
@@ -91,7 +91,7 @@ def full_rows(matrix: Upper) -> Sequence[Sequence[float]]:
 def _with_entries(state: StateVector, covariance: Upper, entries: Sequence[Entry]) -> tuple[StateVector, Upper]:
     """Return a state and its covariance after measured numbers.
 
-    The ten numbers of the covariance are variables, and no vector is a list: a number costs a ninth of the time.
+    The ten numbers of the covariance are variables, and no vector is a list, so an entry takes a ninth of the time.
 
     Kept equal to a measurement of the first entries by
     `tests/pursuit/test_tracking.py::test_a_state_corrected_by_a_state_is_that_corrected_entry_by_entry`.
@@ -107,10 +107,10 @@ def _with_entries(state: StateVector, covariance: Upper, entries: Sequence[Entry
         su, sv = xu * a + yu * b + uu * c + uv * d, xv * a + yv * b + uv * c + vv * d
         total = sx * a + sy * b + su * c + sv * d + variance
         if total <= least * (a * a + b * b + c * c + d * d) and total <= _rounding_error(row, before):
-            continue
-        off = number - (a * x + b * y + c * vx + d * vy)
+            continue  # the product is known exactly already
+        difference = number - (a * x + b * y + c * vx + d * vy)
         gx, gy, gu, gv = sx / total, sy / total, su / total, sv / total
-        x, y, vx, vy = x + gx * off, y + gy * off, vx + gu * off, vy + gv * off
+        x, y, vx, vy = x + gx * difference, y + gy * difference, vx + gu * difference, vy + gv * difference
         # The product of h with each row of (1 - K h) P, which has rounding errors of its own below the diagonal.
         ky, ku = (xy - gy * sx) * a, (xu - gu * sx) * a + (yu - gu * sy) * b
         kv = (xv - gv * sx) * a + (yv - gv * sy) * b + (uv - gv * su) * c

@@ -19,8 +19,6 @@ LEAST_DETERMINANT = 1e-4
 
 Below it the rounding errors of an inverse grow beyond 1e-10 of its entries.
 """
-
-
 TINY = 1e-300
 """Least determinant of such a matrix, so that neither it nor its inverse is 0 or infinite in floating point."""
 
@@ -33,7 +31,7 @@ class Information(NamedTuple):
     vector: StateVector
     """The product of the matrix and the state."""
     determinant: float
-    """That of the matrix."""
+    """The determinant of the matrix."""
 
 
 class InformedTrack(NamedTuple):
@@ -57,11 +55,11 @@ def fused(tracks: Sequence[InformedTrack], how: Fusion) -> Track:
     """Return the fusion of tracks of the same time, one by one.
 
     naive: the inverse covariances are added, as if the errors were independent; information that several tracks
-    contain counts as often. covariance_intersection: of two, they are averaged with the weight w = det(P2) / (det(P1)
-    + det(P2)), which is consistent whatever the correlation of the errors (Julier & Uhlmann 1997). It is the fast
-    weight of Niehsen (2002) with determinants in place of traces, which add m^2 and (m/s)^2: so it does not depend on
-    units and axes. The weight that minimises the determinant would make it slightly less, but jumps from one track to
-    another of equal covariance.
+    contain counts several times. covariance_intersection: two inverse covariances are averaged with the weight
+    w = det(P2) / (det(P1) + det(P2)), which is consistent whatever the correlation of the errors (Julier & Uhlmann
+    1997). This is the fast weight of Niehsen (2002) with determinants in place of traces: traces add m^2 and (m/s)^2,
+    and determinants do not depend on units and axes. The weight that minimises the determinant of the fused covariance
+    would give a slightly lower one, but jumps from one track to another of equal covariance.
 
     Kept equal to corrections of the first track by
     `tests/pursuit/test_tracking.py::test_tracks_that_are_fused_by_information_are_those_that_are_corrected`.
@@ -89,8 +87,8 @@ def _mixed(one: Information, other: Information, how: Fusion) -> tuple[Upper, St
     (xx2, xy2, xu2, xv2, yy2, yu2, yv2, uu2, uv2, vv2), (x2, y2, u2, v2), other_determinant = other
     a = b = 1.0
     if how == "covariance_intersection":
-        both = one_determinant + other_determinant
-        a, b = one_determinant / both, other_determinant / both
+        total = one_determinant + other_determinant
+        a, b = one_determinant / total, other_determinant / total
     xx, xy, xu, xv, yy = a * xx + b * xx2, a * xy + b * xy2, a * xu + b * xu2, a * xv + b * xv2, a * yy + b * yy2
     yu, yv, uu, uv, vv = a * yu + b * yu2, a * yv + b * yv2, a * uu + b * uu2, a * uv + b * uv2, a * vv + b * vv2
     vector = a * x + b * x2, a * y + b * y2, a * u + b * u2, a * v + b * v2
@@ -107,7 +105,7 @@ def inverse(matrix: Upper) -> tuple[Upper, float] | None:
     if not of_velocity > 0.0:
         return None
     iuu, iuv, ivv = vv / of_velocity, -uv / of_velocity, uu / of_velocity
-    # The regression of the position on the velocity: the block of both times the inverse of that of the velocity.
+    # The regression of the position on the velocity: the block of both times the inverse of the block of the velocity.
     gxu, gxv, gyu, gyv = xu * iuu + xv * iuv, xu * iuv + xv * ivv, yu * iuu + yv * iuv, yu * iuv + yv * ivv
     sxx, sxy, syy = xx - gxu * xu - gxv * xv, xy - gxu * yu - gxv * yv, yy - gyu * yu - gyv * yv
     of_position = sxx * syy - sxy * sxy
@@ -140,12 +138,12 @@ def fused_by_corrections(tracks: Sequence[Track], how: Fusion) -> Track:
         errors = other.covariance
         if how == "covariance_intersection":
             one_share, other_share = determinant_of(errors), determinant_of(covariance)
-            both = one_share + other_share
-            if both and not one_share:  # only the other track is exact
+            total = one_share + other_share
+            if total and not one_share:  # only the other track is exact
                 state, covariance = other.state, errors
-            if both and not (one_share and other_share):
+            if total and not (one_share and other_share):
                 continue
-            one_share, other_share = (one_share / both, other_share / both) if both else (0.5, 0.5)
+            one_share, other_share = (one_share / total, other_share / total) if total else (0.5, 0.5)
             covariance, errors = _scaled(covariance, 1.0 / one_share), _scaled(errors, 1.0 / other_share)
         state, covariance = corrected_by_state(state, covariance, other.state, errors)
     return Track(first.stamp, state, covariance)

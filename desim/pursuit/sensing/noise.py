@@ -13,8 +13,6 @@ from desim.config.python_numbers import as_real
 from desim.config.traits import is_ours
 
 Deviation = Annotated[float, Field(ge=0, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)]
-
-
 LEAST = 1e-6
 """Least standard deviation in the covariance of a sighting, m, or as a share of the greatest if this is above 1 m.
 
@@ -72,22 +70,22 @@ class RangeBearingNoise(Value):
 
     def __call__(self, offset: complex, first: float, second: float) -> complex:
         """Return the measured vector to an evader, m, given the true one and two standard normal draws."""
-        away = abs(offset)
-        along = offset / away if away else 1.0 + 0j
-        return rect(exp(self.bearing**2 / 2.0), self.bearing * second) * along * (away + self.range * first)
+        distance = abs(offset)
+        direction = offset / distance if distance else 1.0 + 0j
+        return rect(exp(self.bearing**2 / 2.0), self.bearing * second) * direction * (distance + self.range * first)
 
     def covariance(self, offset: complex) -> Covariance:
         """Return the covariance of the error at a true vector, m.
 
-        With a range r of deviation s_r and a bearing of deviation s it is 2 r^2 sinh(s^2/2)^2 + s_r^2 cosh(s^2) along
-        the vector and (r^2 + s_r^2) sinh(s^2) across it; to first order, s_r^2 and (r s)^2.
+        With a range r of deviation s_r and a bearing of deviation s, the variance along the vector is
+        2 r^2 sinh(s^2/2)^2 + s_r^2 cosh(s^2), and across it (r^2 + s_r^2) sinh(s^2); to first order, s_r^2 and (r s)^2.
         """
-        away = abs(offset)
-        c, s = (offset.real / away, offset.imag / away) if away else (1.0, 0.0)
+        distance = abs(offset)
+        c, s = (offset.real / distance, offset.imag / distance) if distance else (1.0, 0.0)
         bearing, variance = self.bearing**2, self.range**2
-        least = (LEAST * max(self.range, away * self.bearing, 1.0)) ** 2
-        along = max(2.0 * (away * sinh(bearing / 2.0)) ** 2 + variance * cosh(bearing), least)
-        across = max((away * away + variance) * sinh(bearing), least)
+        least = (LEAST * max(self.range, distance * self.bearing, 1.0)) ** 2
+        along = max(2.0 * (distance * sinh(bearing / 2.0)) ** 2 + variance * cosh(bearing), least)
+        across = max((distance * distance + variance) * sinh(bearing), least)
         return Covariance(along * c * c + across * s * s, (along - across) * c * s, along * s * s + across * c * c)
 
 
@@ -98,7 +96,7 @@ def covariance_of(noise: Any, offset: complex) -> Covariance:
     """Return the covariance of the error of a measurement, given the true vector to the evader, m.
 
     Raises:
-        ValueError: if that of a user's noise is not positive definite.
+        ValueError: if the covariance of a user's noise is not positive definite.
     """
     entries: Any = noise.covariance(offset)
     if type(entries) is Covariance and is_ours(type(noise)):

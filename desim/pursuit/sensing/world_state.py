@@ -93,7 +93,7 @@ class WorldState:
         Raises:
             ValueError: if there is no such evader.
         """
-        if type(evader) is not int:
+        if type(evader) is not int:  # with one evader, an action may be a truth value
             evader = whole(int(evader) if isinstance(evader, bool) else evader, "an evader")
         if not 1 <= evader <= self.evader_count:
             raise ValueError(f"there is no evader {evader}: they are 1 .. {self.evader_count}")
@@ -138,7 +138,7 @@ class WorldState:
         return not self.space.blocks_sight or bool(self._visible(evader)[pursuer])
 
     def _visible(self, evader: int) -> Bools:
-        """Return between which pursuers and an evader there is no wall that blocks sight now, (N,)."""
+        """Return the (N,) mask of the pursuers that no wall hides from an evader now."""
         if self._visible_at != self.now:
             self._visible_now, self._visible_at = {}, self.now
         visible = self._visible_now.get(evader)
