@@ -62,7 +62,7 @@ class Judge:
         return ()
 
     def report(self) -> None:
-        """Tell the team what it should know; called once per `Trust.period`."""
+        """Send the messages of the judge to the team, if any; called once per `Trust.period`."""
 
     def forget(self) -> None:
         """Forget all evidence, after a crash without memory."""
@@ -97,7 +97,7 @@ def ignored_by(judge: Judge, own_time: float, claims: Mapping[int, float]) -> Co
     """Return the teammates whose claims a judge ignores; see `Judge.ignored`.
 
     Raises:
-        ValueError: if the judge of a user returns something else.
+        ValueError: if the judge of a user returns anything else.
     """
     ignored: Any = judge.ignored(own_time, claims)
     if not isinstance(ignored, Collection) or isinstance(ignored, str) or any(isinstance(i, TRUTH) for i in ignored):
@@ -124,7 +124,7 @@ class TrimmingJudge(Judge):
 
 
 class Checking(Judge):
-    """Rejects each record that the observations of a pursuer refute, and each later one until one is not refuted.
+    """Distrusts a teammate from a record that the observations of the pursuer refute until one that they do not refute.
 
     Args:
         witness: what the pursuer observes.
@@ -174,7 +174,7 @@ class AccusingJudge(Checking):
         self._quorum = quorum
         self._evidence: set[int] = set()
         self._accusers: dict[int, set[int]] = {}
-        """By teammate, those that accuse it."""
+        """By teammate, the pursuers that accuse it."""
 
     def believes(self, record: Record) -> bool:
         """Return whether the source of a record is not blocked."""
@@ -227,8 +227,8 @@ class RatingJudge(Checking):
 
     def _note(self, suspect: int, *, refuted: bool) -> None:
         now = self._witness.now
-        then, good, bad = self._weights.get(suspect, (now, 0.0, 0.0))
-        kept = exp((then - now) / SECOND / self._decay_time)
-        good, bad = good * kept + (not refuted), bad * kept + refuted
+        last, good, bad = self._weights.get(suspect, (now, 0.0, 0.0))
+        decay = exp((last - now) / SECOND / self._decay_time)
+        good, bad = good * decay + (not refuted), bad * decay + refuted
         self._weights[suspect] = now, good, bad
         self._set(suspect, distrusted=refuted or (1.0 + good) / (2.0 + good + bad) < self._threshold)

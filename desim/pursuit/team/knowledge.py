@@ -60,10 +60,10 @@ class Knowledge:
         return self._state.evader_count
 
     def capture_time(self, evader: int = 1) -> float:
-        """Return its own capture time phi_i of an evader, s.
+        """Return its own capture time phi_i for an evader, s.
 
-        It is inf if the evader is captured or of unknown position, or if the pursuer is not faster than the evader and
-        not within the capture radius.
+        It is inf if the evader is captured, if its position is unknown, or if the pursuer is not faster than the evader
+        and not within the capture radius.
         """
         (time,) = self._view.capture_times_of([self.id], evader)
         return time

@@ -37,7 +37,7 @@ class OfEvader(NamedTuple):
     """An evader, and the teammates that chase it, as the pursuer knows them."""
 
     known: float
-    """1 if it is at large and its position is sensed or estimated, else 0; without it, positions and errors are 0."""
+    """1 if it is at large and its position is sensed or estimated, else 0: then positions and errors are 0, too."""
     dx: float
     """Its position relative to the pursuer, as sensed or estimated, m."""
     dy: float
@@ -61,8 +61,8 @@ class OfEvader(NamedTuple):
     free: float
     """1 if the pursuer knows no teammate that chases it, else 0."""
     lead: float
-    """tanh(phi - least phi of the teammates that it believes to chase it), s; 0 without a known one. It is negative for
-    a pursuer that would be first."""
+    """tanh((phi - least known phi of the teammates that the pursuer believes to chase it) / 1 s); 0 if no such phi is
+    known. It is negative for a pursuer that would be first."""
     late: float
     """tanh((phi - r) / 5 s): positive for a pursuer that cannot capture it in time."""
 
@@ -74,8 +74,7 @@ class OfPursuer(NamedTuple):
     """
 
     heard: float
-    """1 if an announcement has arrived, else 0. With `announce.start = "known"` the initial action counts as one of the
-    start."""
+    """1 if an announcement has arrived, else 0. With `announce.start = "known"` the initial action counts as one."""
     age: float
     """Time since the announcement was sent, s, at most the horizon."""
     action: float
@@ -112,7 +111,7 @@ def evader_block(me: Agent, evader: int, *, omniscient: bool = False) -> OfEvade
     phi = me.global_state.capture_times_of([me.id], evader)[0] if omniscient else me.capture_time(evader)
     rivals = _true_chasers(me, evader) if omniscient else list(me.believed_chasers(evader).values())
     least = min((time for time in rivals if not isnan(time)), default=nan)
-    # Both may be infinite: then none of the two is first.
+    # If both are infinite, neither pursuer is first.
     lead = 0.0 if isnan(least) or phi == least else tanh(phi - least)
     return OfEvader(
         is_known,
@@ -162,7 +161,7 @@ def pursuer_blocks(me: Agent, *, omniscient: bool = False) -> list[OfPursuer]:
         age, action, claim = 0.0, 0, 0.0
         if record is not None:
             body, age = record.body, min(max(now - seconds(record.stamp), 0.0), horizon)  # clocks may differ
-            if type(body) is Assignment:  # as a rule; the questions below take a tenth of a parallel step
+            if type(body) is Assignment:  # the usual case; the tests below take a tenth of a parallel step
                 action = body.active
             else:
                 action = action_in_game(body, me.evader_count) or 0
@@ -204,7 +203,7 @@ def observation_bounds(
         centre: a point, m.
         top_speed: the greatest speed of a pursuer while it chases, m/s.
     """
-    wide, area = 2.0 * extent, 4.0 * extent * extent
+    width, area = 2.0 * extent, 4.0 * extent * extent
     own = {
         "x": (centre.real - extent, centre.real + extent),
         "y": (centre.imag - extent, centre.imag + extent),
@@ -213,12 +212,12 @@ def observation_bounds(
         "time_left": (0.0, horizon),
     }
     numbers = {
-        **dict.fromkeys(("dx", "dy"), (-wide, wide)),
+        **dict.fromkeys(("dx", "dy"), (-width, width)),
         **dict.fromkeys(("age", "claim", "capture_time"), (0.0, horizon)),
         **dict.fromkeys(("xx", "yy"), (0.0, area)),
         **dict.fromkeys(("lead", "late"), (-1.0, 1.0)),
         "xy": (-area, area),
-        "uncertainty": (0.0, wide),
+        "uncertainty": (0.0, width),
         "rivals": (0.0, float(max(pursuers, 1))),
         "action": (0.0, float(evaders)),
     }

@@ -1,7 +1,7 @@
-"""Faults that look at the run: they concern whoever chases when they begin, or what is news.
+"""Faults that depend on the run: they concern the pursuers that chase when they begin, or the messages that are news.
 
-A fault of a fixed pursuer seldom meets the one that matters. These find it, as the targeted faults of fault-injection
-tests of distributed systems do.
+A fault of a fixed pursuer seldom hits the pursuer that matters. These faults find it, as the targeted faults of
+fault-injection tests of distributed systems do.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,19 +18,19 @@ from desim.pursuit.team.announcements import Forwarded, announced_action
 
 
 class TargetedFault(Fault):
-    """Base of the faults of those that chase; without any at its start, a fault of this kind has no effect.
+    """Base of the faults of pursuers that chase; if none chases when it starts, such a fault has no effect.
 
-    The trace has the fault, and what it does as a fault of its own.
+    The trace records this fault, and each fault that it causes.
     """
 
     chasers: Annotated[int, Field(ge=1, strict=True)] = 1
     """The greatest number of pursuers that it concerns: those that would capture first.
 
-    If in doubt, 1: the relay pursuer.
+    If in doubt, use 1: the relay pursuer.
     """
 
     def begin(self, site: FaultSite) -> Undo:
-        """Begin what the fault does to those that chase now."""
+        """Begin the faults that it causes for the pursuers that chase now."""
         nodes = tuple(site.targets())[: self.chasers]
         ends = [site.begin(fault) for fault in self.faults_of(nodes)] if nodes else []
 
@@ -41,12 +41,12 @@ class TargetedFault(Fault):
         return end
 
     def faults_of(self, nodes: tuple[int, ...]) -> list[Fault]:
-        """Return what the fault does to some pursuers, at least one."""
+        """Return the faults that it causes for some pursuers, at least one."""
         raise NotImplementedError
 
 
 class ChaserCrash(TargetedFault):
-    """Whoever chases crashes, and recovers if the crash ends."""
+    """Chasing pursuers crash, and recover if the fault ends."""
 
     kind: Literal["chaser_crash"] = "chaser_crash"
     scope: Literal["radio", "robot"] = "robot"
@@ -62,21 +62,21 @@ class ChaserCrash(TargetedFault):
         return self.scope == "radio"
 
     def faults_of(self, nodes: tuple[int, ...]) -> list[Fault]:
-        """Return a crash of each."""
+        """Return a crash of each pursuer."""
         return [
             Crash(start=self.start, end=self.end, node=node, scope=self.scope, memory=self.memory) for node in nodes
         ]
 
 
 class ChaserCut(TargetedFault):
-    """Whoever chases is cut off: it goes on, but no message passes between it and the others."""
+    """Chasing pursuers are cut off: they go on, but no message passes between one of them and any other pursuer."""
 
     kind: Literal["chaser_cut"] = "chaser_cut"
 
     breaks: ClassVar[frozenset[str]] = Partition.breaks
 
     def faults_of(self, nodes: tuple[int, ...]) -> list[Fault]:
-        """Return a partition that separates each from all others."""
+        """Return a partition that separates each pursuer from all others."""
         return [Partition(start=self.start, end=self.end, groups=tuple((node,) for node in nodes))]
 
 
@@ -90,9 +90,9 @@ class NewsFault(Fault):
     start: Time = 0.0
     """Start time, s."""
     delay: Extent = inf
-    """The time by which it arrives late, s; inf = never.
+    """Time by which the message is late, s; inf: it is lost.
 
-    If in doubt, inf; or some more than the time-out of beliefs (`announce.belief_timeout`).
+    If in doubt, use inf, or a little more than the time-out of beliefs (`announce.belief_timeout`).
     """
     changes: Annotated[int, Field(ge=1, strict=True)] | None = None
     """The greatest number of changes that it concerns, of all pursuers together; None = all."""
@@ -100,15 +100,15 @@ class NewsFault(Fault):
     def begin(self, site: FaultSite) -> Undo:
         """Intercept the messages that are news."""
         announced: dict[int, int] = {}
-        left = inf if self.changes is None else self.changes
+        changes_left = inf if self.changes is None else self.changes
 
         def delays(src: int, receivers: Sequence[int], body: Any) -> Mapping[int, float]:
-            nonlocal left
+            nonlocal changes_left
             action = _told_action(src, body)
             if action is None or announced.get(src) == action:
                 return {}
-            announced[src], left = action, left - 1
-            return dict.fromkeys(receivers, self.delay) if left >= 0 else {}
+            announced[src], changes_left = action, changes_left - 1
+            return dict.fromkeys(receivers, self.delay) if changes_left >= 0 else {}
 
         return site.intercept(delays)
 
@@ -119,7 +119,7 @@ class NewsFault(Fault):
 
 
 def _told_action(src: int, body: Any) -> int | None:
-    """Return the action of its sender that a message tells, also among the records that it relays; None: none.
+    """Return the action of its sender that a message tells, perhaps in a record that it relays; None: no action.
 
     A repetition by a transport tells none: it may be older than the last news.
     """
@@ -133,4 +133,4 @@ def _told_action(src: int, body: Any) -> int | None:
 
 
 TARGETED: tuple[type[Fault], ...] = (ChaserCrash, ChaserCut, NewsFault)
-"""The faults that look at the run."""
+"""The faults that depend on the run."""

@@ -98,14 +98,14 @@ class Timing:
         return Instant(self._env, due, phase + self.id)
 
     def _check_phase(self, phase: Any) -> None:
-        """Raise TypeError if a phase is none: for example a time-out."""
+        """Raise TypeError if a phase is no `Phase`: for example a time-out."""
         if not isinstance(phase, Phase):
             raise TypeError(
                 f"pursuer {self.id}: a phase should be one of desim.kernel.core.clock.Phase (got {value_text(phase)})"
             )
 
     def resume(self) -> None:
-        """Count that its protocol goes on.
+        """Count that its protocol goes on at the present instant.
 
         Raises:
             StandstillError: if it goes on without end at one instant.
@@ -165,15 +165,15 @@ class Timing:
     ) -> simpy.Event:
         """Call a function with the messages of a port as they arrive, and return an event that never happens.
 
-        A process that only handles messages yields the event: `yield me.listen(take)`. It takes half of the time of a
-        loop with `arrival` and `mail`. The messages of one instant come together. It ends with the next `listen` at
-        this port, or when the pursuer restarts without memory, whose process then listens anew.
+        A process that only handles messages yields the event: `yield me.listen(take)`. This takes half of the time of a
+        loop with `arrival` and `mail`. A call has all messages that arrive at one instant. Calls end with the next
+        `listen` at this port, or when the pursuer restarts without memory; its new process then listens anew.
 
-        If in doubt, leave out `ignores`: it returns whether `act` would do nothing with a message, now or at any later
-        time, such as with a copy of one that it has had. It is asked when the message is sent, so what it reads may
-        only grow: a message that is ignored once must stay without effect until it arrives, unless the pursuer
-        restarts without memory. It must change nothing. `check_protocol` and `check_dissemination` of `desim.testing`
-        compare with runs without it. Where most messages are ignored, a flood takes an eighth less time.
+        If in doubt, leave out `ignores`. It returns whether `act` would do nothing with a message, now or later, such
+        as with a copy of a message that has arrived. It is called when the message is sent. A message that it ignores
+        once must stay without effect until it arrives, unless the pursuer restarts without memory, so the data that
+        `ignores` reads may only grow. It must change nothing. `check_protocol` and `check_dissemination` of
+        `desim.testing` compare with runs without it. If most messages are ignored, a flood takes an eighth less time.
 
         Kept equal to a process that waits for each arrival by
         `tests/protocols/test_dissemination.py::test_flooding_by_a_function_is_flooding_by_a_process`.

@@ -84,9 +84,9 @@ class Trimmed(_WithoutReports):
     """A pursuer ignores the F most extreme claims on each side of its own capture time.
 
     This is the rule of W-MSR (LeBlanc, Zhang, Koutsoukos & Sundaram 2013, "Resilient Asymptotic Consensus in Robust
-    Networks"): the F least capture times below the own one, and the F greatest above it. So F liars with a small
-    capture time keep no pursuer from the chase, at the price of up to F + 1 chasers. In a complete graph F may be up to
-    `tolerated_liars`. The rule needs no observation, and does not find out who lies.
+    Networks"): a pursuer ignores the F least capture times below its own, and the F greatest above it. So F liars with
+    a small capture time keep no pursuer from the chase, at the price of up to F + 1 chasers. In a complete graph F may
+    be up to `tolerated_liars`. The rule needs no observation, and does not find out who lies.
     """
 
     kind: Literal["trimmed"] = "trimmed"
@@ -118,10 +118,10 @@ class Plausible(_Observing):
     - The action contradicts the motion: for a motion step before the announcement the sender stood still, or chased.
     - The position is farther away than the sender can have moved since.
 
-    A true announcement is never rejected, however late, if clocks are equal: only what the sender can have done since
-    then is held against it. The capture time of a sender that does not see the evader follows from its estimate, and
-    may be refuted by those that see it. A rejected teammate counts as silent until its next announcement that is not
-    refuted.
+    A true announcement is never rejected, however late, if clocks are equal, because the check allows for all that the
+    sender can have done since. The capture time of a sender that does not see the evader follows from its estimate; a
+    pursuer that sees the evader may refute it. A rejected teammate counts as silent until its next announcement that is
+    not refuted.
     """
 
     kind: Literal["plausible"] = "plausible"
@@ -145,7 +145,7 @@ class Accusations(_Observing):
     quorum: Annotated[int, Field(ge=1, strict=True)] = 2
     """Number of accusers that is enough to block a teammate: one more than the liars to tolerate.
 
-    With a small quorum, a few liars get honest pursuers blocked; a large one may never come together.
+    With a small quorum, a few liars get honest pursuers blocked; a large quorum may never be reached.
 
     If in doubt, use 2.
     """
@@ -175,7 +175,7 @@ class Reputation(_Observing):
 
     kind: Literal["reputation"] = "reputation"
     threshold: Probability = INITIAL_REPUTATION
-    """Least reputation that is believed, in [0, 1]; without evidence it is 1/2."""
+    """Least reputation that is believed, in [0, 1]; the reputation without evidence is 1/2."""
     decay_time: Duration = 10.0
     """Time in which the weight of an announcement decays to 1/e, s.
 
