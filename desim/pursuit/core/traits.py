@@ -111,7 +111,7 @@ class ScheduleTraits(Assuming):
 
 
 class UtilityTraits(Assuming):
-    """The attributes of a utility, in addition to `__call__`; `scope` it must have."""
+    """The attributes of a utility, in addition to `__call__`; `scope` is required."""
 
     scope: Literal["heard", "neighbours", "component"] = "heard"
     """The pursuers whose actions count: those whose announcements are known, those in range, or those connected."""
@@ -129,8 +129,7 @@ class DisseminationTraits(Assuming):
     hops: Annotated[float, Field(ge=1, strict=True)] = inf
     """Largest number of hops that an announcement travels."""
     forwarding_jitter: Time | None = None
-    """Longest random delay between the arrival of an announcement and its rebroadcast, s; None if no arrival causes
-    one."""
+    """Longest random delay between the arrival of an announcement and its rebroadcast, s; None: arrivals cause none."""
     retransmits: Flag = False
     """Whether an announcement is transmitted again to each of its first receivers until it is acknowledged, or a newer
     one replaces it."""
