@@ -142,7 +142,7 @@ class LyingTeam:
     # What becomes of a message.
 
     def _says(self, src: int, body: Any) -> tuple[int, Any]:
-        """Return the pursuer in whose name a pursuer announces, and the body that it announces in place of one."""
+        """Return the pursuer in whose name a pursuer announces, and the body that it announces in place of `body`."""
         name = src
         for model in self._active[src]:
             answer: Any = model.says(self._speaker(src), body)

@@ -104,8 +104,8 @@ class ScheduleTraits(Assuming):
     """`without_serial_decisions()` returns the table, as in a scenario file, of a similar schedule without turns: no
     decision waits for those of teammates. It is for `desim explain`. None: the schedule has no turns."""
     for_all: Annotated[Callable[[], Any] | None, Follows("__call__")] = None
-    """`for_all()` returns a similar schedule in which all pursuers decide at each of its turns; None: pursuers decide
-    at instants of their own."""
+    """`for_all()` returns a similar schedule in which all pursuers decide together, for `desim.learning`; None: rounds
+    take the place of the schedule there."""
     warnings: Annotated[Callable[[float], Iterator[tuple[str, str]]] | None, Follows("__call__")] = None
     """`warnings(step)` yields (key, reason) for each parameter that is problematic with a motion step of `step` s."""
 

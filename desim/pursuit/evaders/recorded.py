@@ -35,8 +35,6 @@ SPEED_ROUNDING = 1e-9
 """Share by which a speed that is computed from a record may exceed a limit."""
 Point = tuple[Coordinate, Coordinate]
 """A position [x, y], m."""
-
-
 NodeKey = Annotated[
     Annotated[Node, Tag("number")] | Annotated[Annotated[str, Field(min_length=1)], Tag("name")],
     Discriminator(lambda value: "name" if isinstance(value, str) else "number"),
@@ -128,7 +126,7 @@ class RecordedMotion(_Record):
         else:
             checked._check_order()
         placed, cut = checked.placed(waypoints)
-        applied = {"file": None, "node": 0, "dimensions": None, "start_time": 0.0, "scale": 1.0, "offset": (0.0, 0.0)}
+        applied = {"file", "node", "dimensions", "start_time", "scale", "offset"}  # whose effect is in the waypoints
         motion = make({key: value for key, value in data.items() if key not in applied} | {"waypoints": placed})
         if has_file:  # set as attributes: equality and hashes do not depend on lines and heights
             motion.__dict__["places"] = tuple(f"{file}, line {waypoint.line}" for waypoint in track.waypoints[cut:])

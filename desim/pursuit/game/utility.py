@@ -24,8 +24,6 @@ Scope = Literal["heard", "neighbours", "component"]
 """The teammates that count, among those believed active. heard: all; neighbours: those that the pursuer receives from
 directly at present; component: those whose messages can reach it at present over any number of hops. If positions are
 announced and not sensed, all count; see `desim.pursuit.team.beliefs.Beliefs.counted_teammates`."""
-
-
 NEWTON_STEPS = 5
 """Number of Newton steps: the initial guess of a root is within 2 %, and each step doubles the correct digits."""
 

@@ -55,6 +55,7 @@ def header_in(lines: Sequence[str]) -> tuple[int, str, Header] | None:
         if count >= (3 if is_comment else 2):
             return number, delimiter, header
         if not is_comment:
+            # `MobilityTable` refuses a header without the columns, and lists those that it has.
             is_bonnmotion = len(text.split()) > 2 and all(map(NUMBER.fullmatch, text.split()))  # its reader refuses it
             return (number, delimiter, header) if delimiter in {",", ";"} and not is_bonnmotion else None
     return None
@@ -122,7 +123,7 @@ class MobilityTable(MobilityFile):
         return indices[0] if indices else None
 
     def _points(self, rows: Iterator[tuple[int, list[str]]], delimiter: str) -> Iterator[tuple[int, list[str]]]:
-        """Yield rows with decimal points: cells that a comma does not separate may have decimal commas."""
+        """Yield rows with decimal points; if no comma separates the cells, these may have decimal commas."""
         if delimiter not in {";", "\t"}:
             return rows
         used = [column for column in self._columns.values() if column is not None]
@@ -215,7 +216,7 @@ class MobilityTable(MobilityFile):
 def _column_of_names(header: Header, rows: Sequence[Sequence[str]]) -> str | None:
     """Return the name of a column that may name nodes: it has several texts, and at least one of them repeatedly."""
     for name, words, cells in zip(header.names, header.words, zip(*rows, strict=True), strict=True):
-        if not OF_OTHERS.isdisjoint(words):  # such as a covariance, whose numbers are one text
+        if not OF_OTHERS.isdisjoint(words):  # such as a covariance, with a list of numbers in a cell
             continue
         texts = {cell.strip() for cell in cells} - {""}
         if 1 < len(texts) < len(cells) and not any(map(_is_numeric, texts)) and name not in COLUMNS["t"]:

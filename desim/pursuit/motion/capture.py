@@ -56,7 +56,7 @@ class RadialTime:
         self._radius = radius
         self.slow = closing <= NO_SPEED  # (N,) whether each pursuer is no faster than the evader
         self._some_slow = bool(self.slow.any())
-        self._closing = np.where(self.slow, 1.0, closing)
+        self._closing = np.where(self.slow, 1.0, closing)  # the times of slow pursuers are replaced by inf
         self._speeds, self._evader_speed = speeds.tolist(), evader_speed
 
     def __call__(self, distances: Floats) -> Floats:
@@ -103,6 +103,7 @@ def accelerated_capture_times(
     with np.errstate(divide="ignore", invalid="ignore"):
         # Two forms of the same root. In the form that is taken nothing cancels; only the other one may divide by 0.
         time = np.where(closing > 0.0, 2.0 * gap / (closing + root), (root - closing) / acceleration)
+        # Until T, the mean closing speed is `closing + lag / 2`.
         straight = (gap - (closing + lag / 2.0) * duration) / (speeds - evader_speed)
         time = np.where(time <= duration, time, duration + straight)
     time[speeds - evader_speed <= NO_SPEED] = inf

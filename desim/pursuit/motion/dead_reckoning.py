@@ -87,7 +87,7 @@ class EvaderTrack:
         self._radius, self._walled, self._has_flow = radius, space.walled, not environment.is_still
         self._segments: list[TrackSegment] = []
         self._starts: list[int] = []
-        """Of the segments, ns; a list of numbers is searched in a fraction of the time."""
+        """The starts of the segments, ns; a list of numbers is searched in a fraction of the time."""
         self._retracings: dict[tuple[MotionState, float, int], tuple[int, MotionState]] = {}
 
     def see(self, t: int, evader: complex, aim: complex, velocity: complex, end: int) -> None:
@@ -129,10 +129,10 @@ class EvaderTrack:
         if self._walled is not None:
             return MotionState(self._walled.advance(place, segment.aim, speed, begin, end, segment.end))
         step, duration = seconds(segment.end - begin), seconds(end - begin)
-        wind = self._drift(place, 0j, segment, begin)
+        flow = self._drift(place, 0j, segment, begin)
         # Guidance is relative to the medium: it aims upstream by the drift of the pursuer in this step.
-        gap, aim = segment.at(begin) - place, segment.aim - place - wind * step
-        command = guided_velocity(self._law, gap, aim, segment.velocity - wind, speed)
+        gap, aim = segment.at(begin) - place, segment.aim - place - flow * step
+        command = guided_velocity(self._law, gap, aim, segment.velocity - flow, speed)
         if course is not None:
             command = steered_with(self._dynamics, command, course, aim, self._radius)
         drift = self._drift(place, command, segment, begin)

@@ -114,10 +114,11 @@ class Obstacles:
         Only corners at which a shortest path from the source can bend count: ((c,) indices of `bends`, (c,) distances).
         """
         x, y = source.real - self.bends.real, source.imag - self.bends.imag  # from the corner to the source
+        # Both are positive in the blocked sector, and negative in the sector opposite to it.
         after = self._first.real * y - self._first.imag * x
         before = x * self._second.imag - y * self._second.real
         touch = self._touch
-        # The source is outside of the blocked sector. In the sector opposite to it, no taut path bends at the corner.
+        # From the opposite sector, no taut path bends at the corner.
         is_in_front = (after <= touch) | (before <= touch)
         is_taut = (after >= -touch) | (before >= -touch)
         bends = (is_in_front & is_taut).nonzero()[0]
@@ -202,27 +203,28 @@ class Obstacles:
         across = x[:, None] * corner_y - y[:, None] * corner_x  # m times the length
         turns = _signs(across, self._touch * length[:, None])
         source_sides = self._sides(np.array([source]))[0]
+        # A piece is crossed if its line parts the source and the target, and their line parts the ends of the piece.
         crossed = (source_sides * sides < 0) & (turns[:, self._begin] * turns[:, self._end] < 0)
         clear: Bools = ~crossed.any(axis=1)
         if not source_sides.all():
             clear &= ~self._comes_from_inside(np.array([source]), source_sides, sides)
-        on = (turns == 0) & (length > self._touch)[:, None]
+        touched = (turns == 0) & (length > self._touch)[:, None]
         if corners is not None:
-            on[np.arange(len(corners)), corners] = False
+            touched[np.arange(len(corners)), corners] = False
         elif not sides.all():
             clear &= ~self._comes_from_inside(targets, sides, source_sides)
-        if on.any():
+        if touched.any():
             along = x[:, None] * corner_x + y[:, None] * corner_y
             reach = self._touch * length[:, None]
-            on &= (along >= -reach) & (along <= (length**2)[:, None] + reach)
-            for k in (on.any(axis=1) & clear).nonzero()[0].tolist():
-                passed = on[k].nonzero()[0]
+            touched &= (along >= -reach) & (along <= (length**2)[:, None] + reach)
+            for k in (touched.any(axis=1) & clear).nonzero()[0].tolist():
+                passed = touched[k].nonzero()[0]
                 order = passed[along[k, passed].argsort(kind="stable")].tolist()
                 end = None if corners is None else int(corners[k])
                 clear[k] = self._passes(source, complex(targets[k]), order, end)
         if corners is not None and (neighbours := self._neighbours_of(corner_x, corner_y)):
-            for k in clear.nonzero()[0].tolist():
-                if int(corners[k]) in neighbours and not on[k].any():
+            for k in clear.nonzero()[0].tolist():  # along a piece to its other end: one of its sides may be blocked
+                if int(corners[k]) in neighbours and not touched[k].any():
                     clear[k] = self._passes(source, complex(targets[k]), [], int(corners[k]))
         return clear
 

@@ -54,7 +54,7 @@ class Plane:
 
     @property
     def walled(self) -> "Walled | None":
-        """The space itself if there are walls, else None."""
+        """The space itself if walls block motion, else None."""
         return None
 
     def visible(self, places: Points, watcher: complex) -> Bools:
@@ -95,7 +95,7 @@ class Plane:
         return None
 
     def leg(self, here: complex, aim: complex, speed: float) -> tuple[complex, bool]:
-        """Return the first straight piece of the shortest path, m, and whether it leads to its end.
+        """Return the first straight piece of the shortest path, m, and whether it ends at the aim.
 
         Args:
             here: the position of a player, m.
@@ -189,14 +189,9 @@ class Walled(Plane):
         return None
 
     def leg(self, here: complex, aim: complex, speed: float) -> tuple[complex, bool]:
-        """Return the first straight piece of the shortest path, m, and whether it leads to its end.
+        """Return the first straight piece of the shortest path, m, and whether it ends at the aim; see `Plane.leg`.
 
         A player turns beside a corner, at the clearance from it. The piece is 0 if there is no path.
-
-        Args:
-            here: the position of a player, m.
-            aim: the end of the path, m.
-            speed: the speed of the player, m/s.
         """
         route = self.paths.route(here, aim)
         if route.first is None:

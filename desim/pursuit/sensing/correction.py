@@ -16,7 +16,7 @@ StateVector = tuple[float, float, float, float]
 Upper = tuple[float, float, float, float, float, float, float, float, float, float]
 """The upper triangle of the covariance of a state, row by row."""
 Entry = tuple[Sequence[float], float, float]
-"""A measured number: the vector h whose product with the state it is, its value, and the variance of its error."""
+"""A measured product with the state: (the vector h of the product, the measured value, the variance of its error)."""
 
 
 def decorrelated(measured: Sequence[float], errors: Sequence[Sequence[float]]) -> list[Entry]:

@@ -35,7 +35,7 @@ class Information(NamedTuple):
 
 
 class InformedTrack(NamedTuple):
-    """A track and its information; None if its covariance is nearly singular."""
+    """A track and its information, which is None if the covariance is nearly singular."""
 
     track: Track
     information: Information | None

@@ -128,6 +128,7 @@ class NoisySensor(Sensors):
     def _measurements(self) -> "Generator[simpy.Event, None, None]":
         period = nanoseconds(self.sensing.interval)
         while True:
+            # After messages of the instant have arrived, and before captures.
             yield Instant(self._env, self._env.now + period, Phase.CAPTURE - 1)
             self._measure()
 

@@ -246,9 +246,10 @@ class LimitedView(View):
         reach = self._sensing.radius
         if reach == inf:  # only walls limit the sight
             reach = self.state.body(evader).speed * self._sensing.track_timeout
-        apart = 2.0 * max(min(reach, MAX_COORDINATE), self.state.radius)
-        arm = rect(1.0, 2.0 * pi * self._id / self.state.size)  # pursuers of equal speed search in different directions
-        return arm * spiral(self.state.speed(self._id) * (age - self._sensing.track_timeout), apart)
+        apart = 2.0 * max(min(reach, MAX_COORDINATE), self.state.radius)  # the bound keeps twice the radius finite
+        # Pursuers of equal speed search in different directions.
+        rotation = rect(1.0, 2.0 * pi * self._id / self.state.size)
+        return rotation * spiral(self.state.speed(self._id) * (age - self._sensing.track_timeout), apart)
 
 
 class SensedView(LimitedView):

@@ -175,7 +175,8 @@ def _is_record(value: Any) -> bool:
 
 
 def _is_mapping(body: Any) -> bool:
-    """Return whether a message is a mapping. Most are tuples: to ask the abstract class takes five times as long."""
+    """Return whether a message is a mapping."""
+    # Most messages are tuples, and the check of the abstract class takes five times as long.
     return not isinstance(body, tuple) and isinstance(body, Mapping)
 
 

@@ -57,7 +57,7 @@ class Judge:
 
         Args:
             own_time: its own capture time, s.
-            claims: by teammate, the capture time, s; nan if unknown.
+            claims: by teammate, its capture time as announced or sensed, s; nan if unknown.
         """
         return ()
 
@@ -231,4 +231,5 @@ class RatingJudge(Checking):
         decay = exp((last - now) / SECOND / self._decay_time)
         good, bad = good * decay + (not refuted), bad * decay + refuted
         self._weights[suspect] = now, good, bad
+        # A refuted record is not believed, whatever the reputation.
         self._set(suspect, distrusted=refuted or (1.0 + good) / (2.0 + good + bad) < self._threshold)

@@ -68,7 +68,7 @@ class OfEvader(NamedTuple):
 
 
 class OfPursuer(NamedTuple):
-    """A pursuer, from its newest announcement that has arrived; all is 0 without any.
+    """A pursuer, from its newest announcement that has arrived, if any, and its sensed position; unknown numbers are 0.
 
     The block of the pursuer that observes has its own action and the age 0.
     """
