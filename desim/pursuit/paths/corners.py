@@ -72,6 +72,7 @@ class WallCorner:
         sides: set[Side] = set()
         for k in self._stands_in:
             turn = (direction - self.rays[k].angle + ALIGNED) % FULL_TURN - ALIGNED
+            # Within a sector, both sides are free; along its first wall, the left side; along its last, the right side.
             if turn <= self._width(k) + ALIGNED:
                 sides |= BOTH if ALIGNED < turn < self._width(k) - ALIGNED else set()
                 sides |= {"left"} if turn <= ALIGNED else set()
@@ -84,13 +85,13 @@ class WallCorner:
         """Return the sides on which a straight line in a direction (rad) can pass here."""
         turns = [_wrapped(ray.angle - direction) for ray in self.rays]
         sides: set[Side] = set()
-        # The line can pass on a side on which no wall begins, if the only sector there is free.
+        # The line can pass on a side without walls if the sector there, from ray `begin` or to ray `end`, is free.
         if not any(ALIGNED < turn < pi - ALIGNED for turn in turns):
-            first = max(range(len(turns)), key=lambda k: turns[k] - FULL_TURN * (turns[k] > ALIGNED))
-            sides |= {"left"} if self._is_free[first] else set()
+            begin = max(range(len(turns)), key=lambda k: turns[k] - FULL_TURN * (turns[k] > ALIGNED))
+            sides |= {"left"} if self._is_free[begin] else set()
         if not any(-pi + ALIGNED < turn < -ALIGNED for turn in turns):
-            last = min(range(len(turns)), key=lambda k: turns[k] + FULL_TURN * (turns[k] < -ALIGNED))
-            sides |= {"right"} if self._is_free[last - 1] else set()
+            end = min(range(len(turns)), key=lambda k: turns[k] + FULL_TURN * (turns[k] < -ALIGNED))
+            sides |= {"right"} if self._is_free[end - 1] else set()
         return frozenset(sides)
 
     def outward(self) -> float | None:

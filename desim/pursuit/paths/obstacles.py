@@ -73,18 +73,16 @@ class Obstacles:
         self._solid = np.array([[side in sides for sides in solid] for side in ("right", "left")], dtype=bool)
         """(2, E) whether the inside of a wall is to the right, and to the left, of each piece."""
         self._rings = Rings(walls)
-        bending = [k for k, corner in enumerate(self._plan.corners) if corner.bend is not None]
-        self._bend_corners = np.array(bending, dtype=np.intp)
+        bends = [k for k, corner in enumerate(self._plan.corners) if corner.bend is not None]
+        self._bend_corners = np.array(bends, dtype=np.intp)
         self.bends: Points = self._places[self._bend_corners]
-        blocked = [self._plan.corners[k].bend or () for k in bending]
+        blocked = [self._plan.corners[k].bend or () for k in bends]
         self._first, self._second = (
-            np.array(
-                [self._direction(k, rays[side].end) for k, rays in zip(bending, blocked, strict=True)], dtype=complex
-            )
+            np.array([self._direction(k, rays[side].end) for k, rays in zip(bends, blocked, strict=True)], complex)
             for side in (0, 1)
         )
         """(C,) directions of length 1 that bound the sector of each corner that is not free, counter-clockwise."""
-        outward = [self._plan.corners[k].outward() or 0.0 for k in bending]
+        outward = [self._plan.corners[k].outward() or 0.0 for k in bends]
         self.turns: Points = self.bends + self.clearance * np.array([complex(cos(a), sin(a)) for a in outward])
         """(C,) the place beside each corner at which a player turns that goes around it, m."""
         self._sides_of_bends = self._sides(self.bends)

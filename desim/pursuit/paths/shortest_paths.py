@@ -116,9 +116,5 @@ class ShortestPaths:
 
     def _sight_at(self, place: complex) -> Sight:
         bends, distances = self.obstacles.bends_in_sight(place)
-        path_lengths = (
-            (self._corner_distances[:, bends] + distances).min(axis=1)
-            if len(bends)
-            else np.full(len(self._corner_distances), inf)
-        )
+        path_lengths = (self._corner_distances[:, bends] + distances).min(axis=1, initial=inf)
         return Sight(bends, distances, path_lengths)

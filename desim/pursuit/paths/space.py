@@ -130,8 +130,7 @@ class Walled(Plane):
 
     Args:
         walls: the walls.
-        sight: walls that block sight.
-        starts: as in a plane.
+        sight, starts: see `Plane`.
     """
 
     is_open: ClassVar[bool] = False
@@ -238,7 +237,13 @@ class Walled(Plane):
         return self.obstacles.slide(place, way)
 
     def contact(
-        self, target: complex, flight: complex, place: complex, velocity: complex, radius: float, duration: float
+        self,
+        target: complex,
+        target_velocity: complex,
+        place: complex,
+        velocity: complex,
+        radius: float,
+        duration: float,
     ) -> float | None:
         """Return the time, s, at which the shortest path between two players has fallen to a radius, or None.
 
@@ -248,19 +253,19 @@ class Walled(Plane):
 
         Args:
             target: the position of the evader, m.
-            flight: the velocity of the evader, m/s.
+            target_velocity: the velocity of the evader, m/s.
             place: the position of the pursuer, m.
             velocity: the velocity of the pursuer, m/s.
             radius: distance of a contact, m.
             duration: length of the interval, s.
         """
-        first = first_contact(np.array([target - place]), np.array([flight - velocity]), radius, duration)
+        first = first_contact(np.array([target - place]), np.array([target_velocity - velocity]), radius, duration)
         if first is None:
             return None
-        closing = abs(flight) + abs(velocity)
+        closing = abs(target_velocity) + abs(velocity)
 
         def distance_at(t: float) -> float:
-            return self.paths.distance(place + velocity * t, target + flight * t)
+            return self.paths.distance(place + velocity * t, target + target_velocity * t)
 
         t = first[0]
         for step in range(MAX_STEPS):
