@@ -23,7 +23,9 @@ from desim.pursuit.mobility.mobility import MobilityFile, NodeName, NodeTrack, W
 NODE = r"\$([A-Za-z_]\w*?)(?:\((\d+)\)|(\d+))"
 """Matches a node, its array and its number: $node_(0), $mnode_(0) or $n0."""
 START = re.compile(rf"{NODE}\s+set\s+([XYZ])_\s+(\S+)")
+"""Matches an initial coordinate; its groups are array, number in brackets or without, axis and coordinate."""
 MOVE = re.compile(rf'\$\w+\s+at\s+(\S+)\s+["{{]\s*{NODE}\s+setdest\s+([^"}}]*?)\s*["}}]')
+"""Matches a move; its groups are time, array, number in brackets or without, and the numbers of the move."""
 MOTION = re.compile(r"\bsetdest\b|\bset\s+[XYZ]_(?!\w)")
 """Matches a statement about the motion of a node, of whatever form."""
 OF_CLASS = re.compile(r"\w+(?:/\w+)+\s+set\b")
