@@ -261,10 +261,7 @@ class RecordedFlow(UniformFlow):
 
 
 def _check_measurements(rows: Sequence[Sequence[float]], places: Sequence[str]) -> None:
-    """Raise ValueError unless measurements (t, x, y) are in order of time, and none is missing.
-
-    `places` says where each of them is given, for error messages.
-    """
+    """Raise ValueError, with the place of a row, unless rows (t, x, y) are in order of time and none is missing."""
     for (before, *_), (t, *_), place in zip(rows, rows[1:], places[1:], strict=False):
         if not before < t:
             raise ValueError(f"{place}: t should increase; after {before:g} s comes {t:g} s")

@@ -57,11 +57,11 @@ def capture_times_in_flow(
     offsets = target - places
     with np.errstate(invalid="ignore"):
         bearings = offsets / np.maximum(lengths(offsets), SMALLEST)
-    offsets, flight = bearings * distances, bearings * evader_speed
+    offsets, evader_velocities = bearings * distances, bearings * evader_speed
     if is_uniform(flow) and flow.top_acceleration > 0.0 and environment.on == "pursuers":
-        return _drifting_capture_times(offsets, flight, speeds, radius, flow, now / SECOND)
+        return _drifting_capture_times(offsets, evader_velocities, speeds, radius, flow, now / SECOND)
     relative = environment.relative(target, places, now / SECOND)
-    return intercept_times(offsets, flight + relative, speeds, radius)
+    return intercept_times(offsets, evader_velocities + relative, speeds, radius)
 
 
 def expanding_capture_times(distances: Floats, closing: Floats, radius: float, expansion: float) -> Floats:
@@ -86,20 +86,21 @@ def expanding_capture_times(distances: Floats, closing: Floats, radius: float, e
 
 
 def _drifting_capture_times(
-    offsets: Points, flight: Points, speeds: Floats, radius: float, flow: UniformFlow, begin: float
+    offsets: Points, evader_velocities: Points, speeds: Floats, radius: float, flow: UniformFlow, begin: float
 ) -> Floats:
-    """Return the (k,) least times t, s, with |offset + flight t - D(t)| <= v t + eps in a flow on the pursuers alone.
+    """Return the (k,) least times t, s, with |offset + w t - D(t)| <= v t + eps in a flow on the pursuers alone.
 
-    D(t) is the displacement by the flow from `begin` (s) on. It stays within a distance B of the displacement at a mean
-    velocity, so no root is earlier than that for this velocity and the radius eps + B. Let f be the difference of both
-    sides at some time, and A the greatest acceleration of the flow. A time s later, the difference is at least
-    f + f' s - A s^2 / 2. Steps from root to root of this bound approach the least root from before.
+    w is the velocity of the evader, and D(t) the displacement by the flow from `begin` (s) on. D(t) stays within a
+    distance B of the displacement at a mean velocity, so no root is earlier than that for this velocity and the radius
+    eps + B. Let f be the difference of both sides at some time, and A the greatest acceleration of the flow. A time s
+    later, the difference is at least f + f' s - A s^2 / 2. Steps from root to root of this bound approach the least
+    root from before.
     """
     mean, distance = flow.trend(begin)
-    times = intercept_times(offsets, flight - as_complex(mean), speeds, radius + distance)
+    times = intercept_times(offsets, evader_velocities - as_complex(mean), speeds, radius + distance)
     unsolved = np.flatnonzero(times < inf)
     for _ in range(MAX_STEPS):
-        t, speed, w = times[unsolved], speeds[unsolved], flight[unsolved]
+        t, speed, w = times[unsolved], speeds[unsolved], evader_velocities[unsolved]
         ends = (begin + t).tolist()
         gaps = offsets[unsolved] + w * t - np.array([displacement(flow, begin, end) for end in ends])
         distances = lengths(gaps)
