@@ -242,6 +242,7 @@ class TrackingView(LimitedView):
     def forget(self, *, heard_only: bool) -> None:
         """Delete the reported sightings and tracks and, unless `heard_only`, the pursuer's own."""
         self._network.inbox(self._id, PORT).drain()
+        # A filter does not tell own sightings from reported ones, so it begins anew with the last own sighting.
         sightings = self._last_own if heard_only else {}
         self._last_own, self._newest, self._filters = dict(sightings), dict(sightings), {}
         self._tracks.clear()

@@ -183,7 +183,7 @@ class AlphaBeta(_Diffusing):
         period = (sighting.stamp - track.stamp) / SECOND
         x, y, vx, vy = _moved(track.state, period)
         deviation = sqrt((sighting.covariance.xx + sighting.covariance.yy) / 2.0)
-        is_exact = deviation < 2.0 * LEAST
+        is_exact = deviation < 2.0 * LEAST  # the covariance of a sighting without noise has the deviation LEAST
         alpha, beta = (1.0, 1.0) if is_exact else stationary_gains(period**1.5 * self.velocity_diffusion / deviation)
         dx, dy, rate = sighting.x - x, sighting.y - y, beta / period
         return Track(sighting.stamp, (x + alpha * dx, y + alpha * dy, vx + rate * dx, vy + rate * dy))
@@ -223,9 +223,8 @@ class Kalman(_Diffusing):
         """Return the track after a later sighting."""
         _, state, covariance = self.predict(track, sighting.stamp)
         assert covariance is not None
-        return Track(
-            sighting.stamp, *corrected_by_position(state, covariance, (sighting.x, sighting.y), sighting.covariance)
-        )
+        place = sighting.x, sighting.y
+        return Track(sighting.stamp, *corrected_by_position(state, covariance, place, sighting.covariance))
 
 
 Estimator = AlphaBeta | Kalman

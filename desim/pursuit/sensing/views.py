@@ -256,8 +256,7 @@ class GlobalState(View):
     """The true state of the world and the actions of all pursuers, for omniscient benchmarks.
 
     Args:
-        state: the true state of the world.
-        prune: which pursuers may not chase an evader.
+        state, prune: see `View`.
         set_action: a function that sets the action of a pursuer from this instant on. Its arguments are the pursuer and
             the action, the number of an evader or 0.
     """

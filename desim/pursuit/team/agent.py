@@ -293,7 +293,7 @@ class Agent(Beliefs, Timing, HintedItems):
         Use it for events: each message wakes a receiver that waits at this port (`arrival`) and then reads the message
         (`mail`). A body may be any object that can be copied. It is copied at sending, and for each receiver, unless
         all its parts are immutable (`desim.kernel.core.message_body`): later changes by the sender or by a receiver
-        affect no other message, and not the trace.
+        affect neither other messages nor the trace.
 
         Args:
             dst: the receiver; None: all neighbours.

@@ -164,8 +164,7 @@ class AccusingJudge(Checking):
     """Blocks for good a teammate against which it has evidence, or that enough teammates accuse; see `Accusations`.
 
     Args:
-        witness: what the pursuer observes.
-        radius: distance up to which it observes teammates, m.
+        witness, radius: see `Checking`.
         quorum: number of accusers that is enough.
     """
 
@@ -208,8 +207,7 @@ class RatingJudge(Checking):
     """Believes a teammate whose reputation is high enough; see `Reputation`.
 
     Args:
-        witness: what the pursuer observes.
-        radius: distance up to which it observes teammates, m.
+        witness, radius: see `Checking`.
         threshold: the least reputation that is believed.
         decay_time: time in which the weight of a record decays to 1/e, s.
     """
