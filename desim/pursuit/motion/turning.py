@@ -26,8 +26,8 @@ ANGLE_ROUNDING = 1e-9
 def shortest_path(target: complex, rho: float) -> tuple[float, complex]:
     """Return the length, m, and the final heading of the shortest path to a target.
 
-    For |y| beyond the turning circle, with D the distance of the target from the centre of this circle, the length is
-    rho ((theta - acos(rho / D)) mod 2 pi) + sqrt(D^2 - rho^2), where theta = atan2(x, rho - |y|).
+    For a target outside of the turning circle on its side, at the distance D from the centre of this circle, the length
+    is rho ((theta - acos(rho / D)) mod 2 pi) + sqrt(D^2 - rho^2), where theta = atan2(x, rho - |y|).
 
     Args:
         target: position relative to the pursuer, which heads along the x axis, m.
@@ -107,7 +107,7 @@ def _root(target: complex, speed: float, rho: float, evader_speed: float, radius
     """Return the time t, s, at which L - eps - v t changes its sign, by Newton's method within a bracket."""
     distance = abs(target)
     bearing = target * (1.0 / distance)
-    low, high = 0.0, (distance + 4.0 * pi * rho) / (speed - evader_speed)
+    low, high = 0.0, (distance + 4.0 * pi * rho) / (speed - evader_speed)  # L exceeds the distance by < 4 pi rho
     time, last_error = low, inf
     for _ in range(MAX_ITERATIONS):
         length, heading = shortest_path(target + bearing * (evader_speed * time), rho)
