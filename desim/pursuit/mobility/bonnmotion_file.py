@@ -54,7 +54,7 @@ class BonnMotionFile(MobilityFile):
         possible = [4] if self._is_marked else [3, 4] if dimensions is None else [dimensions + 1]
         single = [row for row in self._rows if len(row[1]) in possible]
         is_table = len(single) > 2 and len(single) >= len(self._rows) - 1 and len(set(_first_times(single))) > 1
-        wrong, end = single[0] if is_table else None, ""
+        wrong, advice = single[0] if is_table else None, ""
         lengths = {len(row) for _, row in self._rows}
         if wrong is None and len(self._rows) > 2 and len(lengths) == 1:
             widths = [width for width in possible if not max(lengths) % width]
@@ -62,10 +62,10 @@ class BonnMotionFile(MobilityFile):
             if all(unordered):
                 wrong = min((rows[0] for rows in unordered), default=self._rows[0])
             elif dimensions is None and not self._is_marked and self._are_integers_apart(widths):
-                wrong, end = self._rows[0], "; if they are waypoints, set dimensions = 2"
+                wrong, advice = self._rows[0], "; if they are waypoints, set dimensions = 2"
         if wrong is not None:
             hint = "; if each line is one waypoint of a table, the first line should name its columns, t, x and y"
-            raise ValueError(f"{self.file}, line {wrong[0]}: {SHOULD_BE_TRIPLES}, in order of time{hint}{end}")
+            raise ValueError(f"{self.file}, line {wrong[0]}: {SHOULD_BE_TRIPLES}, in order of time{hint}{advice}")
 
     def _are_integers_apart(self, widths: Iterable[int]) -> bool:
         """Return whether the file is many lines of integers that neither begin nor end together.

@@ -119,8 +119,8 @@ def _root(target: complex, speed: float, rho: float, evader_speed: float, radius
             low = time
         else:
             high = time
-        away = bearing.real * heading.real + bearing.imag * heading.imag
-        newton_time = time + missing / (speed - evader_speed * away)
+        growth = bearing.real * heading.real + bearing.imag * heading.imag  # of L, m per m that the evader moves
+        newton_time = time + missing / (speed - evader_speed * growth)
         # Newton's method may alternate across the discontinuity, so a step that has not halved the error is followed by
         # a bisection.
         time = newton_time if error < last_error / 2.0 and low <= newton_time <= high else (low + high) / 2.0

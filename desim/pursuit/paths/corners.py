@@ -85,13 +85,14 @@ class WallCorner:
         """Return the sides on which a straight line in a direction (rad) can pass here."""
         turns = [_wrapped(ray.angle - direction) for ray in self.rays]
         sides: set[Side] = set()
-        # The line can pass on a side without walls if the sector there, from ray `begin` or to ray `end`, is free.
+        # The line can pass on a side without walls if the sector there is free. The left sector begins at the last ray
+        # before the line, counter-clockwise, and the right sector ends at the first ray after it.
         if not any(ALIGNED < turn < pi - ALIGNED for turn in turns):
-            begin = max(range(len(turns)), key=lambda k: turns[k] - FULL_TURN * (turns[k] > ALIGNED))
-            sides |= {"left"} if self._is_free[begin] else set()
+            turns_before = [turn - FULL_TURN if turn > ALIGNED else turn for turn in turns]
+            sides |= {"left"} if self._is_free[turns_before.index(max(turns_before))] else set()
         if not any(-pi + ALIGNED < turn < -ALIGNED for turn in turns):
-            end = min(range(len(turns)), key=lambda k: turns[k] + FULL_TURN * (turns[k] < -ALIGNED))
-            sides |= {"right"} if self._is_free[end - 1] else set()
+            turns_after = [turn + FULL_TURN if turn < -ALIGNED else turn for turn in turns]
+            sides |= {"right"} if self._is_free[turns_after.index(min(turns_after)) - 1] else set()
         return frozenset(sides)
 
     def outward(self) -> float | None:
@@ -129,14 +130,14 @@ class Arrangement:
         self.pieces: dict[tuple[int, int], frozenset[Side]] = {}
         enclosed = np.zeros(len(self.places), dtype=bool)
         for wall, numbers in zip(walls, chains, strict=True):
-            rings: set[int] = set()
+            outlines: set[int] = set()
             for shape, chain in zip(wall, numbers, strict=True):
                 divided = self._divided(chain)
                 self._add_pieces(divided, solid_side(shape, wall) if shape.closed else None)
                 if shape.closed:
-                    rings |= set(divided)
+                    outlines |= set(divided)
             within = is_within(coordinates(self.places), wall)
-            within[list(rings)] = False
+            within[list(outlines)] = False
             enclosed |= within
         rays: list[list[Ray]] = [[] for _ in self.places]
         for (begin, end), solid in self.pieces.items():
