@@ -139,7 +139,7 @@ class FalseAnnouncements(ByzantineFault):
         return phi
 
     def _announced_place(self, truth: complex, me: Speaker) -> complex:
-        answer: Any = self.position(truth, me.rng)  # type: ignore[misc]  # one is given
+        answer: Any = self.position(truth, me.rng)  # type: ignore[misc]  # the caller knows that there is one
         place = as_complex(answer)
         if not isfinite(place):
             expected = "a false position should be a finite complex number, x + yj in m"

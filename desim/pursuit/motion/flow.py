@@ -58,7 +58,7 @@ class UniformFlow(Value):
         return np.full(len(places), self.velocity_at(t))
 
     def velocity_at(self, t: float) -> complex:
-        """Return the velocity at a time, s."""
+        """Return the velocity at a time (s), m/s."""
         raise NotImplementedError
 
     def displacement(self, begin: float, end: float) -> complex:

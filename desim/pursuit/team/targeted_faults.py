@@ -32,11 +32,11 @@ class TargetedFault(Fault):
     def begin(self, site: FaultSite) -> Undo:
         """Begin the faults that it causes for the pursuers that chase now."""
         nodes = tuple(site.targets())[: self.chasers]
-        ends = [site.begin(fault) for fault in self.faults_of(nodes)] if nodes else []
+        undos = [site.begin(fault) for fault in self.faults_of(nodes)] if nodes else []
 
         def end() -> None:
-            for part_ends in ends:
-                part_ends()
+            for undo in undos:
+                undo()
 
         return end
 
