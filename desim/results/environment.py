@@ -17,10 +17,10 @@ NUMERICS = (*ARITHMETIC, "pydantic")
 COMPUTING = ("analysis", "config", "kernel", "pursuit", "scenario", "simulation")
 """The packages in desim whose code affects the result of a run."""
 NOT_COMPUTING = ("analysis/deliveries.py", "analysis/measuring.py", "analysis/metrics.py")
-"""The modules of these packages that are not hashed.
+"""The modules in packages of `COMPUTING` that `code` leaves out.
 
 They read the deliveries that pictures and searches show, and list and call the metrics. A new metric changes no run,
-and the store of a sweep hashes the code of each metric itself."""
+and the store of a sweep hashes the code of each metric separately."""
 GIT_TIMEOUT = 2.0
 """Time limit of a git command, s."""
 GIT_VARIABLES = {"GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_OBJECT_DIRECTORY"}
@@ -40,15 +40,16 @@ def code() -> str:
     Code that only lists or calls metrics, or stores or shows results, is left out: `NOT_COMPUTING`, `desim/cli`,
     `desim/results`, `desim/study` and `desim/view`.
     """
-    here = Path(__file__).parents[1]
-    files = [*here.glob("*.py"), *(file for part in COMPUTING for file in (here / part).rglob("*.py"))]
+    package = Path(__file__).parents[1]
+    files = [*package.glob("*.py"), *(file for name in COMPUTING for file in (package / name).rglob("*.py"))]
     protocols = find_spec("protocols")
     folders = [Path(folder) for folder in protocols.submodule_search_locations or ()] if protocols is not None else []
-    left_out = [here / module for module in NOT_COMPUTING]
-    names = {file.relative_to(here.parent).as_posix(): file for file in files if file not in left_out}
-    names |= {file.relative_to(folder.parent).as_posix(): file for folder in folders for file in folder.rglob("*.py")}
+    left_out = [package / module for module in NOT_COMPUTING]
+    files_by_name = {file.relative_to(package.parent).as_posix(): file for file in files if file not in left_out}
+    for folder in folders:
+        files_by_name |= {file.relative_to(folder.parent).as_posix(): file for file in folder.rglob("*.py")}
     digest = hashlib.sha256()
-    for name, file in sorted(names.items()):
+    for name, file in sorted(files_by_name.items()):
         digest.update(f"{name}\n".encode() + file.read_bytes())
     return digest.hexdigest()[:16]
 
@@ -56,8 +57,8 @@ def code() -> str:
 def computing_versions() -> dict[str, str]:
     """Return the versions that decide the last digits of results: of Python and of the packages of `ARITHMETIC`.
 
-    The version of Python has no third number, because bug-fix releases of Python change no arithmetic. Those of the
-    packages may.
+    The version of Python has no third number, because bug-fix releases of Python change no arithmetic. Bug-fix
+    releases of the packages may.
     """
     python = ".".join(platform.python_version_tuple()[:2])
     return {"python": python} | {name: _version(name) or "unknown" for name in ARITHMETIC}
@@ -65,24 +66,24 @@ def computing_versions() -> dict[str, str]:
 
 def _versions() -> dict[str, str | None]:
     """Return the versions of Python, desim, the packages of `NUMERICS`, and the installed plugins of desim."""
-    points = entry_points()
-    ours = [
+    installed = entry_points()
+    plugins = [
         entry_point
-        for group in points.groups
+        for group in installed.groups
         if group.startswith("desim.")
-        for entry_point in points.select(group=group)
+        for entry_point in installed.select(group=group)
     ]
-    plugged = {entry_point.dist.name for entry_point in ours if entry_point.dist is not None} - {"pursuit-desim"}
+    names = {plugin.dist.name for plugin in plugins if plugin.dist is not None} - {"pursuit-desim"}
     versions = {"python": platform.python_version(), "desim": _version("pursuit-desim")}
-    return versions | {name: _version(name) for name in (*NUMERICS, *sorted(plugged))}
+    return versions | {name: _version(name) for name in (*NUMERICS, *sorted(names))}
 
 
 @cache
 def _version(distribution: str) -> str | None:
-    """Return the version of an installed distribution; read once, for each sweep asks for those that compute twice."""
+    """Return the version of an installed distribution; cached, because each sweep asks twice for `ARITHMETIC`."""
     try:
         return version(distribution)
-    except PackageNotFoundError:  # on the path, but not installed
+    except PackageNotFoundError:  # importable from `sys.path` without an installed distribution
         return None
 
 
@@ -115,12 +116,12 @@ def _checkout() -> tuple[str | None, bool | None]:
     return commit, any(not line.startswith("#") for line in lines)
 
 
-def _git(folder: Path, *words: str) -> str | None:
+def _git(folder: Path, *arguments: str) -> str | None:
     """Return the output of a git command in a folder; None if it fails: no git, no repository, or a time-out."""
     environment = {key: value for key, value in os.environ.items() if key not in GIT_VARIABLES}
     try:
         done = subprocess.run(
-            ["git", "-C", str(folder), *words],
+            ["git", "-C", str(folder), *arguments],
             env=environment | {"GIT_OPTIONAL_LOCKS": "0"},
             stdin=subprocess.DEVNULL,
             capture_output=True,

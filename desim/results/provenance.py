@@ -65,6 +65,7 @@ WORDS: Mapping[type, str] = {
     list: "an array",
     NoneType: "null",
 }
+"""The JSON types of `SHAPE` in messages."""
 
 
 class ProvenanceError(ValueError):
@@ -133,8 +134,8 @@ def read(path: Path) -> Document:
     try:
         made = json.loads(content, object_pairs_hook=object_once)
     except json.JSONDecodeError as error:
-        instead = f"; a scenario file is run without --from: desim run {path}" if path.suffix == ".toml" else ""
-        raise ProvenanceError(f"{path}:{error.lineno}: not JSON: {error.msg}{instead}") from error
+        hint = f"; a scenario file is run without --from: desim run {path}" if path.suffix == ".toml" else ""
+        raise ProvenanceError(f"{path}:{error.lineno}: not JSON: {error.msg}{hint}") from error
     except (ValueError, RecursionError) as error:
         raise ProvenanceError(f"{path}: not JSON: {error}") from error
     if not isinstance(made, dict):
@@ -182,8 +183,8 @@ def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_i
             origin = f"was written by desim {made_by}"
         else:
             origin = "records a run without its scenario" if made_by == RUN else f"records the study {made_by!r}"
-        by = shlex.join(map(str, made["argv"]))
-        raise ProvenanceError(f"{path}: {origin}, which desim run cannot repeat; it was made by: {by}")
+        command = shlex.join(map(str, made["argv"]))
+        raise ProvenanceError(f"{path}: {origin}, which desim run cannot repeat; it was made by: {command}")
     folder = home(path, made) if allow_import else path.parent
     recorded = Source(str(path), _overridable(made["scenario"]), Scenario, folder=folder, allow_import=allow_import)
     for override in overrides:
@@ -193,18 +194,18 @@ def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_i
     return recorded
 
 
-def differences(then: Document, now: Document) -> list[str]:
-    """Return the reasons why results may differ: the parts of the environment that changed, unrecorded parameters."""
+def differences(recorded: Document, current: Document) -> list[str]:
+    """Return why results may differ from recorded ones: changed parts of the environment, unrecorded parameters."""
     reasons = [
-        f"{PARTS.get(name, f'the package {name}')} was {then[key].get(name) or 'unknown'}"
-        f" and is {now[key].get(name) or 'unknown'}"
+        f"{PARTS.get(name, f'the package {name}')} was {recorded[key].get(name) or 'unknown'}"
+        f" and is {current[key].get(name) or 'unknown'}"
         for key in ("versions", "platform")
-        for name in sorted({*then[key], *now[key]})
-        if then[key].get(name) != now[key].get(name)
+        for name in sorted({*recorded[key], *current[key]})
+        if recorded[key].get(name) != current[key].get(name)
     ]
-    if then["code"] != now["code"]:
-        reasons.append(f"the code of desim was {_commit(then)} and is {_commit(now)}")
-    return reasons + [f"the parameters of {key} are not recorded" for key in then["unrecorded"]]
+    if recorded["code"] != current["code"]:
+        reasons.append(f"the code of desim was {_commit(recorded)} and is {_commit(current)}")
+    return reasons + [f"the parameters of {key} are not recorded" for key in recorded["unrecorded"]]
 
 
 def _commit(made: Document) -> str:
@@ -233,11 +234,13 @@ def _overridable(scenario: Document) -> Document:
     from desim.kernel.models.links import Links
     from desim.kernel.models.presets import PRESETS
 
+    # The name is a text also if it is "Infinity".
     tables: Document = {key: value if key == "name" else from_json(value) for key, value in scenario.items()}
     network = tables.get("network")
     if isinstance(network, dict) and ((preset := network.get("preset")) is None or str(preset) in PRESETS):
-        usual = from_json(Links(preset=preset).plain())
-        tables["network"] = {key: value for key, value in network.items() if key == "preset" or value != usual.get(key)}
+        defaults = from_json(Links(preset=preset).plain())
+        is_needed = {key: key == "preset" or value != defaults.get(key) for key, value in network.items()}
+        tables["network"] = {key: value for key, value in network.items() if is_needed[key]}
     return tables
 
 
@@ -252,8 +255,8 @@ def _not_importable(tables: Document) -> Iterator[tuple[KeyPath, str]]:
 def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
     """Yield the dotted key of each callable object with state that is neither a model nor a dataclass.
 
-    The state of such an object is not recorded. Parameters are, except those of which JSON has a name only and those
-    that their object does not keep: their keys follow.
+    The state of such an object is not recorded. The parameters of models and dataclasses are recorded, with two
+    exceptions, whose keys are also yielded: parameters that JSON can only name, and those that their object discards.
     """
     from pydantic import BaseModel
 
@@ -275,7 +278,7 @@ def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
     for name, value in inner.items():
         yield from _unrecorded(value, (*place, name))
         field = getattr(type(node), "model_fields", {}).get(name)
-        is_chosen = field is not None and choices_of(field)  # a model, which its name selects
+        is_chosen = field is not None and choices_of(field)  # the name of a model is enough to select it again
         if not (isinstance(node, tuple | dict) or is_ours(type(node)) or is_chosen) and is_named_only(value):
             yield ".".join((*place, name))
 

@@ -33,7 +33,7 @@ EVENTS = (
 
 
 class WriteError(OSError):
-    """Raised when the files of a run cannot be written, to tell this from an OSError in the code of a scenario."""
+    """Raised when the files of a run cannot be written; an OSError in the code of a scenario stays an OSError."""
 
 
 @contextmanager
@@ -111,7 +111,7 @@ def write(
         folder: the folder; it is created, with its parents.
         made: the provenance of the run, or of several runs that include it; if None, it is made from the scenario and
             the running program.
-        simulated_there: whether `simulate` was called with this folder, so that the trace may already be in it.
+        simulated_there: whether `simulate` was called with this folder, where it may have written the trace.
         drawn: whether pictures are added, which takes a second.
 
     Raises:
@@ -120,9 +120,9 @@ def write(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     numbers = summary(result)
-    is_there = simulated_there and result.scenario.record.messages == "file"
-    clear(folder, {TRACE} if is_there else ())
-    if not is_there:
+    has_trace = simulated_there and result.scenario.record.messages == "file"
+    clear(folder, {TRACE} if has_trace else ())
+    if not has_trace:
         with TraceFile(folder / TRACE) as file:
             for event in result.trace:
                 file(event)
@@ -173,8 +173,8 @@ def read(folder: str | Path, *, allow_import: bool = False) -> Result:
     """
     folder, trace = Path(folder), Trace()
     trace.events += events(folder)
-    for number, why in inconsistencies(trace.events):
-        raise ValueError(f"{folder / TRACE}: line {number} {why}")
+    for number, problem in inconsistencies(trace.events):
+        raise ValueError(f"{folder / TRACE}: line {number} {problem}")
     path = folder / provenance.FILE
     made = provenance.read(path)
     source = provenance.source(path, made, allow_import=allow_import)
@@ -191,10 +191,11 @@ def _matches_start(result: Result) -> bool:
     team, evaders, starts = result.scenario.team, result.scenario.evaders, result.trace.of(Started)
     if len(starts) != 1 or starts[0].speeds != tuple(team.all_speeds()):
         return False
-    there = *starts[0].pursuers, *starts[0].evaders
+    recorded = *starts[0].pursuers, *starts[0].evaders
     space = result.scenario.space
-    wanted = *team.start(result.seed, space), *(evader.start(result.seed, k, space) for k, evader in enumerate(evaders))
-    return len(there) == len(wanted) and np.allclose(there, wanted, rtol=0.0, atol=1e-6)
+    evader_starts = [evader.start(result.seed, k, space) for k, evader in enumerate(evaders)]
+    expected = *team.start(result.seed, space), *evader_starts
+    return len(recorded) == len(expected) and np.allclose(recorded, expected, rtol=0.0, atol=1e-6)
 
 
 def events(folder: str | Path) -> Iterator[Event]:
@@ -208,7 +209,7 @@ def events(folder: str | Path) -> Iterator[Event]:
     file = Path(folder) / TRACE
     with regular_or_missing(file).open(encoding="utf-8") as lines:
         try:
-            first = list(islice(lines, 1))
+            first = list(islice(lines, 1))  # `Started`, whose numbers of players limit the fields of all events
             check_trace_format(first)
             starts = list(events_of(first, (Started,)))
             yield from whole_trace(events_of(chain(first, lines), EVENTS, field_limits(starts[0])) if starts else ())

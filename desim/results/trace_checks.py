@@ -1,4 +1,4 @@
-"""Whether the lines of a trace file are the trace of one whole run: its format, its fields, its order, its pairs."""
+"""Checks that a trace file holds one whole run: format, fields and order of events, and events that need each other."""
 
 import json
 from collections import defaultdict
@@ -20,10 +20,10 @@ def whole_trace(trace: Iterable[Event]) -> Iterator[Event]:
     """Yield the events of a trace.
 
     Raises:
-        ValueError: if an event is earlier than the one before, or has too many or too few arrivals, or the trace does
-            not end as that of a whole run.
+        ValueError: if an event is earlier than the event before, if a broadcast has neither one arrival for all
+            receivers nor one for each, or if the trace does not end as that of a whole run.
     """
-    before, last, t = None, None, 0
+    last_but_one, last, t = None, None, 0
     for number, event in enumerate(trace, start=1):
         if event.t < t:
             raise ValueError(f"line {number} is earlier than the line before")
@@ -32,14 +32,14 @@ def whole_trace(trace: Iterable[Event]) -> Iterator[Event]:
             raise ValueError(
                 f"line {number} has {counted(len(event.dst), 'receiver')} and {counted(len(event.arrival), 'arrival')}"
             )
-        before, last = last, type(event)
+        last_but_one, last = last, type(event)
         yield event
-    if (before, last) != (MessageCounts, Ended):
+    if (last_but_one, last) != (MessageCounts, Ended):
         raise ValueError("is not complete: its last events should be MessageCounts and Ended")
 
 
 def check_trace_format(first: Sequence[str]) -> None:
-    """Check the format of a trace, given its first line; `events_of` reports a line that is not a `Started` event.
+    """Check the format of a trace, given its first line, if any; `events_of` refuses a line that is not `Started`.
 
     Raises:
         ValueError: if the line is the start of a run in another format.
@@ -55,7 +55,7 @@ def check_trace_format(first: Sequence[str]) -> None:
 def field_limits(start: Any) -> Limits:
     """Return the constraints on the fields of events in a trace, given its first event.
 
-    Bodies have none: a protocol of a user may give any meaning to their fields.
+    Message bodies have no constraints: a protocol of a user may give any meaning to their fields.
     """
     size, evaders = len(start.pursuers), len(start.evaders)
     return {
@@ -69,15 +69,16 @@ def field_limits(start: Any) -> Limits:
 
 def inconsistencies(trace: Sequence[Event]) -> Iterator[tuple[int, str]]:
     """Yield (line, error) for each line of a trace that is inconsistent with the lines before."""
-    size, once = len(trace[0].pursuers) if isinstance(trace[0], Started) else 0, set[type[Event]]()
-    receivers, broken = dict[int, tuple[int, ...]](), list[TracedFault]()
+    nodes = len(trace[0].pursuers) if isinstance(trace[0], Started) else 0
+    unique_types = set[type[Event]]()
+    receivers, active_faults = dict[int, tuple[int, ...]](), list[TracedFault]()
     # By transmission and receiver, the lines of lost messages for which no event Lost has come yet.
     lost = defaultdict[tuple[int, int], list[int]](list)
     for number, event in enumerate(trace, start=1):
         if isinstance(event, Started | MessageCounts | TransportCounts | Ended):
-            if type(event) in once:
+            if type(event) in unique_types:
                 yield number, f"is a second {type(event).__name__}"
-            once.add(type(event))
+            unique_types.add(type(event))
         elif isinstance(event, Broadcast | Queued):
             receivers[event.transmission] = receivers.get(event.transmission, ()) + event.dst
             if isinstance(event, Broadcast) and LOST in event.arrival:
@@ -93,14 +94,14 @@ def inconsistencies(trace: Sequence[Event]) -> Iterator[tuple[int, str]]:
             elif lost[event.transmission, event.dst]:
                 lost[event.transmission, event.dst].pop()
         elif isinstance(event, FaultStarted):
-            if any(node >= size for nodes in nodes_of(event.fault).values() for node in nodes):
-                yield number, f"names a node that is not one of 0 to {size - 1}"
-            broken.append(event.fault)
+            if any(node >= nodes for named in nodes_of(event.fault).values() for node in named):
+                yield number, f"names a node that is not one of 0 to {nodes - 1}"
+            active_faults.append(event.fault)
         elif isinstance(event, FaultEnded):
-            if event.fault not in broken:
+            if event.fault not in active_faults:
                 yield number, "ends a fault that did not begin"
             else:
-                broken.remove(event.fault)
+                active_faults.remove(event.fault)
     for (_, dst), numbers in lost.items():
         for number in numbers:
             yield number, f"has no arrival at {dst}, but no event says that this message was lost"
