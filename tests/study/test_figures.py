@@ -18,7 +18,15 @@ from desim.scenario.players import Team
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import run
 from desim.study.results.costs import AS_IT_IS, IDEAL
-from desim.study.results.figures import _apart, _label_outer, _mark_flat, is_wide, legend, means, multiples
+from desim.study.results.figures import (
+    _label_outer,
+    _mark_common_value,
+    _without_overlap,
+    is_wide,
+    legend,
+    means,
+    multiples,
+)
 from desim.study.results.heat_maps import INK, _cell_format, _cell_text, phase
 from desim.study.results.result import SweepResult
 from desim.study.results.runs import Group
@@ -132,7 +140,7 @@ def test_a_label_is_left_out_where_it_would_touch_the_one_before_or_the_last():
         ([0, 5, 9.9, 10], [0, 5, 10]),
         ([3], [3]),
     ):
-        assert _apart(axes, values, {value: float(value) for value in values}) == kept
+        assert _without_overlap(axes, values, {value: float(value) for value in values}) == kept
 
 
 @pytest.mark.slow
@@ -310,7 +318,7 @@ def test_panels_of_rows_have_common_rows_and_panels_over_a_number_have_scales_of
 def test_the_only_value_of_a_metric_is_drawn_with_0(value, limits):
     """0 and the value lie within the scale, whatever the sign: with a twentieth beyond at least one of them."""
     axes = Figure().subplots()
-    _mark_flat(axes, value)
+    _mark_common_value(axes, value)
     low, high = axes.get_ylim()
     assert low <= min(value, 0.0) <= max(value, 0.0) <= high
     assert (low, high) == pytest.approx((min(value, 0.0) - 0.05, min(value, 0.0) + 1.05 * (abs(value) or 1.0)))
@@ -319,7 +327,7 @@ def test_the_only_value_of_a_metric_is_drawn_with_0(value, limits):
 
 def test_the_only_value_of_a_metric_may_be_infinite():
     axes = Figure().subplots()
-    _mark_flat(axes, inf)
+    _mark_common_value(axes, inf)
     assert [text.get_text() for text in axes.texts] == ["inf in every run"]
 
 

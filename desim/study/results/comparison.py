@@ -45,9 +45,9 @@ class Compared:
 
     @property
     def counts(self) -> tuple[int, int, int]:
-        """The numbers of runs that the two means and the difference are of if no run lacks a value.
+        """The numbers of runs of the first mean, the second mean and the difference, if no run lacks a value.
 
-        With pairs it is their number for all three: of a mean over other runs, the number is shown.
+        With pairs, all three are the number of pairs. A table shows the number of runs of an estimate that has others.
         """
         return (self.pairs,) * 3 if self.pairs else (*self.runs, min(self.runs))
 
@@ -66,7 +66,7 @@ class Comparison(TabularResult):
     units: Mapping[str, str]
     """The unit of each metric that is not built in."""
     changes: Mapping[str, tuple[str, str]]
-    """The keys that have one value in each of the two sweeps, which differ, with both values as text."""
+    """The two values, as text, of each key that has one value in the first sweep and another one in the second."""
 
     @classmethod
     def of(
@@ -81,10 +81,10 @@ class Comparison(TabularResult):
 
         Args:
             first: a sweep.
-            second: another one.
+            second: another sweep.
             metrics: the names of the metrics.
-            names: the names of the two.
-            changes: further keys in which the scenarios of the two differ, with both values.
+            names: the names of the two sweeps.
+            changes: further keys in which the scenarios of the two sweeps differ, with both values.
 
         Raises:
             ValueError: if a sweep has no numeric metric of a name, or the two have no configuration in common.
@@ -94,8 +94,8 @@ class Comparison(TabularResult):
             for metric in metrics:
                 check_numeric(metric, sweep.units)
         keys, fixed = _common_keys(first, second)
-        there = {_place(group, keys): group for group in second.groups}
-        pairs = [(group, there.get(_place(group, keys))) for group in first.groups]
+        groups_of_second = {_texts_of(group, keys): group for group in second.groups}
+        pairs = [(group, groups_of_second.get(_texts_of(group, keys))) for group in first.groups]
         compared = tuple(_compared(group, other, keys, metrics) for group, other in pairs if other is not None)
         if not compared:
             raise ValueError(
@@ -112,26 +112,26 @@ class Comparison(TabularResult):
         return tuple(self.configurations[0].metrics)
 
     def sentences(self) -> list[str]:
-        """Return a sentence for each metric: where the two differ, and the greatest difference.
+        """Return a sentence for each metric: where the two sweeps differ, and the greatest difference.
 
         A difference counts if a t test excludes 0 at a level of 5 % for all differences of the table together
-        (Bonferroni); its interval in the table is for it alone.
+        (Bonferroni). The interval in the table is that of one difference alone.
         """
         return [self._sentence(metric) for metric in self.metrics]
 
     def _sentence(self, metric: str) -> str:
         first, second = self.names
         differences = [(compared, compared.metrics[metric].difference) for compared in self.configurations]
-        judged = [(compared, estimate) for compared, estimate in differences if estimate.count > 1]
-        if not judged:
+        testable = [(compared, estimate) for compared, estimate in differences if estimate.count > 1]
+        if not testable:
             return f"{words(metric)}: no configuration has two runs of both to compare"
         count = len(self.configurations) * len(self.metrics)
         at_once = f" at a level of 5 % for all {count} comparisons together (Bonferroni)" if count > 1 else ""
-        significant = [pair for pair in judged if pair[1].excludes_0(1.0 - 0.05 / count)]
-        compared, estimate = max(significant or judged, key=lambda pair: abs(pair[1].mean))
+        significant = [pair for pair in testable if pair[1].excludes_0(1.0 - 0.05 / count)]
+        compared, estimate = max(significant or testable, key=lambda pair: abs(pair[1].mean))
         unit = unit_of(metric, self.units)
-        of = f" of {compared.pairs}" if estimate.count < compared.pairs else ""
-        runs = f"{estimate.count}{of} pairs of runs with the same seed" if compared.pairs else "independent runs"
+        out_of = f" of {compared.pairs}" if estimate.count < compared.pairs else ""
+        runs = f"{estimate.count}{out_of} pairs of runs with the same seed" if compared.pairs else "independent runs"
         alone = " of it alone" * (count > 1)
         size = f"{with_half_width(estimate, estimate.count, '+', unit)} (95 % interval{alone}, {runs})"
         where = f", for {in_words(compared.settings)}" if compared.settings else ""
@@ -155,7 +155,7 @@ class Comparison(TabularResult):
             if count:
                 yield f"{counted(count, 'configuration')} of {name} left out: the other sweep does not have it"
 
-    _notes = notes
+    _notes = notes  # `TabularResult` shows them below the tables
 
     def tables(self) -> list[Table]:
         """Return the table as its title and rows of text; the first row is the header."""
@@ -165,10 +165,10 @@ class Comparison(TabularResult):
         metrics = [metric for compared in self.configurations for metric in compared.metrics.values()]
         shares = ", in brackets a Wilson interval" * any(isinstance(metric.first, Share) for metric in metrics)
         some_lack = any(
-            estimate.count not in {0, of}
+            estimate.count not in {0, usual_count}
             for compared in self.configurations
             for cell in compared.metrics.values()
-            for estimate, of in zip(cell.estimates, compared.counts, strict=True)
+            for estimate, usual_count in zip(cell.estimates, compared.counts, strict=True)
         )
         lacks = "; (n): over n runs, and so perhaps other seeds" if some_lack else ""
         heading = f"A: {first}; B: {second}; B - A: {how}; +- is half a 95 % t interval{shares}{lacks}"
@@ -224,7 +224,7 @@ class Comparison(TabularResult):
 
 
 def _common_keys(first: SweepRuns, second: SweepRuns) -> tuple[tuple[str, ...], dict[str, tuple[str, str]]]:
-    """Return the keys by which configurations are matched, and those with one value in each sweep, which differ.
+    """Return the keys that match configurations, and the two values of each key that differs between the sweeps only.
 
     Raises:
         ValueError: if one sweep varies a key that the other does not have.
@@ -248,8 +248,8 @@ def _common_keys(first: SweepRuns, second: SweepRuns) -> tuple[tuple[str, ...], 
     return tuple(keys), fixed
 
 
-def _place(group: Group, keys: Sequence[str]) -> tuple[str, ...]:
-    """Return the values of some keys as texts that differ unless values are equal but for rounding, as 0.1 + 0.2."""
+def _texts_of(group: Group, keys: Sequence[str]) -> tuple[str, ...]:
+    """Return the values of some keys as texts; 0.1 + 0.2 and 0.3 have the same text."""
     return tuple(label(group.settings[key]) for key in keys)
 
 

@@ -35,7 +35,7 @@ class Saving:
         """Return the saving, given the difference of each pair of runs; up to `NOTHING`, differences are equal."""
         differing = sum(abs(difference) > NOTHING for difference in differences)
         if differences and max(differences) - min(differences) <= NOTHING:
-            differences = [mean(differences).mean] * len(differences)
+            differences = [mean(differences).mean] * len(differences)  # rounding is not a scatter of the saving
         return cls(mean(differences), differing)
 
     def excludes_0(self, confidence: float = 0.95) -> bool:
@@ -47,7 +47,7 @@ class Saving:
         return abs(self.mean.mean) > NOTHING and self.mean.excludes_0(confidence)
 
     def text(self, runs: int, digits: int | None = None) -> str:
-        """Return the saving as the text of a table cell, perhaps with a number of decimals."""
+        """Return the saving as the text of a table cell with `digits` decimals; None: as many as its interval needs."""
         is_0 = self.mean.count and not self.differing
         return "0 in every run" if is_0 else with_half_width(self.mean, runs, "+", digits=digits)
 
@@ -97,7 +97,7 @@ class Cost:
     interaction: Saving
     """`together` minus the sum of the parts."""
     more_is: Literal["better", "worse"] | None = None
-    """Whether more of the metric is better or worse, and so whether a positive cost is good or bad; None if unknown."""
+    """Whether more of the metric is better or worse, and so a positive cost; None if unknown."""
     confidence: float = 1.0 - INTERACTION_RISK
     """The confidence of the interval by which an interaction is judged; see `INTERACTION_RISK`."""
     bounds: Bounds | None = None

@@ -4,9 +4,9 @@ The curves are the means of a metric over the values of a key, joined by straigh
 1954, "Some Problems in Interval Estimation": it holds the points at which a paired t test does not tell the two curves
 apart. The difference at a point between two values of the key is interpolated run by run, so that common random
 numbers count. If the differences are normal, the interval covers the crossing of the interpolated true means with the
-stated probability, for any number of runs, also where the two curves nearly touch. It then has no end on one side or
-both, which says that the values of the key do not determine the crossing. A bootstrap would need random numbers, and
-its percentiles have no such ends. `tests/study/test_crossover.py` measures the coverage.
+stated probability, for any number of runs. Where the two curves nearly touch, the interval may be unbounded on one
+side or both: then the values of the key do not determine the crossing. A bootstrap would need random numbers, and its
+intervals are always bounded. `tests/study/test_crossover.py` measures the coverage.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,7 +43,7 @@ class Crossover:
     names: tuple[str, str]
     """The names of the two curves, a and b."""
     at: float | None
-    """The last value at which the interpolated means are equal and change their order; None = they never do."""
+    """The last value at which the interpolated means change their order; None = they never do."""
     low: float
     """The lower end of the confidence interval of `at`; -inf = below the least value of the key."""
     high: float
@@ -72,19 +72,20 @@ class Crossover:
 
     @property
     def winner(self) -> str | None:
-        """The name of the better curve beyond `at`, or everywhere if they do not cross; the lesser if neither is known.
+        """The better curve beyond `at`, or everywhere without a crossing, by name; the lower one if `more_is` is None.
 
-        None: the two are not told apart up to the greatest value of the key, or at no value beyond `at`.
+        None: the interval of the crossing reaches the greatest value of the key, or no test beyond `at` tells the
+        curves apart.
         """
-        is_never_apart = any(low <= self.span[0] and high >= self.span[1] for low, high in self.undecided)
-        if self.high == inf or not self.is_told_apart or (self.at is None and is_never_apart):
+        is_undecided_everywhere = any(low <= self.span[0] and high >= self.span[1] for low, high in self.undecided)
+        if self.high == inf or not self.is_told_apart or (self.at is None and is_undecided_everywhere):
             return None
         other = next((name for name in self.names if name != self.least), self.least)
         return other if self.more_is == "better" else self.least
 
     @property
-    def _together(self) -> str:
-        """The level at which the curves are not told apart at any value, as text; "" if they are."""
+    def _level(self) -> str:
+        """The level at which no value tells the curves apart, as text; "" if some value does."""
         risk = f"{100.0 * (1.0 - self.confidence):.3g} %"
         several = f" at a level of {risk} for all {self.values} values together"
         return "" if self.is_told_apart else several
@@ -92,38 +93,38 @@ class Crossover:
     def __str__(self) -> str:
         unit = f" {name}" if (name := unit_of_key(self.key, Scenario)) else ""
         low, high = self.span
-        tail = f"{self.pairs} pairs of runs with the same seed"
-        corrected = "Bonferroni, " * (not self.is_told_apart) + tail
+        pairs = f"{self.pairs} pairs of runs with the same seed"
+        method = "Bonferroni, " * (not self.is_told_apart) + pairs
         if (winner := self.winner) is None:
             relation = f"{' and '.join(self.names)} are not told apart"
         else:
             other = next((name for name in self.names if name != winner), winner)
             relation = f"{winner} {'beats' if self.more_is else 'is less than'} {other}"
-        if self.at is None:
+        if self.at is None:  # no crossing
             if winner is None:
                 place = f"for {self.key} from {low:g} to {high:g}{unit}"
-                return f"{words(self.metric)}: {relation} {place}{self._together} ({corrected})"
+                return f"{words(self.metric)}: {relation} {place}{self._level} ({method})"
             doubt = ", not at every value distinguishable from 0" if self.undecided else ""
             return (
                 f"{words(self.metric)}: no crossing for {self.key} from {low:g} to {high:g}{unit}: {relation}"
-                f" throughout{doubt} ({tail})"
+                f" throughout{doubt} ({pairs})"
             )
         interval = interval_text((self.low, self.high), self.span, self.confidence)
         crossings = len(self.crossings)
-        if winner is None and self.high < inf:
+        if winner is None and self.high < inf:  # a crossing that no test beyond it confirms
             how_often = f" {crossings} times, the last time" if crossings > 1 else ""
             place = f"at {self.key} = {self.at:.3g}{unit} ({interval}{unit}, Fieller)"
-            beyond = f"but beyond {relation}{self._together} ({corrected})"
+            beyond = f"but beyond {relation}{self._level} ({method})"
             return f"{words(self.metric)}: the means cross{how_often} {place}, {beyond}"
         several = f"; the means cross {crossings} times, and this is the last" * (crossings > 1)
         start = f"{self.at:.3g}{unit} on"
-        if winner is None:
+        if winner is None:  # an interval that reaches the greatest value of the key
             start = f"{low if self.low == -inf else self.low:.3g} to {high:g}{unit}"
             last = "the last time " * (crossings > 1)
             several = f"; the means cross{f' {crossings} times,' * (crossings > 1)} {last}at {self.at:.3g}{unit}"
             relation += "" if self.low == -inf else " any more"
         return (
-            f"{words(self.metric)}: {relation} from {self.key} = {start} ({interval}{unit}, Fieller, {tail}{several})"
+            f"{words(self.metric)}: {relation} from {self.key} = {start} ({interval}{unit}, Fieller, {pairs}{several})"
         )
 
     def document(self) -> dict[str, Any]:
@@ -164,16 +165,16 @@ class Crossover:
         if names[0] == names[1]:
             raise ValueError(f"a crossover needs two curves, got {names[0]} twice")
         table = paired_values([line[value] for line in lines for value in x], metric)
-        apart = differences(table[:, : len(x)], table[:, len(x) :])
-        if len(apart) < 2:
+        by_seed = differences(table[:, : len(x)], table[:, len(x) :])
+        if len(by_seed) < 2:
             raise ValueError(f"{metric}: a crossover needs two seeds with a value at all {len(x)} values of {key}")
-        means = apart.mean(axis=0)
+        means = by_seed.mean(axis=0)
         crossings = sign_changes(x, means.tolist())
-        undecided = undecided_parts(x, apart, confidence)
-        beyond = next((value for value in reversed(means.tolist()) if value), 0.0)
+        undecided = undecided_parts(x, by_seed, confidence)
+        last_difference = next((value for value in reversed(means.tolist()) if value), 0.0)
         at = crossings[-1] if crossings else None
         low, high = (nan, nan) if at is None else interval_around(at, x, undecided)
-        more = METRICS[metric].more_is if metric in METRICS else None
+        more_is = METRICS[metric].more_is if metric in METRICS else None
         return cls(
             metric,
             key,
@@ -182,44 +183,44 @@ class Crossover:
             low,
             high,
             crossings,
-            names[0] if beyond < 0.0 else names[1],
-            more,
-            len(apart),
+            names[0] if last_difference < 0.0 else names[1],
+            more_is,
+            len(by_seed),
             (x[0], x[-1]),
             tuple(undecided),
             confidence,
             len(x),
-            are_told_apart(x, apart, at, confidence),
+            are_told_apart(x, by_seed, at, confidence),
         )
 
 
-def are_told_apart(x: Sequence[float], apart: Floats, at: float | None, confidence: float) -> bool:
-    """Return whether a test at a value beyond `at`, or at any, excludes 0, with the sign of the last mean.
+def are_told_apart(x: Sequence[float], by_seed: Floats, at: float | None, confidence: float) -> bool:
+    """Return whether a test at a value beyond `at` (None: at any value) excludes 0, with the sign of the last mean.
 
-    The level is 1 - `confidence` for all values together.
+    `by_seed` has the differences of the curves, (seeds, values). The level is 1 - `confidence` for all values together.
     """
     level = 1.0 - (1.0 - confidence) / len(x)
-    beyond = [estimate(column) for value, column in zip(x, apart.T, strict=True) if at is None or value > at]
-    last = next((one.mean for one in reversed(beyond) if one.mean), 0.0)
-    return any(one.mean * last > 0.0 and one.excludes_0(level) for one in beyond)
+    beyond = [estimate(column) for value, column in zip(x, by_seed.T, strict=True) if at is None or value > at]
+    last = next((difference.mean for difference in reversed(beyond) if difference.mean), 0.0)
+    return any(difference.mean * last > 0.0 and difference.excludes_0(level) for difference in beyond)
 
 
 def interval_around(at: float, x: Sequence[float], undecided: Sequence[CrossoverInterval]) -> CrossoverInterval:
-    """Return the undecided interval that holds a crossing; an end at that of `x` is infinite: it is not bounded."""
-    near = 1e-9 * (x[-1] - x[0])  # rounding may leave a crossing without scatter outside
+    """Return the undecided interval around a crossing; an end at the first or last value of `x` becomes infinite."""
+    near = 1e-9 * (x[-1] - x[0])  # without scatter the interval is a point, which the crossing may miss by rounding
     low, high = next((ends for ends in undecided if ends[0] - near <= at <= ends[1] + near), (at, at))
     return -inf if low <= x[0] else low, inf if high >= x[-1] else high
 
 
 def interval_text(ends: CrossoverInterval, span: CrossoverInterval, confidence: float) -> str:
-    """Return an interval with a confidence as text; an infinite end is beyond that of the values of the key."""
+    """Return an interval as text; an infinite end is "below" the least or "beyond" the greatest value of the key."""
     low = f"below {span[0]:g}" if ends[0] == -inf else f"{ends[0]:.3g}"
     high = f"beyond {span[1]:g}" if ends[1] == inf else f"{ends[1]:.3g}"
     return f"{100 * confidence:g} % interval {low} to {high}"
 
 
 def check_paired(result: SweepRuns, metric: str, confidence: float) -> None:
-    """Raise ValueError if a metric of a sweep cannot be compared by pairs of runs with intervals of a confidence."""
+    """Raise ValueError if a metric is not numeric, the seeds are independent, or the confidence is not in (0, 1)."""
     check_numeric(metric, result.units)
     if not 0.0 < real(confidence, "the confidence") < 1.0:
         raise ValueError(f"the confidence should be between 0 and 1, got {confidence:g}")
@@ -231,7 +232,7 @@ def curve(result: SweepRuns, key: str, chosen: Mapping[str, Any]) -> dict[float,
     """Return the configurations of a curve by their finite value of the key.
 
     Raises:
-        ValueError: if the grid lacks a key or a value, a value is no number, or the curve is not one.
+        ValueError: if the grid lacks a key or a value, a value is no number, or another key has several values.
     """
     values = result.values(key)
     if key in chosen:
@@ -273,26 +274,26 @@ def sign_changes(x: Sequence[float], means: Sequence[float]) -> tuple[float, ...
     return tuple(crossings)
 
 
-def undecided_parts(x: Sequence[float], apart: Floats, confidence: float) -> list[CrossoverInterval]:
+def undecided_parts(x: Sequence[float], by_seed: Floats, confidence: float) -> list[CrossoverInterval]:
     """Return the intervals of points at which the paired t interval of the interpolated difference includes 0.
 
     On a segment with differences d and e at its ends, the difference at a share u is d + u (e - d), with the mean
-    m + u (n - m) and the variance v + 2 u c + u^2 w. The t interval includes 0 where the quadratic
-    (m + u (n - m))^2 - q (v + 2 u c + u^2 w) is not positive; q = t^2 / runs.
+    m + u s and the variance v + 2 u c + u^2 w: m and v are of d, s and w are of e - d, and c is the covariance of both.
+    The t interval includes 0 where the quadratic (m + u s)^2 - q (v + 2 u c + u^2 w) is not positive; q = t^2 / runs.
     """
-    runs = len(apart)
+    runs = len(by_seed)
     q = t_quantile(runs - 1, confidence) ** 2 / runs
-    spreads = np.ptp(apart, axis=0).tolist()
+    spreads = np.ptp(by_seed, axis=0).tolist()
     parts: list[CrossoverInterval] = []
     for k, (left, right) in enumerate(pairwise(x)):
         if not (spreads[k] or spreads[k + 1]) and chance_of_one_sign(runs) > 1.0 - confidence:
-            parts.append((left, right))  # a few runs without scatter decide nothing, see `Estimate.excludes_0`
+            parts.append((left, right))  # too few runs without scatter decide nothing, see `Estimate.excludes_0`
             continue
-        start, rise = apart[:, k], apart[:, k + 1] - apart[:, k]
+        start, rise = by_seed[:, k], by_seed[:, k + 1] - by_seed[:, k]
         v, c, w = covariance(start, start), covariance(start, rise), covariance(rise, rise)
-        m, slope = float(start.mean()), float(rise.mean())
-        shares = _not_positive(slope * slope - q * w, 2.0 * (m * slope - q * c), m * m - q * v)
-        width = right - left  # rounded, so that left + width may not be right
+        m, s = float(start.mean()), float(rise.mean())
+        shares = _nonpositive_parts(s * s - q * w, 2.0 * (m * s - q * c), m * m - q * v)
+        width = right - left  # rounded: left + width may differ from right
         parts += [(left + low * width, left + high * width if high < 1.0 else right) for low, high in shares]
     merged: list[CrossoverInterval] = []
     for low, high in parts:  # they ascend, as `x` does
@@ -303,17 +304,17 @@ def undecided_parts(x: Sequence[float], apart: Floats, confidence: float) -> lis
     return merged
 
 
-def _not_positive(a: float, b: float, c: float) -> list[CrossoverInterval]:
+def _nonpositive_parts(a: float, b: float, c: float) -> list[CrossoverInterval]:
     """Return the intervals in [0, 1] on which a u^2 + b u + c <= 0."""
     discriminant = b * b - 4.0 * a * c
-    if a > 0.0 and discriminant <= ROUNDING * b * b:  # no root, or one: without scatter, the crossing itself
+    if a > 0.0 and discriminant <= ROUNDING * b * b:  # one root, if there is no scatter, or none
         root = -b / (2.0 * a)
         return [(root, root)] if 0.0 <= root <= 1.0 and discriminant >= -ROUNDING * b * b else []
     if a == 0.0:
         roots = [-c / b] if b else []
     elif discriminant <= 0.0:
         roots = []
-    else:  # without cancellation
+    else:  # the form of the two roots in which no digits cancel
         large = -(b + (sqrt(discriminant) if b >= 0.0 else -sqrt(discriminant))) / 2.0
         roots = sorted({large / a, c / large if large else 0.0})
     ends = [0.0, *(root for root in roots if 0.0 < root < 1.0), 1.0]

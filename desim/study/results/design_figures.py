@@ -49,20 +49,20 @@ def scatter(
     keys = result.drawn_keys or swept_numbers(result)
     if not keys:
         raise ValueError("a scatter plot needs a key that takes several numbers, there is none")
-    named = [key for key in result.keys if key not in keys and len(result.values(key)) > 1]
+    line_keys = [key for key in result.keys if key not in keys and len(result.values(key)) > 1]
     points = list(zip(result.groups, result.estimates(metric), strict=True))
     lines: dict[str, list[Point]] = {}
     for group, estimate in points:
-        lines.setdefault(line_name(group, named), []).append((group, estimate))
+        lines.setdefault(line_name(group, line_keys), []).append((group, estimate))
     title = metric_with_unit(metric, result)
 
     def draw(axes: Axes, key: str) -> None:
         for k, (name, line) in enumerate(lines.items()):
-            at = [group.settings[key] for group, _ in line]
+            x = [group.settings[key] for group, _ in line]
             means = [estimate.mean for _, estimate in line]
             bars = list(zip(*(estimate.bars for _, estimate in line), strict=True))
             look = look_of(k) | {"ls": "none", "ms": 3.0, "elinewidth": 0.5}
-            axes.errorbar(at, means, bars, label=name, **look)
+            axes.errorbar(x, means, bars, label=name, **look)
         _scale(axes, key, points)
         axes.set_xlabel(key_with_unit(key))
 
@@ -71,14 +71,14 @@ def scatter(
         with in_style(style):
             draw(ax, keys[0])
             ax.set_ylabel(title)
-            if named:
-                add_legend_above(ax, title_of_legend(named))
+            if line_keys:
+                add_legend_above(ax, title_of_legend(line_keys))
         return figure
     columns = columns_of(len(keys), size)
     rows = -(-len(keys) // columns)
-    usual = (4.8 if columns == 1 else 0.6 + 2.6 * columns, 0.5 + 2.6 * rows)
-    usual = usual[0], usual[1] + height_of_legend(list(lines), usual[0])
-    with styled(usual, size, style=style) as figure:
+    width = 4.8 if columns == 1 else 0.6 + 2.6 * columns
+    height = 0.5 + 2.6 * rows + height_of_legend(list(lines), width)
+    with styled((width, height), size, style=style) as figure:
         panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
         for axes, key in zip(panels.flat, keys, strict=False):
             draw(axes, key)
@@ -88,8 +88,8 @@ def scatter(
             row[0].set_ylabel(title)
         if size is None:
             figure.suptitle(escaped(f"{result.name}, 95 % intervals"), fontsize=9, **as_it_is(result.name))
-        if named:
-            add_legend(figure, title_of_legend(named))
+        if line_keys:
+            add_legend(figure, title_of_legend(line_keys))
     return figure
 
 
@@ -98,17 +98,16 @@ def contour(
 ) -> Figure:
     """Draw the mean of a metric over two keys as coloured bands, between points that are joined to triangles.
 
-    Dots are the points; those at infinity are left out. Each combination of values of the other keys has a panel; all
+    Dots are the points; points at infinity are left out. Each combination of values of the other keys has a panel; all
     share one colour scale. For the arguments see `SweepResult.plot`.
 
     Raises:
-        ValueError: if not just two keys take the numbers of a design, or a grid has fewer than two keys that take
-            several numbers; a panel has fewer than three points, or all on a line; the sweep has no such metric, the
-            size is invalid, or several panels do not fit into `ax`.
+        ValueError: if a design drew numbers of other than two keys; a grid has fewer than two keys that take several
+            numbers; a panel has fewer than three points, or all on a line; the sweep has no such metric; the size is
+            invalid; or several panels do not fit into `ax`.
         TypeError: if `ax` is not one pair of axes of matplotlib.
     """
-    drawn = result.drawn_keys
-    keys = drawn or swept_numbers(result)[:2]
+    keys = result.drawn_keys or swept_numbers(result)[:2]
     if len(keys) != 2:
         instead = "; `scatter` has a panel for each key" if keys else ""
         raise ValueError(f"contours need two keys that take several numbers, there are {len(keys)}{instead}")
@@ -127,14 +126,14 @@ def contour(
         _draw_bands(axes, keys, panel, points, colours)
 
     columns = columns_of(len(panels), size, beside=1.2)
-    usual = (1.6 + 3.0 * columns, 0.8 + 2.4 * -(-len(panels) // columns))
+    default_size = (1.6 + 3.0 * columns, 0.8 + 2.4 * -(-len(panels) // columns))
     return draw_panels(
         panels,
         draw,
         colours,
         metric_with_unit(metric, result),
         columns=columns,
-        usual=usual,
+        default_size=default_size,
         size=size,
         style=style,
         ax=ax,
@@ -144,20 +143,20 @@ def contour(
 def _draw_bands(
     axes: Axes, keys: Sequence[str], panel: Sequence[Point], points: Sequence[Point], colours: ScalarMappable
 ) -> None:
-    """Draw the bands of one panel; where an axis is logarithmic, triangles are chosen by the logarithms."""
+    """Draw the bands of one panel; triangles join points that are near on the axes as drawn, also logarithmic ones."""
     from matplotlib.tri import Triangulation
 
-    places = []
+    coordinates = []
     for key in keys:
         numbers = [float(group.settings[key]) for group, _ in panel]
-        places.append([log10(number) for number in numbers] if _is_log(key, points) else numbers)
-    spans = [(max(numbers) - min(numbers)) or 1.0 for numbers in places]
-    unit = [[number / span for number in numbers] for numbers, span in zip(places, spans, strict=True)]
+        coordinates.append([log10(number) for number in numbers] if _is_log(key, points) else numbers)
+    spans = [(max(numbers) - min(numbers)) or 1.0 for numbers in coordinates]
+    scaled = [[number / span for number in numbers] for numbers, span in zip(coordinates, spans, strict=True)]
     if len(panel) < 3:
         raise ValueError(f"contours need three points in each panel, there are {len(panel)}")
     try:
-        triangles = Triangulation(*unit).triangles
-    except (RuntimeError, ValueError) as error:  # of qhull
+        triangles = Triangulation(*scaled).triangles
+    except (RuntimeError, ValueError) as error:  # raised by qhull
         raise ValueError("contours need points that do not lie on one line") from error
     x, y = ([group.settings[key] for group, _ in panel] for key in keys)
     low, high = colours.get_clim()
@@ -165,7 +164,7 @@ def _draw_bands(
     means = [estimate.mean for _, estimate in panel]
     bands = Triangulation(x, y, triangles), means
     look: dict[str, Any] = {"levels": levels, "norm": colours.norm, "cmap": colours.get_cmap()}
-    axes.tricontourf(*bands, **look).set_edgecolor("face")  # else the page shows between two bands
+    axes.tricontourf(*bands, **look).set_edgecolor("face")  # else the page shows through between two bands
     axes.plot(x, y, ls="none", marker="o", ms=2.0, color="white", mec="#111111", mew=0.5, clip_on=False)
     for axis, key in zip("xy", keys, strict=True):
         _scale(axes, key, points, axis)

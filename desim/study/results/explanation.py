@@ -111,7 +111,8 @@ class Explanation(TabularResult):
         return f"<Explanation of {self.name}: {counted(self.runs, 'run')}, {', '.join(map(words, self.costs))}>"
 
     def _head(self) -> str:
-        shares = ", in brackets a Wilson interval" * any(isinstance(one.as_it_is, Share) for one in self.costs.values())
+        has_shares = any(isinstance(cost.as_it_is, Share) for cost in self.costs.values())
+        shares = ", in brackets a Wilson interval" * has_shares
         return (
             f"{self.name}: the cost of each imperfection, {counted(self.runs, 'run')} of equal seeds; +- is half a"
             f" 95 % t interval{shares}"
@@ -151,24 +152,24 @@ class Explanation(TabularResult):
         remarks += [f"absent: {', '.join(self.absent)}"] if self.absent else []
         for metric, cost in self.costs.items():
             if (count := cost.together.mean.count) < self.runs:
-                instead = "; end time counts the horizon" if metric in CAPTURE_TIMES else ""
+                hint = "; end time counts the horizon" if metric in CAPTURE_TIMES else ""
                 remarks.append(
                     f"{words(metric)} has a value in all variants for {count} of {counted(self.runs, 'seed')}, so the"
-                    f" costs hold for these only{instead}"
+                    f" costs hold for these only{hint}"
                 )
             remarks += [] if cost.bounds is None else _network(words(metric), cost.bounds, cost.unit)
-        unseen = [note for metric, cost in self.costs.items() for note in _unseen(words(metric), cost)]
-        if unseen:
-            unseen.append(
+        undetected = [note for metric, cost in self.costs.items() for note in _undetected(words(metric), cost)]
+        if undetected:
+            undetected.append(
                 f"with {self.runs} runs, an effect as large as its +- is found in half of all studies, a smaller effect"
                 " less often"
             )
         unchanging = [note for metric, cost in self.costs.items() for note in _unchanging(words(metric), cost)]
         interactions = [note for metric, cost in self.costs.items() for note in self._interaction(words(metric), cost)]
-        remarks += unseen + unchanging + interactions
+        remarks += undetected + unchanging + interactions
         return remarks + ([f"left out because a run failed: {counted(self.failed, 'seed')}"] if self.failed else [])
 
-    _notes = remarks
+    _notes = remarks  # `TabularResult` shows them below the tables
 
     def _signs(self) -> str:
         """Return a note that says for each metric whether a positive cost is good or bad."""
@@ -225,7 +226,7 @@ def _network(metric: str, bounds: Bounds, unit: str) -> Iterator[str]:
     if not difference.differing:
         yield (
             f"the network made no difference in {metric}: a {PERFECT} and {SILENT} are equal in every run;"
-            f" {_others(difference.mean.count)}"
+            f" {_share_differing(difference.mean.count)}"
         )
     elif difference.mean.others is not None and not difference.excludes_0():
         yield (
@@ -248,19 +249,19 @@ def _width(estimate: Estimate, unit: str) -> str:
     return f"+-{number(estimate.half_width, digits)} {unit}".rstrip()
 
 
-def _unseen(metric: str, cost: Cost) -> Iterator[str]:
+def _undetected(metric: str, cost: Cost) -> Iterator[str]:
     """Yield the note on the parts that differ from 0 in some run but are not significant, with their half widths."""
-    unseen = ", ".join(f"{name} ({_width(cost.parts[name].mean, cost.unit)})" for name in cost.undetected)
-    if unseen and cost.together.mean.count > 1:
-        yield f"not distinguishable from 0 in {metric}: {unseen}"
+    parts = ", ".join(f"{name} ({_width(cost.parts[name].mean, cost.unit)})" for name in cost.undetected)
+    if parts and cost.together.mean.count > 1:
+        yield f"not distinguishable from 0 in {metric}: {parts}"
 
 
 def _unchanging(metric: str, cost: Cost) -> Iterator[str]:
     """Yield the note on the parts of a cost that are 0 in every run, and on the share of seeds that may differ."""
     if cost.unchanging:
-        yield f"0 in every run in {metric}: {', '.join(cost.unchanging)}; {_others(cost.together.mean.count)}"
+        yield f"0 in every run in {metric}: {', '.join(cost.unchanging)}; {_share_differing(cost.together.mean.count)}"
 
 
-def _others(count: int) -> str:
-    """Return how many of all seeds may differ if all of `count` are equal."""
+def _share_differing(count: int) -> str:
+    """Return a note on the share of all seeds that may differ although `count` runs are all equal."""
     return f"up to {percent(wilson(0, count)[1]).replace('%', ' %')} of all seeds may differ (95 % Wilson interval)"

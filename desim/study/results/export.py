@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 
 def records(result: SweepRuns) -> Iterator[dict[str, Any]]:
     """Yield each run as a flat record: settings, replication, seed, status, metrics and error."""
-    measured = (*METRICS, *result.units)
+    metric_names = (*METRICS, *result.units)
     for group in result.groups:
         for row in group.rows:
-            metrics = dict.fromkeys(measured) if row.summary is None else _metric_values(row, measured)
+            metrics = dict.fromkeys(metric_names) if row.summary is None else _metric_values(row, metric_names)
             yield {
                 **group.settings,
                 "replication": row.replication,
                 "status": row.status,
-                **(metrics | {"seed": row.seed}),
+                **(metrics | {"seed": row.seed}),  # a metric that a failed run has, too
                 "error": row.error,
             }
 
@@ -64,9 +64,9 @@ def _columns(result: SweepRuns) -> tuple[str, ...]:
     return (*result.keys, "replication", "status", *METRICS, *result.units, "error")
 
 
-def _metric_values(row: Row, measured: Sequence[str]) -> dict[str, Any]:
+def _metric_values(row: Row, metric_names: Sequence[str]) -> dict[str, Any]:
     """Return metrics of a run by name; a missing metric is None, a dict becomes JSON text."""
-    values = {name: row.value(name) for name in measured}
+    values = {name: row.value(name) for name in metric_names}
     return {name: json.dumps(value) if isinstance(value, dict) else value for name, value in values.items()}
 
 

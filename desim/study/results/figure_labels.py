@@ -60,12 +60,15 @@ def metric_with_unit(
     against: Mapping[str, Any] | None = None,
     labels: Mapping[str, str] = MappingProxyType({}),
 ) -> str:
-    """Return the name and the unit of a metric, or of its difference from a reference, whose label is its name."""
+    """Return the label of an axis with a metric, or with its difference from the reference `against`.
+
+    `labels` replace keys and values in the name of the reference.
+    """
     unit = f" ({unit_name})" if (unit_name := unit_of_metric(metric, result.units)) else ""
     if against is None:
         return axis_label(words(metric), unit_name)
     reference = {key: text(result.setting(key, value)) for key, value in against.items()}
-    if len(reference) > 1:  # values alone do not say of which keys they are
+    if len(reference) > 1:  # several values alone would not name their keys
         names = ", ".join(
             f"{_label_or_text(key, labels)}{literal(' = ')}{_label_or_text(value, labels)}"
             for key, value in reference.items()
@@ -130,7 +133,7 @@ def title_of_legend(by: Sequence[str]) -> str | None:
 
 
 def add_legend(figure: Figure, title: str | None) -> None:
-    """Add a legend below all panels, outside of their axes, if the lines have names; a single line is named, too."""
+    """Add a legend below all panels, outside of their axes, if the lines have names, even for a single line."""
     width = figure.get_figwidth()
     if handles := handles_of(figure.axes):
         names = [_wrapped(name, width) for name in handles]
@@ -139,7 +142,7 @@ def add_legend(figure: Figure, title: str | None) -> None:
 
 
 def add_legend_above(axes: Axes, title: str | None) -> None:
-    """Add a legend above axes of a figure that is not ours: only there it lies neither on data nor on labels."""
+    """Add a legend above axes of a figure of the caller, the only place where it covers neither data nor labels."""
     if handles := handles_of([axes]):
         place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.01), "borderaxespad": 0.0}
         columns = _abreast(list(handles), axes.get_window_extent().width / axes.figure.dpi)
@@ -148,7 +151,7 @@ def add_legend_above(axes: Axes, title: str | None) -> None:
 
 
 def _wrapped(name: str, width: float) -> str:
-    """Return the name of a line in as many lines as a legend of a width, inches, takes; mathematics is not divided."""
+    """Return the name of a line broken to fit into a legend of a width, inches; mathematics is not broken."""
     return name if "$" in name else fill(name, max(12, int((width - 0.6) / LEGEND_LETTER)), break_long_words=False)
 
 

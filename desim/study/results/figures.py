@@ -37,7 +37,7 @@ APART = 0.012
 error bars apart."""
 MAX_TICKS = 8
 """The largest number of values with a tick if the values of a key are numbers; otherwise each value has a tick."""
-FLAT = 0.7
+ASPECT = 0.7
 """The ratio of height to width of a figure with one panel, if only its width is given."""
 WIDE = 20.0
 """The minimum ratio of the largest to the smallest positive value for a logarithmic axis.
@@ -73,8 +73,8 @@ def means(
     labels = labels_of_values(result, labels)
     abscissa = _abscissa(result, x, keys)
     all_points = _points(result, metric, against)
-    panels, flat = _panels(result, all_points, abscissa, keys), _flat(all_points)
-    named = keys or [key for key in result.keys if key != abscissa]
+    panels, common_value = _panels(result, all_points, abscissa, keys), _common_value(all_points)
+    line_keys = keys or [key for key in result.keys if key != abscissa]
 
     def draw(axes: Axes, points: Sequence[Point]) -> None:
         title = metric_with_unit(metric, result, against, labels)
@@ -83,13 +83,14 @@ def means(
             _draw_rows(axes, result.keys, points, labels)
         else:
             axes.set_ylabel(title)
-            _draw_lines(axes, result, abscissa, _lines(points, abscissa, named, labels))
-            if flat is not None:
-                _mark_flat(axes, flat)
+            _draw_lines(axes, result, abscissa, _lines(points, abscissa, line_keys, labels))
+            if common_value is not None:
+                _mark_common_value(axes, common_value)
         if against is not None:
             (axes.axvline if abscissa is None else axes.axhline)(0.0, color=GREY, lw=0.8, zorder=0)
 
-    legend_title = escaped(labels[named[0]]) if len(named) == 1 and named[0] in labels else title_of_legend(named)
+    has_label = len(line_keys) == 1 and line_keys[0] in labels
+    legend_title = escaped(labels[line_keys[0]]) if has_label else title_of_legend(line_keys)
     if ax is not None:
         figure = figure_of(ax, panels=list(panels), size=size)
         with in_style(style):
@@ -99,20 +100,20 @@ def means(
         return figure
     columns = columns_of(len(panels), size)
     rows = -(-len(panels) // columns)
-    names = _names_of_lines(result, abscissa, named, labels)
+    names = _names_of_lines(result, abscissa, line_keys, labels)
     width, height = _inches(size, rows, columns, None if abscissa else len(result.groups))
     if size is None:
         height += height_of_legend(names, width)
     with styled((width, height), style=style) as figure:
-        shared = figure.subplots(rows, columns, squeeze=False, sharex=abscissa is not None, sharey=True)
-        for axes, (name, points) in zip(shared.flat, panels.items(), strict=False):
+        grid = figure.subplots(rows, columns, squeeze=False, sharex=abscissa is not None, sharey=True)
+        for axes, (name, points) in zip(grid.flat, panels.items(), strict=False):
             draw(axes, points)
             axes.set_title(escaped(name), fontsize=8, **as_it_is(name))
-        _label_outer(shared, len(panels), xlabel, ylabel)
+        _label_outer(grid, len(panels), xlabel, ylabel)
         if size is None:
             intervals = "95 % intervals" if against is None else "paired differences, 95 % intervals"
-            over = figure.suptitle if len(panels) > 1 else shared.flat[0].set_title
-            over(escaped(f"{result.name}, {intervals}"), fontsize=9, **as_it_is(result.name))
+            set_heading = figure.suptitle if len(panels) > 1 else grid.flat[0].set_title
+            set_heading(escaped(f"{result.name}, {intervals}"), fontsize=9, **as_it_is(result.name))
         add_legend(figure, legend_title)
     return figure
 
@@ -120,32 +121,32 @@ def means(
 def _panels(
     result: SweepRuns, points: Sequence[Point], abscissa: str | None, keys: Sequence[str]
 ) -> dict[str, list[Point]]:
-    """Return the points of each panel by its title, which names the values of the keys that have no other place."""
-    averaged = [key for key in result.keys if keys and key not in (abscissa, *keys) and len(result.values(key)) > 1]
+    """Return the points of each panel by its title: the values of the keys neither on the abscissa nor in `keys`."""
+    panel_keys = [key for key in result.keys if keys and key not in (abscissa, *keys) and len(result.values(key)) > 1]
     panels: dict[str, list[Point]] = {}
     for group, estimate in points:
-        title = in_words({key: group.settings[key] for key in averaged})
+        title = in_words({key: group.settings[key] for key in panel_keys})
         panels.setdefault(title, []).append((group, estimate))
     return panels
 
 
-def _inches(size: str | None, rows: int, columns: int, listed: int | None) -> tuple[float, float]:
+def _inches(size: str | None, rows: int, columns: int, configurations: int | None) -> tuple[float, float]:
     """Return the width and the height, inches, of a figure of a size (see `means`) with rows and columns of panels.
 
-    `listed` is the number of configurations if each has a row of its own, else None.
+    `configurations` is their number if each has a row of its own, else None.
     """
-    one_high = 4.0 if listed is None else 1.2 + 0.3 * listed
-    usual = (6.4, one_high) if rows * columns == 1 else (0.6 + 2.6 * columns, 0.6 + 2.2 * rows)
+    single_height = 4.0 if configurations is None else 1.2 + 0.3 * configurations
+    default = (6.4, single_height) if rows * columns == 1 else (0.6 + 2.6 * columns, 0.6 + 2.2 * rows)
     if size is None:
-        return usual
+        return default
     width, height = size_of(size)
-    return width, height or (width * FLAT * rows / columns**0.5 if listed is None else usual[1])
+    return width, height or (width * ASPECT * rows / columns**0.5 if configurations is None else default[1])
 
 
-def _label_outer(shared: NDArray[Any], panels: int, xlabel: str | None, ylabel: str | None) -> None:
+def _label_outer(grid: NDArray[Any], panels: int, xlabel: str | None, ylabel: str | None) -> None:
     """Label the axes at the left and at the bottom only, and hide those without a panel."""
-    columns = shared.shape[1]
-    for k, axes in enumerate(shared.flat):
+    columns = grid.shape[1]
+    for k, axes in enumerate(grid.flat):
         label_axes(axes, xlabel, ylabel)
         if k % columns:
             axes.set_ylabel("")
@@ -174,11 +175,13 @@ def _points(result: SweepRuns, metric: str, against: Mapping[str, Any] | None) -
 def _abscissa(result: SweepRuns, x: str | None, by: Sequence[str]) -> str | None:
     """Return the key on the abscissa; None if each configuration has a row.
 
+    It is `x`, else the first key not in `by` with several numbers, else, if there is a `by`, with several values.
+
     Raises:
         ValueError: if the grid has no key `x`, or it is also in `by`.
     """
     if x is not None:
-        result.values(x)
+        result.values(x)  # refuses a key that the grid lacks
         if x in by:
             raise ValueError(f"`x` and `by` should be different keys (got {x} for both)")
         return x
@@ -192,7 +195,7 @@ def multiples(result: SweepRuns, metrics: Sequence[str], *, has_legend: bool = T
     Args:
         result: the result of a sweep.
         metrics: the names of the metrics.
-        has_legend: whether a legend names the lines; several figures of one sweep can share that of `legend`.
+        has_legend: whether a legend names the lines; several figures of one sweep can share the legend of `legend`.
 
     Raises:
         ValueError: if there are no metrics.
@@ -216,8 +219,8 @@ def multiples(result: SweepRuns, metrics: Sequence[str], *, has_legend: bool = T
                 _draw_rows(axes, result.keys, points)
             else:
                 _draw_lines(axes, result, abscissa, _lines(points, abscissa, line_keys))
-                if (value := _flat(points)) is not None:
-                    _mark_flat(axes, value)
+                if (value := _common_value(points)) is not None:
+                    _mark_common_value(axes, value)
         for k, axes in enumerate(panels.flat):
             if k >= len(metrics):
                 axes.set_axis_off()
@@ -244,7 +247,7 @@ def legend(result: SweepRuns) -> Figure | None:
         for k, name in enumerate(names):
             axes.plot([], [], label=name, **look_of(k))
         add_legend(figure, title_of_legend(line_keys))
-        axes.remove()
+        axes.remove()  # they only gave the legend its lines
     return figure
 
 
@@ -259,12 +262,12 @@ def _draw_lines(
     axes: Axes, result: SweepRuns, abscissa: str, lines: Mapping[str, Sequence[tuple[Any, Estimate]]]
 ) -> None:
     """Draw estimates over a key: joined by lines if the values of the key are numbers, otherwise equally spaced."""
-    swept = result.values(abscissa)
-    is_number = is_swept_number(result, abscissa)
-    values = sorted(swept) if is_number else swept
-    places, is_plain = (
-        _axis_positions(values) if is_number else ({value: float(k) for k, value in enumerate(swept)}, False)
-    )
+    values = result.values(abscissa)
+    if is_number := is_swept_number(result, abscissa):
+        values = sorted(values)
+        places, is_identity = _axis_positions(values)
+    else:
+        places, is_identity = {value: float(k) for k, value in enumerate(values)}, False
     low, high = min(places.values()), max(places.values())
     for k, (name, points) in enumerate(lines.items()):
         if not points:
@@ -275,37 +278,39 @@ def _draw_lines(
         error = list(zip(*ends, strict=True))
         look = look_of(k) | {"ls": "-" if is_number else "none"}
         axes.errorbar(x, y, error, elinewidth=0.8, capsize=2, label=name, **look)
-    if len(values) <= MAX_TICKS or not is_plain:
+    if len(values) <= MAX_TICKS or not is_identity:  # matplotlib's own ticks fit only values at their own position
         count = min(len(values), MAX_TICKS) if is_number else len(values)
         ticks = [values[round(k * (len(values) - 1) / max(count - 1, 1))] for k in range(count)]
-        ticks = _apart(axes, ticks, places)
+        ticks = _without_overlap(axes, ticks, places)
         axes.set_xticks([places[value] for value in ticks], [literal(text(value)) for value in ticks])
     axes.set_xlabel(key_with_unit(abscissa))
 
 
-def _apart(axes: Axes, values: Sequence[Any], places: Mapping[Any, float]) -> list[Any]:
-    """Return the values, without those whose labels would touch the label before or the last one."""
+def _without_overlap(axes: Axes, values: Sequence[Any], places: Mapping[Any, float]) -> list[Any]:
+    """Return the values without those whose tick labels would touch the label before or the last one."""
+    if len(values) < 2:
+        return list(values)
     span = max(places.values()) - min(places.values()) or 1.0
     width = axes.get_position().width * axes.figure.get_figwidth()  # type: ignore[union-attr]  # a figure or a part
-    letter = 0.9 * LETTER * span / width
-    first, *inner, last = values if len(values) > 1 else (*values, values[0])
+    letter = 0.9 * LETTER * span / width  # the width of a letter in the unit of `places`
+    first, *inner, last = values
     kept = [first]
     for value in inner:
         gaps = places[value] - places[kept[-1]], places[last] - places[value]
         sizes = (len(text(value)) + len(text(other)) for other in (kept[-1], last))
         if all(gap > letter * (size / 2 + 0.5) for gap, size in zip(gaps, sizes, strict=True)):
             kept.append(value)
-    return kept if len(values) == 1 else [*kept, last]
+    return [*kept, last]
 
 
-def _flat(points: Sequence[Point]) -> float | None:
+def _common_value(points: Sequence[Point]) -> float | None:
     """Return the value that a metric has in every run of several configurations; None if there is no such value."""
     estimates = [estimate for _, estimate in points if estimate is not None and estimate.count]
     values = {estimate.mean for estimate in estimates}
     return values.pop() if len(values) == 1 and all(estimate.others is not None for estimate in estimates) else None
 
 
-def _mark_flat(axes: Axes, value: float) -> None:
+def _mark_common_value(axes: Axes, value: float) -> None:
     """Show the one value of a metric, in place of a scale that would show rounding errors around it."""
     low = min(value, 0.0)
     if isfinite(value):
@@ -341,7 +346,7 @@ def is_wide(values: Sequence[float]) -> bool:
 
 
 def _axis_positions(values: Sequence[float]) -> tuple[dict[float, float], bool]:
-    """Return the position on the axis of each of some ascending values, and whether positions equal values.
+    """Return the position on the axis of each of some ascending values, and whether each position equals its value.
 
     On a logarithmic axis, 0 is drawn to the left of the other values. Infinity is always drawn to the right.
     """

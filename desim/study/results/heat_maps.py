@@ -49,8 +49,8 @@ def phase(
     one colour scale, and one number of decimals. See `SweepResult.plot`.
 
     Raises:
-        ValueError: if fewer than two keys take several numbers, or a design drew them, the sweep has no such metric,
-            the size is invalid, or several panels do not fit into `ax`.
+        ValueError: if fewer than two keys take several numbers, a design drew them, the sweep has no such metric, the
+            size is invalid, or several panels do not fit into `ax`.
         TypeError: if `ax` is not one pair of axes of matplotlib.
     """
     keys = swept_numbers(result)
@@ -59,35 +59,36 @@ def phase(
     if result.drawn_keys:
         raise ValueError("a heat map needs a grid; the points of a design have `contour` and `scatter`")
     x, y = keys[:2]
-    over = {key: sorted({group.settings[key] for group in result.groups}) for key in (x, y)}
+    values_of = {key: sorted({group.settings[key] for group in result.groups}) for key in (x, y)}
     panels: dict[str, NDArray[np.float64]] = {}
     for group, estimate in zip(result.groups, result.estimates(metric), strict=True):
-        panel = panels.setdefault(group.in_words(without=(x, y)), np.full((len(over[y]), len(over[x])), nan))
-        panel[over[y].index(group.settings[y]), over[x].index(group.settings[x])] = estimate.mean
+        panel = panels.setdefault(group.in_words(without=(x, y)), np.full((len(values_of[y]), len(values_of[x])), nan))
+        panel[values_of[y].index(group.settings[y]), values_of[x].index(group.settings[x])] = estimate.mean
     finite = np.concatenate([panel[np.isfinite(panel)] for panel in panels.values()])
     low, high = (finite.min(), finite.max()) if finite.size else (0.0, 1.0)
     colours = ScalarMappable(Normalize(low, high), "cividis")
-    form = _cell_format(finite.tolist())
-    longest = max(map(len, [*(_cell_text(value, form) for value in finite.tolist()), *map(text, over[x])]), default=0)
-    across = 0.4 + max(CELL[0], LETTER * (longest + 2)) * len(over[x])
-    columns = max(1, min(columns_of(len(panels), size, beside=1.2), int((PAGE - 0.8) / across)))
+    cell_format = _cell_format(finite.tolist())
+    cell_texts = [_cell_text(value, cell_format) for value in finite.tolist()]
+    longest = max(map(len, [*cell_texts, *map(text, values_of[x])]), default=0)
+    map_width = 0.4 + max(CELL[0], LETTER * (longest + 2)) * len(values_of[x])
+    columns = max(1, min(columns_of(len(panels), size, beside=1.2), int((PAGE - 0.8) / map_width)))
     rows = -(-len(panels) // columns)
 
     def draw(axes: Axes, panel: NDArray[np.float64]) -> None:
-        _draw_map(axes, panel, colours, form)
+        _draw_map(axes, panel, colours, cell_format)
         axes.set(xlabel=key_with_unit(x), ylabel=key_with_unit(y))
-        axes.set_xticks(range(len(over[x])), map(text, over[x]))
-        axes.set_yticks(range(len(over[y])), map(text, over[y]))
+        axes.set_xticks(range(len(values_of[x])), map(text, values_of[x]))
+        axes.set_yticks(range(len(values_of[y])), map(text, values_of[y]))
         label_axes(axes, xlabel, ylabel)
 
-    usual = (1.6 + columns * across, 0.8 + rows * (0.4 + CELL[1] * len(over[y])))
+    default_size = (1.6 + columns * map_width, 0.8 + rows * (0.4 + CELL[1] * len(values_of[y])))
     return draw_panels(
         panels,
         draw,
         colours,
         metric_with_unit(metric, result),
         columns=columns,
-        usual=usual,
+        default_size=default_size,
         size=size,
         style=style,
         ax=ax,
@@ -101,7 +102,7 @@ def draw_panels(
     title: str,
     *,
     columns: int,
-    usual: tuple[float, float],
+    default_size: tuple[float, float],
     size: str | None,
     style: Style,
     ax: Axes | None,
@@ -114,7 +115,7 @@ def draw_panels(
         colours: the colour scale.
         title: what the colours show.
         columns: the number of panels abreast.
-        usual: the usual width and height of the figure, inches.
+        default_size: the width and the height of the figure, inches, if `size` is None.
         size: as in `SweepResult.plot`.
         style: as in `SweepResult.plot`.
         ax: as in `SweepResult.plot`.
@@ -130,16 +131,16 @@ def draw_panels(
             add_colour_bar(figure, colours, [ax], title)
         return figure
     rows = -(-len(panels) // columns)
-    with styled(usual, size, font=8.0, style=style) as figure:
-        shared = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-        for axes, (settings, panel) in zip(shared.flat, panels.items(), strict=False):
+    with styled(default_size, size, font=8.0, style=style) as figure:
+        grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+        for axes, (settings, panel) in zip(grid.flat, panels.items(), strict=False):
             draw(axes, panel)
             axes.set_title(escaped(settings), fontsize=8, parse_math=False)
-        for axes in shared.flat[len(panels) :]:
+        for axes in grid.flat[len(panels) :]:
             axes.set_axis_off()
-        for axes in shared.flat:
+        for axes in grid.flat:
             axes.label_outer()
-        add_colour_bar(figure, colours, shared.ravel().tolist(), title)
+        add_colour_bar(figure, colours, grid.ravel().tolist(), title)
     return figure
 
 
@@ -149,20 +150,21 @@ def add_colour_bar(figure: Figure, colours: ScalarMappable, axes: Sequence[Axes]
     bar.outline.set_visible(False)
     if bar.solids is not None:
         bar.solids.set_rasterized(False)  # an image would have pixels even in an SVG
-        bar.solids.set_edgecolor("face")  # else the page shows between its parts, and its colours are not the cells'
+        bar.solids.set_edgecolor("face")  # else the page shows through between its parts, and changes their colours
 
 
-def _draw_map(axes: Axes, values: NDArray[np.float64], colours: ScalarMappable, form: str) -> None:
+def _draw_map(axes: Axes, values: NDArray[np.float64], colours: ScalarMappable, cell_format: str) -> None:
     """Draw values (rows, columns), first row at the bottom, as coloured cells with their text; "-" if not finite."""
     # Rectangles, because an image has pixels even in an SVG.
     faces = np.asarray(colours.to_rgba(values))  # (rows, columns, 4)
     for (row, column), value in np.ndenumerate(values):
-        there = isfinite(value)
+        is_finite = isfinite(value)
         red, green, blue, _ = faces[row, column].tolist()
-        face = (red, green, blue) if there else "none"
+        face = (red, green, blue) if is_finite else "none"
         axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, facecolor=face, edgecolor="none"))
-        dark = there and 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
-        axes.text(column, row, _cell_text(value, form), ha="center", va="center", color="white" if dark else INK)
+        is_dark = is_finite and 0.299 * red + 0.587 * green + 0.114 * blue < 0.5  # the luma of ITU-R BT.601
+        ink = "white" if is_dark else INK
+        axes.text(column, row, _cell_text(value, cell_format), ha="center", va="center", color=ink)
     axes.set(xlim=(-0.5, values.shape[1] - 0.5), ylim=(-0.5, values.shape[0] - 0.5))
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
@@ -181,6 +183,6 @@ def _cell_format(values: Sequence[float]) -> str:
     return f",.{decimals}f" if decimals <= MAX_DECIMALS else ".2e"
 
 
-def _cell_text(value: float, form: str) -> str:
+def _cell_text(value: float, cell_format: str) -> str:
     """Return a mean as the text of a cell; a dash if it is not finite."""
-    return f"{value:{form}}" if isfinite(value) else "-"
+    return f"{value:{cell_format}}" if isfinite(value) else "-"

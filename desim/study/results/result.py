@@ -46,7 +46,7 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
         configurations: Sequence[str] | None = None,
         failed: Mapping[tuple[str, int], Row] = MappingProxyType({}),
     ) -> Self:
-        """Return the result of the runs in a store, for the configurations with the given hashes; None = for all.
+        """Return the result of the runs in a store, for the configurations with the given hashes; None = all.
 
         Given configurations keep their order. Those of a whole store, which may come from several grids, are in
         numeric order of the keys that take numbers; other values are in the order of the grid that was run last.
@@ -58,23 +58,23 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
         """
         if "grid" not in store.about or not store.keys:
             raise StoreError(f"{store.path}: is empty")
-        kinds = {"name": str, "grid": list[str], "seeds": str, "root seed": int}
+        types = {"name": str, "grid": list[str], "seeds": str, "root seed": int}
         name, grid, seeds, root = (
-            store.read_property(name_of_property, kind) for name_of_property, kind in kinds.items()
+            store.read_property(name_of_property, kind) for name_of_property, kind in types.items()
         )
-        settings = dict(store.configurations())
-        for key, setting in settings.items():
-            if setting.keys() != set(grid):
-                raise StoreError(f"{store.path}: configuration {key}: should have the settings {', '.join(grid)}")
-        chosen = settings if configurations is None else configurations
+        settings_by_hash = dict(store.configurations())
+        for config, settings in settings_by_hash.items():
+            if settings.keys() != set(grid):
+                raise StoreError(f"{store.path}: configuration {config}: should have the settings {', '.join(grid)}")
+        hashes = settings_by_hash if configurations is None else configurations
         # The first configuration belongs to the grid that was registered last; its keys are in the order of that grid.
-        keys = tuple(next(iter(settings.values())))
+        keys = tuple(next(iter(settings_by_hash.values())))
         groups = tuple(
             Group(
-                {column: settings[key][column] for column in keys},
-                store.run_table(key, root, failed),
+                {key: settings_by_hash[config][key] for key in keys},
+                store.run_table(config, root, failed),
             )
-            for key in chosen
+            for config in hashes
         )
         if configurations is None:
             groups = in_numeric_order(keys, groups)
@@ -113,8 +113,8 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
             kind: means: the mean of each configuration, or its paired difference from a reference; phase: the mean of
                 each configuration as a heat map, with a key on each axis; scatter: the mean at each point of a design,
                 over each key; contour: bands of the mean over two keys. None = scatter for a design, else means.
-            x: of means: the key on the abscissa; None = the first key not in `by` that takes several numbers. Without
-                one, each configuration has a row; but with `by`, the first other key with several values is on it.
+            x: of means: the key on the abscissa; None = the first key not in `by` that takes several numbers. If no
+                key does, each configuration has a row, or with `by`, the first other key with several values is used.
             by: of means: the key or keys whose values name the lines; each combination of values of the other keys has
                 a panel. By default all keys but `x` name the lines, in one panel.
             against: of means: values of some keys, such as {"protocol": "sap"}. The reference of a configuration is the
@@ -143,17 +143,18 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
         from desim.study.results.heat_maps import phase
 
         kinds = {"means": means, "phase": phase, "scatter": scatter, "contour": contour}
-        chosen = self.usual_kind if kind is None and not (x or by or against or labels) else kind or "means"
+        of_means = {"x": x, "by": by, "against": against, "labels": labels}
+        # An option that only means have selects them.
+        chosen = kind or ("means" if any(of_means.values()) else self.usual_kind)
         if chosen not in kinds:
             raise ValueError(f"kind should be {', '.join(list(kinds)[:-1])} or contour, got {value_text(kind)}")
         labelled = {"xlabel": xlabel, "ylabel": ylabel}
-        of_means = {"x": x, "by": by, "against": against, "labels": labels}
         options: dict[str, Any] = {"size": size, "style": style, "ax": ax}
         if chosen == "means":
             return means(self, y, **of_means, **labelled, **options)  # type: ignore[arg-type]
-        others = of_means if chosen == "phase" else of_means | labelled
-        if unfit := [name for name, value in others.items() if value is not None and len(value)]:
-            raise ValueError(f"a figure of {chosen} has no option {unfit[0]!r}: it is one of means")
+        unavailable = of_means if chosen == "phase" else of_means | labelled
+        if refused := [name for name, value in unavailable.items() if value is not None and len(value)]:
+            raise ValueError(f"a figure of {chosen} has no option {refused[0]!r}: it is one of means")
         return kinds[chosen](self, y, **(options | labelled if chosen == "phase" else options))
 
     @property
@@ -176,8 +177,7 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
             print(swept.table(["active_time"], format="latex"))
 
         The reference of a difference is the configuration that has the first value of the first key with several values
-        and is otherwise equal, or that has the values `against`. If seeds are independent, there
-        is no table of differences.
+        and is otherwise equal, or that has the values `against`. Independent seeds have no table of differences.
 
         Args:
             metrics: the names of the metrics.
@@ -200,8 +200,8 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
         tables = self.tables(metrics, against=against)
         if labels or without:
             tables = sweep_tables.relabelled(self, tables, names_of_metrics(metrics), labels, without)
-        kept = len(self.keys) - sum(key in without for key in self.keys)
-        return formatted(tables, notes, format, right_from=kept)
+        key_columns = len(self.keys) - sum(key in without for key in self.keys)
+        return formatted(tables, notes, format, right_from=key_columns)
 
     @naming_arguments
     def tables(self, metrics: Sequence[str] = SHOWN, *, against: Mapping[str, Any] | None = None) -> list[Table]:
@@ -243,8 +243,8 @@ class SweepResult(TabularResult, SweepRuns, HintedAttributes):
             confidence: the probability that the interval covers the crossing.
 
         Raises:
-            ValueError: if the sweep has no such metric, key or value, a curve is not one, fewer than two values of the
-                key or two seeds are common to both curves, or seeds are independent.
+            ValueError: if the sweep has no such metric, key or value, another key has several values on a curve, fewer
+                than two values of the key or two seeds are common to both curves, or seeds are independent.
         """
         return Crossover.of(self, metric, key, a, b, where, confidence)
 

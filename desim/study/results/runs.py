@@ -24,8 +24,8 @@ SHOWN = ("active_time", "capture_time", "messages_sent")
 CAPTURE_TIMES = frozenset({"capture_time", "mean_capture_time"})
 """The metrics that a run without a capture lacks."""
 MESSAGING = ("network.", "announce.")
-"""The first parts of keys that have an effect only if pursuers need messages."""
-NEEDLESS = (
+"""The prefixes of keys that have an effect only if pursuers need messages."""
+NO_MESSAGES_HINT = (
     "; a protocol may need no messages if all know the initial actions (`announce.start`) and see all positions"
     " (`announce.payload`), or if few pursuers could capture the evader in time"
 )
@@ -89,16 +89,16 @@ class Group:
         return self._table.failed
 
     def pairs(self, other: "Group") -> tuple[Indices, Indices]:
-        """Return the pairs of runs of two configurations with equal replication numbers, unless one of the two failed.
+        """Return the pairs of runs of two configurations with equal replication numbers, if neither run failed.
 
         The two arrays hold the positions of the runs in `values` of this and of the other group. If seeds are common
         (`SweepRuns.common`), the two runs of a pair have the same seed.
         """
         mine, theirs = (group._table.replications.numbers() for group in (self, other))
-        if np.array_equal(mine, theirs):  # the usual case, and much faster
+        if np.array_equal(mine, theirs):  # the usual case; the general case takes much longer
             return np.arange(len(mine)), np.arange(len(mine))
-        _, at, there = np.intersect1d(mine, theirs, assume_unique=True, return_indices=True)
-        return at, there
+        _, positions, other_positions = np.intersect1d(mine, theirs, assume_unique=True, return_indices=True)
+        return positions, other_positions
 
 
 @dataclass(frozen=True, repr=False)
@@ -141,7 +141,7 @@ class SweepRuns:
     def differences(self, metric: str, reference: Reference = None) -> list[Estimate]:
         """Return the mean paired difference of a metric from a reference configuration, over runs with equal seeds.
 
-        There is one for each of `groups`, in their order. A configuration that is its own reference has 0, in all runs.
+        The differences are in the order of `groups`. A configuration that is its own reference has 0 in all runs.
 
         Args:
             metric: the name of the metric.
@@ -179,12 +179,12 @@ class SweepRuns:
                 f'a reference should be a mapping, such as {{"protocol": "sap"}} (got {value_text(reference)})'
             )
         wanted = {key: self.setting(key, value) for key, value in reference.items()}
-        places = {repr(dict(group.settings)): k for k, group in enumerate(self.groups)}
-        places_of_references = [places.get(repr({**group.settings, **wanted})) for group in self.groups]
-        for group, other in zip(self.groups, places_of_references, strict=True):
+        positions = {repr(dict(group.settings)): k for k, group in enumerate(self.groups)}
+        reference_positions = [positions.get(repr({**group.settings, **wanted})) for group in self.groups]
+        for group, other in zip(self.groups, reference_positions, strict=True):
             if other is None:
                 raise ValueError(f"{group.in_words()}: has no reference with {in_words(wanted)}")
-        return [other for other in places_of_references if other is not None]
+        return [other for other in reference_positions if other is not None]
 
     def values(self, key: str) -> list[Any]:
         """Return the values of a key of the grid, in the order of the grid.
@@ -203,7 +203,7 @@ class SweepRuns:
         return list({repr(group.settings[key]): group.settings[key] for group in self.groups}.values())
 
     def groups_with(self, settings: Mapping[str, Any]) -> list[Group]:
-        """Return the configurations with some settings, of which each is as `setting` takes it.
+        """Return the configurations that have some settings; `setting` says how to write their values.
 
         Raises:
             ValueError: as `setting`.
@@ -221,20 +221,23 @@ class SweepRuns:
         Raises:
             ValueError: if the grid has no such key, the key does not take the value, or it takes several of this kind.
         """
-        there = self.values(key)
-        for candidate in there:
+        values = self.values(key)
+        for candidate in values:
             if candidate == value or text(candidate) == label(value) or _says(value, candidate):
                 return candidate
-        alike = [known_value for known_value in there if kind_of(text(known_value)) == label(value)]
-        if len(alike) == 1:
-            return alike[0]
-        problem = "has several values of the kind" if alike else "does not take the value"
-        raise ValueError(f"{key} {problem} {without_addresses(label(value))}: it takes {', '.join(map(text, there))}")
+        of_this_kind = [candidate for candidate in values if kind_of(text(candidate)) == label(value)]
+        if len(of_this_kind) == 1:
+            return of_this_kind[0]
+        problem = "has several values of the kind" if of_this_kind else "does not take the value"
+        raise ValueError(f"{key} {problem} {without_addresses(label(value))}: it takes {', '.join(map(text, values))}")
 
     @property
     def compared_by(self) -> str | None:
-        """The first key that has several values, all else equal if there is such a key; None for a design without."""
-        alone = list(range(len(self.groups)))
+        """The first key in which alone two configurations differ; without such a key, None for a design.
+
+        For a grid without such a key, it is the first key that has several values.
+        """
+        alone = list(range(len(self.groups)))  # each configuration is the first with its other settings
         paired_key = next((key for key in self.keys if self.first_along(key) != alone), None)
         if paired_key is not None or self.drawn_keys:
             return paired_key
@@ -242,22 +245,22 @@ class SweepRuns:
 
     @property
     def drawn_keys(self) -> list[str]:
-        """The keys of which a design drew numbers: no combination of two of them occurs with different points.
+        """The keys of which a design drew numbers: two of them have hardly more pairs of values than values.
 
-        It is empty for a grid, in which each value of a key occurs with each value of another.
+        There are none in a grid, in which each value of a key occurs with each value of another.
         """
-        settings = [group.settings for group in self.groups]
-        counts = {key: len(values) for key in self.keys if len(values := {repr(one[key]) for one in settings}) > 1}
-        numeric = [key for key in counts if all(is_number(one[key]) for one in settings)]
+        columns = {key: [group.settings[key] for group in self.groups] for key in self.keys}
+        counts = {key: len(set(map(repr, values))) for key, values in columns.items()}
+        numeric = [key for key, values in columns.items() if counts[key] > 1 and all(map(is_number, values))]
 
         def is_of_points(key: str, other: str) -> bool:
-            pairs = {(one[key], one[other]) for one in settings}
-            return len(pairs) <= 1.01 * max(counts[key], counts[other])
+            pairs = set(zip(columns[key], columns[other], strict=True))
+            return len(pairs) <= 1.01 * max(counts[key], counts[other])  # two points may share a drawn number by chance
 
         return [key for key in numeric if any(is_of_points(key, other) for other in numeric if other != key)]
 
     def first_along(self, key: str | None) -> list[int]:
-        """Return for each configuration the position in `groups` of the first that equals it in all keys but `key`."""
+        """Return for each configuration the position of the first one that equals it in all keys but `key`."""
         first = dict[str, int]()
         other_settings = (
             repr({name: value for name, value in group.settings.items() if name != key}) for group in self.groups
@@ -280,7 +283,7 @@ class SweepRuns:
         names = ", ".join(("captured", *map(words, metrics)))
         return captureless + [
             f"{where}nothing shown ({names}) depends on {key}: equal in {counted(count, 'pair')} of runs that differ"
-            f" in it only{NEEDLESS * key.startswith(MESSAGING)}"
+            f" in it only{NO_MESSAGES_HINT * key.startswith(MESSAGING)}"
             for key in self.keys
             for where, count in self._without_effect(key, metrics)
         ]
@@ -304,17 +307,17 @@ class SweepRuns:
         """
         firsts = zip(self.groups, self.first_along(key), strict=True)
         pairs = [(group, self.groups[first]) for k, (group, first) in enumerate(firsts) if k != first]
-        if count := _equal(pairs, metrics):
+        if count := _count_equal(pairs, metrics):
             yield "", count
             return
-        for other in self.keys:
-            values = dict.fromkeys(text(group.settings[other]) for group, _ in pairs) if other != key else {}
-            for value in values if len(values) > 1 else ():
-                if count := _equal([pair for pair in pairs if text(pair[0].settings[other]) == value], metrics):
+        for other in [name for name in self.keys if name != key]:
+            values = dict.fromkeys(text(group.settings[other]) for group, _ in pairs)
+            for value in values if len(values) > 1 else ():  # the condition of an only value is no condition
+                if count := _count_equal([pair for pair in pairs if text(pair[0].settings[other]) == value], metrics):
                     yield f"with {other} = {value}, ", count
 
 
-def _equal(pairs: Sequence[tuple[Group, Group]], metrics: Sequence[str]) -> int:
+def _count_equal(pairs: Sequence[tuple[Group, Group]], metrics: Sequence[str]) -> int:
     """Return the number of pairs of runs; 0 if the runs of any pair differ in `captured` or one of the metrics."""
     names = ("captured", *metrics)
     same = all(
@@ -324,8 +327,9 @@ def _equal(pairs: Sequence[tuple[Group, Group]], metrics: Sequence[str]) -> int:
 
 
 def _aligned(group: Group, other: Group, metric: str) -> tuple[Floats, Floats]:
-    at, there = group.pairs(other)
-    return group.numbers(metric)[at], other.numbers(metric)[there]
+    """Return a metric of two configurations in each pair of their runs."""
+    positions, other_positions = group.pairs(other)
+    return group.numbers(metric)[positions], other.numbers(metric)[other_positions]
 
 
 def in_numeric_order(keys: Sequence[str], groups: Sequence[Group]) -> tuple[Group, ...]:
@@ -367,7 +371,7 @@ def names_of_metrics(metrics: Sequence[str]) -> Sequence[str]:
 
 
 def text(value: Any) -> str:
-    """Return a setting as text: a number with six digits, or all those of a whole number that has more."""
+    """Return a setting as text; a number has at most six significant digits, unless it is whole."""
     if isinstance(value, float):
         short = f"{value:g}"
         return f"{value:.0f}" if value.is_integer() and float(short) != value and abs(value) < EXACT else short
@@ -385,7 +389,7 @@ def _says(value: Any, number: Any) -> bool:
 
 
 def labels_of_values(result: SweepRuns, labels: Mapping[str, str], names: Collection[str] = ()) -> dict[str, str]:
-    """Return labels by the value of a key as shown, also those that were given for a kind, or as 0.0 for 0.
+    """Return labels by value as shown, given labels by value, by kind of a value, or by another text of a number.
 
     Args:
         result: the result of a sweep.

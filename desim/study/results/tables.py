@@ -32,8 +32,8 @@ def tables(result: SweepRuns, metrics: Sequence[str], against: Mapping[str, Any]
         rows = _difference_rows(result, metrics, against)
         yield f"difference from {in_words(against)}, all else equal, run by run with the same seed", rows
     elif result.common and key is not None:
-        first = f"{key} = {text(result.groups[0].settings[key])}" + ", all else equal" * (len(result.keys) > 1)
-        yield f"difference from {first}, run by run with the same seed", _difference_rows(result, metrics)
+        reference = f"{key} = {text(result.groups[0].settings[key])}" + ", all else equal" * (len(result.keys) > 1)
+        yield f"difference from {reference}, run by run with the same seed", _difference_rows(result, metrics)
 
 
 def relabelled(
@@ -55,20 +55,20 @@ def relabelled(
     Raises:
         ValueError: if a label or a column to be left out belongs to nothing in the tables.
     """
-    made = list(tables)
-    heads = {cell for _, rows in made for cell in rows[0]}
-    shown = labels_of_values(result, labels, {*heads, *metrics})
+    all_tables = list(tables)
+    heads = {cell for _, rows in all_tables for cell in rows[0]}
+    label_of = labels_of_values(result, labels, {*heads, *metrics})
     for metric in metrics:
-        if metric in shown:
-            shown |= dict.fromkeys((title(metric, result.units), words(metric)), shown[metric])
+        if metric in label_of:
+            label_of |= dict.fromkeys((title(metric, result.units), words(metric)), label_of[metric])
     if unknown := [name for name in without if name not in heads]:
         raise ArgumentError("without", f": no table has a column {unknown[0]}: they have {', '.join(sorted(heads))}")
-    count = len(result.keys)
+    keys = len(result.keys)
     results: list[Table] = []
-    for name, (head, *rows) in made:
-        kept = [k for k, cell in enumerate(head) if cell not in without]
-        body = [[shown.get(row[k], row[k]) if k < count else row[k] for k in kept] for row in rows]
-        results.append((name, [tuple(shown.get(head[k], head[k]) for k in kept), *map(tuple, body)]))
+    for name, (head, *rows) in all_tables:
+        columns = [k for k, cell in enumerate(head) if cell not in without]
+        body = [[label_of.get(row[k], row[k]) if k < keys else row[k] for k in columns] for row in rows]
+        results.append((name, [tuple(label_of.get(head[k], head[k]) for k in columns), *map(tuple, body)]))
     return results
 
 
@@ -102,12 +102,13 @@ def notes(result: SweepRuns, metrics: Sequence[str]) -> Iterator[str]:
             len(group.present(metric)) / len(values) for group in result.groups if len(values := group.numbers(metric))
         ]
         if shares and min(shares) < max(shares):
-            instead = ": end time counts the horizon" if metric in CAPTURE_TIMES else ""
+            hint = ": end time counts the horizon" if metric in CAPTURE_TIMES else ""
             yield (
                 f"{words(metric)} has a value in {percent(min(shares))} to {percent(max(shares))} of the runs, so its"
-                f" means are over different, perhaps easier ones{instead}"
+                f" means are over different, perhaps easier ones{hint}"
             )
-    for group in [group for group in result.groups if group.failed][:1]:
+    if result.failed:
+        group = next(group for group in result.groups if group.failed)
         first = f"{group.in_words()}, seed {group.failed[0].seed}: {group.failed[0].failure}"
         yield f"{counted(len(result.failed), 'run')} failed; the first, with {first}"
     yield from (f"warning: {warning}" for warning in result.warnings(metrics))

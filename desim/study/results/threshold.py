@@ -46,9 +46,10 @@ class Threshold:
     baseline: Any
     """The value of the key at the baseline."""
     at: float | None
-    """The value at which the interpolated mean last exceeds the share for good; None = it does not, or it always does.
+    """The value from which on the interpolated mean exceeds the share; None = from no value on, or at all values.
 
-    If it exceeds the share at the least value of the key and not at the greatest, the first value at which it ceases.
+    If the mean exceeds the share at the least value of the key but not at the greatest: the first value at which it
+    ceases to.
     """
     is_beyond: bool | None
     """Whether the share is exceeded beyond `at`, or everywhere; False: below `at`, or nowhere; None: not decided."""
@@ -65,7 +66,7 @@ class Threshold:
     relative: tuple[CrossoverInterval, CrossoverInterval]
     """The intervals of the relative difference from the baseline at the two ends of `span`."""
     relative_means: tuple[float, float]
-    """The relative differences of the means there."""
+    """The relative differences of the means at these two ends."""
     confidence: float
 
     def __str__(self) -> str:
@@ -88,11 +89,11 @@ class Threshold:
             sentence = f"{subject.format('not more than')} up to {high:g}{unit}"
             if self.crossings:
                 sentence += f", though in between: the means cross {len(self.crossings)} times"
-        last = 0 if self.at is not None and self.is_beyond is False else 1
-        less, more = self.relative[last]
-        at_end = f"at {self.span[last]:g}{unit} it is {100 * self.relative_means[last]:+.3g} %"
-        doubt = "not bounded" if isinf(less) else f"{100 * less:+.3g} to {100 * more:+.3g} %"
-        return f"{sentence}; {at_end} ({doubt}; Fieller, {self.pairs} runs with the same seeds at each value)"
+        end = 0 if self.at is not None and self.is_beyond is False else 1
+        less, more = self.relative[end]
+        at_end = f"at {self.span[end]:g}{unit} it is {100 * self.relative_means[end]:+.3g} %"
+        relative = "not bounded" if isinf(less) else f"{100 * less:+.3g} to {100 * more:+.3g} %"
+        return f"{sentence}; {at_end} ({relative}; Fieller, {self.pairs} runs with the same seeds at each value)"
 
     def document(self) -> dict[str, Any]:
         """Return the threshold as JSON-compatible values."""
@@ -132,6 +133,7 @@ class Threshold:
             raise ArgumentError("over", f"should be a share, 0.1 for 10 %, above -1 and not 0, got {over:g}")
         reference, x, values, bases = _beside_baseline(result, metric, key, baseline, where or {})
         sign = 1.0 if over > 0.0 else -1.0
+        # Positive where the metric is beyond the share, on whichever side.
         excess = sign * differences(values, (1.0 + over) * bases[:, None])
         means = excess.mean(axis=0).tolist()
         crossings, undecided = sign_changes(x, means), undecided_parts(x, excess, confidence)
@@ -166,9 +168,9 @@ class Threshold:
 def _beside_baseline(
     result: SweepRuns, metric: str, key: str, baseline: Any, where: Mapping[str, Any]
 ) -> tuple[Any, list[float], Floats, Floats]:
-    """Return the setting of the baseline, the values of a key, and the metric at these and at the baseline.
+    """Return the setting of the baseline, the values of a key, and the metric at these values and at the baseline.
 
-    The (k,) values ascend; the metric of n seeds is (n, k) and (n,). Without a baseline it is the least value.
+    The (k,) values ascend; the metric of n seeds is (n, k) and (n,). The baseline None is the least value.
 
     Raises:
         ValueError: if there are fewer than two values or seeds, or the mean at the baseline is not positive.
@@ -194,7 +196,7 @@ def _relative(values: Floats, bases: Floats, confidence: float) -> CrossoverInte
 
     It holds the ratios r at which the paired t interval of values - r bases includes 0: between the roots of
     (m - r n)^2 = q (v - 2 r c + r^2 w), with the means m and n, the variances v and w, the covariance c, and
-    q = t^2 / runs.
+    q = t^2 / runs. In powers of r this is square r^2 - 2 half r + constant = 0.
     """
     runs = len(values)
     q = t_quantile(runs - 1, confidence) ** 2 / runs
@@ -203,6 +205,6 @@ def _relative(values: Floats, bases: Floats, confidence: float) -> CrossoverInte
     if square <= 0.0:
         return -inf, inf
     half = m * n - q * covariance(values, bases)
-    rest = m * m - q * covariance(values, values)
-    root = sqrt(max(0.0, half * half - square * rest))
+    constant = m * m - q * covariance(values, values)
+    root = sqrt(max(0.0, half * half - square * constant))
     return (half - root) / square - 1.0, (half + root) / square - 1.0

@@ -40,8 +40,8 @@ def waterfall(
             (cost,) = costs.values()
             draw_waterfall(ax, cost)
         return figure
-    usual = portable_sum(max(4.4, BAR * _bars(cost)) for cost in costs.values())
-    width, height = (usual, None) if size is None else size_of(size)
+    default_width = portable_sum(max(4.4, BAR * _bars(cost)) for cost in costs.values())
+    width, height = (default_width, None) if size is None else size_of(size)
     with styled((width, height or 4.0), style=style) as figure:
         panels = figure.subplots(1, len(costs), squeeze=False)[0]
         for axes, cost in zip(panels, costs.values(), strict=True):
@@ -53,7 +53,7 @@ def waterfall(
 
 
 def _bars(cost: Cost) -> int:
-    """Return the number of bars of a waterfall chart, and of the gap before its bounds."""
+    """Return the number of bars of a waterfall chart; the gap before the bounds counts as a bar."""
     return len(cost.parts) + 2 + (len(cost.parts) > 1) + (0 if cost.bounds is None else 3)
 
 
@@ -69,13 +69,13 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
     axes.bar([0, last], [cost.ideal.mean, cost.as_it_is.mean], color=[GREY, BLUE], width=0.6)
     _mark(axes, 0, 0.0, cost.ideal)
     level = cost.ideal.mean
-    for at, (name, step) in enumerate(steps.items(), start=1):
+    for place, (name, step) in enumerate(steps.items(), start=1):
         is_interaction = name == "interaction"
         signs = {"worse": (VERMILION, GREEN), "better": (GREEN, VERMILION), None: (ORANGE, ORANGE)}
         colour = GREY if is_interaction else signs[cost.more_is][step.mean.mean <= 0.0]
-        axes.bar(at, step.mean.mean, bottom=level, color=colour, width=0.6, hatch="//" if is_interaction else None)
-        axes.plot([at - 0.7, at + 0.3], [level, level], color=GREY, lw=0.7)
-        _mark(axes, at, level, step.mean, "+z")
+        axes.bar(place, step.mean.mean, bottom=level, color=colour, width=0.6, hatch="//" if is_interaction else None)
+        axes.plot([place - 0.7, place + 0.3], [level, level], color=GREY, lw=0.7)
+        _mark(axes, place, level, step.mean, "+z")  # "z": a cost that is rounded to 0 has no minus sign
         level += step.mean.mean
     _mark(axes, last, 0.0, cost.as_it_is)
     places = list(range(len(names)))
@@ -91,11 +91,11 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
     axes.set_ylabel(literal(f"{cost.label} ({cost.unit})" if cost.unit else cost.label))
 
 
-def _mark(axes: Axes, at: int, base: float, estimate: Estimate, sign: str = "") -> None:
+def _mark(axes: Axes, place: int, base: float, estimate: Estimate, sign: str = "") -> None:
     """Draw the 95 % interval at the end of a bar that starts at `base`, and write the height of the bar above it."""
     end = base + estimate.mean
     below, above = estimate.bars
-    axes.errorbar(at, end, [[below], [above]], color="black", elinewidth=0.8, capsize=2)
+    axes.errorbar(place, end, [[below], [above]], color="black", elinewidth=0.8, capsize=2)
     top = max(base, end if isnan(above) else end + above)
     text = f"{estimate.mean:{sign}.{decimals_of(abs(estimate.mean), 2)}f}"
-    axes.annotate(text, (at, top), textcoords="offset points", xytext=(0, 3), ha="center", fontsize=7)
+    axes.annotate(text, (place, top), textcoords="offset points", xytext=(0, 3), ha="center", fontsize=7)
