@@ -75,16 +75,15 @@ class Identity(NamedTuple):
     key: str
     """A hash of the parameters, the user code and the data files, 16 hexadecimal digits."""
     sources: Mapping[str, str]
-    """The hash of each user module, of each function or class of a script, and of each data file, and the version of
-    each installed package that user code imports. The key of each describes it, for example "the code of my_rules"."""
+    """The hashes of user modules, of functions and classes of scripts, and of data files, and the versions of installed
+    packages that user code imports. A key is a description, for example "the code of my_rules"."""
 
 
 def identify(scenario: Scenario) -> Identity:
     """Return the identity of the runs of a scenario; the same in every process with the same version of Python.
 
     The hashes of data files are sorted by the names of the files without their folders, which may differ between
-    machines. If two files with different names swap their contents, the key changes. If their names are equal, it does
-    not.
+    machines. If two files swap their contents, the key changes only if their names differ.
 
     Raises:
         ScenarioError: if an object has no stable hash, or a data file cannot be read; the message names the key of the
@@ -99,10 +98,10 @@ def identify(scenario: Scenario) -> Identity:
         except Exception as error:  # code of the object may raise anything
             raise ScenarioError(Problem(f"has no stable hash: {error}; {ADVICE}", key)) from error
     files = [file for _, file in sorted((Path(path).name, content) for path, content in pickler.user.files.items())]
-    whole = [tables(scenario), pickler.digest(), pickler.user.code, files]
+    content = [tables(scenario), pickler.digest(), pickler.user.code, files]
     sources = {f"the code of {name}": code for name, code in pickler.user.code.items()}
     sources |= {f"the content of {path}": content for path, content in pickler.user.files.items()}
-    return Identity(content_hash(json.dumps(whole, sort_keys=True).encode()), sources)
+    return Identity(content_hash(json.dumps(content, sort_keys=True).encode()), sources)
 
 
 def object_hash(value: Any) -> str:
@@ -112,8 +111,8 @@ def object_hash(value: Any) -> str:
         Exception: if the object has no stable hash.
     """
     pickler = StablePickler(UserCode())
-    whole = [pickler.digest(value), pickler.user.code, sorted(pickler.user.files.values())]
-    return content_hash(json.dumps(whole, sort_keys=True).encode())
+    content = [pickler.digest(value), pickler.user.code, sorted(pickler.user.files.values())]
+    return content_hash(json.dumps(content, sort_keys=True).encode())
 
 
 def tables(scenario: Scenario) -> dict[str, Any]:
@@ -124,15 +123,15 @@ def tables(scenario: Scenario) -> dict[str, Any]:
 
 def _user_objects(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     """Yield each user-defined callable or model in a model or a list, with its dotted key."""
-    inner: Any = ()
+    members: Any = ()
     if (callable(value) or isinstance(value, BaseModel)) and package_of(definition_of(value).__module__) not in OURS:
         yield key, value
     elif isinstance(value, BaseModel):
-        inner = [(name, vars(value)[name]) for name in type(value).model_fields if key or name not in UNSWEPT]
+        members = [(name, vars(value)[name]) for name in type(value).model_fields if key or name not in UNSWEPT]
     elif isinstance(value, tuple | list):
-        inner = enumerate(value)
-    for name, part in inner:
-        yield from _user_objects(part, f"{key}.{name}" if key else str(name))
+        members = enumerate(value)
+    for name, member in members:
+        yield from _user_objects(member, f"{key}.{name}" if key else str(name))
 
 
 class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
@@ -210,7 +209,7 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
             fields = [vars(value)[name] for name in kind.model_fields]
             parts = [fields, value.__pydantic_extra__, value.__pydantic_private__]
         elif cached := [name for name in getattr(value, "__dict__", ()) if _is_cached(kind, name)]:
-            make, args, state, *iterators = value.__reduce_ex__(4)
+            make, args, state, *iterators = value.__reduce_ex__(4)  # cached values follow from the others
             return make, args, {name: member for name, member in state.items() if name not in cached}, *iterators
         else:
             return super().reducer_override(value)
@@ -231,17 +230,17 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
             return ""
         return f"{plain_name(module)}:{name}" if imported is value and self.user.add(module) else ""
 
-    def _add_code(self, home: Any, code: Any) -> bool:
+    def _add_code(self, definition: Any, code: Any) -> bool:
         """Add the source of the module of a function or class, and return True.
 
         If the module has no source, add the code of the function or class instead, and return False.
         """
-        module = str(home.__module__)
+        module = str(definition.__module__)
         if self.user.add(module):
             return True
         self.user.files |= opened_by(module)
-        if "<" not in home.__qualname__:  # the names of lambdas and of local functions are not unique
-            self.user.code[f"{plain_name(module)}:{home.__qualname__}"] = StablePickler(UserCode()).digest(code)
+        if "<" not in definition.__qualname__:  # the names of lambdas and of local functions are not unique
+            self.user.code[f"{plain_name(module)}:{definition.__qualname__}"] = StablePickler(UserCode()).digest(code)
         return False
 
 

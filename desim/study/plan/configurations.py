@@ -66,10 +66,10 @@ class Configuration:
         return in_words(self.settings)
 
 
-def distinct(listed: Iterable[Configuration]) -> tuple[Configuration, ...]:
-    """Return configurations without those whose runs are those of an earlier one."""
+def distinct(repeated: Iterable[Configuration]) -> tuple[Configuration, ...]:
+    """Return configurations without those that have the same runs as an earlier one."""
     by_key: dict[str, Configuration] = {}
-    for configuration in listed:
+    for configuration in repeated:
         by_key.setdefault(configuration.key, configuration)
     return tuple(by_key.values())
 
@@ -79,7 +79,7 @@ def configurations(
 ) -> list[Configuration]:
     """Return all configurations of a grid (by default the scenario's own); the last key changes fastest.
 
-    Of a grid with ranges they are the points of a design, each with all combinations of the values of the other keys.
+    If the grid has ranges, a design draws points from them, each with all combinations of values of the other keys.
 
     Raises:
         ScenarioError: if keys or values are invalid (the message lists them), there are no or too many configurations,
@@ -90,21 +90,22 @@ def configurations(
     grid = checked_ranges(source, sweep.grid)
     _check_design(source, grid, sweep.design)
     drawn = drawn_keys(grid, sweep.design) if sweep.design else []
-    size = prod(len(values) for key, values in grid.items() if key not in drawn)
-    if (size := size * (sweep.design.size if sweep.design else 1)) > MAX_CONFIGURATIONS:
+    points = sweep.design.size if sweep.design else 1
+    size = points * prod(len(values) for key, values in grid.items() if key not in drawn)
+    if size > MAX_CONFIGURATIONS:
         most = f"{MAX_CONFIGURATIONS:,} configurations"
         raise ScenarioError(_about_grid(source, f"should have at most {most}, has {size:,}"))
     if sweep.design is not None:
         return valid_configurations(source, grid, design_settings(grid, sweep.design))
-    chosen = (dict(zip(grid, values, strict=True)) for values in product(*grid.values()))
-    return valid_configurations(source, grid, chosen)
+    combinations_of_values = (dict(zip(grid, values, strict=True)) for values in product(*grid.values()))
+    return valid_configurations(source, grid, combinations_of_values)
 
 
 def as_source(scenario: Scenario | Source, function: str) -> Source:
     """Return the source of a scenario.
 
     Raises:
-        TypeError: if it is neither; the message says what to write instead, and names a public function.
+        TypeError: if the scenario has another type; the message says what `function`, a public one, takes.
     """
     if isinstance(scenario, Source):
         return scenario
@@ -121,34 +122,35 @@ def sweep_of(source: Source, grid: SweepGrid | None, design: Design | str | None
     """
     unchecked: Any = grid
     if not isinstance(unchecked, Mapping | None):
-        form = "{'network.latency.value': [0.0, 0.1]}"
-        raise TypeError(f"the grid should be lists of values by key, {form} for instance (got {value_text(grid)})")
+        example = "{'network.latency.value': [0.0, 0.1]}"
+        raise TypeError(f"the grid should be lists of values by key, {example} for instance (got {value_text(grid)})")
     if grid is not None or design is not None:
         source = _with_grid(source, grid, design)
-    sweep = validate(source).sweep  # once, as a grid of Python may hold generators
+    sweep = validate(source).sweep  # validated once only, because a grid from Python may hold generators
     if not sweep.grid:
-        why = (
+        reason = (
             "should have at least one key of the scenario, and a list of values for it,"
             ' "network.latency.value" = [0.0, 0.1] for instance'
             " (on the command line --grid network.latency.value=0,0.1,"
             ' in Python the grid {"network.latency.value": [0.0, 0.1]})'
         )
-        raise ScenarioError(_about_grid(source, why))
+        raise ScenarioError(_about_grid(source, reason))
     return source, sweep
 
 
 def check_grid(source: Source) -> None:
     """Raise ScenarioError if the grid of a scenario cannot be run.
 
-    Ranges without a design are valid: those of a sensitivity analysis.
+    Ranges without a design are valid, because a sensitivity analysis takes them.
     """
     sweep = validate(source).sweep
     grid = checked_ranges(source, sweep.grid)
     if sweep.design is None and any(map(is_range, grid.values())):
-        lists = ({key: value} for key, values in grid.items() if not is_range(values) for value in values)
+        # One configuration for each value of each key that has no range, with the first values of the others.
+        changes = ({key: value} for key, values in grid.items() if not is_range(values) for value in values)
         first = {key: values_to_try(values)[0] for key, values in grid.items()}
-        chosen = [first | changed for changed in [{}, *lists]]
-        valid_configurations(source, grid, {repr(settings): settings for settings in chosen}.values())
+        to_try = [first | change for change in [{}, *changes]]
+        valid_configurations(source, grid, {repr(settings): settings for settings in to_try}.values())
     else:
         configurations(source)
 
@@ -157,7 +159,7 @@ def checked_ranges(source: Source, grid: SweepGrid) -> SweepGrid:
     """Return a grid whose ranges know whether they are of whole numbers.
 
     Raises:
-        ScenarioError: if a key does not take an end of its range, or a table comes after a key in it.
+        ScenarioError: if a key does not take an end of its range, or a table comes after a key that it contains.
     """
     for inner, table in combinations(grid, 2):
         if inner.startswith(f"{table}."):
@@ -193,73 +195,75 @@ def _check_design(source: Source, grid: SweepGrid, design: Design | None) -> Non
     """Raise ScenarioError if a grid has ranges and there is no design, or a design has nothing to draw."""
     ranges = [key for key, values in grid.items() if is_range(values)]
     if design is None and ranges:
-        why = (
+        reason = (
             f"{grid[ranges[0]][0]} is a range without steps, from which a design chooses:"
             ' give a step, or `sweep.design`, --design or design, "sobol:64" for instance'
         )
-        raise ScenarioError(_about_grid(source, why, ranges[0]))
+        raise ScenarioError(_about_grid(source, reason, ranges[0]))
     if design is None:
         return
     place = ("sweep", "design")
-    if lacking := [key for key in design.drawn if key not in grid]:
-        why = f"the grid has no key {lacking[0]}{did_you_mean(lacking[0], grid)}"
-        raise ScenarioError(Problem(why, "sweep.design.drawn", source.where((*place, "drawn")), source.line(place)))
+    if missing := [key for key in design.drawn if key not in grid]:
+        reason = f"the grid has no key {missing[0]}{did_you_mean(missing[0], grid)}"
+        raise ScenarioError(Problem(reason, "sweep.design.drawn", source.where((*place, "drawn")), source.line(place)))
     if not drawn_keys(grid, design):
-        why = (
+        reason = (
             'has nothing to choose: the grid should have a range, "network.loss.p" = "0:0.5" for instance, or `drawn`'
             " should name a key"
         )
-        raise ScenarioError(Problem(why, "sweep.design", source.where(place), source.line(place)))
+        raise ScenarioError(Problem(reason, "sweep.design", source.where(place), source.line(place)))
 
 
-def valid_configurations(source: Source, grid: SweepGrid, chosen_settings: Iterable[Settings]) -> list[Configuration]:
+def valid_configurations(source: Source, grid: SweepGrid, all_settings: Iterable[Settings]) -> list[Configuration]:
     """Return the configurations with some settings of the keys of a grid, in order.
 
     Raises:
         ScenarioError: if settings are invalid (the message lists them), two configurations are the same or have the
             same name, or an object in one has no stable hash.
     """
-    chosen: list[Configuration] = []
+    valid: list[Configuration] = []
     errors: dict[Problem, list[Settings]] = {}
-    for settings in chosen_settings:
+    for settings in all_settings:
         try:
-            chosen.append(Configuration(settings, _scenario_with(source, settings)))
+            valid.append(Configuration(settings, _scenario_with(source, settings)))
         except ScenarioError as error:
             for problem in error.problems:
                 errors.setdefault(problem, []).append(settings)
     if errors:
         lines = sorted(
-            (_with_cause(*error, source, grid) for error in errors.items()), key=lambda problem: problem.line
+            (_with_cause(problem, affected, source, grid) for problem, affected in errors.items()),
+            key=lambda problem: problem.line,
         )
-        more = [f"... and {len(lines) - MAX_ERRORS} more"] if len(lines) > MAX_ERRORS else []
-        raise ScenarioError(*lines[:MAX_ERRORS], *more)
-    _check_distinct(chosen, source, grid)
-    return chosen
+        omitted = [f"... and {len(lines) - MAX_ERRORS} more"] if len(lines) > MAX_ERRORS else []
+        raise ScenarioError(*lines[:MAX_ERRORS], *omitted)
+    _check_distinct(valid, source, grid)
+    return valid
 
 
-def _check_distinct(chosen: Sequence[Configuration], source: Source, grid: SweepGrid) -> None:
+def _check_distinct(listed: Sequence[Configuration], source: Source, grid: SweepGrid) -> None:
     """Raise ScenarioError if two configurations are the same or have the same name, or if one has no stable hash."""
-    keys: dict[str, Configuration] = {}
-    names: dict[str, Configuration] = {}
-    for configuration in chosen:
+    by_key: dict[str, Configuration] = {}
+    by_name: dict[str, Configuration] = {}
+    for configuration in listed:
         try:
-            same = keys.setdefault(configuration.key, configuration)
+            same = by_key.setdefault(configuration.key, configuration)
         except ScenarioError as error:
             raise with_place(error, source, configuration.settings) from error
-        namesake = names.setdefault(json.dumps(configuration.columns), configuration)
+        namesake = by_name.setdefault(json.dumps(configuration.columns), configuration)
         if same is not configuration:
-            other, why = same, f"'{configuration}' is the same configuration as '{same}'"
+            other, reason = same, f"'{configuration}' is the same configuration as '{same}'"
         elif namesake is not configuration:
             other = namesake
-            why = (
+            reason = (
                 f"several configurations have the name '{configuration}': give functions distinct names (__name__), and"
                 " objects a class with fields: a dataclass, or a desim.config.model.Value"
             )
         else:
             continue
         differing = [key for key, value in configuration.settings.items() if not are_equal(value, other.settings[key])]
+        # Without a differing key, some key repeats a value.
         repeated = [key for key, values in grid.items() if any(_count(value, values) > 1 for value in values)]
-        raise ScenarioError(_about_grid(source, why, (differing or repeated)[0]))
+        raise ScenarioError(_about_grid(source, reason, (differing or repeated)[0]))
 
 
 def with_place(error: ScenarioError, source: Source, settings: Iterable[str] = ()) -> ScenarioError:
@@ -283,7 +287,7 @@ def _swept_above(key: str, settings: Iterable[str]) -> str | None:
 def _with_grid(source: Source, grid: SweepGrid | None, design: Design | str | None) -> Source:
     """Return a copy of a source whose table `sweep` contains only a grid and its design; None: the source's own grid.
 
-    The design of a source belongs to its own grid.
+    A new grid replaces the design of the source, which belongs to the source's own grid.
     """
     changed = source.copy()
     if grid is not None:
@@ -324,13 +328,15 @@ def _scenario_with(source: Source, settings: Settings) -> Scenario:
 
 
 def _source_with(source: Source, settings: Settings) -> tuple[Source, dict[str, list[Problem]]]:
-    """Return a copy of a source with some keys set, without its sweep, and by key why others could not be set."""
+    """Return a copy of a source with some keys set and without its sweep, and the problems of other keys, by key."""
     changed = source.copy()
     changed.tables.pop("sweep", None)
     unset: dict[str, list[Problem]] = {}
     for key, value in settings.items():
-        if why := UNSWEPT.get(key.partition(".")[0]) or (METRICS_UNSWEPT if key.startswith("record.metrics") else None):
-            unset[key] = [_about_grid(source, f"cannot be swept; {why}", key)]
+        if reason := UNSWEPT.get(key.partition(".")[0]) or (
+            METRICS_UNSWEPT if key.startswith("record.metrics") else None
+        ):
+            unset[key] = [_about_grid(source, f"cannot be swept; {reason}", key)]
             continue
         try:
             changed.set(key, value, f"{source.where(('sweep', 'grid', key))}: sweep.grid")
@@ -347,23 +353,27 @@ def without_metrics(scenario: Scenario) -> Scenario:
     return scenario.model_copy(update={"record": scenario.record.model_copy(update={"metrics": ()})})
 
 
-def _with_cause(problem: Problem, among: Sequence[Settings], source: Source, grid: SweepGrid) -> Problem:
+def _with_cause(problem: Problem, affected: Sequence[Settings], source: Source, grid: SweepGrid) -> Problem:
     """Return a problem whose reason also names the settings that cause it.
 
-    `among` holds the settings of all configurations with this problem. A setting is a cause if another value of its key
-    does not give this problem. If there is no cause, all settings of the first configuration are named. A problem with
-    a key of the grid is returned unchanged if there is at most one cause.
+    `affected` holds the settings of all configurations with this problem. A setting is a cause if another value of its
+    key does not give this problem. If there is no cause, all settings of the first configuration are named. A problem
+    with a key of the grid is returned unchanged if there is at most one cause.
     """
-    taken = {key: value for key, value in among[0].items() if _is_needed([kind[key] for kind in among], grid[key])}
+    causes = {
+        key: value
+        for key, value in affected[0].items()
+        if _is_cause([settings[key] for settings in affected], grid[key])
+    }
     swept = _swept_above(problem.key, grid)
     if swept is not None:
         problem = problem._replace(line=source.line(("sweep", "grid", swept)))
-    if len(taken) < 2 and (problem.key == "sweep.grid" or swept is not None):
+    if len(causes) < 2 and (problem.key == "sweep.grid" or swept is not None):
         return problem
-    return problem._replace(reason=f"{problem.reason} (with {in_words(taken or among[0])})")
+    return problem._replace(reason=f"{problem.reason} (with {in_words(causes or affected[0])})")
 
 
-def _is_needed(values: Sequence[Any], all_values: Sequence[Any]) -> bool:
+def _is_cause(values: Sequence[Any], all_values: Sequence[Any]) -> bool:
     return any(not _count(value, values) for value in all_values)
 
 
@@ -381,7 +391,7 @@ def label(value: Any) -> str:
     """Return a value of a grid as a short text; a model as its kind and the fields that were set."""
     if isinstance(value, BaseModel):
         value = {"kind": kind_of(value)} | {k: getattr(value, k) for k in sorted(value.model_fields_set)}
-    is_model = callable(value)  # one of a user may be a named tuple, or a dict
+    is_model = callable(value)  # a user's model may be a named tuple, or a dict
     if is_model and isinstance(value, tuple) and hasattr(value, "_asdict"):
         return label({"kind": type(value).__name__} | value._asdict())
     if isinstance(value, dict) and not is_model:
@@ -396,8 +406,8 @@ def label(value: Any) -> str:
         return "none"
     if isinstance(value, int | float | str):
         # 3 * 0.1 is shown as 0.3, from which it differs in the last bit.
-        near = isinstance(value, float) and isfinite(value) and abs(value - float(f"{value:g}")) <= 2 * ulp(value)
-        return f"{value:g}" if near else str(in_short(value))
+        is_short = isinstance(value, float) and isfinite(value) and abs(value - float(f"{value:g}")) <= 2 * ulp(value)
+        return f"{value:g}" if is_short else str(in_short(value))
     if isinstance(value, partial):
         arguments = [*map(label, value.args), *(f"{key}={label(argument)}" for key, argument in value.keywords.items())]
         return f"{label(value.func)}({', '.join(arguments)})"

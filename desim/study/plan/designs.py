@@ -37,16 +37,16 @@ def drawn_keys(grid: Mapping[str, Sequence[Any]], design: Design) -> list[str]:
 def design_settings(grid: Mapping[str, Sequence[Any]], design: Design) -> Iterator[dict[str, Any]]:
     """Yield the settings of each point of a design, with all combinations of the values of the other keys.
 
-    Settings that have occurred are left out, as several points may have the same of few values.
+    Repeated settings are left out: several points may select the same value of a short list.
     """
-    drawn = drawn_keys(grid, design)
-    others = {key: values for key, values in grid.items() if key not in drawn}
+    keys = drawn_keys(grid, design)
+    others = {key: values for key, values in grid.items() if key not in keys}
     yielded = set()
-    for point in unit_points(design, len(drawn)).tolist():
-        at_point = {key: setting_at(grid[key], share) for key, share in zip(drawn, point, strict=True)}
+    for point in unit_points(design, len(keys)).tolist():
+        at_point = {key: setting_at(grid[key], share) for key, share in zip(keys, point, strict=True)}
         for values in product(*others.values()):
-            chosen = at_point | dict(zip(others, values, strict=True))
-            settings = {key: chosen[key] for key in grid}
+            by_key = at_point | dict(zip(others, values, strict=True))
+            settings = {key: by_key[key] for key in grid}
             if repr(settings) not in yielded:
                 yielded.add(repr(settings))
                 yield settings

@@ -12,14 +12,14 @@ from desim.analysis.metrics import METRICS, Metric
 from desim.study.plan.config_hash import globals_read, object_hash
 
 
-def units_and_codes(added: UsersMetrics) -> dict[str, tuple[str, str]]:
+def units_and_codes(user_metrics: UsersMetrics) -> dict[str, tuple[str, str]]:
     """Return the unit and the hash of the code of each metric, by name: the built-in metrics and those of a user.
 
     Raises:
         ValueError: if a metric holds an object without a stable hash.
     """
     hashes = {name: (metric.unit, _source_hash(metric)) for name, metric in METRICS.items()}
-    for name, metric in added:
+    for name, metric in user_metrics:
         try:
             hashes[name] = metric.unit, object_hash([metric.of, metric.given])
         except Exception as error:  # code of the metric may raise anything
@@ -40,10 +40,10 @@ def _source_hash(metric: Metric) -> str:
     return hashlib.sha256(source.encode()).hexdigest()[:16]
 
 
-def _functions(metric: Any) -> list[Any]:
+def _functions(function_of_metric: Any) -> list[Any]:
     """Return the function of a metric and the functions of `desim.analysis.captures` that it calls, even indirectly."""
-    functions = [metric]
-    for function in functions:
+    functions = [function_of_metric]
+    for function in functions:  # the list grows in the loop
         called = [function.__globals__.get(name) for name in sorted(globals_read(function.__code__))]
         functions += [
             member

@@ -29,7 +29,7 @@ HASHED_BY_NAME = {*OURS, *NUMERICS, "cloudpickle", *sys.stdlib_module_names}
 class UserCode:
     """The hashes of user modules and of what they depend on.
 
-    With a module, the user modules that it imports directly or indirectly are added, the data files that these modules
+    Adding a module also adds the user modules that it imports directly or indirectly, the data files that these modules
     have opened, and the versions of the installed packages that they import, except those in `HASHED_BY_NAME`. If the
     module is itself installed, all modules of its package are added instead.
 
@@ -55,18 +55,19 @@ class UserCode:
         if is_installed(file):
             self.code |= _package(package_of(name), file)
             return True
-        text = file.read_bytes()
+        source = file.read_bytes()
         self._modules.add(name)
         key = plain_name(name)
         while key in self.code:  # a module of the same name beside another file
             key += "'"
-        self.code[key] = content_hash(text)
+        self.code[key] = content_hash(source)
         parent, folder = name.rpartition(".")[0], folder_in_name(name)
         if file.suffix == ".py":
-            names = sorted(_imported(text, name if file.stem == "__init__" else parent) | {parent} - {""})
+            # To import a module is to run its parent package, too.
+            names = sorted(_imported(source, name if file.stem == "__init__" else parent) | ({parent} - {""}))
             for module in names if folder is None else [module_beside(imported, folder) for imported in names]:
                 package = package_of(module)
-                if (home := _file(package)) is None or not is_installed(home):
+                if (package_file := _file(package)) is None or not is_installed(package_file):
                     self.add(module)
                 elif package not in HASHED_BY_NAME:
                     self.code |= _versions(_distributions().get(package, ()))
@@ -92,8 +93,8 @@ def _package(name: str, file: Path) -> Mapping[str, str]:
     hashes = [(path.relative_to(folder).as_posix(), content_hash(path.read_bytes())) for folder, path in files]
     distributions = _distributions().get(name, ())
     lines = [line for distribution in distributions for line in requires(distribution) or () if "extra ==" not in line]
-    needed = {re.split(r"[^\w.-]", line)[0] for line in lines} - HASHED_BY_NAME
-    return {name: content_hash(json.dumps(hashes).encode()), **_versions([*distributions, *sorted(needed)])}
+    requirements = {re.split(r"[^\w.-]", line)[0] for line in lines} - HASHED_BY_NAME
+    return {name: content_hash(json.dumps(hashes).encode()), **_versions([*distributions, *sorted(requirements)])}
 
 
 _distributions = cache(packages_distributions)
@@ -104,38 +105,38 @@ def _versions(distributions: Iterable[str]) -> dict[str, str]:
     """Return the version of each distribution, without those that are not installed."""
     versions = {}
     for name in distributions:
-        with suppress(PackageNotFoundError):  # required on another platform, say
+        with suppress(PackageNotFoundError):  # such as a requirement on another platform
             versions[f"distribution {name}"] = _version(name)
     return versions
 
 
-_version = cache(version)  # it reads a file, for each package that user code imports, in each configuration
+_version = cache(version)  # `version` reads a file, and each configuration asks for all packages that user code imports
 
 
 def _file(name: str) -> Path | None:
     """Return the file of a module, imported or not; None if it has none."""
     if name in sys.modules:
-        place = getattr(sys.modules[name], "__file__", None)
+        path = getattr(sys.modules[name], "__file__", None)
     else:
         try:
             spec = find_spec(name)
         except (ImportError, ValueError):
             return None
-        place = spec.origin if spec and spec.has_location else None
-    return None if place is None else Path(place)
+        path = spec.origin if spec and spec.has_location else None
+    return None if path is None else Path(path)
 
 
 @cache
-def _imported(text: bytes, package: str) -> frozenset[str]:
+def _imported(source: bytes, package: str) -> frozenset[str]:
     """Return the names of all modules that a source in a package may import, also within functions."""
     names: set[str] = set()
-    for node in ast.walk(ast.parse(text)):
+    for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             with suppress(ImportError):  # a relative import outside of a package
-                home = resolve_name("." * node.level + (node.module or ""), package)
-                names.update([home, *(f"{home}.{alias.name}" for alias in node.names)])
+                module = resolve_name("." * node.level + (node.module or ""), package)
+                names.update([module, *(f"{module}.{alias.name}" for alias in node.names)])
     return frozenset(names)
 
 
