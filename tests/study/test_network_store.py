@@ -494,7 +494,7 @@ def test_a_folder_that_cannot_be_probed_counts_as_one_with_locks(tmp_path, monke
     probed = []
     make = file_systems.tempfile.TemporaryFile
     monkeypatch.setattr(file_systems.tempfile, "TemporaryFile", lambda **named: probed.append(named) or make(**named))
-    monkeypatch.setattr(file_systems, "_locks", lambda lock: probed.append(lock.args[1:]))
+    monkeypatch.setattr(file_systems, "_succeeds", lambda lock: probed.append(lock.args[1:]))
     assert not file_systems.has_locks(tmp_path)
     assert probed == [{"dir": tmp_path}, (fcntl.LOCK_EX | fcntl.LOCK_NB,)]
     monkeypatch.setitem(sys.modules, "fcntl", None)

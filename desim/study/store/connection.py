@@ -23,12 +23,12 @@ def address_of(path: Path, read_only: bool, network: str = "") -> str:
     or -journal) has content, the file is therefore opened read-only instead.
 
     On a network file system, a reader never writes: without locks, it could take the journal of a living writer on
-    another host for that of a dead one, and undo it. Where the file system has no locks, SQLite opens the file without.
+    another host for that of a dead one, and undo it. On a file system without locks, SQLite uses none.
 
     Args:
         path: the path of the file.
         read_only: whether the file is only read.
-        network: the name of the network file system that it is on; "" if it is on none.
+        network: the name of the network file system of the file; "" if it is local.
     """
     options = "rwc"
     if read_only:
@@ -59,7 +59,7 @@ def has_write_ahead_log(path: Path) -> bool:
 
 
 def is_unsettled(path: Path) -> bool:
-    """Return whether a file on a network file system has a journal with content, or was made elsewhere, with a log."""
+    """Return whether a file on a network file system has a journal with content, or was given a log elsewhere."""
     return has_journal(path) or has_write_ahead_log(path)
 
 
@@ -69,7 +69,7 @@ def connected(path: Path | None, read_only: bool = False, network: str = "") -> 
         ":memory:" if path is None else address_of(path, read_only, network), timeout=LOCK_TIMEOUT, uri=True
     )
     try:
-        database.execute("PRAGMA trusted_schema = OFF")
+        database.execute("PRAGMA trusted_schema = OFF")  # views and triggers of a foreign file may not call functions
     except sqlite3.Error:
         database.close()
         raise
@@ -84,7 +84,7 @@ def use_write_ahead_log(database: sqlite3.Connection) -> str:
     the store at the same time. The change is therefore attempted again, for up to `LOCK_TIMEOUT`.
 
     Raises:
-        sqlite3.OperationalError: if the file is still locked then.
+        sqlite3.OperationalError: if the file is still locked after this time.
     """
     end = time.monotonic() + LOCK_TIMEOUT
     while True:
@@ -110,7 +110,7 @@ def use_rollback_journal(path: Path | None, network: str = "") -> None:
     try:
         database.execute("PRAGMA locking_mode = EXCLUSIVE")
         database.execute("PRAGMA journal_mode = DELETE")
-        database.execute("SELECT count(*) FROM sqlite_master")
+        database.execute("SELECT count(*) FROM sqlite_master")  # the first read settles the old journal
     finally:
         database.close()
 
@@ -121,9 +121,9 @@ def lock_of(path: Path) -> LockFile:
 
 
 def settle(path: Path, network: str) -> None:
-    """Make a file on a network file system readable without writing: end what a writer that died has begun.
+    """Make a file on a network file system readable without writing, if a writer died and left a journal.
 
-    A file that a living writer uses is left to it.
+    The file of a living writer is not touched.
     """
     if is_unsettled(path) and is_writable(path):
         lock = lock_of(path)

@@ -1,7 +1,7 @@
 """The SQLite file of a store: its tables, its journal, and the checks of its content.
 
 Opening a file checks that it has the tables of a store, and lets SQLite check its structure. Reading a row checks the
-types of its values. A value that was edited into another of its type is not noticed.
+types of its values, so that an edited value of the right type is not noticed.
 """
 
 import sqlite3
@@ -64,6 +64,7 @@ CACHE = 65_536
 slower."""
 HINT = "remove it, or choose another folder (-o, in Python store=)"
 ROWID = "ORDER BY rowid"
+"""The order in which rows were added, in SQL."""
 Arguments = ParamSpec("Arguments")
 Returned = TypeVar("Returned")
 
@@ -87,12 +88,13 @@ def naming_the_file(method: Callable[Arguments, Returned]) -> Callable[Arguments
 
 
 def _missing(path: Path | None) -> str:
-    """Return the message about a store that is not there, with what may have been meant, or how to make one."""
-    sought = path.parent if path is not None and path.name == STORE and not path.parent.is_dir() else path
-    beside = sorted(other.name for other in sought.parent.glob("*")) if sought is not None else []
-    close = close_to(sought.name, beside, cutoff=0.8) if sought is not None else []
-    instead = f", did you mean {close[0]!r}?" if close else "; `desim sweep FILE -o DIR` makes one in DIR"
-    return f"{path}: there is no such store{instead}"
+    """Return the message about a store that does not exist, with a similar name beside it, or how to make a store."""
+    # Of DIR/sweep.sqlite without a folder DIR, the name DIR is the wrong one.
+    wrong = path.parent if path is not None and path.name == STORE and not path.parent.is_dir() else path
+    beside = sorted(other.name for other in wrong.parent.glob("*")) if wrong is not None else []
+    similar = close_to(wrong.name, beside, cutoff=0.8) if wrong is not None else []
+    hint = f", did you mean {similar[0]!r}?" if similar else "; `desim sweep FILE -o DIR` makes one in DIR"
+    return f"{path}: there is no such store{hint}"
 
 
 def _why_unusable(error: Exception, path: object) -> str:
@@ -127,7 +129,7 @@ class StoreFile:
         path = None if path is None else Path(path)
         self.path: Any = path or "the store in memory"
         self._lock: LockFile | None = None
-        self._open_things = ExitStack()
+        self._resources = ExitStack()
         if path and path.is_symlink() and not (path.is_file() and path.stat().st_size):
             raise StoreError(f"{path}: is a symbolic link to {path.readlink()}, which is no store: remove it")
         if path and path.is_dir():
@@ -143,16 +145,16 @@ class StoreFile:
         network = network_file_system(path) if path is not None else ""
         try:
             if path is not None and network:
-                self._share(path, network, read_only)
+                self._lock_among_hosts(path, network, read_only)
             self.database = connected(path, read_only, network)
-            self._open_things.callback(lambda: self.database.close())
+            self._resources.callback(lambda: self.database.close())
             self._prepare(path, read_only, network)
         except BaseException:
             self.close()
             raise
 
-    def _share(self, path: Path, network: str, read_only: bool) -> None:
-        """Get the lock of a file on a network file system, and end what a writer that died has begun.
+    def _lock_among_hosts(self, path: Path, network: str, read_only: bool) -> None:
+        """Get the lock of a file on a network file system, and settle the journal of a writer that died.
 
         Raises:
             StoreError: if another process writes to the file, or its lock file cannot be read or written.
@@ -175,7 +177,7 @@ class StoreFile:
             raise StoreError(
                 f"{path}: its lock file {lock_of(path).path.name} cannot be used: {error.strerror or error}"
             ) from None
-        self._open_things.callback(self._lock.release)
+        self._resources.callback(self._lock.release)
         if path.exists() and is_unsettled(path):
             use_rollback_journal(path, network)
 
@@ -189,8 +191,8 @@ class StoreFile:
         else:
             self._create(path, network)
             self.database.execute(f"PRAGMA cache_size = -{CACHE}")
-        durable = "FULL" if network else "NORMAL"  # the time of a commit is that of the file server anyway
-        self.database.execute("PRAGMA query_only = ON" if read_only else f"PRAGMA synchronous = {durable}")
+        synchronous = "FULL" if network else "NORMAL"  # a commit takes as long as the file server, anyway
+        self.database.execute("PRAGMA query_only = ON" if read_only else f"PRAGMA synchronous = {synchronous}")
 
     def _create(self, path: Path | None, network: str) -> None:
         """Create the tables, with a write-ahead log if the file system supports it, else with a rollback journal."""
@@ -221,10 +223,10 @@ class StoreFile:
         """Return the rows of a table, which are read one by one."""
         return self.database.execute(f"SELECT * FROM {table} {where}", values)
 
-    def error(self, table: str, row: Sequence[Any], why: str) -> StoreError:
+    def error(self, table: str, row: Sequence[Any], problem: str) -> StoreError:
         """Return an error that names a row of a table."""
         named = zip(self._columns(table)[: NAMED_BY[table]], row, strict=False)
-        return StoreError(f"{self.path}: {table}: {', '.join(f'{name} {value}' for name, value in named)}: {why}")
+        return StoreError(f"{self.path}: {table}: {', '.join(f'{name} {value}' for name, value in named)}: {problem}")
 
     def _columns(self, table: str) -> list[str]:
         return [name for _, name, *_ in self.database.execute(f"PRAGMA table_info({table})")]
@@ -264,8 +266,8 @@ class StoreFile:
             return adapter.validate_python(row if column is None else row[column], strict=True)
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
-            number, *inner = first["loc"] if column is None else (column, *first["loc"])
-            place = ".".join(map(str, (self._columns(table)[int(number)], *inner)))
+            index, *inner = first["loc"] if column is None else (column, *first["loc"])
+            place = ".".join(map(str, (self._columns(table)[int(index)], *inner)))
             raise self.error(table, row, f"{place}: {text_of(first)}") from error
 
     @naming_the_file
@@ -275,7 +277,7 @@ class StoreFile:
 
     def close(self) -> None:
         """Close the file; when its last connection closes, SQLite moves a write-ahead log into it."""
-        self._open_things.close()
+        self._resources.close()
 
     def __enter__(self) -> Self:
         return self
@@ -296,23 +298,23 @@ def adapter_of(kind: Any) -> TypeAdapter[Any]:
 
 def view_of(metrics: Sequence[str]) -> str:
     """Return the SQL of the view with a row per run and a column per metric."""
-    if strange := [name for name in metrics if not name.isidentifier()]:
-        raise StoreError(f"metrics: name {strange[0]}: should be a Python identifier")
+    if invalid := [name for name in metrics if not name.isidentifier()]:
+        raise StoreError(f"metrics: name {invalid[0]}: should be a Python identifier")
     columns = [f"json_extract(summary, '$.{name}') AS \"{name}\"" for name in metrics if name != "seed"]
-    named = ", ".join(["settings", "replication", "root_seed", "runs.seed AS seed", "status", "traceback", *columns])
+    selected = ", ".join(["settings", "replication", "root_seed", "runs.seed AS seed", "status", "traceback", *columns])
     source = "runs JOIN configurations USING (configuration) ORDER BY place, root_seed, replication"
-    return f"CREATE VIEW IF NOT EXISTS results AS SELECT {named} FROM {source}"
+    return f"CREATE VIEW IF NOT EXISTS results AS SELECT {selected} FROM {source}"
 
 
 def _has_tables(path: Path | None, database: sqlite3.Connection) -> bool:
     """Return whether a database has the tables of a store; False if it is empty.
 
     Raises:
-        StoreError: if it has others. They could contain a trigger, or a view that never ends in place of a table.
+        StoreError: if it has anything else, such as a trigger, or in place of a table a view that never ends.
     """
-    there = dict(database.execute("SELECT name, type FROM sqlite_master WHERE type <> 'index'"))
-    if there and "about" not in there:
+    objects = dict(database.execute("SELECT name, type FROM sqlite_master WHERE type <> 'index'"))
+    if objects and "about" not in objects:
         raise StoreError(f"{path}: is a database, but not the store of a sweep")
-    if there and there != dict.fromkeys(NAMED_BY, "table") | {"results": "view"}:
+    if objects and objects != dict.fromkeys(NAMED_BY, "table") | {"results": "view"}:
         raise StoreError(f"{path}: was made by another version of desim, or edited; {HINT}")
-    return bool(there)
+    return bool(objects)

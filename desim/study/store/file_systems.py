@@ -28,22 +28,22 @@ NETWORK = {
 }
 """The types of network file systems in `MOUNTS`, by the name that users know; any `fuse.NAME` is FUSE, too.
 
-FUSE are sshfs, GlusterFS, JuiceFS, drives in the cloud and others: their files may be on another host, which the table
-does not say. A virtual machine does not share its memory with its host (WSL, VirtualBox, VMware, Parallels)."""
+FUSE may be sshfs, GlusterFS, JuiceFS, a drive in the cloud or another: the table does not say whether the files are on
+another host. A virtual machine does not share its memory with its host (WSL, VirtualBox, VMware, Parallels)."""
 NAMES = {kind: name for name, kinds in NETWORK.items() for kind in kinds.split()}
 ESCAPE = re.compile(r"\\([0-7]{3})")
 
 
 def network_file_system(path: Path) -> str:
-    """Return the name of the network file system that a file or folder is on; "" if it is on none.
+    """Return the name of the network file system of a file or folder; "" if it is local.
 
-    The path need not exist. Symbolic links are followed. The mount with the longest path that contains it decides; of
-    several mounts on one path, the last hides the others.
+    The path need not exist. Symbolic links are followed. The mount with the longest path that contains the file
+    decides; of several mounts on one path, the last hides the others.
     """
-    place, here, kind = path.resolve(), -1, ""
-    for point, mounted in _mounts():
-        if place.is_relative_to(point) and len(point.parts) >= here:
-            here, kind = len(point.parts), mounted
+    resolved, depth, kind = path.resolve(), -1, ""
+    for mount, mounted_kind in _mounts():
+        if resolved.is_relative_to(mount) and len(mount.parts) >= depth:
+            depth, kind = len(mount.parts), mounted_kind
     return NAMES.get(kind.partition(".")[0], "")
 
 
@@ -51,7 +51,7 @@ def _mounts() -> Iterator[tuple[Path, str]]:
     """Yield the path and the type of each mount; blanks and some other characters of a path are octal escapes."""
     try:
         table = MOUNTS.read_text(encoding="utf-8", errors="surrogateescape")
-    except OSError:  # no Linux, or hidden
+    except OSError:  # not on Linux, or hidden
         return
     for line in table.splitlines():
         if len(fields := line.split(" ")) >= 3:
@@ -69,12 +69,12 @@ def has_locks(folder: Path) -> bool:
         return True
     try:
         with tempfile.TemporaryFile(dir=folder) as probe:
-            return _locks(partial(fcntl.lockf, probe, fcntl.LOCK_EX | fcntl.LOCK_NB))
+            return _succeeds(partial(fcntl.lockf, probe, fcntl.LOCK_EX | fcntl.LOCK_NB))
     except OSError:
         return True
 
 
-def _locks(lock: Callable[[], object]) -> bool:
+def _succeeds(lock: Callable[[], object]) -> bool:
     try:
         lock()
     except OSError:

@@ -15,18 +15,18 @@ PATH = re.compile(r"""(^|^-[A-Za-z]|[="'\[, ])((?:[A-Za-z]:)?[/\\][^"',\]]+)""")
 def shell_lines(commands: Sequence[tuple[str, Sequence[str]]]) -> list[str]:
     """Return commands as lines for a shell, without absolute paths.
 
-    If the commands were given in several folders, a comment names the folder wherever it changes. An absolute path
-    within the working folder is made relative to it; any other absolute path is replaced by its last component. A
-    command is its working folder and its words.
+    A command is its working folder and its words. If the commands were given in several folders, a comment names the
+    folder wherever it changes. An absolute path within the working folder is made relative to it; any other absolute
+    path is replaced by its last component.
     """
     lines: list[str] = []
-    several = len({folder for folder, _ in commands}) > 1
-    before = None
+    is_in_several = len({folder for folder, _ in commands}) > 1
+    last_folder = None
     for folder, argv in commands:
-        if several and folder != before:
+        if is_in_several and folder != last_folder:
             lines.append(f"# in the folder {escaped(Path(folder).name)}")
         lines.append(_command(argv, Path(folder)))
-        before = folder
+        last_folder = folder
     return lines
 
 

@@ -3,8 +3,8 @@
 A lock file works where locks of the operating system do not, because creating a link is atomic on every network file
 system. It is stale if by its time its holder has not rewritten it for `STALE` seconds, and does not rewrite it while it
 is watched for `WATCH` seconds: some file systems (Lustre, GPFS, Ceph, AFS) record the time of the host that writes, and
-the clocks of two hosts may differ. That the process of this number is gone counts only if the holder ran on this host,
-in this namespace of processes.
+the clocks of two hosts may differ. A holder whose process is gone has ended, but this can be told only on its own host,
+in its own namespace of processes.
 """
 
 import json
@@ -25,7 +25,7 @@ from desim.config.whole_files import open_no_link
 HEARTBEAT = 5.0
 """The interval, s of wall time, at which a holder rewrites its lock file."""
 STALE = 120.0
-"""The age, s, from which a lock file is stale. NFS may show times that are a minute old, so it is well above that."""
+"""The age, s, from which a lock file is stale; well above a minute, because NFS may show times that are so old."""
 WATCH = 3 * HEARTBEAT
 """For how long a stale lock of another host is watched, s of wall time, before it is removed."""
 LONGEST = 65_536
@@ -77,7 +77,7 @@ class LockFile:
         self._rewriting = threading.Lock()
 
     def acquire(self, patience: float, on_wait: Callable[[Holder], None] = lambda _: None) -> Self:
-        """Get the lock, for which this process waits; `on_wait` is called once, if it must.
+        """Wait for the lock, and get it; `on_wait` is called once if another process holds the lock.
 
         A holder that shows no sign of life is waited for until its lock is stale, so that work resumes on another host.
 
@@ -85,18 +85,18 @@ class LockFile:
             LockedError: if the holder is alive after `patience` s of wall time, or is this process.
         """
         start = last_sign = time.monotonic()
-        seen: bytes | None = None
+        last_content: bytes | None = None
         while (holder := self.try_acquire()) is not None:
             if (holder.place, holder.pid) == (place(), os.getpid()):
                 raise LockedError("this process uses it already")
             now = time.monotonic()
-            if seen is None:
+            if last_content is None:
                 on_wait(holder)
-            if holder.content != seen:
-                seen, last_sign = holder.content, now
-            if now - last_sign > STALE:  # also if the time of its file lies ahead
+            if holder.content != last_content:
+                last_content, last_sign = holder.content, now
+            if now - last_sign > STALE:  # by the clock of this host: the time of the file may lie ahead
                 self._remove(holder)
-            elif now - start > patience and now - last_sign < WATCH:
+            elif now - start > patience and now - last_sign < WATCH:  # alive: a silent one may soon be stale
                 raise LockedError(f"{holder}, uses it")
             else:
                 time.sleep(PAUSE)
@@ -105,7 +105,7 @@ class LockFile:
     def try_acquire(self) -> Holder | None:
         """Get the lock and return None, or return the process that holds it.
 
-        It returns at once, unless the lock of another host is stale, which is watched first.
+        It returns at once, unless it has to watch a stale lock of another host first.
         """
         draft = self.path.with_name(f".{self.path.name}.{self._token}")
         file = os.open(draft, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
@@ -134,7 +134,7 @@ class LockFile:
 
     def _hold(self, file: int) -> None:
         self._file = file
-        _rewrite(file, self._content())
+        _rewrite(file, self._content())  # on a file system without links the file is still empty
         self._ended.clear()
         threading.Thread(target=self._beat, daemon=True).start()
 
@@ -150,15 +150,15 @@ class LockFile:
         end = time.monotonic() + WATCH
         while time.monotonic() < end:
             time.sleep(PAUSE)
-            now = _holder(self.path, 0.0)
-            if now is None:
+            current = _holder(self.path, 0.0)
+            if current is None:
                 return None
-            if now.content != holder.content:
-                return replace(now, age=0.0)
+            if current.content != holder.content:
+                return replace(current, age=0.0)
         return None
 
     def _remove(self, holder: Holder) -> None:
-        """Remove a stale lock, unless another process has just replaced it by its own, which is put back."""
+        """Remove a stale lock; if another process has just replaced it by a lock of its own, put that back."""
         aside = self.path.with_name(f".{self.path.name}.{self._token}.stale")
         with suppress(FileNotFoundError):
             self.path.rename(aside)
@@ -220,8 +220,8 @@ def _holder(path: Path, now: float) -> Holder | None:
     except FileNotFoundError:
         return None
     try:
-        named = json.loads(text)
-        return Holder(str(named["host"]), str(named["place"]), int(named["pid"]), str(named["token"]), age, text)
+        fields = json.loads(text)
+        return Holder(str(fields["host"]), str(fields["place"]), int(fields["pid"]), str(fields["token"]), age, text)
     except (ValueError, KeyError, TypeError, RecursionError):
         return Holder("", "", 0, "", age, text)
 
@@ -240,7 +240,7 @@ def _runs(pid: int) -> bool:
     """Return whether a process of this host runs; a zombie does not."""
     with suppress(OSError):
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in {"Z", "X"}
-    if os.name != "posix":  # there, a signal ends a process
+    if os.name != "posix":  # on Windows, `os.kill` would end the process
         return True
     try:
         os.kill(pid, 0)

@@ -11,7 +11,7 @@ from desim.config.data_files import in_short
 from desim.study.store.file import HINT, StoreError, StoreFile, adapter_of, naming_the_file
 
 VERSIONS = "versions"
-"""The property with the versions that computed the runs: a list of tables as `environment.computing_versions`."""
+"""The property with the versions that computed the runs: a list of tables as from `environment.computing_versions`."""
 Versions = dict[str, str]
 
 
@@ -40,16 +40,16 @@ class SweepProperties(StoreFile):
             subject: the further runs, as the subject of the error message: "this is", "out/b.sqlite has".
             mix: whether runs of different versions may be in one store.
         """
-        present = self.versions
+        recorded = self.versions
         for other in versions:
-            if present and other not in present and not mix:
-                names = [name for name in present[-1] | other if present[-1].get(name) != other.get(name)]
-                then, now = (
-                    ", ".join(f"{name} {versions.get(name, 'unknown')}" for name in names)
-                    for versions in (present[-1], other)
+            if recorded and other not in recorded and not mix:
+                names = [name for name in recorded[-1] | other if recorded[-1].get(name) != other.get(name)]
+                ours, others = (
+                    ", ".join(f"{name} {differing.get(name, 'unknown')}" for name in names)
+                    for differing in (recorded[-1], other)
                 )
                 raise StoreError(
-                    f"{self.path}: has runs of {then}, and {subject} {now}, so last digits may differ: mix them with"
+                    f"{self.path}: has runs of {ours}, and {subject} {others}, so last digits may differ: mix them with"
                     f" --mix-versions (in Python mix_versions=True), or choose another folder (-o, in Python store=)"
                 )
 
@@ -64,9 +64,9 @@ class SweepProperties(StoreFile):
             return
         with self.writing() as database:
             self.check_versions(versions, subject, mix=mix)
-            present = self.versions
-            whole = present + [version for version in versions if version not in present]
-            database.execute("INSERT OR REPLACE INTO about VALUES (?, ?)", (VERSIONS, json.dumps(whole)))
+            recorded = self.versions
+            all_versions = recorded + [version for version in versions if version not in recorded]
+            database.execute("INSERT OR REPLACE INTO about VALUES (?, ?)", (VERSIONS, json.dumps(all_versions)))
 
     @naming_the_file
     def read_property(self, name: str, kind: Any) -> Any:
@@ -82,11 +82,11 @@ class SweepProperties(StoreFile):
     @naming_the_file
     def check_same(self, about: Mapping[str, str]) -> None:
         """Raise StoreError if a property of the sweep is recorded with another value."""
-        mine = self.about
+        recorded = self.about
         for name, value in about.items():
-            if mine.get(name, value) != value:
-                why = _differs(name, self.read_property(name, Any), json.loads(value))
-                raise StoreError(f"{self.path}: was made {why}; {HINT}")
+            if recorded.get(name, value) != value:
+                difference = _made_by(name, self.read_property(name, Any), json.loads(value))
+                raise StoreError(f"{self.path}: was made {difference}; {HINT}")
 
     @naming_the_file
     def record_properties(self, about: Mapping[str, str]) -> None:
@@ -102,7 +102,7 @@ class SweepProperties(StoreFile):
             database.executemany("INSERT OR IGNORE INTO about VALUES (?, ?)", about.items())
 
 
-def _differs(name: str, stored: Any, other: Any) -> str:
+def _made_by(name: str, stored: Any, other: Any) -> str:
     """Return the end of the error message "was made ...": how a property of two sweeps, stored and other, differs."""
     if name == "format":
         return "by another version of desim"
@@ -124,5 +124,5 @@ def flat(node: Any, opens: Callable[[Any], bool] = lambda _: True, above: str = 
     """
     if not (isinstance(node, dict | list) and node and opens(node)):
         return {above.removesuffix("."): node}
-    inner = node.items() if isinstance(node, dict) else enumerate(node)
-    return {key: member for name, value in inner for key, member in flat(value, opens, f"{above}{name}.").items()}
+    members = node.items() if isinstance(node, dict) else enumerate(node)
+    return {key: member for name, value in members for key, member in flat(value, opens, f"{above}{name}.").items()}

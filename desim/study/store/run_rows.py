@@ -33,6 +33,7 @@ _FIELDS: dict[str, Any] = {name: (kind | None, None) for name, kind in get_type_
 _Numbers = create_model("Numbers", __base__=_Metrics, **_FIELDS)
 """The model of a summary in JSON; a run that was stored before a metric existed lacks it."""
 RUN: Any = tuple[str, Annotated[int, Field(ge=0)], Digits, Digits, Status, Json[_Numbers] | None, str]
+"""The type of a row of `runs`."""
 RUN_ADAPTER = adapter_of(RUN)
 
 
@@ -55,16 +56,16 @@ class RunRows(StoreFile):
 
         `numbers` returns these metrics, and is called only if the run is stored already.
         """
-        unless_there = "ON CONFLICT (configuration, replication, root_seed) DO NOTHING"
-        if self.database.execute(f"INSERT INTO runs VALUES {RUN_VALUES} {unless_there}", row).rowcount:
+        on_conflict = "ON CONFLICT (configuration, replication, root_seed) DO NOTHING"
+        if self.database.execute(f"INSERT INTO runs VALUES {RUN_VALUES} {on_conflict}", row).rowcount:
             return
-        (there,) = self.rows("runs", "WHERE configuration = ? AND replication = ? AND root_seed = ?", row[:3])
-        old, new = self.numbers(there), numbers()
-        if old is None:
+        (stored,) = self.rows("runs", "WHERE configuration = ? AND replication = ? AND root_seed = ?", row[:3])
+        old, new = self.numbers(stored), numbers()
+        if old is None:  # the stored run failed
             if new is not None or not keeps_failed:
                 self.put_run(row, new)
         elif new is not None and not new.keys() <= old.keys():
-            self.put_run(there, {**new, **old})
+            self.put_run(stored, {**new, **old})  # only metrics that the stored run lacks are added
 
     def numbers(self, row: tuple[Any, ...]) -> dict[str, Any] | None:
         """Return the metrics in the row of a run by name, as JSON values; None if the run failed."""
@@ -85,7 +86,7 @@ class RunRows(StoreFile):
                 yield run
 
     def read_measured(self, key: str, root: int, units: Mapping[str, str]) -> Iterator[Row | Measured]:
-        """Yield the runs of a configuration and a root seed as `read_runs` does, but only those that failed as rows."""
+        """Yield the runs as `read_runs` does; those that did not fail are `Measured`, which is faster than a `Row`."""
         names = frozenset(units)
         for row in self.rows("runs", "WHERE configuration = ? ORDER BY replication", (key,)):
             if row[ROOT_SEED] != str(root):  # a store has one root seed, so the row was edited
@@ -99,18 +100,18 @@ class RunRows(StoreFile):
             raise self.error("runs", row, "should have a summary if its status is ok, and none if not")
         if numbers is None:
             return Row(replication, int(seed), status, None, trace)
-        there = numbers.model_fields_set
-        if not there <= names:
-            raise self.error("runs", row, f"summary.{min(there - names)}: is no metric of this store")
+        present = numbers.model_fields_set
+        if not present <= names:
+            raise self.error("runs", row, f"summary.{min(present - names)}: is no metric of this store")
         # `model_dump` takes 7 us, and only the metrics of users can be infinite.
         values = {**vars(numbers), **from_json(numbers.model_extra)} if numbers.model_extra else vars(numbers)
-        if len(values) > len(there):
-            values = {name: value for name, value in values.items() if name in there}
+        if len(values) > len(present):
+            values = {name: value for name, value in values.items() if name in present}
         return Measured(replication, int(seed), values, trace)
 
 
 def added_units(units: Mapping[str, str]) -> dict[str, str]:
-    """Return the units of the metrics that are not built in, given those of all, by name."""
+    """Return the units of the metrics that are not built in, by name, given the units of all metrics."""
     return {name: unit for name, unit in units.items() if name not in METRICS}
 
 

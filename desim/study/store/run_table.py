@@ -1,11 +1,9 @@
 """Rows, one for each run of a sweep, and the runs of a configuration stored by column.
 
-Columns take a tenth of the memory of an object per value.
-A value takes 9 bytes: a double, and a code for its type. A value that no double can hold (a table, a large integer) is
-kept as JSON text; equal texts of a column are kept once.
+Columns take a tenth of the memory of an object per value: 9 bytes, a double and a code for its type. A value that no
+double can hold (a table, a large integer) is kept as JSON text; equal texts of a column are kept once.
 
-Kept equal to a list of rows by
-`tests/study/test_run_table.py::test_a_table_equals_the_list_of_its_rows`.
+Kept equal to a list of rows by `tests/study/test_run_table.py::test_a_table_equals_the_list_of_its_rows`.
 """
 
 import json
@@ -70,8 +68,8 @@ class Row:
     def place(self) -> str:
         """The file and the line of the last call of a user's code, or of any code, in the traceback; "" without one."""
         calls = CALL.findall(self.traceback)
-        users = [call for call in calls if not (LIBRARY.search(call[0]) or call[0].startswith(_OURS))]
-        return "{}:{}".format(*(users or calls)[-1]) if calls else ""
+        user_calls = [call for call in calls if not (LIBRARY.search(call[0]) or call[0].startswith(_OURS))]
+        return "{}:{}".format(*(user_calls or calls)[-1]) if calls else ""
 
     @property
     def failure(self) -> str:
@@ -82,12 +80,13 @@ class Row:
     @property
     def error(self) -> str:
         """The exception of the run in one line; "" if it did not fail."""
-        whole = self.traceback.strip().splitlines()
-        lines_of_error = takewhile(lambda line: not line.startswith("  +-"), whole)  # not the members of a group
-        lines = [line.removeprefix("  | ") for line in lines_of_error]
+        lines_of_traceback = self.traceback.strip().splitlines()
+        # Of a group of exceptions, without the members of the group.
+        own_lines = takewhile(lambda line: not line.startswith("  +-"), lines_of_traceback)
+        lines = [line.removeprefix("  | ") for line in own_lines]
         last_call = max((k for k, line in enumerate(lines) if line.startswith('  File "')), default=-1)
-        ends = [line for line in lines[last_call + 1 :] if line.strip() and not line.startswith("  ")]
-        return OWN_MODULE.sub("", (ends or lines[-1:] or [""])[0])
+        exception = [line for line in lines[last_call + 1 :] if line.strip() and not line.startswith("  ")]
+        return OWN_MODULE.sub("", (exception or lines[-1:] or [""])[0])
 
 
 class Measured(NamedTuple):
@@ -112,13 +111,13 @@ KINDS: Mapping[type, int] = MappingProxyType({type(None): NONE, bool: BOOL, int:
 class Column:
     """The values of one metric: numbers, truth values, None, and values that JSON can hold."""
 
-    __slots__ = ("_kinds", "_numbers", "_places", "_texts")
+    __slots__ = ("_indices", "_kinds", "_numbers", "_texts")
 
     def __init__(self, values: Iterable[Any] = ()) -> None:
         self._numbers = array("d")
         self._kinds = bytearray()
         self._texts: list[str] = []
-        self._places: dict[str, int] = {}
+        self._indices: dict[str, int] = {}
         self.extend(list(values))
 
     def extend(self, values: Sequence[Any]) -> None:
@@ -133,7 +132,7 @@ class Column:
             self._numbers.extend([nan if v is None or v is MISSING else v for v in values] if has_gaps else values)
         elif types == {dict}:
             self._kinds += bytes([OBJECT]) * len(values)
-            self._numbers.extend(map(self._place, values))
+            self._numbers.extend(map(self._index_of_text, values))
         else:
             for value in values:
                 self._append(value)
@@ -141,17 +140,17 @@ class Column:
     def _append(self, value: Any) -> None:
         kind = next((code for type_, code in KINDS.items() if isinstance(value, type_)), OBJECT)
         if kind == OBJECT or (kind == INT and abs(value) > EXACT):
-            kind, value = OBJECT, self._place(value)
+            kind, value = OBJECT, self._index_of_text(value)
         self._kinds.append(kind)
         self._numbers.append(nan if kind in {ABSENT, NONE} else value)
 
-    def _place(self, value: Any) -> int:
-        """Return the place of a value among the texts, to which it is added if it is new."""
+    def _index_of_text(self, value: Any) -> int:
+        """Return the index of the text of a value among the texts, to which a new text is added."""
         text = "{}" if value == {} else encode(value)  # many tables are empty, and encoding takes a microsecond
-        place = self._places.setdefault(text, len(self._texts))
-        if place == len(self._texts):
+        index = self._indices.setdefault(text, len(self._texts))
+        if index == len(self._texts):
             self._texts.append(text)
-        return place
+        return index
 
     def __len__(self) -> int:
         return len(self._kinds)
@@ -190,7 +189,7 @@ class Column:
         """
         if OBJECT in self._kinds:
             return np.array(self.values(), dtype=float)
-        view: Floats = np.asarray(self._numbers)  # a view
+        view: Floats = np.asarray(self._numbers)  # shares the memory of the column
         view.setflags(write=False)
         return view
 
@@ -200,7 +199,7 @@ class RunTable(Sequence[Row]):
 
     Args:
         rows: the runs, in the order of replications.
-        units: the units of the metrics of the runs that are `Measured`, by name, but for those that are built in.
+        units: the units of the metrics of `Measured` runs by name, without built-in metrics.
     """
 
     def __init__(self, rows: Iterable[Row | Measured] = (), units: Mapping[str, str] = MappingProxyType({})):
@@ -224,13 +223,13 @@ class RunTable(Sequence[Row]):
 
     def _add(self, runs: Sequence[Measured]) -> None:
         """Append runs that did not fail."""
-        before = len(self.replications)
+        earlier = len(self.replications)
         self.replications.extend([run.replication for run in runs])
         self.seeds.extend([run.seed for run in runs])
         columns = columns_of([run.values for run in runs], MISSING)
         for name in columns:
             if name not in self._metrics:
-                self._metrics[name] = Column([MISSING] * before)
+                self._metrics[name] = Column([MISSING] * earlier)
         for name, column in self._metrics.items():
             column.extend(columns.get(name) or [MISSING] * len(runs))
 
@@ -244,8 +243,11 @@ class RunTable(Sequence[Row]):
     def __getitem__(self, k: int | slice) -> Row | list[Row]:
         if isinstance(k, slice):
             return [self[row] for row in range(len(self))[k]]
-        at = range(len(self))[k]
-        return self._failed[at] if at in self._failed else self._run(at - bisect_left(list(self._failed), at))
+        position = range(len(self))[k]
+        if position in self._failed:
+            return self._failed[position]
+        failed_before = bisect_left(list(self._failed), position)
+        return self._run(position - failed_before)
 
     def __iter__(self) -> Iterator[Row]:
         measured = map(self._run, range(len(self.replications)))

@@ -1,7 +1,8 @@
 """The store of a sweep: a SQLite file with a row per run, written by the process that dispatches the runs.
 
-Committed rows survive if this process is killed. Configuration, replication and root seed (from which the seeds of all
-runs of a sweep are derived) identify a row. A run that is in the store is repeated only if it failed or lacks a metric.
+Committed rows survive if this process is killed. A row is identified by its configuration, its replication and its root
+seed, from which the seeds of all runs of a sweep are derived. A run that is in the store is repeated only if it failed
+or lacks a metric.
 `SELECT * FROM results` has a column per metric.
 
 A row has the metrics that were computed for its run. The store records a hash of the code of each metric. A metric that
@@ -33,7 +34,7 @@ class Store(SweepProperties, RunRows):
     For the arguments see `StoreFile`.
 
     Attributes:
-        added: number of runs added by `add` since the store was opened, repeated ones included, merged ones not.
+        added: number of runs added since the store was opened, with repeated runs, but without merged ones.
 
     Raises:
         StoreError: if the file cannot be opened, is not a store, has another version, or is damaged.
@@ -50,22 +51,22 @@ class Store(SweepProperties, RunRows):
             raise
 
     @naming_the_file
-    def register(self, cells: Sequence[Configuration]) -> None:
+    def register(self, configurations: Sequence[Configuration]) -> None:
         """Add or replace configurations, in the given order and before all others in the store."""
-        entered = {cell.key: (json.dumps(cell.columns), cell.scenario.model_dump_json()) for cell in cells}
+        new = {one.key: (json.dumps(one.columns), one.scenario.model_dump_json()) for one in configurations}
         with self.writing() as database:
-            there = {key: tuple(columns) for key, _, *columns in self.rows("configurations", "ORDER BY place")}
-            remaining = {key: columns for key, columns in there.items() if key not in entered}
-            rows = ((key, place, *columns) for place, (key, columns) in enumerate((entered | remaining).items()))
+            stored = {key: tuple(columns) for key, _, *columns in self.rows("configurations", "ORDER BY place")}
+            remaining = {key: columns for key, columns in stored.items() if key not in new}
+            rows = ((key, place, *columns) for place, (key, columns) in enumerate((new | remaining).items()))
             database.executemany("INSERT OR REPLACE INTO configurations VALUES (?, ?, ?, ?)", rows)
 
     @naming_the_file
     def register_metrics(self, metrics: Mapping[str, tuple[str, str]]) -> None:
         """Record the unit and the hash of the code of metrics; values that other code computed are removed."""
         with self.writing() as database:
-            there = {name: (unit, code) for name, unit, code in self.rows("metrics")}
-            changed = {name: code for name, code in metrics.items() if there.get(name) != code}
-            outdated = {name for name, (_, code) in changed.items() if name in there and there[name][1] != code}
+            stored = {name: (unit, code) for name, unit, code in self.rows("metrics")}
+            changed = {name: code for name, code in metrics.items() if stored.get(name) != code}
+            outdated = {name for name, (_, code) in changed.items() if name in stored and stored[name][1] != code}
             for row in list(self.rows("runs")) if outdated else ():
                 if (numbers := self.numbers(row)) is not None:
                     self.put_run(row, {name: number for name, number in numbers.items() if name not in outdated})
@@ -74,9 +75,9 @@ class Store(SweepProperties, RunRows):
                 " code = excluded.code",
                 [(name, *code) for name, code in changed.items()],
             )
-            if not changed.keys() <= there.keys():
+            if not changed.keys() <= stored.keys():
                 database.execute("DROP VIEW results")
-                database.execute(view_of(tuple(there | changed)))
+                database.execute(view_of(tuple(stored | changed)))
         self._codes |= {name: code for name, (_, code) in metrics.items()}
 
     @property
@@ -139,15 +140,15 @@ class Store(SweepProperties, RunRows):
         return list(self.read_runs(key, root, self.units))
 
     @naming_the_file
-    def run_table(self, key: str, root: int, instead: Mapping[tuple[str, int], Row] = MappingProxyType({})) -> RunTable:
+    def run_table(self, key: str, root: int, others: Mapping[tuple[str, int], Row] = MappingProxyType({})) -> RunTable:
         """Return the runs of a configuration and a root seed as a table, which needs less memory than a list.
 
-        The rows of `instead`, by (configuration hash, replication), replace the rows of the same runs.
+        The rows of `others`, by (configuration hash, replication), replace the rows of the same runs.
         """
         units = self.units
         runs = self.read_measured(key, root, units)
         with RARE_COLLECTION:  # a third faster: the collector finds nothing among the runs that wait to be columns
-            return RunTable((instead.get((key, run.replication), run) for run in runs), added_units(units))
+            return RunTable((others.get((key, run.replication), run) for run in runs), added_units(units))
 
     @naming_the_file
     def configurations(self) -> list[tuple[str, dict[str, Any]]]:
@@ -172,7 +173,7 @@ class Store(SweepProperties, RunRows):
     def outcomes(self) -> tuple[frozenset[tuple[str, int]], frozenset[tuple[str, int]]]:
         """Return the runs that succeeded and those that failed, as pairs (hash of the configuration, replication)."""
         rows = self.database.execute("SELECT configuration, replication, status = 'ok' FROM runs").fetchall()
-        done, failed = (frozenset((key, k) for key, k, is_ok in rows if is_ok == wanted) for wanted in (1, 0))
+        done, failed = (frozenset((key, k) for key, k, is_ok in rows if is_ok == ok) for ok in (1, 0))
         return done, failed
 
     @naming_the_file
@@ -189,7 +190,7 @@ class Store(SweepProperties, RunRows):
 
     @naming_the_file
     def merge(self, other: "Store", *, mix_versions: bool = False) -> None:
-        """Add the runs of another store of the same sweep; a run that succeeded there replaces one that failed here.
+        """Add the runs of another store of the same sweep; a run that succeeded there replaces a failed one here.
 
         A run that succeeded in both has the metrics of both stores.
 
