@@ -1,7 +1,7 @@
 """Workers that are jobs of a batch system, submitted by an executor such as submitit's.
 
 The `submit` of such an executor returns no future of Python, but a job with `done` and `result`. A job takes seconds to
-start, so it performs runs for about a minute.
+start, so each job performs runs for about a minute.
 """
 
 import os
@@ -50,10 +50,10 @@ class JobWorkers(Workers):
         if number < 0:
             raise ValueError(f"the number of jobs should be at least 0, got {number}")
         super().__init__(executor, number or os.cpu_count())  # type: ignore[arg-type]
-        self.max_pending = self.count
+        self.max_pending = self.count  # jobs that wait count for the limit of an account, too
 
     def done(self, futures: Collection["Future[Any]"]) -> "set[Future[Any]]":
-        """Wait until at least one of the jobs has ended, and return all that have."""
+        """Wait until at least one of the jobs has ended, and return all that have ended."""
         while not (ended := {job for job in futures if job.done()}):
             time.sleep(POLL)
         return ended

@@ -115,43 +115,43 @@ def _in_batches(
     waiting: deque[int], submit: Submit, workers: Workers, warned: set[str]
 ) -> Generator[Batch, None, list[int]]:
     """Submit runs until a worker dies, and yield their outcomes; return the submitted runs without an outcome."""
-    out: dict[Future[Any], list[int]] = {}
+    submitted: dict[Future[Any], list[int]] = {}
     unaccounted: list[int] = []
-    broken, run_time = False, FIRST_RUN
+    is_broken, run_time = False, FIRST_RUN
     try:
-        while out or (waiting and not broken):
-            while waiting and not broken and len(out) < workers.max_pending:
-                fair = len(waiting) // (workers.shares * workers.count)
-                size = max(1, min(int(workers.batch_time / run_time), fair, workers.batch_size))
+        while submitted or (waiting and not is_broken):
+            while waiting and not is_broken and len(submitted) < workers.max_pending:
+                fair_size = len(waiting) // (workers.shares * workers.count)
+                size = max(1, min(int(workers.batch_time / run_time), fair_size, workers.batch_size))
                 batch = [waiting.popleft() for _ in range(size)]
                 try:
-                    out[submit(batch)] = batch
+                    submitted[submit(batch)] = batch
                 except BrokenExecutor:
-                    broken = True
+                    is_broken = True
                     waiting.extendleft(reversed(batch))
-            for future in workers.done(out):
-                batch = out.pop(future)
+            for future in workers.done(submitted):
+                batch = submitted.pop(future)
                 try:
                     outcomes, run_time = workers.result(future)
-                except ConnectionError:
+                except ConnectionError:  # of the workers: an exception of a run is in its outcome
                     raise
                 except Exception as error:
                     unaccounted += batch
-                    broken |= isinstance(error, BrokenExecutor)
+                    is_broken |= isinstance(error, BrokenExecutor)
                 else:
                     _warn(outcomes, warned)
                     yield list(zip(batch, outcomes, strict=True))
     finally:
-        for future in out:
+        for future in submitted:
             if hasattr(future, "cancel"):  # a job of a batch system may have none
                 future.cancel()
-    if broken:
+    if is_broken:
         workers.renew()
     return unaccounted
 
 
 def _warn(outcomes: Sequence[Outcome], warned: set[str]) -> None:
-    """Warn, in this process, of what runs warned of in their workers, once of each."""
+    """Warn, in this process, of what runs warned of in their workers, once for each text."""
     for text in dict.fromkeys(text for outcome in outcomes for text in outcome.warnings):
         if text not in warned:
             warned.add(text)
@@ -196,20 +196,20 @@ def _outcome(task: Task, measure: Measurement, simulate: Simulate) -> Outcome:
         ):
             result = simulate(copied, seed)
             if copied is not scenario and isinstance(result, Result):
-                result = replace(result, scenario=scenario)
+                result = replace(result, scenario=scenario)  # the caller's object, not its copy
             measured = fresh_measure(result)
         return Outcome("ok", measured, warnings=tuple(texts))
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # SystemExit, too
         _explain(error)
-        module = type(error).__module__  # with the folder in it, if the module lies beside a scenario file
+        module = type(error).__module__  # has the folder in its name, if the module lies beside a scenario file
         text = traceback.format_exc(limit=-INNERMOST).replace(f"{module}.", f"{plain_name(module)}.")
         return Outcome("error", error=_picklable(error), traceback=text, warnings=tuple(texts))
 
 
 def _explain(error: BaseException) -> None:
-    """Give a MemoryError without a text one that says what to do."""
+    """Give a MemoryError without a text a text that says what to do."""
     if isinstance(error, MemoryError) and not str(error):
         error.args = (OUT_OF_MEMORY,)
 

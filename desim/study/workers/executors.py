@@ -20,9 +20,9 @@ def workers_for(
     """Return the workers for an executor, the address of a Dask scheduler, or a number of processes.
 
     An executor whose `submit` returns jobs instead of futures is one of a batch system, such as submitit's. The number
-    0 stands for the number of cores. There are no more processes than `calls`, the largest number of calls, if it is
-    known. With the number 1, calls are made in this process. A run that takes longer than `timeout` s of wall time
-    counts as failed; workers of the user's keep their own limit, as several sweeps may share them.
+    0 stands for the number of cores. There are no more processes than `calls`, the largest number of calls, if it
+    is given. With the number 1, calls are made in this process. A run that takes longer than `timeout` s of wall time
+    counts as failed; `Workers` of the user are copied for this, because several sweeps may share them.
 
     Raises:
         ConnectionError: if Dask is not installed, or a scheduler does not answer or has no workers.

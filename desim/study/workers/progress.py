@@ -4,7 +4,7 @@ import sys
 from time import time
 from typing import TYPE_CHECKING, Any
 
-from tqdm.auto import tqdm as bar_of_this_place
+from tqdm.auto import tqdm as tqdm_of_output  # for a terminal or a notebook
 
 from desim.config.escaping import escaped
 
@@ -15,16 +15,15 @@ if TYPE_CHECKING:
 def progress(total: int | None, label: str, unit: str) -> "tqdm[Any]":
     """Return a progress bar, to be used in a `with` statement; `total` is None if the number of steps is not known."""
     in_notebook = "ipykernel.zmqshell" in sys.modules  # the output streams of a notebook are not a terminal
-    bar: tqdm[Any] = bar_of_this_place(
-        total=total, desc=escaped(label), unit=unit, disable=False if in_notebook else None
-    )
+    # None: tqdm shows the bar only on a terminal.
+    bar: tqdm[Any] = tqdm_of_output(total=total, desc=escaped(label), unit=unit, disable=False if in_notebook else None)
     return bar
 
 
 def advance(bar: "tqdm[Any]", steps: int) -> None:
     """Advance a bar by some steps; the time until the first of them, in which workers start, does not count.
 
-    The estimate of the time that is left would otherwise be that of a sweep whose every run starts all workers.
+    Otherwise the estimate of the remaining time would include a start of all workers for each run.
     """
     if not bar.n and not bar.disable:
         bar.initial, bar.start_t = steps, time()

@@ -30,7 +30,7 @@ _REGISTERING = RLock()
 class CallPickler(cloudpickle.Pickler):  # type: ignore[misc]
     """A pickler whose code objects keep the names of their files, so that tracebacks are the same in any process.
 
-    The code objects of cloudpickle 3.1.3 have no file. Objects that pass on the attributes of another one arrive, too.
+    The code objects of cloudpickle 3.1.3 have no file. Wrappers that pass on attributes of an object work, too.
     """
 
     dispatch_table: ClassVar = ChainMap(
@@ -47,17 +47,17 @@ class CallPickler(cloudpickle.Pickler):  # type: ignore[misc]
 
 def packed(call: Call) -> bytes:
     """Return a call as bytes, which include the functions and classes of user modules that the call refers to."""
-    written = io.BytesIO()
+    buffer = io.BytesIO()
     with _REGISTERING:  # cloudpickle registers modules for the whole process
-        modules = [sys.modules[name] for name in _own_modules() - set(cloudpickle.list_registry_pickle_by_value())]
+        modules = [sys.modules[name] for name in _user_modules() - set(cloudpickle.list_registry_pickle_by_value())]
         for module in modules:
             cloudpickle.register_pickle_by_value(module)
         try:
-            CallPickler(written).dump(call)
+            CallPickler(buffer).dump(call)
         finally:
             for module in modules:
                 cloudpickle.unregister_pickle_by_value(module)
-    return written.getvalue()
+    return buffer.getvalue()
 
 
 def called(call: bytes) -> bytes:
@@ -65,13 +65,13 @@ def called(call: bytes) -> bytes:
     return bytes(cloudpickle.dumps(pickle.loads(call)()))
 
 
-def _own_modules() -> set[str]:
+def _user_modules() -> set[str]:
     """Return the names of the imported user modules; not `__main__`, which cloudpickle includes by itself."""
-    return {name for name in tuple(sys.modules) if name != "__main__" and _is_own(name)}
+    return {name for name in tuple(sys.modules) if name != "__main__" and _is_user_module(name)}
 
 
 @cache
-def _is_own(name: str) -> bool:
+def _is_user_module(name: str) -> bool:
     """Return whether a module is a Python source file that is neither installed nor part of `desim` or `protocols`."""
     file = getattr(sys.modules[name], "__file__", None) or ""
     is_ours = name.partition(".")[0] in OURS

@@ -35,7 +35,7 @@ class Workers:
     batch_size = 64
     """The largest number of runs in a batch."""
     shares = 2
-    """How many batches each worker still gets when the runs run out; more balance unequal runs, fewer cost less."""
+    """The number of batches that each worker still gets at the end; more balance unequal runs, fewer cost less."""
     timeout: float | None = None
     """The wall time of a run, s, after which it counts as failed; None: no limit; see `workers_for`."""
 
@@ -58,7 +58,7 @@ class Workers:
         return self.executor.submit(called, content)
 
     def done(self, futures: Collection[Future[Any]]) -> set[Future[Any]]:
-        """Wait until at least one of the given calls has ended, and return all that have.
+        """Wait until at least one of the given calls has ended, and return all that have ended.
 
         Raises:
             ConnectionError: if no call can end because the workers are lost.
@@ -162,8 +162,8 @@ class Cluster(Workers):
         try:
             self._client = _within(patience, lambda: Client(address, timeout=patience, set_as_default=False))
         except (OSError, ValueError) as error:  # time-outs are OSErrors
-            why = f" ({error})" if str(error) else ""
-            raise ConnectionError(f"{address}: no scheduler answers within {patience:g} s{why}") from error
+            reason = f" ({error})" if str(error) else ""
+            raise ConnectionError(f"{address}: no scheduler answers within {patience:g} s{reason}") from error
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # we raise ConnectionErrors instead
         self._address, self._patience = address, patience
         try:
@@ -174,7 +174,7 @@ class Cluster(Workers):
         super().__init__(self._client.get_executor(pure=False), portable_sum(self._client.nthreads().values()), address)
 
     def done(self, futures: Collection[Future[Any]]) -> set[Future[Any]]:
-        """Wait until at least one of the given calls has ended, and return all that have.
+        """Wait until at least one of the given calls has ended, and return all that have ended.
 
         Raises:
             ConnectionError: if the cluster has no workers within the time-out.
@@ -216,20 +216,20 @@ def _pool(count: int, *, kept: bool) -> Executor:
         )
 
 
-def _within(patience: float, act: Callable[[], Returned]) -> Returned:
+def _within(patience: float, request: Callable[[], Returned]) -> Returned:
     """Make a request and return its result, or raise TimeoutError after 1.5 x `patience` seconds.
 
     The time-out of the Dask client is not enough: the client may wait forever for a scheduler.
     """
     future: Future[Returned] = Future()
 
-    def make() -> None:
+    def send() -> None:
         try:
-            future.set_result(act())
+            future.set_result(request())
         except BaseException as error:
             future.set_exception(error)
 
-    threading.Thread(target=make, daemon=True).start()
+    threading.Thread(target=send, daemon=True).start()
     return future.result(1.5 * patience)
 
 
@@ -245,11 +245,11 @@ def _block_signals() -> Iterator[None]:
         yield
         return
     with deferred():
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        previous_mask = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
         try:
             yield
         finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)  # pending signals are recorded now
+            signal.pthread_sigmask(signal.SIG_SETMASK, previous_mask)  # pending signals are recorded now
 
 
 def _init_worker(driver: int) -> None:
