@@ -24,13 +24,13 @@ LOGS, CLAIMS = "logs", "claims"
 WARNED = 60
 """The time before the end of a part at which Slurm warns it, s; Slurm looks at the time once a minute."""
 RESTARTS = 20
-"""How often a part is run again: a single run that takes longer than the time of a part would never end."""
+"""The largest number of times that a part is run again; a run that takes longer than a part may never end otherwise."""
 SLURM_TIMEOUT = 30.0
 """The time limit of a command of Slurm, s."""
 
 
 class SlurmError(OSError):
-    """Raised when a command of Slurm is missing or fails; the message has what it said."""
+    """Raised when a command of Slurm is missing or fails; the message has the output of the command."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +52,7 @@ class ArrayJob:
         """Write the record to a folder.
 
         Raises:
-            OSError: if it cannot be written.
+            OSError: if the record cannot be written.
         """
         write_whole(folder / RECORD, f"{json.dumps(asdict(self), indent=2)}\n".encode())
 
@@ -61,7 +61,7 @@ class ArrayJob:
         """Return the record in a folder; None if there is none.
 
         Raises:
-            ValueError: if the file is no such record.
+            ValueError: if the file is not such a record.
         """
         path = folder / RECORD
         try:
@@ -87,7 +87,7 @@ class ArrayJob:
 
 @dataclass(frozen=True, kw_only=True)
 class Resources:
-    """What each part of an array job asks for."""
+    """The resources that each part of an array job requests."""
 
     time: str = "02:00:00"
     """The time limit, as Slurm writes it."""
@@ -151,8 +151,8 @@ def merge_script(job: ArrayJob, folder: Path, program: Sequence[str], made_by: s
 def _head(name: str, made_by: str, options: Sequence[str]) -> str:
     """Return the first lines of a script: its options, and its working folder."""
     lines = [f"#SBATCH {shlex.quote(option)}" for option in (f"--job-name={name}", *options)]
-    place = f"cd {shlex.quote(str(Path.cwd()))}"
-    return "\n".join(["#!/bin/bash", *lines, f"# Made by: {made_by}", "set -uo pipefail", place])
+    change_folder = f"cd {shlex.quote(str(Path.cwd()))}"
+    return "\n".join(["#!/bin/bash", *lines, f"# Made by: {made_by}", "set -uo pipefail", change_folder])
 
 
 def _logs(folder: Path) -> str:

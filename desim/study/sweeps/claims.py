@@ -1,7 +1,7 @@
 """Lots of runs that workers claim by file, so that the fast ones do what slow ones have not begun.
 
 The workers share a folder. The file of a lot is a lock that its worker holds while it performs the runs; when the lot
-is done, another file says so. The lot of a worker that died is claimed again as soon as its lock is stale; see
+is done, a second file marks it. The lot of a worker that died is claimed again as soon as its lock is stale; see
 `desim.study.store.lock_file`. Each worker has a store of its own, and `desim merge` puts the stores together.
 """
 
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from desim.study.store.run_table import Row
 
 LARGEST = 50
-"""The largest number of runs in a lot: what is repeated if a worker dies, and what others wait for at the end."""
+"""The largest number of runs in a lot: these are repeated if a worker dies, and others may wait for them at the end."""
 LOTS = 100
-"""The number of lots of a sweep that has as many runs, so that there are enough for many workers."""
+"""The least number of lots of a sweep with at least as many runs, so that there are enough for many workers."""
 
 
 class Claims:
@@ -47,24 +47,24 @@ class Claims:
         self.folder.mkdir(parents=True, exist_ok=True)
 
     def __iter__(self) -> Iterator[tuple[int, LockFile]]:
-        """Yield the number and the lock of each lot that this process gets, once; it must release the lock.
+        """Yield the number and the lock of each lot that this process gets; the caller must release the lock.
 
-        After the last lot, those are tried again that another process had claimed and did not end.
+        After the last lot, the lots that another process claimed and did not finish are tried again.
         """
-        got: set[int] = set()
-        before = -1
-        while len(got) > before:  # until nothing was got in a whole round
-            before = len(got)
+        claimed: set[int] = set()
+        claimed_before = -1
+        while len(claimed) > claimed_before:  # until a whole round yields no lot
+            claimed_before = len(claimed)
             for number in range(len(self.lots)):
-                if number in got or self._done(number).exists():
+                if number in claimed or self._done(number).exists():
                     continue
                 lock = LockFile(self.folder / f"{number}.claim")
                 if lock.try_acquire() is not None:
                     continue
-                if self._done(number).exists():  # the one before has just ended it
+                if self._done(number).exists():  # the process that held the lock has just finished the lot
                     lock.release()
                 else:
-                    got.add(number)
+                    claimed.add(number)
                     yield number, lock
 
     def finish(self, number: int) -> None:
@@ -72,7 +72,7 @@ class Claims:
         write_whole(self._done(number), b"")
 
     def held(self) -> list[int]:
-        """Return the numbers of the lots that a process has claimed and not ended."""
+        """Return the numbers of the lots that a process has claimed and not released."""
         return [number for number in range(len(self.lots)) if (self.folder / f"{number}.claim").exists()]
 
     def done(self) -> list[int]:
@@ -80,7 +80,7 @@ class Claims:
         return [number for number in range(len(self.lots)) if self._done(number).exists()]
 
     def settle(self, done: Set[tuple[str, int]]) -> None:
-        """Let just the lots be claimed of which a run is not done: it failed, its store was lost, or it is new.
+        """Reopen the lots with a run that is not done (failed, new, or in a lost store), and finish the others.
 
         Args:
             done: the runs that succeeded, as pairs (hash of the configuration, replication).
@@ -103,10 +103,10 @@ def lots_of(plan: SweepPlan) -> list[list[Job]]:
 
 
 def _identity(plan: SweepPlan) -> str:
-    """Return a name that equal plans have."""
+    """Return the name that equal plans share, and no other plan has."""
     keys = sorted(configuration.key for configuration in plan.configurations)
-    whole = [plan.about, keys, plan.reps, units_and_codes(plan.metrics)]
-    return hashlib.sha256(json.dumps(whole, sort_keys=True, default=list).encode()).hexdigest()[:16]
+    content = [plan.about, keys, plan.reps, units_and_codes(plan.metrics)]
+    return hashlib.sha256(json.dumps(content, sort_keys=True, default=list).encode()).hexdigest()[:16]
 
 
 def carry_out_claimed(

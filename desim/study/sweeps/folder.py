@@ -36,7 +36,7 @@ def open(path: str | PathLike[str], *, allow_import: bool = False) -> Result | S
         allow_import: whether run.json may name code to be imported; see `desim.load`. A sweep is read without imports.
 
     Raises:
-        TypeError: if it is not a path.
+        TypeError: if the path is not a path.
         ValueError: if the path has no run and no sweep, or both (the message says what it has), or if the trace or
             run.json is damaged or of another format.
         OSError: if a file does not exist or cannot be read, or if a store is damaged or of another format.
@@ -46,17 +46,17 @@ def open(path: str | PathLike[str], *, allow_import: bool = False) -> Result | S
     if path.is_dir():
         path = _file_in(path)
     elif path.exists() and path.name != TRACE and path.suffix != ".sqlite":
-        raise ValueError(f"{path}: is not a result: give a folder, a {TRACE} or a .sqlite{_of_scenario(path)}")
+        raise ValueError(f"{path}: is not a result: give a folder, a {TRACE} or a .sqlite{_scenario_hint(path)}")
     if path.name == TRACE:
         return run_folder.read(path.parent, allow_import=allow_import)
     with Store(path, read_only=True) as store:
         return SweepResult.of(store)
 
 
-def _of_scenario(path: Path) -> str:
+def _scenario_hint(path: Path) -> str:
     """Return how to make a result of a scenario file, as the end of a message; "" for any other file."""
-    how = f"; `desim sweep {path} -o DIR` makes one of this scenario, and load({str(path)!r}) reads it"
-    return how if path.suffix == ".toml" else ""
+    hint = f"; `desim sweep {path} -o DIR` makes one of this scenario, and load({str(path)!r}) reads it"
+    return hint if path.suffix == ".toml" else ""
 
 
 @naming_arguments
@@ -78,19 +78,21 @@ def compare(
     Raises:
         ValueError: if a sweep has no numeric metric of a name, the two have no configuration in common, one varies a
             key that the other does not have, or a path is that of no sweep.
-        TypeError: if one is neither a sweep nor a path.
+        TypeError: if `first` or `second` is neither a sweep nor a path.
         OSError: if a store cannot be read.
     """
     sweeps = [_sweep_of(value) for value in (first, second)]
     paths = [None if isinstance(value, SweepResult) else str(value) for value in (first, second)]
     names = [path or sweep.name for path, sweep in zip(paths, sweeps, strict=True)]
     if names[0] == names[1]:
-        names = [f"{name} ({place})" for name, place in zip(names, ("first", "second"), strict=True)]
-    bases = [
-        None if path is None else _base(Path(path), sweep, other)
+        names = [f"{name} ({order})" for name, order in zip(names, ("first", "second"), strict=True)]
+    shared_values = [
+        None if path is None else _shared_values(Path(path), sweep, other)
         for path, sweep, other in zip(paths, sweeps, reversed(sweeps), strict=True)
     ]
-    changes = {} if bases[0] is None or bases[1] is None else _changes(bases[0], bases[1])
+    changes = (
+        {} if shared_values[0] is None or shared_values[1] is None else _changes(shared_values[0], shared_values[1])
+    )
     return Comparison.of(sweeps[0], sweeps[1], metrics, (names[0], names[1]), changes)
 
 
@@ -99,7 +101,7 @@ def _sweep_of(value: SweepResult | str | PathLike[str]) -> SweepResult:
 
     Raises:
         ValueError: if the path is that of no sweep.
-        TypeError: if it is neither a sweep nor a path.
+        TypeError: if the value is neither a sweep nor a path.
     """
     if isinstance(value, SweepResult):
         return value
@@ -110,17 +112,17 @@ def _sweep_of(value: SweepResult | str | PathLike[str]) -> SweepResult:
     return result
 
 
-def _base(path: Path, sweep: SweepResult, other: SweepResult) -> dict[str, str]:
+def _shared_values(path: Path, sweep: SweepResult, other: SweepResult) -> dict[str, str]:
     """Return the values, as JSON text by dotted key, that all configurations of a sweep share.
 
-    Keys in the grids of both sweeps are left out. A key with one value in this grid only has that of a configuration.
+    Keys in the grids of both sweeps are left out. A key that only this grid has must have one value, which is included.
     """
     with Store(_file_in(path) if path.is_dir() else path, read_only=True) as store:
         shared = store.read_property("scenario", dict[str, Any]) if "scenario" in store.about else {}
         (row,) = store.rows("configurations", "ORDER BY place LIMIT 1")
-        whole = flat(store.read(adapter_of(Json[dict[str, Any]]), "configurations", row, SCENARIO))
-    only_here = tuple(f"{key}." for key in sweep.keys if key not in other.keys)
-    shared |= {key: value for key, value in whole.items() if f"{key}.".startswith(only_here)}
+        values = flat(store.read(adapter_of(Json[dict[str, Any]]), "configurations", row, SCENARIO))
+    own_keys = tuple(f"{key}." for key in sweep.keys if key not in other.keys)
+    shared |= {key: value for key, value in values.items() if f"{key}.".startswith(own_keys)}
     return {key: json.dumps(value) for key, value in shared.items()}
 
 
@@ -146,11 +148,11 @@ def _file_in(folder: Path) -> Path:
 
 def contents(folder: Path) -> str:
     """Return a description of a folder that has no result of its own."""
-    where = shlex.quote(str(folder))
+    quoted = shlex.quote(str(folder))
     if parts := _names(part.name for part in folder.glob(STORE_PARTS)):
-        return f"has parts of a sweep ({parts}): merge them first: desim merge {where} -o {where}"
-    if below := _names({file.parent.name for name in (TRACE, STORE) for file in folder.glob(f"*/{name}")}):
-        return f"has no result itself, but its folders have ({below}): give one of them"
+        return f"has parts of a sweep ({parts}): merge them first: desim merge {quoted} -o {quoted}"
+    if with_results := _names({file.parent.name for name in (TRACE, STORE) for file in folder.glob(f"*/{name}")}):
+        return f"has no result itself, but its folders have ({with_results}): give one of them"
     if (folder / provenance.FILE).exists():
         kind = provenance.read(folder / provenance.FILE)["what"]
         return f"has the {provenance.FILE} of {kind!r}, but neither {TRACE} nor {STORE}"

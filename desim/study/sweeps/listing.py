@@ -22,7 +22,7 @@ HEAD = ("folder", "kind", "scenario", "date", "runs", "state")
 UNPLANNED = ("explain", "race", "sensitivity")
 """The kinds of results of which `run.json` does not say how many runs their store should have."""
 TAIL = 4096
-"""The number of bytes at the end of a trace in which its last event is looked for."""
+"""The number of bytes at the end of a trace that are searched for its last event."""
 
 
 @dataclass(frozen=True)
@@ -89,8 +89,8 @@ def ls(folder: str | Path = "out") -> Listing:
     followed, and no code of a result is run.
 
     Raises:
-        TypeError: if it is no path.
-        NotADirectoryError: if it is no folder.
+        TypeError: if the folder is not given as a path.
+        NotADirectoryError: if the path is not that of a folder.
     """
     RESULTS.check(folder, "ls")
     folder = Path(folder)
@@ -100,20 +100,20 @@ def ls(folder: str | Path = "out") -> Listing:
 
 
 def _entries(folder: Path) -> Iterator[Entry]:
-    for place, folders, names in os.walk(folder):
+    for path, folders, names in os.walk(folder):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
-        here = Path(place)
-        stores = [here / STORE] if STORE in names else sorted(here.glob(STORE_PARTS))
-        files = [*stores, *(here / name for name in (TRACE, provenance.FILE) if name in names)]
-        if TRACE in names or stores or (provenance.FILE in names and not _is_batch(here, folders)):
-            yield _entry(here, stores, TRACE in names, max(map(_modified, files)))
-        for store in sorted(here.glob("*.sqlite")):
+        current = Path(path)
+        stores = [current / STORE] if STORE in names else sorted(current.glob(STORE_PARTS))
+        files = [*stores, *(current / name for name in (TRACE, provenance.FILE) if name in names)]
+        if TRACE in names or stores or (provenance.FILE in names and not _is_batch(current, folders)):
+            yield _entry(current, stores, TRACE in names, max(map(_modified, files)))
+        for store in sorted(current.glob("*.sqlite")):
             if store.name != STORE and not store.match(STORE_PARTS) and (entry := _entry_of_store(store)) is not None:
                 yield entry
 
 
 def _modified(path: Path) -> float:
-    """Return the time at which a file was written, s since 1970; that of a link to nothing, and 0 if it is gone."""
+    """Return the time at which a file, or a link to nothing, was written, s since 1970; 0 if it is gone."""
     for look in (path.stat, path.lstat):
         with suppress(OSError):
             return look().st_mtime
@@ -130,7 +130,7 @@ def _entry_of_store(path: Path) -> Entry | None:
 
 
 def _is_batch(folder: Path, folders: list[str]) -> bool:
-    """Return whether a folder has only the folders of several runs, each of which has an entry."""
+    """Return whether the runs of a folder are in its subfolders, each of which has an entry."""
     return any((folder / name / TRACE).exists() for name in folders)
 
 
@@ -172,17 +172,18 @@ def _stored(stores: list[Path], planned: int | None, plan: PlannedRuns | None) -
                     done = store.count(plan.configurations, plan.reps)
                 else:  # they may have runs in common
                     outcomes.update(*store.outcomes())
-    includes = plan.includes(keys) if plan is not None and keys else None
-    done = done or (len([*filter(includes, outcomes)]) if keys else runs)
-    parts = ["parts of a sweep: merge them"] if stores[0].match(STORE_PARTS) else []
+    was_planned = plan.includes(keys) if plan is not None and keys else None
+    # Without a record of the planned configurations, all runs count as done.
+    done = done or (len([*filter(was_planned, outcomes)]) if keys else runs)
+    notes = ["parts of a sweep: merge them"] if stores[0].match(STORE_PARTS) else []
     if planned is None or not runs:
-        parts += [] if runs else ["empty"]
-    elif keys and includes is None:
-        parts.append(f"has runs of another grid than that of {provenance.FILE}")
+        notes += [] if runs else ["empty"]
+    elif keys and was_planned is None:
+        notes.append(f"has runs of another grid than that of {provenance.FILE}")
     elif done < planned:
-        parts.append(f"unfinished: {done:,} of {'at most ' * (plan is not None and plan.is_most)}{planned:,}")
-    parts += [f"{failed:,} failed"] if failed else []
-    return name, runs, "; ".join(parts or ["complete"])
+        notes.append(f"unfinished: {done:,} of {'at most ' * (plan is not None and plan.is_most)}{planned:,}")
+    notes += [f"{failed:,} failed"] if failed else []
+    return name, runs, "; ".join(notes or ["complete"])
 
 
 def _tail(path: Path) -> bytes:

@@ -20,12 +20,12 @@ def metric_value(metric: str, configuration: Configuration, row: Row) -> float:
     """Return the value of a metric in a run, as a finite number.
 
     Raises:
-        NoMeanError: if there is none, or it is infinite.
+        NoMeanError: if the run has no value, or an infinite one.
     """
     where, value = f"{words(metric)}: the run of {configuration} with seed {row.seed}", row.value(metric)
     if value is None:
-        instead = "; end_time counts the horizon where there is no capture" if "capture_time" in metric else ""
-        raise NoMeanError(f"{where} has no value, and a mean over all seeds needs one in every run{instead}")
+        hint = "; end_time counts the horizon where there is no capture" if "capture_time" in metric else ""
+        raise NoMeanError(f"{where} has no value, and a mean over all seeds needs one in every run{hint}")
     if not isfinite(value):
         raise NoMeanError(f"{where} is {float(value)}, and a mean needs finite values")
     return float(value)
@@ -38,8 +38,8 @@ def metric_values(plan: SweepPlan, result: SweepResult, metric: str) -> Floats:
         NoMeanError: if a run has no value, or an infinite one.
     """
     values = np.empty((len(plan.configurations), plan.reps))
-    for of_configuration, configuration, group in zip(values, plan.configurations, result.groups, strict=True):
+    for row_of_values, configuration, group in zip(values, plan.configurations, result.groups, strict=True):
         for row in group.rows:
             if row.replication < plan.reps:
-                of_configuration[row.replication] = metric_value(metric, configuration, row)
+                row_of_values[row.replication] = metric_value(metric, configuration, row)
     return values

@@ -16,19 +16,19 @@ class PlannedRuns:
     """The runs that a sweep planned."""
 
     count: int
-    """Their number."""
+    """The number of runs."""
     is_most: bool = False
-    """Whether `count` is a bound only, as the sweep ends when a mean is precise enough."""
+    """Whether `count` is only an upper bound, because the sweep ends when a mean is precise enough."""
     configurations: int | None = None
-    """The number of its configurations; None if it was not recorded."""
+    """The number of configurations of the sweep; None if it was not recorded."""
     digest: str = ""
-    """The digest of their hashes."""
+    """The digest of the hashes of these configurations."""
     reps: int | None = None
-    """The number of runs of each; None if it was not recorded, or differs."""
+    """The number of runs of each configuration; None if it was not recorded, or differs."""
 
     @classmethod
     def of(cls, document: provenance.Document) -> Self | None:
-        """Return the runs of a run.json; None if it is not that of a sweep."""
+        """Return the runs that a run.json plans; None if it is not that of a sweep."""
         if document["what"] != "sweep":
             return None
         grid, reps = document.get("configurations"), document.get("reps")
@@ -42,9 +42,9 @@ class PlannedRuns:
         )
 
     def includes(self, stored: Iterable[Sequence[str]]) -> Callable[[Run], bool] | None:
-        """Return whether a run was planned, as a function; None if it cannot be told.
+        """Return a function that tells whether a run was planned; None if no store begins with these configurations.
 
-        `stored` holds the hashes of the configurations in each store, in its order: the last sweep has the first ones.
+        `stored` holds the hashes of the configurations in each store, in its order: those of the last sweep come first.
         """
         planned = None
         if self.configurations is not None:
@@ -56,7 +56,7 @@ class PlannedRuns:
 
 
 def entries(keys: Collection[str], reps: int | None, until: tuple[str, float] | None) -> dict[str, Any]:
-    """Return the entries of a run.json from which `PlannedRuns.of` takes what was planned, `runs` apart.
+    """Return the entries of a run.json that `PlannedRuns.of` reads, except `runs`.
 
     A digest stands for the configurations: the hashes of 100,000 would take 6.6 MB.
     """

@@ -41,7 +41,7 @@ class SweepStatus:
     planned: int | None
     """The number of its runs; None if nobody recorded it, or the sweep ends when a mean is precise enough."""
     done: int
-    """The number of these that succeeded, each counted once."""
+    """The number of planned runs that succeeded, each counted once."""
     failed: int
     parts: tuple[SweepPart, ...]
 
@@ -82,7 +82,7 @@ def status(folder: str | Path) -> SweepStatus:
     sweep writes to them, and the states of parts from squeue if there is one.
 
     Raises:
-        TypeError: if it is no path.
+        TypeError: if the folder is not given as a path.
         ValueError: if the folder has no sweep.
         OSError: if it cannot be read.
     """
@@ -96,18 +96,21 @@ def status(folder: str | Path) -> SweepStatus:
         raise ValueError(
             f"{folder}: has no sweep: neither {STORE} nor parts of one; `desim sweep FILE -o {folder}` makes one"
         )
-    live = states(job.jobs) if job is not None else {}
+    slurm_states = states(job.jobs) if job is not None else {}
     counts = {name: _Counts.of(path) for name, path in stores.items()}
     parts = []
     for name, count in counts.items():
         planned = job.planned(int(name)) if job is not None and name.isdecimal() else None
-        parts.append(SweepPart(name, planned, len(count.done), len(count.failed), _state(name, count, planned, live)))
+        parts.append(
+            SweepPart(name, planned, len(count.done), len(count.failed), _state(name, count, planned, slurm_states))
+        )
     plan = PlannedRuns(job.runs) if job is not None else _planned(folder)
     done = frozenset().union(*(count.done for count in counts.values()))
     failed = frozenset().union(*(count.failed for count in counts.values())) - done
     includes = plan.includes(count.keys for count in counts.values()) if plan is not None else None
     if includes is not None:  # a store may have runs of other grids
         done, failed = frozenset(filter(includes, done)), frozenset(filter(includes, failed))
+    # A plan of fewer runs than are done is that of another sweep.
     is_known = plan is not None and includes is not None and not plan.is_most and len(done) <= plan.count
     name = job.name if job is not None else next((count.name for count in counts.values() if count.name), "")
     return SweepStatus(name, plan.count if plan and is_known else None, len(done), len(failed), tuple(parts))
@@ -151,10 +154,10 @@ def _stores(folder: Path, job: ArrayJob | None) -> Iterator[tuple[str, Path]]:
         yield ("merged" if job is not None else STORE), folder / STORE
 
 
-def _state(name: str, count: _Counts, planned: int | None, live: Mapping[int, str]) -> str:
+def _state(name: str, count: _Counts, planned: int | None, slurm_states: Mapping[int, str]) -> str:
     """Return the state of a part."""
-    if name.isdecimal() and int(name) in live:
-        return str(live[int(name)])
+    if name.isdecimal() and int(name) in slurm_states:
+        return str(slurm_states[int(name)])
     if count.problem:
         return count.problem
     if planned is not None:
@@ -163,7 +166,7 @@ def _state(name: str, count: _Counts, planned: int | None, live: Mapping[int, st
 
 
 def _planned(folder: Path) -> PlannedRuns | None:
-    """Return the runs of the sweep in a folder, from its run.json or that of a part; None if unknown."""
+    """Return the runs of the sweep in a folder, from its run.json or that of a part; None if there is none."""
     for path in (folder / provenance.FILE, *sorted(folder.glob(f"*/{provenance.FILE}"))):
         try:
             made = provenance.read(path)

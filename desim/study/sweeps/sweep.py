@@ -53,9 +53,9 @@ def sweep(
     Use this function to compare configurations on equal seeds. Give a long sweep a `store`: if interrupted, it resumes
     from there.
 
-        found = sweep(Scenario(), {"network.latency.value": [0.0, 0.1], "network.range": [5.0, inf]}, reps=100)
-        print(found)
-        found.to_frame().groupby("network.range").active_time.mean()
+        swept = sweep(Scenario(), {"network.latency.value": [0.0, 0.1], "network.range": [5.0, inf]}, reps=100)
+        print(swept)
+        swept.to_frame().groupby("network.range").active_time.mean()
         print(sweep(Scenario(), grid, metrics={"late": lambda result: end_time(result) > 4.0}).table(["late"]))
 
     Args:
@@ -85,7 +85,7 @@ def sweep(
             SimPy or networkx computed the runs. Last digits may then differ between runs.
 
     Raises:
-        TypeError: if it is not a scenario, or the grid is not a mapping; the message says what to write instead.
+        TypeError: if `scenario` is no scenario, or the grid is not a mapping; the message says what to write instead.
         ScenarioError: if the scenario or the grid is invalid; the message lists the errors.
         ValueError: if there are no runs, a number is out of its range, the metric of `until` does not exist or is not
             numeric, or a metric of `metrics` has a wrong name, is not a function or has no stable hash.
@@ -98,15 +98,15 @@ def sweep(
     if until is not None:
         pair: Any = until
         if not isinstance(pair, list | tuple) or len(pair) != 2:
-            form = "('active_time', 0.1)"
+            example = "('active_time', 0.1)"
             raise ValueError(
-                f"until should be a metric and a half width, {form} for instance (got {value_text(until)})"
+                f"until should be a metric and a half width, {example} for instance (got {value_text(until)})"
             )
         until = until[0], real(until[1], f"the half width of {until[0]}")
         check_target(*until, plan.metrics)
-    with workers_for(executor, plan.runs, timeout) as workers, Store(store) as kept:
-        plan.register(kept, mix_versions=mix_versions)
-        return carry_out(plan, kept, workers, until=until, fail_fast=fail_fast)
+    with workers_for(executor, plan.runs, timeout) as workers, Store(store) as sweep_store:
+        plan.register(sweep_store, mix_versions=mix_versions)
+        return carry_out(plan, sweep_store, workers, until=until, fail_fast=fail_fast)
 
 
 def carry_out(
@@ -138,7 +138,7 @@ def carry_out(
     failed: dict[tuple[str, int], Row] = {}
     is_started = False
     while True:
-        jobs = plan.shard(*shard) if until is None else _wanted(plan, store, *until, failed.keys())
+        jobs = plan.shard(*shard) if until is None else _jobs_until(plan, store, *until, failed.keys())
         jobs = [(configuration, k) for configuration, k in jobs if (configuration.key, k) not in done]
         if not jobs:
             return SweepResult.of(store, [configuration.key for configuration in plan.configurations], failed)
@@ -182,8 +182,8 @@ def job_batches(
     with closing(drive_batches(tasks, workers, measure)) as batches:
         for batch in batches:
             rows = [
-                (jobs[at][0], Row(jobs[at][1], seeds[at], outcome.status, outcome.value, outcome.traceback))
-                for at, outcome in batch
+                (jobs[k][0], Row(jobs[k][1], seeds[k], outcome.status, outcome.value, outcome.traceback))
+                for k, outcome in batch
             ]
             store.add_all(plan.root, [(configuration.key, row) for configuration, row in rows])
             yield rows
@@ -197,14 +197,14 @@ def check_ok(configuration: Configuration, row: Row) -> None:
         raise error
 
 
-def check_target(metric: str, half_width: float, added: UsersMetrics = ()) -> None:
+def check_target(metric: str, half_width: float, user_metrics: UsersMetrics = ()) -> None:
     """Raise ValueError if there is no numeric metric of this name, or its target half width is not positive."""
-    check_numeric(metric, dict(added))
+    check_numeric(metric, dict(user_metrics))
     if not half_width > 0.0:
         raise ValueError(f"the half width of {metric} should be positive, got {half_width}")
 
 
-def _wanted(
+def _jobs_until(
     plan: SweepPlan, store: Store, metric: str, half_width: float, failed: Collection[tuple[str, int]]
 ) -> list[Job]:
     """Return runs 0 .. n - 1 of each configuration; n is the number of runs that the half width needs.
@@ -215,11 +215,11 @@ def _wanted(
     jobs: list[Job] = []
     for configuration in plan.configurations:
         stored = store.runs(configuration.key, plan.root)
-        rows = {row.replication: row.summary for row in stored if row.summary is None or metric in row.summary}
-        rows |= {k: None for key, k in failed if key == configuration.key}
-        # Runs are stored as they end, so short runs are over-represented beyond the first gap in the replications. Only
-        # the runs before this gap count.
-        first = takewhile(rows.__contains__, count())
-        values = [None if (numbers := rows[k]) is None else numbers[metric] for k in first]
+        summaries = {row.replication: row.summary for row in stored if row.summary is None or metric in row.summary}
+        summaries |= {k: None for key, k in failed if key == configuration.key}
+        # Only runs before the first gap in the replications count: runs are stored as they end, so that beyond the gap
+        # short runs are over-represented.
+        before_gap = takewhile(summaries.__contains__, count())
+        values = [None if (numbers := summaries[k]) is None else numbers[metric] for k in before_gap]
         jobs += [(configuration, k) for k in range(runs_needed(values, half_width, at_most=plan.reps))]
     return jobs

@@ -63,7 +63,7 @@ class SweepPlan:
         `metrics` are measured in addition to those that the scenario names (`record.metrics`).
 
         Raises:
-            TypeError: if it is not a scenario, or the grid is not a mapping; the message says what to write instead.
+            TypeError: if `scenario` is no scenario, or the grid no mapping; the message says what to write instead.
             ScenarioError: if the scenario or the grid is invalid; the message lists the errors.
             ValueError: if there are no runs, the seed is negative, or a metric has a wrong name or is not a function.
         """
@@ -71,20 +71,20 @@ class SweepPlan:
         base = validate(source)
         reps = whole(base.sweep.reps if reps is None else reps, "reps")
         root = base.seed if seed is None else seed_of(seed)
-        added = users_metrics(base.record.metrics, {} if metrics is None else metrics)
-        chosen = tuple(configurations(source, grid, design))
-        return cls(without_metrics(base), chosen, reps, root, base.sweep.seeds == "common", added)
+        user_metrics = users_metrics(base.record.metrics, {} if metrics is None else metrics)
+        all_configurations = tuple(configurations(source, grid, design))
+        return cls(without_metrics(base), all_configurations, reps, root, base.sweep.seeds == "common", user_metrics)
 
     def __post_init__(self) -> None:
         if self.reps < 1:
             raise ValueError(f"there should be at least one run of each configuration, got {self.reps}")
-        run_seed(self.root, self.reps - 1)
+        run_seed(self.root, self.reps - 1)  # refuses more runs than a root seed has seeds
 
     @property
     def about(self) -> dict[str, Any]:
         """The properties that identify the sweep; a store belongs to one sweep."""
         keys = sorted(self.configurations[0].settings)
-        swept = tuple(f"{key}." for key in keys)
+        swept_prefixes = tuple(f"{key}." for key in keys)
         sources = {
             name: source
             for configuration in self.configurations
@@ -96,7 +96,7 @@ class SweepPlan:
             "seeds": "common" if self.common else "independent",
             "root seed": self.root,
             "scenario": {
-                key: value for key, value in flat(tables(self.base)).items() if not f"{key}.".startswith(swept)
+                key: value for key, value in flat(tables(self.base)).items() if not f"{key}.".startswith(swept_prefixes)
             },
             "the code of desim": environment.code(),
             **sources,
@@ -145,7 +145,7 @@ class SweepPlan:
                 packages computed its runs, unless `mix_versions` is set.
             ValueError: if a metric holds an object without a stable hash.
         """
-        self.check(store, mix_versions=mix_versions)
+        self.check(store, mix_versions=mix_versions)  # before anything is recorded
         store.record_properties(self._properties_as_json())
         store.record_versions([environment.computing_versions()], THIS, mix=mix_versions)
         store.register(self.configurations)
@@ -180,10 +180,8 @@ class SweepPlan:
         """
         if not 1 <= part <= parts:
             raise ValueError(f"a shard should be 1/{parts} to {parts}/{parts}, got {part}/{parts}")
-        ordered = (
-            sorted(self.configurations, key=lambda configuration: configuration.key)
-            if parts > 1
-            else self.configurations
-        )
+        ordered = list(self.configurations)
+        if parts > 1:
+            ordered.sort(key=lambda configuration: configuration.key)
         jobs = [(configuration, k) for configuration in ordered for k in range(self.reps)]
         return jobs[part - 1 :: parts]
