@@ -88,17 +88,17 @@ def bench(
 def _by_name(protocols: Any, suite: Suite) -> dict[str, Any]:
     """Return protocols by their names in the table; a name of a built-in protocol gets a suffix."""
     if isinstance(protocols, Mapping) and "kind" not in protocols:
-        named = [(str(name), protocol) for name, protocol in protocols.items()]
+        pairs = [(str(name), protocol) for name, protocol in protocols.items()]
     else:
-        several = protocols if isinstance(protocols, list | tuple) else [protocols]
-        named = [(_name(protocol), protocol) for protocol in several]
+        listed = protocols if isinstance(protocols, list | tuple) else [protocols]
+        pairs = [(_name(protocol), protocol) for protocol in listed]
     by_name: dict[str, Any] = {}
-    for name, protocol in named:
-        other, number = name, 1
-        while other in suite.protocols or other in by_name:
+    for name, protocol in pairs:
+        unique_name, number = name, 1
+        while unique_name in suite.protocols or unique_name in by_name:
             number += 1
-            other = f"{name} ({number})"
-        by_name[other] = protocol
+            unique_name = f"{name} ({number})"
+        by_name[unique_name] = protocol
     return by_name
 
 
@@ -122,24 +122,24 @@ class Entrants:
 
     def runs(self, count: int) -> int:
         """Return the number of runs, at most, with `count` runs of each protocol in each scenario."""
-        names = len(self.protocols) + (len(self.suite.protocols) + 1) * self.again
-        return max(2 * count * names * len(self.suite.scenarios), 1)
+        entrants = len(self.protocols) + (len(self.suite.protocols) + 1) * self.again
+        return max(2 * count * entrants * len(self.suite.scenarios), 1)
 
     def variants(self, name: str) -> tuple[list[Configuration], list[NoPart]]:
-        """Return what is run of a scenario, and the protocols that cannot take part in it with the reasons."""
+        """Return the configurations of a scenario that run, and the protocols that cannot take part, with reasons."""
         scenario = self.suite.scenarios[name]
-        entered = {**(self.suite.protocols if self.again else {}), **self.protocols}
+        entrants = {**(self.suite.protocols if self.again else {}), **self.protocols}
         variants: list[Configuration] = []
         absent: list[NoPart] = []
-        for protocol, value in entered.items():
+        for protocol, value in entrants.items():
             try:
-                with_it = scenario.with_({"protocol": value})
+                with_protocol = scenario.with_({"protocol": value})
             except ScenarioError as error:
-                why = "; ".join(str(problem._replace(where="")) for problem in error.problems)
-                absent.append(NoPart(protocol, name, why))
+                reason = "; ".join(str(problem._replace(where="")) for problem in error.problems)
+                absent.append(NoPart(protocol, name, reason))
                 continue
-            variants.append(_variant(name, protocol, AS_IT_IS, with_it))
-            variants.append(_variant(name, protocol, PERFECT, with_perfect_network(with_it)))
+            variants.append(_variant(name, protocol, AS_IT_IS, with_protocol))
+            variants.append(_variant(name, protocol, PERFECT, with_perfect_network(with_protocol)))
         if self.again:
             variants.append(_variant(name, REFERENCE, SILENT, without_messages(scenario)))
         return variants, absent
@@ -163,24 +163,23 @@ class Entrants:
         for name in self.suite.scenarios:
             variants, absent = self.variants(name)
             absences += absent
-            costs[name] = {} if self.again else _first(self.suite.costs[name], count)
+            costs[name] = {} if self.again else _first_runs(self.suite.costs[name], count)
             if not variants:
                 continue
             scenario = self.suite.scenarios[name]
             plan = SweepPlan(scenario, distinct(variants), count, scenario.seed)
             with Store(None if folder is None else folder / f"{name}.sqlite") as store:
                 plan.register(store, mix_versions=mix_versions)
-                measured = _performed(plan, store, workers)
+                new_costs = _costs_of_runs(plan, store, workers)
             for variant in variants:
-                costs[name].setdefault(variant.settings["protocol"], {})[variant.settings["network"]] = measured[
-                    variant.key
-                ]
+                by_network = costs[name].setdefault(variant.settings["protocol"], {})
+                by_network[variant.settings["network"]] = new_costs[variant.key]
         for protocol in self.protocols:
             reasons = [absence.why for absence in absences if absence.protocol == protocol]
             if len(reasons) == len(self.suite.scenarios):
                 raise ValueError(f"{protocol} takes part in no scenario: {reasons[0]}")
-        knows_more = self.suite.is_frozen and count < self.suite.runs
-        frozen = self.suite.costs if knows_more else {}
+        has_more = self.suite.is_frozen and count < self.suite.runs
+        frozen = self.suite.costs if has_more else {}
         return Benchmark(self.suite.version, costs, tuple(self.protocols), tuple(absences), frozen)
 
 
@@ -188,7 +187,7 @@ def _variant(name: str, protocol: str, network: str, scenario: Scenario) -> Conf
     return Configuration({"scenario": name, "protocol": protocol, "network": network}, scenario)
 
 
-def _first(costs: CostsByProtocol, count: int) -> dict[str, dict[str, Any]]:
+def _first_runs(costs: CostsByProtocol, count: int) -> dict[str, dict[str, Any]]:
     """Return the costs of the first runs."""
     return {
         protocol: {network: values[:count] for network, values in by_network.items()}
@@ -196,7 +195,7 @@ def _first(costs: CostsByProtocol, count: int) -> dict[str, dict[str, Any]]:
     }
 
 
-def _performed(plan: SweepPlan, store: Store, workers: Workers) -> dict[str, Floats]:
+def _costs_of_runs(plan: SweepPlan, store: Store, workers: Workers) -> dict[str, Floats]:
     """Perform the runs that a store lacks; return the (n,) costs of each configuration by its hash."""
     costs: dict[str, Floats] = {}
     result = carry_out(plan, store, workers, metrics=METRICS)
@@ -209,15 +208,15 @@ def _performed(plan: SweepPlan, store: Store, workers: Workers) -> dict[str, Flo
 
 
 def frozen_matches(suite: Suite, scenarios: Sequence[str] | None = None) -> bool:
-    """Return whether the first run of the reference in each scenario has its frozen cost: whether desim is the same."""
+    """Return whether the first run of the reference in each scenario still has its frozen cost."""
     from desim.analysis.measuring import summary
     from desim.simulation.run import run
     from desim.study.workers.batch import seeds_from
 
     for name in suite.scenarios if scenarios is None else scenarios:
         scenario = suite.scenarios[name]
-        measured = summary(run(scenario, seeds_from(scenario.seed, 1)[0]))
-        cost = cost_of_runs(scenario, np.array([measured.active_time]), np.array([measured.idle_time]))
+        metrics = summary(run(scenario, seeds_from(scenario.seed, 1)[0]))
+        cost = cost_of_runs(scenario, np.array([metrics.active_time]), np.array([metrics.idle_time]))
         if cost[0] != suite.costs[name][REFERENCE][AS_IT_IS][0]:
             return False
     return True

@@ -34,9 +34,9 @@ from desim.study.workers.executors import workers_for
 from desim.study.workers.workers import Workers
 
 CONTROL = "centralised"
-"""The usual control: it knows everything, needs no messages, and is cheap."""
+"""The default control: it knows everything, needs no messages, and is cheap."""
 TIMES = 10
-"""The usual number of runs of a control, as a multiple of those of a configuration."""
+"""The default number of runs of a control, as a multiple of those of a configuration."""
 SHOWN = ("active_time", "end_time")
 """The metrics that are corrected by default: every run has them, under every protocol."""
 
@@ -46,7 +46,7 @@ class ControlPlan:
     """The runs of a control for the configurations of a sweep."""
 
     plan: SweepPlan
-    """The plan of the control: a configuration for each that differs."""
+    """The plan of the control: one configuration for all configurations of the sweep with the same control."""
     keys: tuple[str | None, ...]
     """The hash of the control of each configuration of the sweep; None: the configuration is the control itself."""
     name: str
@@ -70,20 +70,20 @@ class ControlPlan:
             raise ValueError(
                 f"a control needs runs beside those that it is paired with, so at least {least}, got {count}"
             )
-        distinct: dict[str, Configuration] = {}
+        controls: dict[str, Configuration] = {}
         keys: list[str | None] = []
         for configuration in swept.configurations:
             control = _controlled_by(configuration.scenario, protocol)
             if control.protocol == configuration.scenario.protocol:
                 keys.append(None)
                 continue
-            made = Configuration(configuration.settings, control)
-            keys.append(distinct.setdefault(made.key, made).key)
+            of_control = Configuration(configuration.settings, control)
+            keys.append(controls.setdefault(of_control.key, of_control).key)
         name = _controlled_by(swept.base, protocol).protocol_name
-        if not distinct:
+        if not controls:
             raise ValueError(f"{name} is the protocol of all configurations: a control should be another one")
-        base = swept.base.model_copy(update={"protocol": next(iter(distinct.values())).scenario.protocol})
-        plan = SweepPlan(base, tuple(distinct.values()), count, swept.root, swept.common, swept.metrics)
+        base = swept.base.model_copy(update={"protocol": next(iter(controls.values())).scenario.protocol})
+        plan = SweepPlan(base, tuple(controls.values()), count, swept.root, swept.common, swept.metrics)
         return cls(plan, tuple(keys), name)
 
     def carry_out(
@@ -91,8 +91,8 @@ class ControlPlan:
     ) -> "Controlled":
         """Perform the runs of the control that a store lacks, and correct the means of the result of the sweep."""
         control = carry_out(self.plan, store, workers, metrics=metrics)
-        places = {configuration.key: k for k, configuration in enumerate(self.plan.configurations)}
-        groups = tuple(None if key is None else control.groups[places[key]] for key in self.keys)
+        positions = {configuration.key: k for k, configuration in enumerate(self.plan.configurations)}
+        groups = tuple(None if key is None else control.groups[positions[key]] for key in self.keys)
         runs = self.plan.reps * len(self.plan.configurations)
         return Controlled(result, groups, self.name, self.plan.reps, runs, tuple(metrics))
 
@@ -131,16 +131,16 @@ class Controlled(TabularResult):
     def _estimate(self, group: Group, control: Group | None, metric: str) -> ControlledEstimate | str:
         if control is None:
             return f"is {self.name} itself"
-        values = {row.replication: k for k, row in enumerate(row for row in group.rows if row.ok)}
+        positions = {row.replication: k for k, row in enumerate(row for row in group.rows if row.ok)}
         numbers, controls = group.numbers(metric), control.numbers(metric)
-        places = {row.replication: k for k, row in enumerate(row for row in control.rows if row.ok)}
-        both = [k for k in values if k in places]
-        others = [k for k in places if k not in values]
+        control_positions = {row.replication: k for k, row in enumerate(row for row in control.rows if row.ok)}
+        paired = [k for k in positions if k in control_positions]
+        unpaired = [k for k in control_positions if k not in positions]
         try:
             return control_variate(
-                numbers[[values[k] for k in both]],
-                controls[[places[k] for k in both]],
-                controls[[places[k] for k in others]],
+                numbers[[positions[k] for k in paired]],
+                controls[[control_positions[k] for k in paired]],
+                controls[[control_positions[k] for k in unpaired]],
             )
         except ValueError as error:
             return str(error)
@@ -148,8 +148,8 @@ class Controlled(TabularResult):
     def rows(self, metric: str) -> list[tuple[str, ...]]:
         """Return the means of a metric without and with the control as rows of text; the first row is the header."""
         estimates = self.estimates(metric)
-        made = [estimate for estimate in estimates if isinstance(estimate, ControlledEstimate)]
-        digits = digits_of(made)
+        corrected = [estimate for estimate in estimates if isinstance(estimate, ControlledEstimate)]
+        digits = digits_of(corrected)
         head = title(metric, self.result.units)
         rows: list[tuple[str, ...]] = [
             (*self.result.keys, "runs", head, f"with {self.name}", "explained", "worth (runs)")
@@ -183,17 +183,17 @@ class Controlled(TabularResult):
                 " seeds of the others"
             )
         for metric in self.metrics:
-            made = [estimate for estimate in self.estimates(metric) if isinstance(estimate, ControlledEstimate)]
-            useless = sum(not estimate.helps for estimate in made)
+            corrected = [estimate for estimate in self.estimates(metric) if isinstance(estimate, ControlledEstimate)]
+            useless = sum(not estimate.helps for estimate in corrected)
             if useless:
                 yield (
                     f"the control is worth little for {words(metric)} in {useless} of"
-                    f" {counted(len(made), 'configuration')}: use the plain means there"
+                    f" {counted(len(corrected), 'configuration')}: use the plain means there"
                 )
 
     _between_notes = "\n"
 
-    _notes = remarks
+    _notes = remarks  # `TabularResult` shows them below the tables
 
     def _right_from(self) -> int:
         return len(self.result.keys)
@@ -245,12 +245,12 @@ def controlled(
         print(controlled(scenario, {"network.latency": [0.0, 0.2, 0.5]}, reps=50))
 
     `control` is the protocol of the control: a kind, a table, or an object. `control_runs` is the number of its runs in
-    each configuration that differs for it (None = ten times `reps`), and `control_store` the file to which they are
+    each of its own configurations (None = ten times `reps`), and `control_store` the file to which they are
     added (None = no file). `shown` names the metrics that are corrected. The other arguments are as in `sweep`; `reps`
     is at least 4.
 
     Raises:
-        TypeError: if it is not a scenario, or the grid is not a mapping.
+        TypeError: if `scenario` is no scenario, or the grid is not a mapping.
         ScenarioError: if the scenario, the grid or the control is invalid.
         ValueError: if seeds are independent, there are too few runs, or all configurations are the control itself.
         StoreError: if a store cannot be written, belongs to another sweep, or has runs of other versions.
@@ -263,10 +263,10 @@ def controlled(
         check_numeric(metric, dict(plan.metrics))
     with (
         workers_for(executor, plan.runs, timeout) as workers,
-        Store(store) as kept,
-        Store(control_store) as kept_control,
+        Store(store) as sweep_store,
+        Store(control_store) as store_of_control,
     ):
-        plan.register(kept, mix_versions=mix_versions)
-        control_plan.plan.register(kept_control, mix_versions=mix_versions)
-        result = carry_out(plan, kept, workers, metrics=shown)
-        return control_plan.carry_out(result, kept_control, workers, shown)
+        plan.register(sweep_store, mix_versions=mix_versions)
+        control_plan.plan.register(store_of_control, mix_versions=mix_versions)
+        result = carry_out(plan, sweep_store, workers, metrics=shown)
+        return control_plan.carry_out(result, store_of_control, workers, shown)

@@ -10,8 +10,9 @@ from desim.analysis.statistics import Estimate
 from desim.study.results.figure_labels import literal
 
 ROW, HEAD = 0.22, 1.3
-"""The height of a protocol, and of the rest of the figure, inches."""
+"""The height of the row of a protocol, and of the rest of the figure, inches."""
 WIDTH = 8.0
+"""The default width, inches."""
 
 
 def score_figure(
@@ -39,7 +40,7 @@ def score_figure(
 
 
 def _draw_totals(axes: Axes, totals: Mapping[str, tuple[Estimate, Estimate]]) -> None:
-    """Draw score and quality of each protocol, joined by its loss."""
+    """Draw score and quality of each protocol, joined by a line as long as its loss."""
     for row, (score, quality) in enumerate(totals.values()):
         axes.plot([score.mean, quality.mean], [row, row], color=GREY, lw=1.0, zorder=1)
         for value, colour, face in ((quality, VERMILION, "white"), (score, BLUE, BLUE)):

@@ -40,10 +40,10 @@ if TYPE_CHECKING:
 APART = 10.0
 """The least distance of the bounds of a scenario in standard errors."""
 RISK = 0.05
-"""The probability that some protocol is said to be behind the best one although it is not, by Bonferroni.
+"""The largest probability, by Bonferroni, that the table calls a protocol behind the best one although it is not.
 
-Which one is the best is chosen by the same runs, so the difference of any two may be the one that decides. With the
-bound for comparisons with one protocol that is known before, the probability is .28 for 14 equal protocols.
+The best one is chosen by the same runs, so the bound holds for the differences of all pairs. A bound for comparisons
+with one protocol that is fixed in advance would give a probability of 0.28 for 14 equal protocols.
 """
 OMNISCIENT = "centralised"
 """The protocol that knows everything at once: a bound, and no competitor."""
@@ -59,7 +59,7 @@ class NoPart(NamedTuple):
 
 @dataclass(frozen=True)
 class Ratio:
-    """A mean difference of costs over that of the bounds, with its part of each seed."""
+    """The ratio of a mean difference of costs to the mean difference of the bounds, with the deviations by seed."""
 
     value: float
     parts: Floats
@@ -68,11 +68,11 @@ class Ratio:
     @classmethod
     def of(cls, above: Floats, below: Floats) -> Self:
         """Return the ratio of the means of paired values, (n,) each."""
-        whole = float(np.mean(below))
-        if not whole:  # the bounds are equal
+        mean_below = float(np.mean(below))
+        if not mean_below:  # the bounds are equal
             return cls(nan, np.full(len(below), nan))
-        value = float(np.mean(above)) / whole
-        return cls(value, (above - value * below) / whole)
+        value = float(np.mean(above)) / mean_below
+        return cls(value, (above - value * below) / mean_below)
 
     @classmethod
     def mean(cls, ratios: Sequence["Ratio"]) -> Self:
@@ -113,14 +113,14 @@ class Benchmark(TabularResult):
 
     version: str
     costs: Mapping[str, CostsByProtocol]
-    """The (n,) costs by scenario, protocol and network; those of equal places are of equal seeds."""
+    """The (n,) costs by scenario, protocol and network; costs at equal positions are of equal seeds."""
     own: tuple[str, ...] = ()
     """The names of the protocols of the caller."""
     absent: tuple[NoPart, ...] = ()
     frozen: Mapping[str, CostsByProtocol] = field(default_factory=dict)
-    """The costs of all runs of the version by scenario, where they are known and there are more of them.
+    """The costs of all runs of the version by scenario, if it has them and they are more than `costs`.
 
-    Their bounds decide which scenarios are kept, so that a look at few runs has the same scenarios.
+    Their bounds decide which scenarios are kept, so that a benchmark of few runs keeps the same scenarios.
     """
 
     @property
@@ -202,7 +202,7 @@ class Benchmark(TabularResult):
         for name, total in self.totals.items():
             parts = (total.score, total.quality, total.loss)
             behind = "" if name in (self.best, OMNISCIENT) else "yes" if self.is_behind(name) else "not shown"
-            yield self._shown(name), *(_text(part.estimate) for part in parts), behind
+            yield self._table_name(name), *(_text(part.estimate) for part in parts), behind
 
     def _scenario_rows(self) -> Iterator[tuple[str, ...]]:
         yield "", *self.kept
@@ -210,7 +210,7 @@ class Benchmark(TabularResult):
         for name in (*self.totals, *partly):
             scores = self.scores[name]
             yield (
-                self._shown(name),
+                self._table_name(name),
                 *(_text(scores[scenario].score.estimate) if scenario in scores else "-" for scenario in self.kept),
             )
 
@@ -220,7 +220,8 @@ class Benchmark(TabularResult):
             left_out = "" if name in self.kept else " (left out)"
             yield name + left_out, *(f"{np.mean(cost):.2f}" for cost in costs), f"{self.apart(name):.1f}"
 
-    def _shown(self, name: str) -> str:
+    def _table_name(self, name: str) -> str:
+        """Return the name of a protocol in tables, which marks those of the caller and the omniscient one."""
         return f"> {name}" if name in self.own else f"({name})" if name == OMNISCIENT else name
 
     def remarks(self) -> list[str]:
@@ -244,7 +245,7 @@ class Benchmark(TabularResult):
 
     _between_notes = "\n"
 
-    _notes = remarks
+    _notes = remarks  # `TabularResult` shows them below the tables
 
     def __repr__(self) -> str:
         protocols = counted(len(self.scores), "protocol")
@@ -267,10 +268,11 @@ class Benchmark(TabularResult):
         if not self.kept:
             raise ValueError("no scenario is kept: there are too few runs for a figure")
         totals = {
-            self._shown(name): (total.score.estimate, total.quality.estimate) for name, total in self.totals.items()
+            self._table_name(name): (total.score.estimate, total.quality.estimate)
+            for name, total in self.totals.items()
         }
         scores = {
-            self._shown(name): [self.scores[name][scenario].score.value for scenario in self.kept]
+            self._table_name(name): [self.scores[name][scenario].score.value for scenario in self.kept]
             for name in self.totals
         }
         return score_figure(totals, scores, list(self.kept), size=size, style=style)

@@ -1,7 +1,7 @@
 """The scenarios and protocols of the benchmark, and the frozen costs of their runs, by version.
 
-They are the files of `scenarios/bench/vN`. A version never changes: `digest` identifies its files, a test keeps it, and
-a change of them is a new version beside the old one.
+The files of version N are in `scenarios/bench/vN`. A version never changes: a test compares its files with their
+`digest`. A change of a scenario or protocol is a new version beside the old one.
 """
 
 import hashlib
@@ -22,12 +22,12 @@ from desim.scenario.scenario import Scenario
 from desim.scenario.toml import load
 
 BASE, PROTOCOLS, COSTS = "base", "protocols", "costs.json"
-"""The file that all scenarios extend, that of the protocols, and that of the costs."""
+"""The names of the file that all scenarios extend, of that of the protocols, and of that of the costs."""
 REFERENCE = "local_min"
 """The protocol that sets both bounds of every scenario, for all protocols.
 
-It knows what the others may know: what pursuers sense and hear. On a perfect network it is close to the best, it has no
-parameter, and without messages each pursuer decides alone.
+It knows what other protocols may know: what pursuers sense and hear. On a perfect network it is close to the best, it
+has no parameter, and without messages each pursuer decides alone.
 """
 RUNS = {"1": 16}
 """The number of runs of each protocol in each scenario, by version."""
@@ -91,7 +91,7 @@ class Suite:
 
     @property
     def is_frozen(self) -> bool:
-        """Whether its costs are there; they are not while a version is made."""
+        """Whether the version has costs; a version that is being made has none."""
         return (self.folder / COSTS).exists()
 
     @cached_property
@@ -112,10 +112,10 @@ class Suite:
 
 
 def cost_of_runs(scenario: Scenario, active_time: Floats, idle_time: Floats) -> Floats:
-    """Return the cost of each run, s: the active time, and N times the time for which an evader is left alone.
+    """Return the cost of each run, s: the active time plus N times the time for which an evader is left alone.
 
-    A second without a pursuer costs as much as one in which all N chase. So neither chasing less than is needed nor
-    chasing all together is cheap, and a run that ends without a capture has a finite cost.
+    N is the number of pursuers: a second without a pursuer costs as much as a second in which all N chase. So neither
+    too few nor too many active pursuers are cheap, and a run that ends without a capture has a finite cost.
     """
     return np.round(active_time + scenario.team.count * idle_time, DIGITS)
 
@@ -137,5 +137,6 @@ def frozen_text(costs: Mapping[str, CostsByProtocol]) -> str:
 
 
 def _digest(paths: Any) -> str:
+    # Git may have converted the line ends.
     files = [(path.name, path.read_bytes().replace(b"\r\n", b"\n")) for path in sorted(paths)]
     return hashlib.sha256(b"\0".join(part for name, text in files for part in (name.encode(), text))).hexdigest()
