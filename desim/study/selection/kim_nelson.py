@@ -3,19 +3,21 @@
 It is procedure KN of Kim & Nelson 2001, "A Fully Sequential Procedure for Indifference-Zone Selection in Simulation",
 section 3.
 
-After `first` samples of each system, one more of each that is left is taken at a time. A system is dropped as soon as
-its mean is below that of another by more than W(r) = max(0, zone / (2 r) (h^2 S^2 / zone^2 - r)), where S^2 is the
-variance of the differences of the two in the first samples. The constant c of the paper is 1, its recommendation.
+After `first` samples of each system, the procedure takes one more sample of each system that is left at a time. A
+system is dropped as soon as, after r samples, its mean is below that of another by more than
+W(r) = max(0, zone / (2 r) (h^2 S^2 / zone^2 - r)), where S^2 is the variance of the differences of the two in the first
+samples. The constant c of the paper is 1, its recommendation.
 
 If samples are normal, and independent from one replication to the next, and the best mean is better than every other by
 at least `zone`, the best is selected with a probability of at least `confidence`. Samples of one replication may depend
 on each other: with common random numbers their differences have smaller variances, and the procedure ends earlier. If
 means are closer than `zone`, any of the close ones may be selected, with about the same effort.
 
-Two systems may differ by the same in all first samples, so that S^2 is 0: those of a rule that hardly matters, or truth
-values, such as whether there is a capture. Their variance is then not known. They are not compared before a sample in
-which they differ otherwise, and S^2 is then that of all samples up to it; after `ENOUGH` samples it is 0. How often
-the best is selected of values that are not normal is in docs/explanation/validation.md.
+Two systems may have the same difference in all first samples, so that S^2 is 0: if a rule hardly matters, or if samples
+are truth values, such as whether there is a capture. Their variance is then unknown. The procedure does not compare
+the two before a sample with another difference; S^2 is then the variance of all samples up to this one. Without such a
+sample among the first `ENOUGH`, S^2 is 0. docs/explanation/validation.md says how often the best is selected if samples
+are not normal.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,22 +35,22 @@ from desim.config.errors import ArgumentError
 from desim.config.python_numbers import real, whole
 
 ENOUGH = ceil(NORMAL_975**2 * (1.0 - OTHERS) / OTHERS)
-"""The number of samples after which two systems that differ by the same in all of them have a variance of 0: 73.
+"""The number of samples, 73, after which two systems with the same difference in all samples have a variance of 0.
 
-By Wilson's interval, at most a share `OTHERS` of all samples then differs otherwise, as in a sequential study.
+By Wilson's interval, at most a share `OTHERS` of all samples then has another difference, as in a sequential study.
 """
 Sample = Callable[[Sequence[int], int], Sequence[float]]
-"""Returns a sample of each of some systems, given their numbers and the number of the replication, from 0 on."""
+"""Returns a sample of each of some systems, given the numbers of the systems and of the replication, from 0 on."""
 
 
 class Dropped(NamedTuple):
-    """When a system was dropped, and which one it lost against."""
+    """When a system was dropped, and against which other one."""
 
     system: int
     after: int
     """The number of samples of each system at that time."""
     against: int
-    """The system that it was compared with."""
+    """The system that beat it."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class Selection:
     """The systems that were left at the end: only `selected`, unless the means decided at the last sample, or the
     number of samples was limited."""
     dropped: tuple[Dropped, ...]
-    """The others, in the order in which they were dropped."""
+    """The other systems, in the order in which they were dropped."""
     is_decided: bool
     """Whether the guarantee holds; False if the largest number of samples was reached."""
     samples: tuple[Floats, ...]
@@ -136,8 +138,8 @@ def kim_nelson(
     """Select the system with the best mean; see the module.
 
     Args:
-        sample: returns samples. It is called with all systems for replications 0 .. first - 1, and then with those that
-            are left, one replication after the other.
+        sample: returns samples. It is called with all systems for replications 0 .. first - 1, and then with the
+            systems that are left, one replication after the other.
         systems: the number of systems, k.
         zone: the indifference zone, the smallest difference of means that matters, in the unit of the samples.
         confidence: the probability of a correct selection, in (1/k, 1).
@@ -154,95 +156,96 @@ def kim_nelson(
     first = check_first(first, most)
     zone, confidence = check_zone(zone), check_confidence(confidence, systems)
     sign = 1.0 if maximise else -1.0
-    kept: list[list[float]] = [[] for _ in range(systems)]
+    samples: list[list[float]] = [[] for _ in range(systems)]
 
-    def take(numbers: Sequence[int], replication: int) -> None:
-        for system, number in zip(numbers, sample(numbers, replication), strict=True):
+    def take(sampled: Sequence[int], replication: int) -> None:
+        for system, number in zip(sampled, sample(sampled, replication), strict=True):
             if not isfinite(number):
                 raise ValueError(f"the sample of system {system} in replication {replication} is {number}")
-            kept[system].append(float(number))
+            samples[system].append(float(number))
 
     left = list(range(systems))
     for replication in range(first):
         take(left, replication)
-    start = sign * np.array(kept)
-    variances = _variances(start)
-    _, square = constants(systems, first, confidence)
-    scale = square / zone**2
-    limits = scale * variances
+    first_samples = sign * np.array(samples)
+    variances = _variances(first_samples)
+    _, h_squared = constants(systems, first, confidence)
+    scale = h_squared / zone**2
+    limits = scale * variances  # (k, k) numbers of samples from which on the margin W is 0; inf: unknown
     for pair in combinations(left, 2):
-        if _are_equal(kept, pair):
+        if _are_equal(samples, pair):
             limits[pair] = limits[pair[::-1]] = inf
-    last = _last(limits, left, first)
-    end = max(int(_last(np.where(np.isinf(limits), 0.0, limits), left, first)), ENOUGH if last == inf else 0)
-    sums, dropped, count = start.sum(axis=1), list[Dropped](), first
-    while len(left) > 1 and count < last:
+    decided_at = _samples_to_decide(limits, left, first)
+    known_limits = np.where(np.isinf(limits), 0.0, limits)
+    at_most = max(int(_samples_to_decide(known_limits, left, first)), ENOUGH if decided_at == inf else 0)
+    sums, dropped, count = first_samples.sum(axis=1), list[Dropped](), first
+    while len(left) > 1 and count < decided_at:
         losers = _losers(sums, left, count, limits, zone)
         dropped += [Dropped(loser, count, winner) for loser, winner in losers]
         left = [system for system in left if system not in {loser for loser, _ in losers}]
-        last = _last(limits, left, first)
-        if len(left) == 1 or count >= last or count == most:
+        decided_at = _samples_to_decide(limits, left, first)
+        if len(left) == 1 or count >= decided_at or count == most:
             break
         take(left, count)
         count += 1
         for system in left:
-            sums[system] += sign * kept[system][-1]
+            sums[system] += sign * samples[system][-1]
         for pair in combinations(left, 2):
-            if limits[pair] == inf and (count >= ENOUGH or not _are_equal(kept, pair)):
-                variances[pair] = variances[pair[::-1]] = _variances(sign * np.array([kept[k] for k in pair]))[0, 1]
+            if limits[pair] == inf and (count >= ENOUGH or not _are_equal(samples, pair)):
+                variances[pair] = variances[pair[::-1]] = _variances(sign * np.array([samples[k] for k in pair]))[0, 1]
                 limits[pair] = limits[pair[::-1]] = scale * variances[pair]
-                last = _last(limits, left, first)
-                end = max(end, int(last)) if last < inf else end
+                decided_at = _samples_to_decide(limits, left, first)
+                at_most = max(at_most, int(decided_at)) if decided_at < inf else at_most
     best = max(left, key=lambda system: (sums[system], -system))
     return Selection(
         best,
         tuple(left),
         tuple(dropped),
-        len(left) == 1 or count >= last,
-        tuple(np.array(numbers) for numbers in kept),
-        end,
+        len(left) == 1 or count >= decided_at,
+        tuple(np.array(numbers) for numbers in samples),
+        at_most,
         variances,
     )
 
 
-def _last(limits: Floats, left: Sequence[int], first: int) -> float:
-    """Return the number of samples at which all margins between systems that are left are 0: means then decide.
+def _samples_to_decide(limits: Floats, left: Sequence[int], first: int) -> float:
+    """Return the number of samples from which on the means decide, as the margins of all systems that are left are 0.
 
-    It is infinite as long as a variance is not known.
+    It is infinite as long as a variance is unknown.
     """
     greatest = float(limits[np.ix_(left, left)].max())
     return max(floor(greatest), first - 1) + 1 if isfinite(greatest) else inf
 
 
-def _are_equal(kept: Sequence[Sequence[float]], pair: tuple[int, int]) -> bool:
-    """Return whether two systems differ by the same in all samples, up to rounding: their variance is not known."""
-    return paired(*(kept[system] for system in pair)).standard_error == 0.0
+def _are_equal(samples: Sequence[Sequence[float]], pair: tuple[int, int]) -> bool:
+    """Return whether two systems have the same difference in all samples, up to rounding: its variance is unknown."""
+    return paired(*(samples[system] for system in pair)).standard_error == 0.0
 
 
-def _variances(start: Floats) -> Floats:
+def _variances(samples: Floats) -> Floats:
     """Return the (k, k) variances of the differences of samples, an array (k, first)."""
-    differences = start[:, None, :] - start[None, :, :]
+    differences = samples[:, None, :] - samples[None, :, :]
     return np.asarray(differences.var(axis=2, ddof=1))
 
 
 def _losers(sums: Floats, left: Sequence[int], count: int, limits: Floats, zone: float) -> list[tuple[int, int]]:
     """Return the systems that lose against another one that is left, each with the one that beats it most clearly."""
-    at = np.array(left)
-    means = sums[at] / count
-    margins = np.maximum(0.0, zone / (2.0 * count) * (limits[np.ix_(at, at)] - count))
+    indices = np.array(left)
+    means = sums[indices] / count
+    margins = np.maximum(0.0, zone / (2.0 * count) * (limits[np.ix_(indices, indices)] - count))
     behind = means[None, :] - means[:, None] - margins  # above 0: the row loses against the column
     np.fill_diagonal(behind, -inf)
-    against = behind.argmax(axis=1)
-    return [(left[k], left[against[k]]) for k in range(len(left)) if behind[k, against[k]] > 0.0]
+    winners = behind.argmax(axis=1)
+    return [(left[k], left[winners[k]]) for k in range(len(left)) if behind[k, winners[k]] > 0.0]
 
 
 def two_stage_runs(variances: Floats, first: int, confidence: float, zone: float) -> int:
     """Return the number of samples of all systems that a two-stage procedure with the same guarantee takes.
 
     It is that of Clark & Yang 1986, "A Bonferroni selection procedure when using common random numbers with unknown
-    variances": after the same first samples, each system has as many as the most variable difference of two needs,
+    variances": after the same first samples, each system has as many samples as the most variable difference needs,
     max(first, ceil(max (t S / zone)^2)), with the quantile t of Student's distribution at 1 - (1 - confidence)/(k - 1)
-    and first - 1 degrees of freedom. No system is dropped. `variances` are the (k, k) ones of differences.
+    and first - 1 degrees of freedom. No system is dropped. `variances` are the (k, k) variances of differences.
     """
     from scipy.special import stdtrit
 
@@ -252,8 +255,8 @@ def two_stage_runs(variances: Floats, first: int, confidence: float, zone: float
 
 
 def independent_variances(samples: Sequence[Floats], first: int) -> Floats:
-    """Return the (k, k) variances that differences would have without common random numbers: sums of two variances."""
-    alone = np.array([numbers[:first].var(ddof=1) for numbers in samples])
-    variances: Floats = alone[:, None] + alone[None, :]
+    """Return the (k, k) variances of differences without common random numbers: sums of two systems' variances."""
+    by_system = np.array([numbers[:first].var(ddof=1) for numbers in samples])
+    variances: Floats = by_system[:, None] + by_system[None, :]
     np.fill_diagonal(variances, 0.0)
     return variances

@@ -1,8 +1,8 @@
 """A race: runs of several configurations, one after the other, until the best is known with a given confidence.
 
-Run k of all configurations has the same seed, so that what chance does to all of them alike does not count. The runs
-that decide are the same with any number of workers: several workers perform the next runs ahead, and those that are not
-needed in the end only remain in the store.
+Run k of all configurations has the same seed, so that effects of chance on all of them alike cancel. The runs that
+decide are the same with any number of workers: several workers perform the next runs ahead, and runs that turn out not
+to be needed only remain in the store.
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 FIRST = 20
 """The default number of first runs of each configuration."""
 AHEAD = 2
-"""The number of runs that are performed together for each worker, if there are several."""
+"""The number of runs per worker that are dispatched at a time, if there are several workers."""
 
 
 @naming_arguments
@@ -77,7 +77,7 @@ def race(
         maximise: whether the greatest mean is the best; None = as the metric says (`desim metrics`).
         first: the number of first runs of each configuration, at least 2, from which variances are estimated; if in
             doubt, 20.
-        most: the largest number of runs of a configuration; the result then says that it is not decided.
+        most: the largest number of runs of a configuration; a race that reaches it is not decided, as the result says.
         executor: as in `sweep`; the result does not depend on it.
         seed: the root seed; None = that of the scenario.
         design: as in `sweep`.
@@ -87,7 +87,7 @@ def race(
         mix_versions: as in `sweep`.
 
     Raises:
-        TypeError: if it is not a scenario.
+        TypeError: if `scenario` is no scenario.
         ScenarioError: if the scenario or the grid is invalid.
         ValueError: if there is only one configuration, a number is out of its range, the metric does not exist, is not
             numeric, has no or an infinite value in a run, or does not say whether more of it is better.
@@ -96,14 +96,14 @@ def race(
     """
     plan = SweepPlan.of(as_source(scenario, "race"), grid, most, seed, metrics, design)
     rules = RaceRules.of(plan, metric, zone, confidence, maximise, first)
-    with workers_for(executor, timeout=timeout) as workers, Store(store) as kept:
-        plan.register(kept, mix_versions=mix_versions)
-        return carry_out_race(plan, kept, workers, rules)
+    with workers_for(executor, timeout=timeout) as workers, Store(store) as race_store:
+        plan.register(race_store, mix_versions=mix_versions)
+        return carry_out_race(plan, race_store, workers, rules)
 
 
 @dataclass(frozen=True)
 class RaceRules:
-    """What a race asks, and when it is decided; see `race`."""
+    """The question of a race, and when it is decided; see `race`."""
 
     metric: str
     maximise: bool
@@ -126,13 +126,13 @@ class RaceRules:
                 f"a race needs at least two configurations, and the grid has one, {plan.configurations[0]}: give a key"
                 " several values"
             )
-        added = dict(plan.metrics)
-        check_numeric(metric, added)
-        zone = check_zone(zone, unit_of(metric, {name: one.unit for name, one in plan.metrics}))
+        user_metrics = dict(plan.metrics)
+        check_numeric(metric, user_metrics)
+        zone = check_zone(zone, unit_of(metric, {name: added.unit for name, added in plan.metrics}))
         confidence = check_confidence(confidence, len(plan.configurations))
         first = check_first(first, plan.reps)
         if maximise is None:
-            better = more_is(metric, added)
+            better = more_is(metric, user_metrics)
             if better is None:
                 raise ValueError(f"{words(metric)}: whether more of it is better is not known: give `maximise`")
             maximise = better == "better"
@@ -162,7 +162,7 @@ def carry_out_race(plan: SweepPlan, store: Store, workers: Workers, rules: RaceR
     return RaceResult(
         plan.base.name,
         rules.metric,
-        unit_of(rules.metric, {name: one.unit for name, one in plan.metrics}),
+        unit_of(rules.metric, {name: added.unit for name, added in plan.metrics}),
         rules.maximise,
         rules.zone,
         rules.confidence,
@@ -180,7 +180,7 @@ class _Samples:
     def __init__(self, plan: SweepPlan, store: Store, workers: Workers, rules: RaceRules, bar: "tqdm[Any]"):
         self._plan, self._store, self._workers = plan, store, workers
         self._metric, self._first, self._bar = rules.metric, rules.first, bar
-        self._places = {configuration.key: k for k, configuration in enumerate(plan.configurations)}
+        self._positions = {configuration.key: k for k, configuration in enumerate(plan.configurations)}
         self._rows = {(k, row.replication): row for k, row in plan.rows_done(store, {rules.metric})}
 
     def __call__(self, systems: Sequence[int], replication: int) -> list[float]:
@@ -195,9 +195,9 @@ class _Samples:
         return all(isinstance(row.value(self._metric), bool) for row in self._rows.values())
 
     def _perform(self, systems: Sequence[int], replication: int) -> None:
-        """Perform the runs of a replication; the first ones together, and later ones as the number of workers asks."""
-        several = self._workers.count > 1
-        ahead = max(1, AHEAD * self._workers.count // len(systems)) if several else 1
+        """Perform the runs of a replication; with them all first runs, or as many later ones as busy the workers."""
+        workers = self._workers.count
+        ahead = max(1, AHEAD * workers // len(systems)) if workers > 1 else 1
         end = self._first if replication < self._first else replication + ahead
         jobs = [
             (self._plan.configurations[system], k)
@@ -205,10 +205,10 @@ class _Samples:
             for system in systems
             if (system, k) not in self._rows
         ]
-        self._bar.set_postfix_str(f"{len(systems)} of {len(self._places)} left", refresh=False)
+        self._bar.set_postfix_str(f"{len(systems)} of {len(self._positions)} left", refresh=False)
         with closing(job_batches(jobs, self._plan, self._store, self._workers)) as batches:
             for batch in batches:
                 advance(self._bar, len(batch))
                 for configuration, row in batch:
                     check_ok(configuration, row)
-                    self._rows[self._places[configuration.key], row.replication] = row
+                    self._rows[self._positions[configuration.key], row.replication] = row

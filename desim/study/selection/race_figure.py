@@ -55,8 +55,8 @@ def draw_race(
             ax.set_xlabel("runs of each configuration")
             add_legend_above(ax, None)
         return figure
-    usual = (6.4, 4.4 + height_of_legend(names[:NAMED], 6.4))
-    with styled(usual, size, style=style) as figure:
+    default_size = (6.4, 4.4 + height_of_legend(names[:NAMED], 6.4))
+    with styled(default_size, size, style=style) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
         _draw_means(upper, selection, order, names, first)
         upper.set_ylabel(label)
@@ -71,7 +71,7 @@ def _draw_means(axes: Axes, selection: Selection, order: Sequence[int], names: S
     """Draw the running means from the second run on, and a line at the last of the first runs."""
     axes.axvline(first, color=GREY, lw=0.8, ls=":", zorder=0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    lost = {dropped.system for dropped in selection.dropped}
+    dropped_systems = {dropped.system for dropped in selection.dropped}
     for rank, (system, name) in enumerate(zip(order, names, strict=True)):
         numbers = selection.samples[system]
         counts = np.arange(1, len(numbers) + 1)
@@ -80,15 +80,15 @@ def _draw_means(axes: Axes, selection: Selection, order: Sequence[int], names: S
         label = literal(name) if rank < NAMED else None
         gap = max(len(means) // MARKS, 1)  # the marks of equal lines stand beside each other
         axes.plot(counts[1:], means[1:], label=label, markevery=(rank % gap, gap), **look)
-        if system in lost:
+        if system in dropped_systems:
             axes.plot(counts[-1:], means[-1:], marker="x", ls="none", color=look["color"], ms=7, mew=1.6, zorder=3)
 
 
 def _draw_survivors(axes: Axes, selection: Selection) -> None:
     """Draw the number of configurations that are left, over the number of runs of each."""
     count, last = len(selection.samples), max(map(len, selection.samples))
-    times = [1, *(dropped.after for dropped in selection.dropped), last]
+    runs = [1, *(dropped.after for dropped in selection.dropped), last]
     left = [count - k for k in range(len(selection.dropped) + 1)]
-    axes.step(times, [*left, left[-1]], where="post", color="#555555", lw=1.2)
+    axes.step(runs, [*left, left[-1]], where="post", color="#555555", lw=1.2)
     axes.set(xlabel="runs of each configuration", ylabel="left", ylim=(0.0, count + 0.5))
     axes.set_yticks(sorted({1, count}))

@@ -75,13 +75,13 @@ class RaceResult(TabularResult):
     def order(self) -> list[int]:
         """The positions of the configurations: the best, the others that were left, the dropped ones from the last on.
 
-        Those that were left, and those that were dropped after equally many runs, are in the order of their means.
+        Configurations that were left, or dropped after equally many runs, are in the order of their means.
         """
         means = [float(numbers.mean()) * (-1.0 if self.maximise else 1.0) for numbers in self.selection.samples]
         best = self.selection.selected
-        others = sorted((system for system in self.selection.left if system != best), key=means.__getitem__)
-        dropped = sorted(self.selection.dropped, key=lambda dropped: (-dropped.after, means[dropped.system]))
-        return [best, *others, *(one.system for one in dropped)]
+        left = sorted((system for system in self.selection.left if system != best), key=means.__getitem__)
+        dropped = sorted(self.selection.dropped, key=lambda loser: (-loser.after, means[loser.system]))
+        return [best, *left, *(loser.system for loser in dropped)]
 
     def mean_of(self, system: int) -> Estimate:
         """Return the mean of the metric over the runs of a configuration, or the share for which it is true."""
@@ -90,8 +90,8 @@ class RaceResult(TabularResult):
     def behind(self, system: int) -> Estimate:
         """Return the mean difference of a configuration from the best, over the runs that both have."""
         samples: tuple[Floats, ...] = self.selection.samples
-        both = min(len(samples[system]), len(samples[self.selection.selected]))
-        return paired(samples[system][:both], samples[self.selection.selected][:both])
+        count = min(len(samples[system]), len(samples[self.selection.selected]))
+        return paired(samples[system][:count], samples[self.selection.selected][:count])
 
     def sentences(self) -> list[str]:
         """Return the result of the race, its guarantee, and its cost."""
@@ -100,12 +100,12 @@ class RaceResult(TabularResult):
         count = len(self.settings)
         if len({self.mean_of(system).mean for system in self.selection.left}) == 1 < len(self.selection.left):
             tied = " and ".join(in_words(self.settings[system]) for system in self.order[: len(self.selection.left)])
-            taken = len(self.selection.samples[self.selection.selected])
-            verdict = f"{words(self.metric)}: the means of {tied} are equal in {counted(taken, 'run')}"
+            runs_of_each = len(self.selection.samples[self.selection.selected])
+            verdict = f"{words(self.metric)}: the means of {tied} are equal in {counted(runs_of_each, 'run')}"
         else:
             verdict = f"{best} has the {side} {words(self.metric)} of {count} configurations"
         if self.is_decided:
-            how = (
+            guarantee = (
                 f"the best of {count} is found with a probability of at least {self.confidence:g} if it is better than"
                 f" every other by {amount} or more; of closer ones any may be selected (Kim & Nelson 2001, for normal"
                 " values)"
@@ -115,18 +115,18 @@ class RaceResult(TabularResult):
             longest = max(map(len, self.selection.samples))
             variances = self.selection.variances
             is_unknown = any(not variances[pair] for pair in combinations(self.selection.left, 2))
-            some_differ = " some of them differ by the same in all runs, and at least" if is_unknown else " at most"
-            how = (
-                f"not decided: {left} of {count} were left after {counted(longest, 'run')} of each;{some_differ}"
+            needed = " some of them differ by the same in all runs, and at least" if is_unknown else " at most"
+            guarantee = (
+                f"not decided: {left} of {count} were left after {counted(longest, 'run')} of each;{needed}"
                 f" {self.selection.most:,} of each would decide"
             )
         runs = f"{counted(self.runs, 'run')}; a two-stage design with the same guarantee, which drops none, takes"
         if not self.common:
-            return [verdict, how, f"{runs} {self.plain_runs:,} (Clark & Yang 1986)"]
+            return [verdict, guarantee, f"{runs} {self.plain_runs:,} (Clark & Yang 1986)"]
         seeds = f"{self.plain_runs:,} with the same seeds, and {self.independent_runs:,} if each run has its own"
-        return [verdict, how, f"{runs} {seeds} (Clark & Yang 1986)"]
+        return [verdict, guarantee, f"{runs} {seeds} (Clark & Yang 1986)"]
 
-    _notes = sentences
+    _notes = sentences  # `TabularResult` shows them below the tables
 
     def tables(self) -> list[Table]:
         """Return the table as its title and rows of text; the first row is the header."""
@@ -186,7 +186,7 @@ class RaceResult(TabularResult):
             "name": self.name,
             "metric": self.metric,
             "unit": self.unit,
-            "best": self._plain(self.selection.selected),
+            "best": self._json_settings(self.selection.selected),
             "is_decided": self.is_decided,
             "maximise": self.maximise,
             "zone": self.zone,
@@ -199,17 +199,17 @@ class RaceResult(TabularResult):
             "sentences": self.sentences(),
             "configurations": [
                 {
-                    "settings": self._plain(system),
+                    "settings": self._json_settings(system),
                     "mean": as_json(self.mean_of(system)),
                     "behind": as_json(self.behind(system)),
                     "dropped_after": lost[system].after if system in lost else None,
-                    "dropped_against": self._plain(lost[system].against) if system in lost else None,
+                    "dropped_against": self._json_settings(lost[system].against) if system in lost else None,
                 }
                 for system in self.order
             ],
         }
 
-    def _plain(self, system: int) -> dict[str, Any]:
+    def _json_settings(self, system: int) -> dict[str, Any]:
         """Return the settings of a configuration as JSON-compatible values, given its position."""
         return {key: json_number(value) for key, value in self.settings[system].items()}
 
