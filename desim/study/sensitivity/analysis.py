@@ -1,8 +1,8 @@
-"""Sensitivity analysis: runs at the points of trajectories, and then at those of Sobol matrices.
+"""Sensitivity analysis: runs at the points of trajectories, and then at the points of Sobol matrices.
 
 Screening comes first. A key whose mean absolute effect is below a tenth of the greatest, by the upper end of its
-interval, keeps the middle of its range afterwards, so that the many points of the indices are spent on the others. All
-points have the same seeds.
+interval, keeps the middle of its range afterwards, so that the many points of the indices are spent on the other keys.
+All points have the same seeds.
 """
 
 from collections.abc import Sequence
@@ -74,15 +74,15 @@ def sensitivity(
 
     Args:
         scenario: the scenario that is varied.
-        grid: dotted keys, each with a range ("0:0.5", "log:0.01:1") or a list of values, of which each is equally
-            probable; None = the grid of `scenario.sweep`. A design in it has no effect.
+        grid: dotted keys, each with a range ("0:0.5", "log:0.01:1") or a list of equally probable values;
+            None = the grid of `scenario.sweep`. A design in it has no effect.
         metric: the name of the metric; every run needs a value.
         points: the number of rows of a Sobol matrix, a power of 2; 0 = screening only. There are (keys + 2) times as
             many points; if in doubt, 64, and four times as many if intervals are too wide, which halves them.
         trajectories: the number of trajectories of the screening, each with keys + 1 points; 0 = none, so that all keys
             have indices; if in doubt, 10.
-        runs: the number of runs at each point, with the same seeds at all. With 1, chance counts as an effect of the
-            keys; if in doubt, 4, and more if the result says that most of the variance of a run is chance.
+        runs: the number of runs at each point, with the same seeds at all points. With 1, chance counts as an effect of
+            the keys; if in doubt, 4, and more if the result says that most of the variance of a run is chance.
         executor: as in `sweep`.
         seed: the root seed of the runs; None = that of the scenario.
         store: the file in which runs are kept; finished runs in it are not repeated.
@@ -91,7 +91,7 @@ def sensitivity(
         mix_versions: as in `sweep`.
 
     Raises:
-        TypeError: if it is not a scenario.
+        TypeError: if `scenario` is no scenario.
         ScenarioError: if the scenario or the grid is invalid, or a key does not take a value of its range.
         ValueError: if fewer than two keys have several values, a number is out of its range, or the metric does not
             exist, is not numeric, or has no or an infinite value in a run.
@@ -99,8 +99,8 @@ def sensitivity(
         RunError: if a run fails.
     """
     analysis = Analysis.of(scenario, grid, metric, points, trajectories, runs, seed, metrics)
-    with workers_for(executor, timeout=timeout) as workers, Store(store) as kept:
-        return analysis.carry_out(kept, workers, mix_versions=mix_versions)
+    with workers_for(executor, timeout=timeout) as workers, Store(store) as analysis_store:
+        return analysis.carry_out(analysis_store, workers, mix_versions=mix_versions)
 
 
 @dataclass(frozen=True)
@@ -133,23 +133,24 @@ class Analysis:
         source = as_source(scenario, "sensitivity")
         base = validate(source)
         source, sweep = sweep_of(source, grid)
-        chosen = sweep.grid
-        if few := [key for key, values in chosen.items() if len(values) < 2 and not is_range(values)]:
-            raise ValueError(f"{few[0]}: has one value, {label(chosen[few[0]][0])}: give a range or several values")
-        if len(chosen) == 1:
-            (key,) = chosen
+        unchecked = sweep.grid
+        for key, values in unchecked.items():
+            if len(values) < 2 and not is_range(values):
+                raise ValueError(f"{key}: has one value, {label(values[0])}: give a range or several values")
+        if len(unchecked) == 1:
+            (key,) = unchecked
             raise ValueError(f"{key}: with one key there is nothing to divide: give ranges of two keys or more")
-        ranges = checked_ranges(source, chosen)
-        added = users_metrics(base.record.metrics, {} if metrics is None else metrics)
-        check_numeric(metric, dict(added))
+        ranges = checked_ranges(source, unchecked)
+        user_metrics = users_metrics(base.record.metrics, {} if metrics is None else metrics)
+        check_numeric(metric, dict(user_metrics))
         points, trajectories = whole(points, "points"), whole(trajectories, "trajectories")
         if points < 0 or points & (points - 1) or 0 < points < 8:
             raise ArgumentError("points", f"should be 0 or a power of 2 from 8 on, such as 64 (got {points})")
         if trajectories < 0 or trajectories == 1 or not (points or trajectories):
             raise ArgumentError("trajectories", f"should be at least 2, or 0 with points (got {trajectories})")
         root = base.seed if seed is None else seed_of(seed)
-        plan = SweepPlan(without_metrics(base), (), whole(runs, "runs"), root, metrics=added)
-        unit = unit_of(metric, {name: one.unit for name, one in added})
+        plan = SweepPlan(without_metrics(base), (), whole(runs, "runs"), root, metrics=user_metrics)
+        unit = unit_of(metric, {name: added.unit for name, added in user_metrics})
         return cls(source, ranges, metric, unit, points, trajectories, plan)
 
     def carry_out(self, store: Store, workers: Workers, *, mix_versions: bool = False) -> SensitivityResult:
@@ -166,24 +167,25 @@ class Analysis:
 
         keys = len(self.grid)
         effects: ElementaryEffects | None = None
-        kept, count = list(range(keys)), 0
+        kept, runs = list(range(keys)), 0
         if self.trajectories:
-            at = morris_points(self.trajectories, keys, stream(0, "morris"))
+            points = morris_points(self.trajectories, keys, stream(0, "morris"))
             firsts = [first for first, *_ in self.grid.values()]
-            few = [k for k, first in enumerate(firsts) if not isinstance(first, KeyRange) or first.is_whole]
-            at[:, :, few] = among_items(at[:, :, few], stream(0, "items"))
-            values = values_at(at.reshape(-1, keys))
-            count += values.size
-            by_seed = values.reshape(*at.shape[:2], -1)
-            effects = elementary_effects(at, by_seed, self._spans(at), rng=stream(0, "bootstrap"))
+            # Keys with few values step over half of them.
+            discrete = [k for k, first in enumerate(firsts) if not isinstance(first, KeyRange) or first.is_whole]
+            points[:, :, discrete] = among_items(points[:, :, discrete], stream(0, "items"))
+            values = values_at(points.reshape(-1, keys))
+            runs += values.size
+            by_seed = values.reshape(*points.shape[:2], -1)
+            effects = elementary_effects(points, by_seed, self._spans(points), rng=stream(0, "bootstrap"))
             kept = effects.matters(SHARE)
         indices: SobolIndices | None = None
         if self.points and kept:
-            at = np.full((len(kept) + 2, self.points, keys), 0.5)
-            at[:, :, kept] = saltelli_points(self.points, len(kept))
-            values = values_at(at.reshape(-1, keys))
-            count += values.size
-            indices = sobol_indices(values.reshape(*at.shape[:2], -1), rng=stream(0, "bootstrap"))
+            points = np.full((len(kept) + 2, self.points, keys), 0.5)
+            points[:, :, kept] = saltelli_points(self.points, len(kept))
+            values = values_at(points.reshape(-1, keys))
+            runs += values.size
+            indices = sobol_indices(values.reshape(*points.shape[:2], -1), rng=stream(0, "bootstrap"))
         return SensitivityResult(
             self.plan.base.name,
             self.metric,
@@ -193,7 +195,7 @@ class Analysis:
                 for key, values in self.grid.items()
             },
             self.plan.reps,
-            count,
+            runs,
             effects,
             tuple(kept),
             indices,
@@ -201,21 +203,21 @@ class Analysis:
 
     def _values(self, shares: Floats, store: Store, workers: Workers, mix_versions: bool) -> Floats:
         """Return the (points, runs) values of the metric at points, given their (points, keys) shares of the ranges."""
-        places: dict[str, int] = {}
+        position_of: dict[str, int] = {}
         distinct: list[dict[str, Any]] = []
-        at = []
+        positions = []
         for settings in map(self._settings, shares.tolist()):
-            at.append(places.setdefault(repr(settings), len(distinct)))
-            if at[-1] == len(distinct):
+            positions.append(position_of.setdefault(repr(settings), len(distinct)))
+            if positions[-1] == len(distinct):
                 distinct.append(settings)
         plan = replace(self.plan, configurations=tuple(valid_configurations(self.source, self.grid, distinct)))
         plan.register(store, mix_versions=mix_versions)
         result = carry_out(plan, store, workers, fail_fast=True, metrics=[self.metric])
-        values: Floats = metric_values(plan, result, self.metric)[at]
+        values: Floats = metric_values(plan, result, self.metric)[positions]
         return values
 
     def _spans(self, points: Floats) -> Floats:
-        """Return the (trajectories, keys) shares of the ranges over which trajectories go; 1 for lists."""
+        """Return the (trajectories, keys) shares of the ranges that trajectories cover; 1 for lists."""
         spans = np.abs(points[:, -1] - points[:, 0])
         for k, (first, *_) in enumerate(self.grid.values()):
             if not isinstance(first, KeyRange):

@@ -3,12 +3,13 @@
 Source: Morris 1991, "Factorial Sampling Plans for Preliminary Computational Experiments". Each trajectory begins at a
 random point of a grid of `LEVELS` levels, and changes one input after another by `STEP`, up or down, in random order.
 The change of the model divided by `STEP` is an elementary effect: the change over the whole range, if it were linear.
-An input with a few values, a list or whole numbers, steps from one to another that is half of them further; the effect
-of a list is the change itself.
+The step of an input with few values (a list or whole numbers) goes over half of them; the effect of a list is the
+change itself.
+
 The mean of absolute effects (mu*, Campolongo et al. 2007, "An effective screening design for sensitivity analysis of
-large models") is 0 for an input without effect. An input that only makes other random numbers has one, too: it is to be
-compared with what the scatter of the runs at a point makes. The standard deviation of effects is 0 for an input that
-adds a term in proportion, and large for one with interactions or a curve.
+large models") is 0 for an input without effect. An input that only changes random numbers has a mean absolute effect,
+too: compare it with `of_chance`, which the scatter of the runs at a point makes alone. The standard deviation of
+effects is 0 for an input with a linear effect, and large for an input with interactions or a nonlinear effect.
 """
 
 from dataclasses import dataclass
@@ -41,7 +42,7 @@ class ElementaryEffects:
     """The mean absolute effect that chance alone makes of each input, by the scatter of the runs; () if unknown."""
 
     def within_chance(self) -> list[int]:
-        """Return the inputs whose mu* is above 0, and not told apart from what chance alone makes."""
+        """Return the inputs whose mu* is above 0, and not told apart from that of chance alone."""
         pairs = enumerate(zip(self.mean_absolute, self.of_chance, strict=False))
         return [k for k, (effect, of_chance) in pairs if effect.value > 0.0 and effect.low <= of_chance]
 
@@ -69,8 +70,8 @@ def morris_points(trajectories: int, inputs: int, rng: np.random.Generator) -> F
 def among_items(points: Floats, rng: np.random.Generator) -> Floats:
     """Return the (trajectories, points, inputs) shares, in [0, 1), of inputs with a few values at some points.
 
-    A level becomes a share in its quarter of the values, the same in each quarter along a trajectory. So every value is
-    as probable as another, however many there are, and a step goes over half of them, to another one.
+    A level becomes a share in its quarter of the values, at the same place in each quarter along a trajectory. So all
+    values are equally probable, however many there are, and a step goes over half of them, to another value.
     """
     quarters = (points * (LEVELS - 1)).round()
     shares: Floats = (quarters + rng.random((len(points), 1, points.shape[2]))) / LEVELS
@@ -89,24 +90,24 @@ def elementary_effects(
 
     Args:
         points: the points of trajectories, of `morris_points`.
-        values: the (trajectories, inputs + 1) values of the model there; of a model with chance, the (trajectories,
-            inputs + 1, seeds) values with the same seeds at all points, of which the means count.
+        values: the (trajectories, inputs + 1) values of the model at these points; of a model with chance, the
+            (trajectories, inputs + 1, seeds) values with the same seeds at all points, whose means count.
         spans: the (trajectories, inputs) shares of the ranges over which the steps go, and 1 for lists, whose effects
             are not scaled; None: the differences of the points. Where a share is 0, the step changes nothing, and the
             effect is 0.
         resamples: the number of bootstrap samples, which draw trajectories.
-        rng: draws them; None = one with the seed 0.
+        rng: draws these samples; None = a generator with the seed 0.
     """
     rng = np.random.default_rng(0) if rng is None else rng
     steps = np.diff(points, axis=1)
     changed = np.abs(steps).argmax(axis=2)
-    of_changed = np.take_along_axis(steps, changed[..., None], axis=2)[..., 0]
+    step_sizes = np.take_along_axis(steps, changed[..., None], axis=2)[..., 0]
     if spans is not None:
-        of_changed = np.copysign(np.take_along_axis(spans, changed, axis=1), of_changed)
+        step_sizes = np.copysign(np.take_along_axis(spans, changed, axis=1), step_sizes)
 
     def by_input(differences: Floats) -> Floats:
-        """Return the (trajectories, inputs) changes over the whole ranges, given those of the steps in order."""
-        slopes = np.divide(differences, of_changed, out=np.zeros(changed.shape), where=of_changed != 0.0)
+        """Return the (trajectories, inputs) changes over the whole ranges, given the changes at the steps in order."""
+        slopes = np.divide(differences, step_sizes, out=np.zeros(changed.shape), where=step_sizes != 0.0)
         sorted_slopes = np.empty_like(slopes)
         np.put_along_axis(sorted_slopes, changed, slopes, axis=1)
         return sorted_slopes
@@ -124,7 +125,7 @@ def elementary_effects(
     spreads = effects.std(axis=0, ddof=1) if len(effects) > 1 else np.zeros(len(sizes))
     spreads[spreads <= ROUNDING * np.array(sizes)] = 0.0
     return ElementaryEffects(
-        tuple(IndexEstimate(*one) for one in zip(sizes, low, high, strict=True)),
+        tuple(IndexEstimate(*estimate) for estimate in zip(sizes, low, high, strict=True)),
         tuple(effects.mean(axis=0).tolist()),
         tuple(spreads.tolist()),
         tuple(of_chance),

@@ -12,7 +12,7 @@ from desim.study.sensitivity.morris import ElementaryEffects
 from desim.study.sensitivity.sobol_indices import IndexEstimate, SobolIndices
 
 HEIGHT = 0.36
-"""The height of a bar, as a share of the distance of two keys."""
+"""The height of a bar, as a share of the distance between two keys."""
 
 
 def draw_sensitivity(
@@ -37,10 +37,10 @@ def draw_sensitivity(
     panels = [panel for panel in (effects, indices) if panel is not None]
     columns = columns_of(len(panels), size, beside=1.6)
     rows = len(panels) // columns
-    usual = (1.6 + 3.2 * columns, 1.3 * rows + 0.42 * rows * len(keys))
-    with styled(usual, size, style=style) as figure:
-        shared = figure.subplots(rows, columns, squeeze=False, sharey=True)
-        for axes, panel in zip(shared.flat, panels, strict=True):
+    default_size = (1.6 + 3.2 * columns, 1.3 * rows + 0.42 * rows * len(keys))
+    with styled(default_size, size, style=style) as figure:
+        grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
+        for axes, panel in zip(grid.flat, panels, strict=True):
             if panel is effects:
                 _draw_bars(axes, effects.mean_absolute, range(len(keys)), 0.0, GREY)
                 axes.set_xlabel(axis_label(f"effect on {words(metric)}", unit))
@@ -69,12 +69,12 @@ def _draw_bars(
     label: str | None = None,
 ) -> None:
     """Draw a bar with its interval in some rows, each moved up by `shift`; an estimate that is undefined has none."""
-    drawn = [(row - shift, one) for row, one in zip(rows, estimates, strict=True) if not isnan(one.value)]
-    if not drawn:
+    defined = [(row, one) for row, one in zip(rows, estimates, strict=True) if not isnan(one.value)]
+    if not defined:
         return
-    at = [row for row, _ in drawn]
-    sizes = [one.value for _, one in drawn]
-    axes.barh(at, sizes, height=HEIGHT, color=colour, label=label)
-    less = [max(one.value - one.low, 0.0) for _, one in drawn]
-    more = [max(one.high - one.value, 0.0) for _, one in drawn]
-    axes.errorbar(sizes, at, xerr=[less, more], fmt="none", ecolor="black", elinewidth=0.8, capsize=2)
+    heights = [row - shift for row, _ in defined]
+    sizes = [estimate.value for _, estimate in defined]
+    axes.barh(heights, sizes, height=HEIGHT, color=colour, label=label)
+    less = [max(estimate.value - estimate.low, 0.0) for _, estimate in defined]
+    more = [max(estimate.high - estimate.value, 0.0) for _, estimate in defined]
+    axes.errorbar(sizes, heights, xerr=[less, more], fmt="none", ecolor="black", elinewidth=0.8, capsize=2)

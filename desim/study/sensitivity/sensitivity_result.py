@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from desim.analysis.drawing.plots import Figure, Style
 
 DECIDES = 0.05
-"""The total index from which on a key is said to decide."""
+"""The total index from which on the result says that a key decides."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -71,10 +71,10 @@ class SensitivityResult(TabularResult):
     def sentences(self) -> list[str]:
         """Return what decides, what does not, how much is interaction, and how much is chance."""
         sentences = [self._what_decides()] if self.indices is not None else [self._what_changes()]
-        lost = [key for k, key in enumerate(self.keys) if k not in self.kept]
-        if lost and self.effects is not None and self.kept:
+        screened_out = [key for k, key in enumerate(self.keys) if k not in self.kept]
+        if screened_out and self.effects is not None and self.kept:
             sentences.append(
-                f"screened out, with an effect below a tenth of the greatest: {', '.join(lost)}"
+                f"screened out, with an effect below a tenth of the greatest: {', '.join(screened_out)}"
                 + ("; each keeps the middle of its range" if self.indices is not None else "")
             )
         if self.indices is not None and self.indices.is_varied:
@@ -84,10 +84,10 @@ class SensitivityResult(TabularResult):
             rest = "the rest is interaction among them" if is_rest else "no interaction among them is told apart from 0"
             sentences.append(f"alone the keys cause {share} % ({low} to {high} %); {rest}")
         if self.effects is not None:
-            apart = {key for key, total in self.total.items() if total.low > 0.0}  # indices do not count chance
-            within = [k for k in self.effects.within_chance() if k in self.kept and self.keys[k] not in apart]
+            told_apart = {key for key, total in self.total.items() if total.low > 0.0}  # indices do not count chance
+            within = [k for k in self.effects.within_chance() if k in self.kept and self.keys[k] not in told_apart]
             if listed := [f"{self.keys[k]} ({self._effect(self.effects.of_chance[k])})" for k in within]:
-                sentences.append(f"effects not told apart from what chance alone makes: {_listed(listed)}")
+                sentences.append(f"effects not told apart from what chance alone makes: {_joined(listed)}")
         if self.runs_at_point == 1:
             sentences.append("one run at each point: chance counts as an effect of the keys; take several")
         elif not isnan(self.chance):
@@ -95,7 +95,7 @@ class SensitivityResult(TabularResult):
             sentences.append(f"of the variance of a single run {in_percent} is chance, which the indices do not count")
         return sentences
 
-    _notes = sentences
+    _notes = sentences  # `TabularResult` shows them below the tables
 
     def _what_decides(self) -> str:
         metric, indices = words(self.metric), self.indices
@@ -106,10 +106,11 @@ class SensitivityResult(TabularResult):
             )
         order = sorted(self.total, key=lambda key: -self.total[key].value)
         deciding = [key for key in order if self.total[key].value >= DECIDES and self.total[key].low > 0.0]
-        idle = [key for key in order if self.total[key].low <= 0.0]  # by chance, all of an interval may be below 0
+        # By chance, all of an interval may be below 0.
+        not_told_apart = [key for key in order if self.total[key].low <= 0.0]
         listed = [f"{key} ({_in_percent(self.total[key])})" for key in deciding]
-        text = f"{metric} is decided by {_listed(listed)}" if listed else f"{metric}: no key is told apart from chance"
-        return f"{text}; not told apart from 0: {', '.join(idle)}" if idle else text
+        text = f"{metric} is decided by {_joined(listed)}" if listed else f"{metric}: no key is told apart from chance"
+        return f"{text}; not told apart from 0: {', '.join(not_told_apart)}" if not_told_apart else text
 
     def _what_changes(self) -> str:
         metric = words(self.metric)
@@ -118,7 +119,7 @@ class SensitivityResult(TabularResult):
         sizes = self.effects.mean_absolute
         order = sorted(self.kept, key=lambda k: -sizes[k].value)
         listed = [f"{self.keys[k]} ({self._effect(sizes[k].value)} over its range)" for k in order]
-        return f"{metric} changes most with {_listed(listed)}"
+        return f"{metric} changes most with {_joined(listed)}"
 
     def _effect(self, size: float) -> str:
         return f"{size:.3g} {self.unit}".rstrip()
@@ -172,14 +173,14 @@ class SensitivityResult(TabularResult):
         """Return the analysis as JSON-compatible values; None where undefined."""
         keys = []
         for k, (key, values) in enumerate(self.ranges.items()):
-            of_key: dict[str, Any] = {"key": key, "range": values, "screened_out": k not in self.kept}
+            entry: dict[str, Any] = {"key": key, "range": values, "screened_out": k not in self.kept}
             if self.effects is not None:
-                of_key |= {"effect": _as_json(self.effects.mean_absolute[k]), "mean_effect": self.effects.mean[k]}
-                of_key |= {"spread": self.effects.deviation[k]}
-                of_key |= {"effect_of_chance": self.effects.of_chance[k]} if self.effects.of_chance else {}
+                entry |= {"effect": _as_json(self.effects.mean_absolute[k]), "mean_effect": self.effects.mean[k]}
+                entry |= {"spread": self.effects.deviation[k]}
+                entry |= {"effect_of_chance": self.effects.of_chance[k]} if self.effects.of_chance else {}
             if key in self.total:
-                of_key |= {"first": _as_json(self.first[key]), "total": _as_json(self.total[key])}
-            keys.append(of_key)
+                entry |= {"first": _as_json(self.first[key]), "total": _as_json(self.total[key])}
+            keys.append(entry)
         return {
             "name": self.name,
             "metric": self.metric,
@@ -197,7 +198,7 @@ class SensitivityResult(TabularResult):
         return f"<SensitivityResult of {self.name}: {words(self.metric)} over {counted(len(self.keys), 'key')}>"
 
 
-def _listed(texts: list[str]) -> str:
+def _joined(texts: list[str]) -> str:
     return " and ".join([", ".join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts)
 
 

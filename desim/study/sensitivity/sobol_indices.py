@@ -1,16 +1,16 @@
 """Sobol indices: the shares of the variance of a model that its inputs cause.
 
 The first-order index of an input is the share that disappears if the input is known, and its total index the share that
-remains if all others are known. Their difference is due to interactions. Inputs are independent and uniform.
+remains if all other inputs are known. Their difference is due to interactions. Inputs are independent and uniform.
 
 The estimators are those of Saltelli et al. 2010, "Variance based sensitivity analysis of model output. Design and
-estimator for the total sensitivity index" (table 2, b and f). They take the model at the points of two matrices A and
-B, and at those of A with column i from B, (AB)_i.
+estimator for the total sensitivity index" (table 2, b and f). They need the model at the points of two matrices A and
+B, and at the points of (AB)_i, which is A with column i from B.
 
-A model with chance is run with the same seeds at all points. What is divided then is the variance of its mean over all
-seeds, not of the mean over those that were run: each product of two values is replaced by the mean of products of
-values with different seeds. The estimators therefore do not count chance as an effect. An input that only changes the
-luck of a run has the indices 0. With one seed the model is taken as one without chance.
+A model with chance is run with the same seeds at all points. The indices then divide the variance of its mean over all
+possible seeds, not over the seeds that were run: each product of two values is replaced by the mean of products of
+values with different seeds. The estimators therefore do not count chance as an effect: an input that only changes the
+random numbers of a run has the indices 0. With one seed, the model is treated as a model without chance.
 """
 
 from collections.abc import Sequence
@@ -67,7 +67,7 @@ def sobol_indices(values: Floats, *, resamples: int = 1000, rng: np.random.Gener
     Args:
         values: the (inputs + 2, size, seeds) values of the model at the points of `saltelli_points`.
         resamples: the number of bootstrap samples.
-        rng: draws them; None = one with the seed 0.
+        rng: draws these samples; None = a generator with the seed 0.
     """
     rng = np.random.default_rng(0) if rng is None else rng
     first, total, variance = _estimates(values)
@@ -78,14 +78,14 @@ def sobol_indices(values: Floats, *, resamples: int = 1000, rng: np.random.Gener
     is_varied = variance > 0.0 and least > 0.0
     chance = float(values[:2].var(axis=2, ddof=1).mean()) if seeds > 1 else nan
 
-    def with_interval(of_all: Floats, of_samples: Floats) -> tuple[IndexEstimate, ...]:
+    def with_interval(estimates: Floats, of_resamples: Floats) -> tuple[IndexEstimate, ...]:
         if not is_varied:
-            return tuple(IndexEstimate(nan, nan, nan) for _ in of_all)
-        # A few samples may have no variance, and so no index: without them, as one nan would make both ends nan.
-        intervals = np.nanpercentile(of_samples, ends, axis=0)
+            return tuple(IndexEstimate(nan, nan, nan) for _ in estimates)
+        # Samples without variance have no index, and are left out: one nan would make both ends nan.
+        intervals = np.nanpercentile(of_resamples, ends, axis=0)
         return tuple(
             IndexEstimate(value, low, high)
-            for value, low, high in zip(of_all.tolist(), *intervals.tolist(), strict=True)
+            for value, low, high in zip(estimates.tolist(), *intervals.tolist(), strict=True)
         )
 
     (alone,) = with_interval(_sums([first]), _sums([sample[0] for sample in samples])[:, np.newaxis])
@@ -102,9 +102,9 @@ def sobol_indices(values: Floats, *, resamples: int = 1000, rng: np.random.Gener
 def bootstrap_ends(size: int) -> Floats:
     """Return the two percentiles of bootstrap samples, in %, that bound the 95 % interval of a mean of n values.
 
-    A resampled mean varies less than the mean, by the factor sqrt(1 - 1/n), and as a normal number, not as Student's t:
-    of ten values, the plain percentiles cover the mean in 90 % of cases instead of 95 %. So the percentiles lie further
-    outside, by both factors (the expanded interval of Hesterberg 2015, "What Teachers Should Know About the
+    A resampled mean varies less than the mean, by the factor sqrt(1 - 1/n), and is normal instead of Student's t: for
+    ten values, plain percentiles cover the mean in 90 % of cases instead of 95 %. Both factors therefore widen the
+    percentiles (the expanded interval of Hesterberg 2015, "What Teachers Should Know About the
     Bootstrap").
     """
     from scipy.special import ndtr
@@ -121,11 +121,11 @@ def _sums(rows: Sequence[Floats]) -> Floats:
 def _estimates(values: Floats) -> tuple[Floats, Floats, float]:
     """Return the first-order and total indices (inputs,), and the variance."""
     a, b, mixed = values[0], values[1], values[2:]
-    means = values[:2].mean(axis=(0, 1))  # of each seed, so that what a seed does everywhere alike does not count
+    means = values[:2].mean(axis=(0, 1))  # by seed: an effect of a seed that is equal at all points does not count
     variance = float(_products(values[:2] - means, values[:2] - means).mean())
     if not variance > 0.0:
-        nothing = np.full(len(mixed), nan)
-        return nothing, nothing, variance
+        undefined = np.full(len(mixed), nan)
+        return undefined, undefined, variance
     changes = mixed - a
     first = _products(np.broadcast_to(b - means, changes.shape), changes).mean(axis=1) / variance
     total = _products(changes, changes).mean(axis=1) / (2.0 * variance)
