@@ -5,11 +5,11 @@ an imperfection is the paired difference between the scenario as it is and the s
 add up to the difference that all imperfections make together, the imperfections interact. For example, if either of two
 imperfections is enough to delay a capture, removing one alone saves nothing.
 
-Two more variants bound what the network can do: a perfect network, and no messages at all. All else is as it is, so if
-they are equal in every run, the network does not matter in this scenario.
+Two more variants bound the effect of the network: a perfect network, and no messages at all. All else is as it is. If
+the two are equal in every run, the network does not matter in this scenario.
 
 An interaction is declared only if its 99 % interval, corrected for the number of metrics, excludes 0
-(`INTERACTION_RISK` in `desim.study.results.explanation`).
+(`INTERACTION_RISK` in `desim.study.results.costs`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -64,7 +64,7 @@ def explain(
     other arguments are as in `sweep`.
 
     Raises:
-        TypeError: if it is not a scenario; the message says what to write instead.
+        TypeError: if `scenario` is no scenario; the message says what to write instead.
         ValueError: if there are fewer than 2 runs, the seed or the number of workers is negative, no metric is shown,
             `timeout` is out of its range, or a metric has a wrong name, does not exist or is not numeric.
         ScenarioError: if an object of the scenario has no stable hash.
@@ -76,9 +76,9 @@ def explain(
     shown = [shown] if isinstance(shown, str) else list(shown)
     variants = Variants.of(scenario, runs, seed, metrics)
     variants.check_shown(shown)
-    with workers_for(executor, variants.plan.runs, timeout) as workers, Store(store) as kept:
-        variants.plan.register(kept, mix_versions=mix_versions)
-        return variants.carry_out(kept, workers, shown)
+    with workers_for(executor, variants.plan.runs, timeout) as workers, Store(store) as variants_store:
+        variants.plan.register(variants_store, mix_versions=mix_versions)
+        return variants.carry_out(variants_store, workers, shown)
 
 
 @dataclass(frozen=True)
@@ -99,15 +99,15 @@ class Variants:
         """
         if (runs := whole(runs, "runs")) < 2:
             raise ValueError(f"an interval needs at least 2 runs, got {runs}")
-        added = users_metrics(scenario.record.metrics, {} if metrics is None else metrics)
+        user_metrics = users_metrics(scenario.record.metrics, {} if metrics is None else metrics)
         scenario = without_metrics(scenario)
-        ideal = reduce(lambda so_far, remove: remove(so_far), IMPERFECTIONS.values(), scenario)
+        ideal = reduce(lambda partly_ideal, remove: remove(partly_ideal), IMPERFECTIONS.values(), scenario)
         removed = {name: remove(scenario) for name, remove in IMPERFECTIONS.items()}
         bounds = {PERFECT: with_perfect_network(scenario), SILENT: without_messages(scenario)}
-        named = {AS_IT_IS: scenario, **removed, IDEAL: ideal, **bounds}
-        variants = {name: Configuration({"without": name}, variant) for name, variant in named.items()}
+        by_name = {AS_IT_IS: scenario, **removed, IDEAL: ideal, **bounds}
+        variants = {name: Configuration({"without": name}, variant) for name, variant in by_name.items()}
         root = scenario.seed if seed is None else seed_of(seed)
-        return cls(SweepPlan(scenario, distinct(variants.values()), runs, root, metrics=added), variants)
+        return cls(SweepPlan(scenario, distinct(variants.values()), runs, root, metrics=user_metrics), variants)
 
     def check_shown(self, shown: Sequence[str]) -> None:
         """Raise ValueError if there is no metric to be shown, or one does not exist or is not numeric."""
@@ -131,9 +131,9 @@ class Variants:
             for configuration, group in zip(plan.configurations, groups, strict=True)
         }
         rows = {name: by_key[configuration.key] for name, configuration in self.configurations.items()}
-        complete = [k for k in range(plan.reps) if all(by_seed[k].ok for by_seed in rows.values())]
+        complete = [k for k in range(plan.reps) if all(by_replication[k].ok for by_replication in rows.values())]
         if not complete:
-            failed = next(row for by_seed in rows.values() for row in by_seed.values() if not row.ok)
+            failed = next(row for by_replication in rows.values() for row in by_replication.values() if not row.ok)
             raise RunError(
                 f"no seed completed in all variants; first failure, with seed {failed.seed}: {failed.failure}"
             )
@@ -147,7 +147,7 @@ class Variants:
 
 def _cost(
     metric: str,
-    added: UsersMetrics,
+    user_metrics: UsersMetrics,
     rows: Mapping[str, Mapping[int, Row]],
     complete: list[int],
     absent: tuple[str, ...],
@@ -156,33 +156,34 @@ def _cost(
     """Return the cost of each imperfection in a metric, over the seeds for which all variants have a value.
 
     The bounds of the network are over the seeds for which these two have a value: without messages there may be no
-    capture, and so no time of it. `confidence` is the level of the interval that decides whether the imperfections
+    capture, and so no capture time. `confidence` is the level of the interval that decides whether the imperfections
     interact.
     """
 
     def measured(*names: str) -> dict[str, list[float]]:
         """Return a metric of some variants, over the seeds for which all of these have a value."""
-        among = [rows[name] for name in names]
-        shared = [k for k in complete if all(by_seed[k].value(metric) is not None for by_seed in among)]
+        chosen = [rows[name] for name in names]
+        shared = [k for k in complete if all(by_replication[k].value(metric) is not None for by_replication in chosen)]
         return {name: [rows[name][k].value(metric) for k in shared] for name in names}
 
     bounds = Bounds.of(*measured(PERFECT, SILENT).values())
     values = measured(*(name for name in rows if name not in (PERFECT, SILENT)))
     as_it_is = values.pop(AS_IT_IS)
     saved = {
-        name: [float(a) - float(b) for a, b in zip(as_it_is, times, strict=True)] for name, times in values.items()
+        name: [float(with_it) - float(without) for with_it, without in zip(as_it_is, numbers, strict=True)]
+        for name, numbers in values.items()
     }
     parts = {name: saved[name] for name in IMPERFECTIONS if name not in absent}
     interaction = [total - portable_sum(part[k] for part in parts.values()) for k, total in enumerate(saved[IDEAL])]
     return Cost(
         EXPLAINED.get(metric) or words(metric),
-        unit_of(metric, {name: metric.unit for name, metric in added}),
+        unit_of(metric, {name: metric.unit for name, metric in user_metrics}),
         mean_or_share(as_it_is),
         mean_or_share(values[IDEAL]),
         {name: Saving.of(saving) for name, saving in parts.items()},
         Saving.of(saved[IDEAL]),
         Saving.of(interaction),
-        more_is(metric, dict(added)),
+        more_is(metric, dict(user_metrics)),
         confidence,
         bounds,
     )
