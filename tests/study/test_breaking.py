@@ -758,7 +758,7 @@ def test_an_exception_after_a_run_is_not_its_protocols(module, function, monkeyp
     monkeypatch.setattr(module, function, lambda _: {}["missing"])
     prop = property_of("crowded at most 1 in total")
     judge_run = (
-        partial(losses._tell, prop, ("lost",), 0, True) if module is losses else partial(judging._case_run, prop)
+        partial(losses._report, prop, ("lost",), 0, True) if module is losses else partial(judging._case_run, prop)
     )
     with pytest.raises(JudgementError, match="cannot be judged: KeyError: 'missing'"):
         judge_run(history())

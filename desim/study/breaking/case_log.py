@@ -17,36 +17,34 @@ from desim.study.plan.config_hash import identify, object_hash
 
 FILE = "cases.jsonl"
 """The name of the file in the folder of a search."""
-
-
 FAILED = Judgement(-inf, inf, 0.0)
-"""The judgement of a run that raised an exception: no property of it is known, and a protocol should not fail."""
+"""The judgement of a run that raised an exception: the worst margin, because a protocol should not fail."""
 
 
 class CaseRun(NamedTuple):
-    """What a run of a case tells."""
+    """The outcome of the run of a case."""
 
     verdict: Judgement
     seen: list[str]
-    """What was seen in it; see `SIGHTINGS`."""
+    """The sentences of `SIGHTINGS` that hold in the run."""
     seconds: float = 0.0
-    """The wall time, s, from the end of the run before: several workers share the time in which they run."""
+    """The wall time, s, since the end of the run before: so the times of several workers add up to the whole."""
     failure: str = ""
-    """The exception that it raised, as text; the judgement is then `FAILED`."""
+    """The exception that the run raised, as text; the judgement is then `FAILED`."""
     limit: float | None = None
-    """The limit of wall time that it exceeded, s; None: it ended by itself."""
+    """The limit of wall time that the run exceeded, s; None: it ended by itself."""
 
 
 FIELDS = {"search", "scenario", "seed", *CaseRun._fields}
-"""The names of what a line has, beside the case."""
+"""The keys of a line of the log, without the case."""
 
 
 class CaseLog:
     """The runs that a search has judged, one line of JSON each.
 
-    A run is known by its scenario, whatever the case from which this was made, by the code of the user that it runs,
-    and by its seed. Lines of another property or version are not read. A last line that was cut off is left out. The
-    file need not exist.
+    A run is identified by its scenario, the user code that it runs, and its seed, whatever the case from which the
+    scenario was made. Lines of another property or version are not read, nor is a last line that was cut off. The file
+    need not exist.
 
     Raises:
         OSError: if the file cannot be read, or is a symbolic link.
@@ -65,22 +63,22 @@ class CaseLog:
         for line in text.splitlines():
             entry = _read(line)
             if entry is not None and entry["search"] == self._search:
-                told = {name: entry[name] for name in CaseRun._fields} | {"verdict": Judgement(*entry["verdict"])}
-                self._runs[entry["scenario"], entry["seed"]] = CaseRun(**told)
+                fields = {name: entry[name] for name in CaseRun._fields} | {"verdict": Judgement(*entry["verdict"])}
+                self._runs[entry["scenario"], entry["seed"]] = CaseRun(**fields)
 
     def __len__(self) -> int:
         return len(self._runs)
 
     def find(self, scenario: Scenario, seed: int) -> CaseRun | None:
-        """Return what a run told that was judged before; None if there is none."""
+        """Return the outcome of a run that was judged before; None if there was none."""
         return self._runs.get((identify(scenario).key, seed))
 
     def add(self, scenario: Scenario, seed: int, case_run: CaseRun, case: Case | None = None) -> None:
         """Append a run; its case, if given, tells a reader of the file what was changed."""
         key = identify(scenario).key
         self._runs[key, seed] = case_run
-        told = {**case_run._asdict(), "case": as_jsonable(case)}  # its values may be models
-        entry = {"search": self._search, "scenario": key, "seed": seed, **told}
+        fields = {**case_run._asdict(), "case": as_jsonable(case)}  # the values of a case may be models
+        entry = {"search": self._search, "scenario": key, "seed": seed, **fields}
         with open(self._file, "a", encoding="utf-8", opener=open_no_link) as lines:
             lines.write(("\n" if self._is_cut_off else "") + json.dumps(entry) + "\n")
         self._is_cut_off = False

@@ -17,16 +17,16 @@ from desim.simulation.run import Result
 
 
 class MessageCopy(NamedTuple):
-    """A message to one receiver: a broadcast counts once for each."""
+    """A message to one receiver: a broadcast is one for each of its receivers."""
 
     number: int
-    """From 1 on, in the order of sending."""
+    """The number, from 1 on, in the order of sending."""
     src: int
     dst: int
     sent: int
-    """ns"""
+    """The time of sending, ns."""
     arrival: int
-    """ns; `LOST` if it never arrived."""
+    """The time of arrival, ns; `LOST` if it never arrived."""
     seq: int | None
     """The number of the record among those of its sender; None if it is no record."""
     action: int | None
@@ -45,6 +45,7 @@ def copies(result: Result) -> list[MessageCopy]:
     """
     table = delivery_table(result)
     table = table.in_order_of(table.transmission)
+    # Copies that faults make have the numbers of transmission from `FIRST_COPY` on.
     numbered = int(np.searchsorted(table.transmission, FIRST_COPY))
     columns = table.event, table.dst, table.created, np.where(table.cause < 0, table.until, LOST)
     rows = zip(*(column[:numbered].tolist() for column in columns), strict=True)
@@ -52,7 +53,7 @@ def copies(result: Result) -> list[MessageCopy]:
 
 
 def _copy(number: int, event: Broadcast | Sent | Queued, dst: int, sent: int, arrival: int) -> MessageCopy:
-    if isinstance(event, Queued):  # it has not left
+    if isinstance(event, Queued):  # it has not left its sender
         return MessageCopy(number, event.src, dst, sent, LOST, None, None)
     seq = event.seq if isinstance(event, Broadcast) else None
     return MessageCopy(number, event.src, dst, sent, arrival, seq, announced_action(event.body))
@@ -70,35 +71,35 @@ def looks(result: Result) -> dict[int, list[int]]:
 
 
 class ReadingTime(NamedTuple):
-    """When a message that arrives, or would have arrived, is the newest of its sender there."""
+    """The time in which a message is the newest of its sender at its receiver, or would be if it had arrived."""
 
     copy: MessageCopy
     since: int
-    """ns; its arrival or, if it was lost, its sending."""
+    """The time of arrival or, if it was lost, of sending, ns."""
     until: float
-    """ns; when a newer record of its sender arrives; inf: never, or it is no record."""
+    """The time at which a newer record of the sender arrives, ns; inf: never, or the message is no record."""
     looks: list[int]
-    """When its receiver looked, ns, ascending; see `looks`."""
+    """The times at which the receiver looked, ns, ascending; see `looks`."""
 
     def is_read(self, end: float = inf) -> bool:
-        """Return whether its receiver looked while it was the newest, up to a time, ns, included."""
-        at = bisect_left(self.looks, self.since)
-        return at < len(self.looks) and self.looks[at] <= min(end, self.until)
+        """Return whether the receiver looked while the message was the newest, up to and including `end`, ns."""
+        index = bisect_left(self.looks, self.since)
+        return index < len(self.looks) and self.looks[index] <= min(end, self.until)
 
     def last_look(self) -> float:
-        """Return when its receiver looked for the last time up to `until`, ns; -inf: never."""
-        at = bisect_right(self.looks, self.until)
-        return self.looks[at - 1] if at else -inf
+        """Return when the receiver looked for the last time up to `until`, ns; -inf: never."""
+        index = bisect_right(self.looks, self.until)
+        return self.looks[index - 1] if index else -inf
 
 
 def readings(sent: list[MessageCopy], looks_of: dict[int, list[int]]) -> list[ReadingTime]:
     """Return when each message was the newest of its sender at its receiver, in the order of sending."""
-    newer: dict[tuple[int, int], float] = {}
-    reverse: list[ReadingTime] = []
+    newer_arrival: dict[tuple[int, int], float] = {}
+    last_first: list[ReadingTime] = []
     for copy in reversed(sent):
         since = copy.sent if copy.arrival == LOST else copy.arrival
-        until = newer.get((copy.src, copy.dst), inf) if copy.seq is not None else inf
-        reverse.append(ReadingTime(copy, since, until, looks_of.get(copy.dst, [])))
+        until = newer_arrival.get((copy.src, copy.dst), inf) if copy.seq is not None else inf
+        last_first.append(ReadingTime(copy, since, until, looks_of.get(copy.dst, [])))
         if copy.seq is not None and copy.arrival != LOST:
-            newer[copy.src, copy.dst] = min(until, copy.arrival)
-    return reverse[::-1]
+            newer_arrival[copy.src, copy.dst] = min(until, copy.arrival)
+    return last_first[::-1]

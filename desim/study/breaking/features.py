@@ -16,19 +16,21 @@ from desim.study.plan.configurations import checked_ranges
 NewValues = dict[str, Any]
 """New values by dotted key, as for `Scenario.with_`; under "fault", the table of one fault to add."""
 Case = dict[str, NewValues]
-"""The changes of each feature of a case, by name."""
+"""The changes of a case, by the name of the feature that makes them."""
 Draw = Callable[[np.random.Generator, Scenario], NewValues]
 SIZES = (3, 4, 5, 6, 8, 10, 12)
 """The numbers of pursuers that a search tries."""
+CHANGED = 1 / 3
+"""The share of the features in which a case differs from its parent."""
 
 
 def _between(rng: np.random.Generator, low: float, high: float) -> float:
-    """Return a number, uniform on a logarithmic scale, with two digits."""
+    """Return a random number between two bounds, uniform on a logarithmic scale, with two digits."""
     return float(f"{low * (high / low) ** rng.random():.2g}")
 
 
 def _window(rng: np.random.Generator, scenario: Scenario) -> NewValues:
-    """Return the start and the end of a fault; half of them never end."""
+    """Return the start and the end of a fault; half of all faults never end."""
     start = _between(rng, 0.02, 0.5) * scenario.horizon
     end = {"end": start + _between(rng, 0.02, 0.5) * scenario.horizon} if rng.random() < 0.5 else {}
     return {key: float(f"{time:.3g}") for key, time in ({"start": start} | end).items()}
@@ -99,7 +101,7 @@ FEATURES: Mapping[str, Draw] = MappingProxyType(
         "chaser lies": _fault("liar", chaser=True, action="stay"),
     }
 )
-"""The imperfections by name; each draws new values of keys. "team" comes first: others name pursuers."""
+"""The imperfections by name; each draws new values of keys. "team" comes first: other features name pursuers."""
 
 
 def of_grid(grid: Mapping[str, Sequence[Any]], scenario: Scenario) -> Mapping[str, Draw]:
@@ -135,8 +137,8 @@ def drawn(
 ) -> Case:
     """Return a random case.
 
-    Each feature is in it with probability 1/2 (Groce et al. 2012, "Swarm Testing"): many failures need that another
-    feature is absent. A case with a parent differs from it in a third of the features.
+    The case has each feature with probability 1/2 (Groce et al. 2012, "Swarm Testing"): many failures need the absence
+    of another feature. A case with a parent differs from it in a third of the features.
     """
     case: Case = {}
     for name, draw in features.items():
@@ -145,13 +147,9 @@ def drawn(
                 case[name] = parent[name]
         elif rng.random() < 0.5:
             case[name] = draw(rng, scenario)
-        if name == "team" and name in case:
+        if name == "team" and name in case:  # later features draw pursuers of this team
             scenario = changed_or_none(scenario, {name: case[name]}) or scenario
     return case
-
-
-CHANGED = 1 / 3
-"""The share of the features in which a case differs from its parent."""
 
 
 def applied(scenario: Scenario, case: Mapping[str, NewValues]) -> Scenario:
@@ -161,8 +159,8 @@ def applied(scenario: Scenario, case: Mapping[str, NewValues]) -> Scenario:
         ScenarioError: if the result would not be valid.
     """
     faults = [changes["fault"] for changes in case.values() if "fault" in changes]
-    others = {key: value for changes in case.values() for key, value in changes.items() if key != "fault"}
-    return scenario.with_(others | ({"fault": [*scenario.fault, *faults]} if faults else {}))
+    new_values = {key: value for changes in case.values() for key, value in changes.items() if key != "fault"}
+    return scenario.with_(new_values | ({"fault": [*scenario.fault, *faults]} if faults else {}))
 
 
 def changed_or_none(scenario: Scenario, case: Case) -> Scenario | None:

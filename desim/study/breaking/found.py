@@ -22,15 +22,16 @@ from desim.study.breaking.sightings import SIGHTINGS
 def scenario_text(violation: Violation, file: str, command: str, folder: Path | None = None) -> str:
     """Return the scenario of a violation as a commented file, with its seed and its property.
 
-    `file` is its name, for the commands in its comments, and `command` found it; for `folder` see `with_comment`.
+    `file` is the name of the file, for the commands in its comments. `command` is the command that found the violation.
+    For `folder` see `with_comment`.
     """
-    verdict, prop, name = violation.verdict, violation.prop, violation.scenario.protocol_name
+    verdict, prop, protocol = violation.verdict, violation.prop, violation.scenario.protocol_name
     verb = "fails" if violation.failure else f'violates "{prop.text}"'
     lines = [
-        f"{name} {verb} here: {told_text(verdict, violation.failure, prop)}.",
+        f"{protocol} {verb} here: {told_text(verdict, violation.failure, prop)}.",
         f"Found as case {violation.searched} of: {command}",
         f"Made smaller in {counted(violation.shrunk, 'run')}. What is changed:",
-        *(f"  {name}: {_flat(changes)}" for name, changes in violation.case.items()),
+        *(f"  {feature}: {_changes_text(changes)}" for feature, changes in violation.case.items()),
         f"Look: {command_for('run' if violation.failure else 'replay', file, violation.scenario, folder)}"
         + ("" if violation.failure else f", then add #t={verdict.at:g} to the address"),
     ]
@@ -38,9 +39,9 @@ def scenario_text(violation: Violation, file: str, command: str, folder: Path | 
 
 
 def command_for(verb: str, file: str, scenario: Scenario, folder: Path | None) -> str:
-    """Return the command that does something with a scenario that was written to a file.
+    """Return the command `desim VERB` for the file of a scenario.
 
-    The code that the scenario names is not beside the file, but in a folder.
+    `folder` has the code that the scenario names, which is not beside the file.
     """
     command = f"desim {verb} {shlex.quote(file)}"
     if PROTOCOLS.holds(scenario.protocol) and ":" not in kind_of(scenario.protocol):
@@ -56,13 +57,15 @@ def with_comment(
     `folder` is where the code that the scenario names was found; None: nowhere.
     """
     margin = f"margin:{prop.label}"
-    plain = scenario.with_({"seed": seed, "properties": [prop], "record.messages": True, "record.metrics": [margin]})
-    stated = f"{prop.name}: {prop.text}" if prop.name else prop.text
+    stated_scenario = scenario.with_(
+        {"seed": seed, "properties": [prop], "record.messages": True, "record.metrics": [margin]}
+    )
+    statement = f"{prop.name}: {prop.text}" if prop.name else prop.text
     comment = "".join(f"# {' '.join(line.splitlines())}\n" for line in lines)
-    return f"{comment}\n{brief(plain, folder, properties=[stated])}"
+    return f"{comment}\n{brief(stated_scenario, folder, properties=[statement])}"
 
 
-def _flat(changes: Mapping[str, Any]) -> str:
+def _changes_text(changes: Mapping[str, Any]) -> str:
     def text(value: Any) -> str:
         if isinstance(value, dict):
             return "{ " + ", ".join(f"{key} = {text(entry)}" for key, entry in value.items()) + " }"
@@ -75,11 +78,11 @@ def _flat(changes: Mapping[str, Any]) -> str:
 
 def case_text(case: Case) -> str:
     """Return the changes of a case on one line."""
-    return "; ".join(_flat(changes) for changes in case.values()) or "nothing changed"
+    return "; ".join(_changes_text(changes) for changes in case.values()) or "nothing changed"
 
 
 def told_text(verdict: Judgement, failure: str, prop: Property) -> str:
-    """Return as text what a run tells: its judgement, or the exception that it raised."""
+    """Return the outcome of a run as text: its judgement, or the exception that it raised."""
     unit = f" {prop.unit}" if prop.unit else ""
     against = "" if verdict.reference is None else f", {prop.against} {_number(verdict.reference)}{unit}"
     return failure or f"margin {_number(verdict.margin)}{unit} (it has {_number(verdict.measure)}{unit}{against})"
@@ -90,18 +93,18 @@ def _number(value: float) -> str:
 
 
 def protocols_text(verdicts: Mapping[str, Judgement | str], prop: Property) -> str:
-    """Return a table of what every protocol does, the worst first."""
+    """Return a table of the margins and measures of all protocols, the worst first."""
     unit = f", {prop.unit}" if prop.unit else ""
     lines = [f"{'protocol':<28}{'margin' + unit:>10}{'measure' + unit:>12}"]
     judged = {kind: verdict for kind, verdict in verdicts.items() if isinstance(verdict, Judgement)}
     for kind, verdict in sorted(judged.items(), key=lambda pair: (pair[1].margin, pair[0])):
         mark = "" if verdict.holds else "  violates"
         lines.append(f"{kind:<28}{_number(verdict.margin):>10}{_number(verdict.measure):>12}{mark}")
-    return "\n".join([*lines, *(f"{kind:<28}{why}" for kind, why in verdicts.items() if isinstance(why, str))])
+    return "\n".join([*lines, *(f"{kind:<28}{reason}" for kind, reason in verdicts.items() if isinstance(reason, str))])
 
 
 def search_text(search: Search, prop: Property) -> str:
-    """Return what a search has found and what it has seen."""
+    """Return the violation that a search found, or its least margin, and the sightings of its runs, as text."""
     lines: list[str] = []
     if (violation := search.violation) is not None:
         verb = "failed" if violation.failure else "violated"

@@ -32,10 +32,10 @@ class Planned(NamedTuple):
 class CaseJudge:
     """Judges runs by a property. Runs that a log has are not made again; the log receives the others.
 
-    A run that took too long is made again if the limit is another one. Without a log, nothing is kept.
+    A run that exceeded another limit of wall time is made again. Without a log, nothing is kept.
 
     Attributes:
-        seconds: the wall time of all runs that were judged, s, that of the runs in the log included.
+        seconds: the wall time of all runs that were judged, s, including runs in the log.
     """
 
     def __init__(self, prop: Property, workers: Workers, log: CaseLog | None = None):
@@ -49,33 +49,33 @@ class CaseJudge:
 
     def judge_all(self, cases: Sequence[Planned]) -> list[CaseRun]:
         """Judge the run of each case, in order. A run that raises an exception, or is too long, has failed."""
-        by_case: dict[int, CaseRun] = {}
+        by_number: dict[int, CaseRun] = {}
         if self._log is not None:
             logged = ((k, self._log.find(planned.scenario, planned.seed)) for k, planned in enumerate(cases))
-            limits = (None, self._workers.timeout)
-            by_case = {k: case_run for k, case_run in logged if case_run is not None and case_run.limit in limits}
-        missing = [k for k in range(len(cases)) if k not in by_case]
+            limits = (None, self._workers.timeout)  # the run ended by itself, or would exceed the limit again
+            by_number = {k: case_run for k, case_run in logged if case_run is not None and case_run.limit in limits}
+        missing = [k for k in range(len(cases)) if k not in by_number]
         if missing:
-            by_case |= dict(zip(missing, self._run_all([cases[k] for k in missing]), strict=True))
-        self.seconds += portable_sum(case_run.seconds for case_run in by_case.values())
-        return [by_case[k] for k in range(len(cases))]
+            by_number |= dict(zip(missing, self._run_all([cases[k] for k in missing]), strict=True))
+        self.seconds += portable_sum(case_run.seconds for case_run in by_number.values())
+        return [by_number[k] for k in range(len(cases))]
 
     def _run_all(self, cases: Sequence[Planned]) -> list[CaseRun]:
         """Make the run of each case, and append it to the log as soon as it has ended."""
         tasks = [(with_messages(planned.scenario, self._prop), planned.seed) for planned in cases]
         runs: dict[int, CaseRun] = {}
-        before = time.perf_counter()
+        last_end = time.perf_counter()
         with closing(drive(tasks, self._workers, partial(_case_run, self._prop))) as outcomes:
-            for place, outcome in outcomes:
+            for k, outcome in outcomes:
                 timeout = self._workers.timeout
                 failure, limit = failure_of(outcome, timeout), timeout if isinstance(outcome.error, TimedOut) else None
-                now = time.perf_counter()
+                end = time.perf_counter()
                 case_run = CaseRun(FAILED, [], failure=failure, limit=limit) if failure else outcome.value
-                runs[place] = case_run._replace(seconds=round(now - before, 4))
-                before = now
+                runs[k] = case_run._replace(seconds=round(end - last_end, 4))
+                last_end = end
                 if self._log is not None:
-                    self._log.add(cases[place].scenario, cases[place].seed, runs[place], cases[place].case)
-        return [runs[place] for place in range(len(cases))]
+                    self._log.add(cases[k].scenario, cases[k].seed, runs[k], cases[k].case)
+        return [runs[k] for k in range(len(cases))]
 
 
 class JudgementError(ArgumentError):
@@ -83,7 +83,7 @@ class JudgementError(ArgumentError):
 
 
 def failure_of(outcome: Outcome, timeout: float | None) -> str:
-    """Return how a run has failed: the class and the first line of its exception; empty: it has not.
+    """Return the failure of a run, the class and the first line of its exception; empty: it has not failed.
 
     `timeout` is the longest wall time of a run, s; None: no limit.
 
@@ -128,5 +128,5 @@ def with_messages(scenario: Scenario, prop: Property) -> Scenario:
 def outcomes_of(tasks: Sequence[Task], workers: Workers, measure: Measurement) -> list[Outcome]:
     """Return the outcome of each run, in the order of the tasks."""
     with closing(drive(tasks, workers, measure)) as outcomes:
-        by_place = dict(outcomes)
-    return [by_place[place] for place in range(len(tasks))]
+        by_position = dict(outcomes)
+    return [by_position[k] for k in range(len(tasks))]

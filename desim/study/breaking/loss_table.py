@@ -11,7 +11,7 @@ from desim.kernel.models.faults import MessageFault
 from desim.study.breaking.copies import MessageCopy
 
 MessageFate = Literal["lost", "late", "twice"]
-"""What becomes of a message. twice: it arrives as it should, and once more."""
+"""What becomes of a message. twice: it arrives as without a fault, and once more later."""
 FATES: tuple[MessageFate, ...] = get_args(MessageFate)
 
 
@@ -30,7 +30,7 @@ class FatalLosses(NamedTuple):
 
     @property
     def faults(self) -> tuple[MessageFault, ...]:
-        """The faults that do this, to be added to the scenario."""
+        """The faults that give the messages these fates, to be added to the scenario."""
         numbers = [copy.number for copy in self.messages]
         return message_faults(zip(numbers, self.fates, strict=True), self.delay)
 
@@ -40,8 +40,8 @@ class LossTable:
     """The result of a search among all choices of at most k lost, late or repeated messages.
 
     Attributes:
-        most: k.
-        seeds: the seeds.
+        most: the greatest number of messages, k.
+        seeds: the seeds of the runs.
         fates: what may become of a message.
         delay: the time by which messages are late, and after which they arrive once more, s.
         unit: the unit of margins.

@@ -10,13 +10,13 @@ of a message does not matter
 - if it is a record that arrives twice: the second time, its receiver has this or a newer one;
 - if it would arrive twice, the second time after the end of the run.
 
-That no choice is left out: let R be the part of a choice T that does not matter in the run of the rest S of T, and grow
-S within T until there is no other. At each look the newest record that has arrived is not in R, so the run of T is that
-of S, and S is tried.
+Why no choice is left out: within a choice T, grow a choice S by one message that matters in the run of S at a time,
+until no message of the rest R of T does. At each look the newest record that has arrived is then not in R, so the run
+of T is that of S, and S is tried.
 
-Two choices are symmetric if their runs are the same, although each matters: one loses a message that in the other is
-so late that nobody reads it. Of such a pair only the loss is run. Choices are sets, so the order of their messages does
-not count either. There is no symmetry between pursuers: they differ in their places and in when they decide.
+Two choices whose messages matter are symmetric if their runs are the same: one loses a message that in the other is so
+late that nobody reads it. Of such a pair only the loss is run. Choices are sets, so the order of their messages does
+not count either. There is no symmetry between pursuers: they differ in their positions and in when they decide.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -48,7 +48,7 @@ from desim.study.workers.progress import advance, progress
 from desim.study.workers.workers import Workers
 
 LIMIT = 5000
-"""The greatest number of runs of a table."""
+"""The default of the greatest number of runs of each seed."""
 
 
 @naming_arguments
@@ -72,7 +72,7 @@ def fatal_losses(
 
     Args:
         scenario: the scenario; short runs with few messages are best, as the number of choices grows with the power
-            `most` of their number.
+            `most` of the number of messages.
         prop: the property, or its text.
         most: the greatest number of messages; if in doubt, 1, then 2.
         seeds: the seeds; None: that of the scenario.
@@ -88,7 +88,7 @@ def fatal_losses(
         on_run: called after each run.
 
     Raises:
-        TypeError: if it is not a scenario.
+        TypeError: if `scenario` is no scenario.
         ValueError: if the property does not fit the scenario or cannot fail, the protocol is its own reference, a fate
             does not exist or lacks a delay, there are more choices than `limit`, a run fails without any loss, or
             another argument is of a wrong type.
@@ -102,18 +102,18 @@ def fatal_losses(
     table = LossTable(most, _checked_seeds([scenario.seed] if seeds is None else seeds), fates, delay, prop.unit)
     if not table.seeds:
         raise ArgumentError("seeds", "should not be empty")
-    skips = prune and hides_old_news(scenario, prop)
-    observed = with_messages(scenario, prop)
+    prunes = prune and hides_old_news(scenario, prop)
+    recorded = with_messages(scenario, prop)
     with workers_for(jobs, GENERATION, timeout) as workers, progress(0, "losses", "run") as bar:
 
-        def ran(count: int) -> None:
+        def on_runs(count: int) -> None:
             bar.total = max(bar.total or 0, table.runs)
             advance(bar, count)
             for _ in range(count):
                 on_run()
 
         for seed in table.seeds:
-            _Choices(observed, prop, seed, table, workers, ran, prune=skips).try_all(limit)
+            _Choices(recorded, prop, seed, table, workers, on_runs, prune=prunes).try_all(limit)
     return table
 
 
@@ -121,7 +121,7 @@ def _checked_seeds(seeds: Any) -> tuple[int, ...]:
     """Return the seeds.
 
     Raises:
-        ValueError: if they are no list, or one is no integer of at least 0.
+        ValueError: if `seeds` is no list, or a seed is no integer of at least 0.
     """
     if isinstance(seeds, str) or not isinstance(seeds, Iterable):
         raise ArgumentError("seeds", f"should be a list of seeds (got {value_text(seeds)})")
@@ -129,7 +129,7 @@ def _checked_seeds(seeds: Any) -> tuple[int, ...]:
 
 
 def _checked_fates(fates: Sequence[MessageFate], delay: float) -> tuple[MessageFate, ...]:
-    """Return the fates that are meant, each once.
+    """Return the fates, each once; without any, lost or, with a delay, late.
 
     Raises:
         ValueError: if one does not exist, or lacks a delay.
@@ -143,17 +143,17 @@ def _checked_fates(fates: Sequence[MessageFate], delay: float) -> tuple[MessageF
     if not fates:
         return ("lost",) if delay == inf else ("late",)
     if delay == inf and set(fates) != {"lost"}:
-        moved = next(fate for fate in fates if fate != "lost")
-        raise ValueError(f"`delay` is missing: {moved!r} needs a delay, in s, for instance 0.5")
+        delayed = next(fate for fate in fates if fate != "lost")
+        raise ValueError(f"`delay` is missing: {delayed!r} needs a delay, in s, for instance 0.5")
     return tuple(fate for fate in FATES if fate in fates)
 
 
 def hides_old_news(scenario: Scenario, prop: Property) -> bool:
     """Return whether a record that nobody reads before a newer one arrives has no effect on the run and the property.
 
-    This holds if pursuers only read their newest records when they decide or send: not if they forward records, judge
-    their senders or put them in order, nor if an evader overhears, or the property is about what has arrived. Models
-    of a user may read whenever they want.
+    This holds if pursuers only read their newest records when they decide or send. It does not hold if they forward
+    records, judge senders or put records in order, if an evader overhears, if the property is about arrivals, or for
+    models of a user, which may read at any time.
     """
     announce, plain = scenario.announce, Announcements()
     about_messages = recording(scenario.with_({"record.messages": False}), [prop]).record.messages
@@ -179,9 +179,9 @@ class _Choice(NamedTuple):
     """What becomes of some messages."""
 
     steps: tuple[_Step, ...] = ()
-    """In the order of their numbers."""
+    """The fates of the messages, in the order of the numbers of the messages."""
     is_in_order: bool = True
-    """Whether it was made message by message in this order. Each message is then that of its own run, too."""
+    """Whether the messages were added in this order: an added message then changes none of the messages before."""
 
     def with_step(self, step: _Step) -> "_Choice":
         """Return the choice with one more message."""
@@ -194,25 +194,25 @@ _Key = frozenset[tuple[int, MessageFate]]
 """A choice by the numbers of its messages."""
 
 
-class _Told(NamedTuple):
-    """What a run tells."""
+class _Report(NamedTuple):
+    """The outcome of a run."""
 
     verdict: Judgement
     steps: list[_Step]
-    """What may become of further messages, and matters."""
+    """The fates of further messages that matter."""
     sent: int
-    """The number of messages."""
+    """The number of messages that were sent."""
     unread_since: dict[int, float]
-    """By number of a lost record: when somebody looked for the last time before a newer one arrived, ns."""
+    """By number of a lost record: when its receiver looked for the last time before a newer one arrived, ns."""
     failure: str = ""
-    """The exception that it raised, as text; then nothing else is known."""
+    """The exception that the run raised, as text; then nothing else is known."""
 
 
 class _Choices:
-    """All choices of one seed: what is run, and what it tells the table.
+    """All choices of one seed: the runs that they need, and the entries of the table that follow.
 
-    The scenario records messages, and `ran` is called with the number of runs that were made. `prune`: whether messages
-    that do not matter, and symmetric choices, are left out.
+    The scenario records messages, and `on_runs` is called with the number of runs that were made. `prune`: whether
+    messages that do not matter, and symmetric choices, are left out.
     """
 
     def __init__(
@@ -222,17 +222,17 @@ class _Choices:
         seed: int,
         table: LossTable,
         workers: Workers,
-        ran: Callable[[int], object],
+        on_runs: Callable[[int], object],
         *,
         prune: bool,
     ):
-        self._scenario, self._seed, self._table, self._workers, self._ran = scenario, seed, table, workers, ran
+        self._scenario, self._seed, self._table, self._workers, self._on_runs = scenario, seed, table, workers, on_runs
         self._prune = prune
-        self._delay = 0 if table.delay == inf else nanoseconds(table.delay)  # without one, no fate needs it
-        self._measure = partial(_tell, prop, table.fates, self._delay, prune)
+        self._delay = 0 if table.delay == inf else nanoseconds(table.delay)  # without a delay, no fate needs one
+        self._measure = partial(_report, prop, table.fates, self._delay, prune)
 
     def try_all(self, limit: int) -> None:
-        """Run the choices by size, and add to the table what they tell.
+        """Run the choices by size, and add their outcomes to the table.
 
         Raises:
             ValueError: if there are more than `limit` runs to make, or the run fails without any choice.
@@ -241,6 +241,7 @@ class _Choices:
         level: dict[_Key, _Choice] = {frozenset(): _Choice()}
         fatal: list[_Key] = []
         for size in range(table.most + 1):
+            # A choice that contains a fatal one says nothing new.
             choices = {key: choice for key, choice in level.items() if not any(part <= key for part in fatal)}
             if table.runs + len(choices) > budget:
                 raise ValueError(
@@ -248,70 +249,70 @@ class _Choices:
                     f" {limit:,} runs: shorten the horizon, or announce changes only"
                 )
             level = {}
-            for key, told in self._run(choices).items():
+            for key, report in self._run(choices).items():
                 if not key:
-                    table.messages[self._seed] = told.sent
-                if not told.verdict.holds:
-                    self._add_violation(choices[key], told)
+                    table.messages[self._seed] = report.sent
+                if not report.verdict.holds:
+                    self._add_violation(choices[key], report)
                     fatal.append(key)
                 elif size < table.most:
-                    self._extend(level, choices[key], told)
+                    self._extend(level, choices[key], report)
 
-    def _add_violation(self, choice: _Choice, told: _Told) -> None:
-        if told.failure and not choice.steps:
-            raise ValueError(f"seed {self._seed}: the run fails without any loss: {told.failure}")
+    def _add_violation(self, choice: _Choice, report: _Report) -> None:
+        if report.failure and not choice.steps:
+            raise ValueError(f"seed {self._seed}: the run fails without any loss: {report.failure}")
         if not choice.steps:
             self._table.broken.append(self._seed)
             return
         messages, fates = zip(*choice.steps, strict=True)
         self._table.fatal.append(
-            FatalLosses(self._seed, messages, fates, self._table.delay, told.verdict, told.failure)
+            FatalLosses(self._seed, messages, fates, self._table.delay, report.verdict, report.failure)
         )
 
-    def _extend(self, level: dict[_Key, _Choice], choice: _Choice, told: _Told) -> None:
-        """Add to the next level the choices with one more message that matters, and count the others."""
+    def _extend(self, level: dict[_Key, _Choice], choice: _Choice, report: _Report) -> None:
+        """Add to the next level the choices with one more message that matters, and count the messages that do not."""
         numbers = {step.copy.number for step in choice.steps}
-        steps = [step for step in told.steps if step.copy.number not in numbers]
-        self._table.skipped += (told.sent - len(numbers)) * len(self._table.fates) - len(steps)
+        steps = [step for step in report.steps if step.copy.number not in numbers]
+        self._table.skipped += (report.sent - len(numbers)) * len(self._table.fates) - len(steps)
         for step in steps:
             extended = choice.with_step(step)
             key = frozenset((step.copy.number, step.fate) for step in extended.steps)
             if extended.is_in_order or key not in level:
                 level[key] = extended
 
-    def _run(self, choices: Mapping[_Key, _Choice]) -> dict[_Key, _Told]:
-        """Return what the runs of choices of one size tell; those with the fewest late messages are made first.
+    def _run(self, choices: Mapping[_Key, _Choice]) -> dict[_Key, _Report]:
+        """Return the outcomes of choices of one size; runs with the fewest late messages are made first.
 
-        A choice that is symmetric to one of these, with a loss instead, then needs no run.
+        A choice that is symmetric to one that was run, with a loss instead of a late message, then needs no run.
         """
-        told: dict[_Key, _Told] = {}
-        for late in range(self._table.most + 1):
+        reports: dict[_Key, _Report] = {}
+        for late_messages in range(self._table.most + 1):
             missing: dict[_Key, _Choice] = {}
             for key, choice in choices.items():
-                if sum(step.fate == "late" for step in choice.steps) != late:
+                if sum(step.fate == "late" for step in choice.steps) != late_messages:
                     continue
-                if self._prune and (same := self._symmetric(key, choice, told)) is not None:
-                    told[key] = same
+                if self._prune and (symmetric_report := self._symmetric(key, choice, reports)) is not None:
+                    reports[key] = symmetric_report
                     self._table.symmetric += 1
                 else:
                     missing[key] = choice
             tasks = [(self._disturbed(choice), self._seed) for choice in missing.values()]
             outcomes = outcomes_of(tasks, self._workers, self._measure)
-            told |= {key: self._told_by(outcome) for key, outcome in zip(missing, outcomes, strict=True)}
+            reports |= {key: self._report_of(outcome) for key, outcome in zip(missing, outcomes, strict=True)}
             self._table.runs += len(missing)
-            self._ran(len(missing))
-        return {key: told[key] for key in choices}
+            self._on_runs(len(missing))
+        return {key: reports[key] for key in choices}
 
-    def _told_by(self, outcome: Outcome) -> _Told:
+    def _report_of(self, outcome: Outcome) -> _Report:
         failure = failure_of(outcome, self._workers.timeout)
-        told: _Told = _Told(FAILED, [], 0, {}, failure) if failure else outcome.value
-        return told
+        report: _Report = _Report(FAILED, [], 0, {}, failure) if failure else outcome.value
+        return report
 
-    def _symmetric(self, key: _Key, choice: _Choice, told: Mapping[_Key, _Told]) -> _Told | None:
-        """Return what the same choice with the loss of a late message tells, if nobody reads this; None: it is read."""
+    def _symmetric(self, key: _Key, choice: _Choice, reports: Mapping[_Key, _Report]) -> _Report | None:
+        """Return the outcome of the choice that loses an unread late message instead; None if there is no such choice."""
         for step in choice.steps if choice.is_in_order else ():
             number, arrival = step.copy.number, step.copy.arrival + self._delay
-            lost = told.get(key - {(number, "late")} | {(number, "lost")}) if step.fate == "late" else None
+            lost = reports.get(key - {(number, "late")} | {(number, "lost")}) if step.fate == "late" else None
             if lost is None:
                 continue
             if arrival > nanoseconds(self._scenario.horizon) or lost.unread_since.get(number, inf) < arrival:
@@ -324,26 +325,26 @@ class _Choices:
         return self._scenario.with_({"fault": [*self._scenario.fault, *faults]}) if faults else self._scenario
 
 
-def _tell(prop: Property, fates: Sequence[MessageFate], delay: int, prune: bool, result: Result) -> _Told:
+def _report(prop: Property, fates: Sequence[MessageFate], delay: int, prune: bool, result: Result) -> _Report:
     with judging(prop):
         sent = copies(result)
-        read = readings(sent, looks(result))
+        reading_times = readings(sent, looks(result))
         horizon = nanoseconds(result.scenario.horizon)
         steps = [
             _Step(reading.copy, fate)
-            for reading in read
+            for reading in reading_times
             if reading.copy.arrival != LOST
             for fate in fates
             if not prune or _matters(reading, fate, delay, horizon)
         ]
-        lost = [reading for reading in read if reading.copy.arrival == LOST and reading.copy.seq is not None]
+        lost = [reading for reading in reading_times if reading.copy.arrival == LOST and reading.copy.seq is not None]
         unread_since = {reading.copy.number: reading.last_look() for reading in lost}
-        return _Told(judge(prop, result), steps, len(sent), unread_since)
+        return _Report(judge(prop, result), steps, len(sent), unread_since)
 
 
 def _matters(reading: ReadingTime, fate: MessageFate, delay: int, horizon: int) -> bool:
     """Return whether the run would differ if a message had a fate; see the top of this module."""
-    is_record, late = reading.copy.seq is not None, reading.copy.arrival + delay
+    is_record, late_arrival = reading.copy.seq is not None, reading.copy.arrival + delay
     if fate == "twice":
-        return not is_record and late <= horizon
-    return reading.is_read(end=late if fate == "late" and is_record else inf)
+        return not is_record and late_arrival <= horizon
+    return reading.is_read(end=late_arrival if fate == "late" and is_record else inf)

@@ -23,11 +23,11 @@ from desim.study.workers.executors import workers_for
 from desim.study.workers.progress import advance, progress
 
 GENERATION = 16
-"""The number of cases that are run together, whatever the number of workers; of several violations the first counts."""
+"""The number of cases that are run together, with any number of workers. Of several violations, the first counts."""
 PARENTS = 4
 """The number of cases with the least margins from which a guided search makes half of the next generation."""
 WITHOUT_WEIGHTS = "policy"
-"""The protocol that is not compared: it is what its weights make of it."""
+"""The protocol that is not compared with others, because its behaviour depends on its weights."""
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,13 @@ class Violation:
     case: Case
     """What was changed, by feature."""
     first: Case
-    """The case that was found first, before it was made smaller."""
+    """The case in which the violation was found, before it was made smaller."""
     searched: int
     """The number of cases that were run until the first violation."""
     shrunk: int
     """The number of cases that were run to make it smaller."""
     failure: str = ""
-    """The exception that its run raises, as text; empty: the run ends, and violates the property."""
+    """The exception that the run raises, as text; empty: the run ends, and violates the property."""
 
     @property
     def faults(self) -> int:
@@ -58,13 +58,13 @@ class Violation:
     def protocols(
         self, jobs: int = 0, log: CaseLog | None = None, timeout: float | None = None
     ) -> dict[str, Judgement | str]:
-        """Return what each installed protocol does in this scenario with this seed; a text: why it cannot be run.
+        """Return the judgement of each installed protocol in this scenario with this seed, or a text: why it has none.
 
         A protocol of the user's that violates the property is the first one.
 
         Args:
             jobs: the number of worker processes; 0 = the number of cores.
-            log: what was run before, which is not run again; it receives what is run.
+            log: the log of earlier runs, which are not made again; new runs are added to it.
             timeout: the longest wall time of a run, s; None: no limit; if in doubt, that of the search.
         """
         name = self.scenario.protocol_name
@@ -98,7 +98,7 @@ class Search:
         featured: how many of these cases had each feature.
         seen: in how many of these cases each of `SIGHTINGS` was seen.
         stopped: whether the time was up before all cases were run.
-        seconds: the wall time of all runs, s, also of those that an interrupted search had made before.
+        seconds: the wall time of all runs, s, including those that an interrupted search had made before.
     """
 
     violation: Violation | None = None
@@ -130,7 +130,7 @@ class Search:
         return min(self.margins, default=inf)
 
     def warnings(self, prop: Property) -> list[str]:
-        """Return what makes the result of the search say little."""
+        """Return the reasons why the result of the search says little."""
         texts = [f"never seen: {sentence}" for sentence in SIGHTINGS if self.runs and not self.seen[sentence]]
         if self.runs and self.violation is None and self.closest >= prop.bound > 0.0:
             texts.append(f"no case came near the bound: the least margin is {self.closest:g} s, all of the limit")
@@ -141,14 +141,14 @@ def checked_property(prop: Stated, scenario: Scenario) -> Property:
     """Return the property that a text states, if a search for its violation makes sense.
 
     Raises:
-        ValueError: if it does not fit the scenario or cannot fail, or the protocol is its own reference.
+        ValueError: if the property does not fit the scenario or cannot fail, or the protocol is its own reference.
     """
-    made = stated(prop, scenario)
-    if not made.can_fail(scenario):
-        raise ArgumentError("property", f"{made.text!r} says nothing: {CANNOT_FAIL}")
-    if made.against == scenario.protocol_name:
-        raise ValueError(f"{made.against} is its own reference: a run never differs from itself")
-    return made
+    checked = stated(prop, scenario)
+    if not checked.can_fail(scenario):
+        raise ArgumentError("property", f"{checked.text!r} says nothing: {CANNOT_FAIL}")
+    if checked.against == scenario.protocol_name:
+        raise ValueError(f"{checked.against} is its own reference: a run never differs from itself")
+    return checked
 
 
 @naming_arguments
@@ -186,15 +186,15 @@ def find_violation(
             margin that hardly varies misleads.
         jobs: the number of worker processes; 0 = the number of cores. The result does not depend on it.
         timeout: the longest wall time of a run, s; None: no limit. A longer run has failed.
-        budget: the time, s of wall time, after which the search ends; that of the runs in `log` counts, so that a
-            greater one goes on where a smaller one ended. With it, the result depends on the speed of the machine. A
-            violation is made smaller whatever the budget.
-        shrinking: the greatest number of cases to make a found one smaller.
-        log: what was run before, which is not run again; it receives what is run.
+        budget: the time, s of wall time, after which the search ends. The time of the runs in `log` counts, so that a
+            greater budget goes on where a smaller one ended. With a budget, the result depends on the speed of the
+            machine. A violation is made smaller whatever the budget.
+        shrinking: the greatest number of cases that are run to make a violation smaller.
+        log: the log of earlier runs, which are not made again; new runs are added to it.
         on_case: called with each case, in order.
 
     Raises:
-        TypeError: if it is not a scenario.
+        TypeError: if `scenario` is no scenario.
         ValueError: if the property does not fit the scenario or cannot fail, a feature does not exist, the protocol is
             its own reference, the budget or the time-out is not positive, or another argument is of a wrong type.
     """
@@ -266,7 +266,7 @@ def features_of(
 class _Cases:
     """The cases of a search, at most `runs` of which are run, in the order of their numbers.
 
-    The features are what they change in the scenario, and case k has the seed of run k of the root seed.
+    Each feature draws changes of the scenario. Case k has the seed of run k of the root seed.
 
     Attributes:
         refused: the number of cases up to now that make no valid scenario.
@@ -287,8 +287,8 @@ class _Cases:
         self._number += count
         self.refused += count - len(planned_cases)
         if self.refused > GENERATION * self._runs:
-            done = self._number - self.refused
-            raise ValueError(f"{self.refused} cases made no valid scenario, and {done} did")
+            valid = self._number - self.refused
+            raise ValueError(f"{self.refused} cases made no valid scenario, and {valid} did")
         return planned_cases
 
     def _planned(self, number: int, parents: Sequence[Tried]) -> Planned | None:
@@ -304,7 +304,7 @@ class _Cases:
 def _smallest(
     scenario: Scenario, prop: Property, violating: Tried, searched: int, budget: int, judge_run: CaseJudge
 ) -> Violation:
-    """Return the smallest violation of the kind of one."""
+    """Return the smallest violation that is broken as a violating case is."""
     best, runs = shrunk(scenario, violating, judge_run, budget)
     changed = applied(scenario, best.case)
     return Violation(changed, best.seed, prop, best.verdict, best.case, violating.case, searched, runs, best.failure)

@@ -1,4 +1,4 @@
-"""The smallest case of its kind: what was found is made smaller as long as the *same* property stays violated.
+"""Makes the case of a violation smaller as long as the *same* property stays violated.
 
 A shrinker that accepts any violation slips to another failure than the one that was found.
 """
@@ -14,9 +14,9 @@ from desim.study.breaking.case_log import CaseRun
 from desim.study.breaking.features import SIZES, Case, applied, changed_or_none
 
 SHRINKING = 60
-"""The greatest number of cases that are tried to make one smaller."""
+"""The greatest number of cases that are run to make one smaller."""
 SHORTEST = 0.05
-"""The least horizon of a case that is made smaller, as a share of that of the scenario."""
+"""The least horizon of a case that is made smaller, as a share of the horizon of the scenario."""
 
 
 class Tried(NamedTuple):
@@ -29,49 +29,50 @@ class Tried(NamedTuple):
     """The exception that its run raised, as text."""
 
     def is_broken_alike(self, other: "Tried") -> bool:
-        """Return whether this case is broken as another one: by the same exception, or without one."""
+        """Return whether this case is broken as another one: by the same exception, or both without an exception."""
         return not self.verdict.holds and self.failure.partition(":")[0] == other.failure.partition(":")[0]
 
 
 def shrunk(
-    scenario: Scenario, violating: Tried, judged: Callable[[Scenario, int], CaseRun], budget: int = SHRINKING
+    scenario: Scenario, violating: Tried, judge: Callable[[Scenario, int], CaseRun], budget: int = SHRINKING
 ) -> tuple[Tried, int]:
-    """Return the smallest case that is broken alike, and the number of cases that were run; at most `budget`.
+    """Return the smallest case that is broken alike, and the number of cases that were run, at most `budget`.
 
-    It leaves out features, then tries fewer pursuers, a shorter horizon, and numbers with fewer digits. What works is
-    kept, and all is tried again until nothing works. No scenario is run twice. `judged` judges a scenario and a seed.
+    It leaves out features, then tries fewer pursuers, a shorter horizon, and numbers with fewer digits. Each
+    simplification with which the case stays broken is kept, and all are tried again until none is. No scenario is run
+    twice. `judge` runs a scenario with a seed.
     """
-    best, runs, tried = violating, 0, {repr(applied(scenario, violating.case))}
-    worked = True
-    while worked:
-        worked = False
+    best, runs, run_scenarios = violating, 0, {repr(applied(scenario, violating.case))}
+    is_smaller = True
+    while is_smaller:
+        is_smaller = False
         for simplify in _simplifications(scenario, best):
             case = simplify(best)
             changed = None if case is None else changed_or_none(scenario, case)
             if case is None or changed is None:
                 continue
             if repr(changed) == repr(applied(scenario, best.case)):  # what was left out had no effect
-                best, worked = best._replace(case=case), True
+                best, is_smaller = best._replace(case=case), True
                 continue
-            if repr(changed) in tried:
+            if repr(changed) in run_scenarios:
                 continue
             if runs == budget:
                 return best, runs
-            tried.add(repr(changed))
+            run_scenarios.add(repr(changed))
             runs += 1
-            case_run = judged(changed, best.seed)
+            case_run = judge(changed, best.seed)
             smaller = Tried(case, best.seed, case_run.verdict, case_run.failure)
             if smaller.is_broken_alike(best):
-                best, worked = smaller, True
+                best, is_smaller = smaller, True
     return best, runs
 
 
 Simplification = Callable[[Tried], Case | None]
-"""Returns a case that is simpler than one; None if it cannot be made so."""
+"""Returns a case that is simpler than the given one; None if this simplification does not apply."""
 
 
 def _simplifications(scenario: Scenario, tried: Tried) -> Iterator[Simplification]:
-    """Yield what makes a case simpler, that which saves most first; each is given the case that is left by then."""
+    """Yield the simplifications of a case, those that save most first; each will get the smallest case up to then."""
     names = [name for name in tried.case if name != "horizon"]
     if len(names) > 2:  # half of the features at once
         yield partial(_without, names[::2])
@@ -84,7 +85,7 @@ def _simplifications(scenario: Scenario, tried: Tried) -> Iterator[Simplificatio
 
 
 def _without(names: Collection[str], tried: Tried) -> Case | None:
-    """Return a case without those of its features that have some names."""
+    """Return a case without the features of some names."""
     case = {name: changes for name, changes in tried.case.items() if name not in names}
     return None if len(case) == len(tried.case) else case
 
@@ -96,7 +97,7 @@ def _with_size(scenario: Scenario, size: int, tried: Tried) -> Case | None:
 
 
 def _shorter(scenario: Scenario, share: float, tried: Tried) -> Case | None:
-    """Return a case with a share of its horizon that still has the violation."""
+    """Return a case with a share of its horizon, if the violation comes before the new end."""
     horizon = float(f"{share * applied(scenario, tried.case).horizon:.2g}")
     is_enough = horizon > max(tried.verdict.at, SHORTEST * scenario.horizon)
     return tried.case | {"horizon": {"horizon": horizon}} if is_enough else None

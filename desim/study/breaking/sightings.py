@@ -1,4 +1,4 @@
-"""What the runs of a search have seen: a search that never met a handover or a lost message has tried nothing.
+"""Events that the runs of a search should have seen: without a handover or a lost message, a search has tried little.
 
 The idea is that of "sometimes" assertions, which tell whether a test has reached the states that matter.
 """
@@ -20,7 +20,7 @@ from desim.study.breaking.copies import copies, looks, readings
 
 def _handed_over_during_a_fault(result: Result) -> bool:
     evaders = range(1, len(result.scenario.evaders) + 1)
-    times = [start for evader in evaders for start, _ in relays(result, evader)[1:]]
+    times = [start for evader in evaders for start, _ in relays(result, evader)[1:]]  # the first chase is no handover
     return any(window.begin <= t <= window.end for t in times for _, window in outages(result))
 
 
@@ -38,7 +38,7 @@ def _chaser_down(result: Result) -> bool:
 
 
 def _chases(actions: list[int], fault: TracedFault) -> bool:
-    """Return whether one of the pursuers that a fault names chases."""
+    """Return whether a pursuer that a fault names chases an evader."""
     return any(actions[node] for nodes in nodes_of(fault).values() for node in nodes)
 
 
@@ -60,7 +60,7 @@ SIGHTINGS: Mapping[str, Callable[[Result], bool]] = MappingProxyType(
         "a chase was handed over during a fault": _handed_over_during_a_fault,
     }
 )
-"""What is looked for in each run, by a sentence."""
+"""The conditions that are looked for in each run, by a sentence."""
 
 
 def seen_in(result: Result) -> list[str]:
