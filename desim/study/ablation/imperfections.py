@@ -44,11 +44,11 @@ def without_latency(scenario: Scenario) -> Scenario:
     collide. See `without_contention`.
     """
     medium, sender = scenario.network.medium, scenario.network.processing.sender
-    separates = contends(medium) and type(sender) is not Constant
+    keeps_sender_delay = contends(medium) and type(sender) is not Constant
     return _with_network(
         scenario,
         latency=Constant(),
-        processing=Processing(sender=sender) if separates else Processing(),
+        processing=Processing(sender=sender) if keeps_sender_delay else Processing(),
         medium=medium if contends(medium) else Unlimited(),
         graph=_graph_without(scenario, "latency"),
         link=_links_without(scenario.network, "latency"),
@@ -58,8 +58,8 @@ def without_latency(scenario: Scenario) -> Scenario:
 def without_contention(scenario: Scenario) -> Scenario:
     """Return the scenario in which the channel is an ideal queue: no back-off, collision or duty cycle.
 
-    Messages still have an airtime, and wait for the channel. The random processing delays of senders that
-    `without_latency` keeps are removed, too, where they are the only latency.
+    Messages still have an airtime, and wait for the channel. If the random processing delays of senders are the only
+    latency, they are removed, too; `without_latency` keeps them.
     """
     medium = scenario.network.medium
     if not contends(medium):
@@ -69,8 +69,10 @@ def without_contention(scenario: Scenario) -> Scenario:
     )
     ideal = {"access": Ideal(), "reception": Collision(), "duty_cycle": None, "shared": True}
     network = scenario.network
-    is_only = network.latency == Constant() and network.processing.receiver == 0.0 and not _has_own_latency(scenario)
-    processing = Processing() if is_only else network.processing
+    is_only_latency = (
+        network.latency == Constant() and network.processing.receiver == 0.0 and not _has_own_latency(scenario)
+    )
+    processing = Processing() if is_only_latency else network.processing
     return _with_network(scenario, medium=medium.model_copy(update=ideal | no_contention), processing=processing)
 
 
@@ -91,10 +93,12 @@ def without_duplicates(scenario: Scenario) -> Scenario:
 
 def without_transport(scenario: Scenario) -> Scenario:
     """Return the scenario in which messages are sent once, and none is acknowledged, retransmitted or coded."""
-    free = _with_network(scenario, transport=BestEffort())
+    best_effort = _with_network(scenario, transport=BestEffort())
     if DisseminationTraits.of(scenario.announce.dissemination).transport is None:
-        return free
-    return free.model_copy(update={"announce": scenario.announce.model_copy(update={"dissemination": one_hop()})})
+        return best_effort
+    return best_effort.model_copy(
+        update={"announce": scenario.announce.model_copy(update={"dissemination": one_hop()})}
+    )
 
 
 def without_range(scenario: Scenario) -> Scenario:
@@ -103,7 +107,7 @@ def without_range(scenario: Scenario) -> Scenario:
 
 
 def without_channel_memory(scenario: Scenario) -> Scenario:
-    """Return the scenario in which the fading and the shadowing of each message are independent of those of others."""
+    """Return the scenario in which the fading and the shadowing of each message are independent of other messages."""
     if scenario.network.fading != "correlated":
         return scenario
     return _with_network(scenario, fading="message", coherence=Coherence())
@@ -131,11 +135,13 @@ def without_serial_decisions(scenario: Scenario) -> Scenario:
     if not isinstance(protocol, BaseModel) or schedule.without_serial_decisions is None or scenario.team.count == 1:
         return scenario
     try:
-        free = type(protocol).model_validate({**dict(protocol), "schedule": schedule.without_serial_decisions()})
+        without_turns = type(protocol).model_validate(
+            {**dict(protocol), "schedule": schedule.without_serial_decisions()}
+        )
     except ValidationError:  # a user's protocol that accepts no other schedule keeps its turns
         return scenario
     announcements = scenario.announce.model_copy(update={"trigger": "both"} if schedule.spreads_to else {})
-    return scenario.model_copy(update={"protocol": free, "announce": announcements})
+    return scenario.model_copy(update={"protocol": without_turns, "announce": announcements})
 
 
 def without_staleness(scenario: Scenario) -> Scenario:
@@ -163,17 +169,17 @@ def without_sensing_limit(scenario: Scenario) -> Scenario:
 
 
 def _unlimited(sensing: Sensing) -> Sensing:
-    """Return sensing at any distance and past no wall; what becomes of lost evaders is that of the default."""
-    kept = ("noise", "interval", "estimator", "fusion", "period", "relay", "estimate")
-    return Sensing() if not sensing.is_noisy else Sensing(**{key: dict(sensing)[key] for key in kept})
+    """Return sensing at any distance, which no wall blocks, with the defaults for evaders out of sight."""
+    kept_keys = ("noise", "interval", "estimator", "fusion", "period", "relay", "estimate")
+    return Sensing() if not sensing.is_noisy else Sensing(**{key: dict(sensing)[key] for key in kept_keys})
 
 
 def without_noise(scenario: Scenario) -> Scenario:
     """Return the scenario in which sightings have no errors, and need no filter."""
     if not scenario.sensing.is_noisy:
         return scenario
-    plain = {"noise": Noiseless(), "estimator": Unfiltered(), "fusion": "by_stamp", "interval": Sensing().interval}
-    sensing = scenario.sensing.model_copy(update=plain)
+    noiseless = {"noise": Noiseless(), "estimator": Unfiltered(), "fusion": "by_stamp", "interval": Sensing().interval}
+    sensing = scenario.sensing.model_copy(update=noiseless)
     return scenario.model_copy(update={"sensing": sensing if scenario.sight_is_limited else Sensing()})
 
 
@@ -183,8 +189,8 @@ def without_inertia(scenario: Scenario) -> Scenario:
     if not (team.has_inertia or any(evader.has_inertia for evader in scenario.evaders)):
         return scenario
     kinds: tuple[Any, ...] = evader if isinstance(evader, tuple) else (evader,)
-    free = tuple(kind.model_copy(update=simple) for kind in kinds)
-    evaders = free if isinstance(evader, tuple) else free[0]
+    simple_evaders = tuple(kind.model_copy(update=simple) for kind in kinds)
+    evaders = simple_evaders if isinstance(evader, tuple) else simple_evaders[0]
     return scenario.model_copy(update={"team": team.model_copy(update=simple), "evader": evaders})
 
 
@@ -196,13 +202,13 @@ def without_flow(scenario: Scenario) -> Scenario:
 def without_walls(use: What) -> Callable[[Scenario], Scenario]:
     """Return a function that returns a scenario in which no wall blocks radio, sight or motion.
 
-    All start where they do among the walls, so that walls that block motion block starts from then on.
+    Players start where they start among the walls: a wall that blocked motion still blocks starting positions.
     """
 
     def without(scenario: Scenario) -> Scenario:
-        instead: tuple[What, ...] = ("start",) if use == "motion" else ()
-        kept = [(wall, _replaced(wall.blocks, use, instead)) for wall in scenario.wall]
-        walls = tuple(wall.model_copy(update={"blocks": blocks}) for wall, blocks in kept if blocks)
+        replacement: tuple[What, ...] = ("start",) if use == "motion" else ()
+        blocked = [(wall, _replaced(wall.blocks, use, replacement)) for wall in scenario.wall]
+        walls = tuple(wall.model_copy(update={"blocks": blocks}) for wall, blocks in blocked if blocks)
         if walls == scenario.wall:
             return scenario
         sees_all = use == "sight" and not scenario.sensing.limited
@@ -212,9 +218,9 @@ def without_walls(use: What) -> Callable[[Scenario], Scenario]:
     return without
 
 
-def _replaced(blocks: tuple[What, ...], use: What, instead: tuple[What, ...]) -> tuple[What, ...]:
+def _replaced(blocks: tuple[What, ...], use: What, replacement: tuple[What, ...]) -> tuple[What, ...]:
     """Return `blocks` with one use replaced by others, each name once."""
-    return tuple(dict.fromkeys(name for block in blocks for name in (instead if block == use else (block,))))
+    return tuple(dict.fromkeys(name for block in blocks for name in (replacement if block == use else (block,))))
 
 
 IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
@@ -252,7 +258,7 @@ PERFECT_NETWORK = (
     without_range,
     without_walls("radio"),
 )
-"""What is removed of a network in which everything arrives at once; without contention, no airtime remains."""
+"""The removals that make everything arrive at once; contention comes first, because it keeps the airtime."""
 
 
 def with_perfect_network(scenario: Scenario) -> Scenario:
@@ -261,13 +267,13 @@ def with_perfect_network(scenario: Scenario) -> Scenario:
     Network faults are removed, too: partitions, jamming, and crashes of radios. All else is kept: broken robots, lies,
     wrong clocks, noise, and what pursuers announce and when. A plan that draws crashes beside other faults is kept.
     """
-    network = reduce(lambda so_far, remove: remove(so_far), PERFECT_NETWORK, scenario)
-    kept = tuple(fault for fault in network.fault if not FaultTraits.of(fault).messages_only)
-    return network if kept == network.fault else network.model_copy(update={"fault": kept})
+    network = reduce(lambda better, remove: remove(better), PERFECT_NETWORK, scenario)
+    faults = tuple(fault for fault in network.fault if not FaultTraits.of(fault).messages_only)
+    return network if faults == network.fault else network.model_copy(update={"fault": faults})
 
 
 def without_messages(scenario: Scenario) -> Scenario:
-    """Return the scenario in which every message is lost. It is sent once, and takes as much of the channel."""
+    """Return the scenario in which every message is sent once, takes as much of the channel as before, and is lost."""
     silent = without_transport(without_loss(scenario))
     return _with_network(silent, loss=Bernoulli(p=1.0))
 
@@ -296,9 +302,9 @@ def _has_own_latency(scenario: Scenario) -> bool:
 
 def _graph_without(scenario: Scenario, key: str) -> Any:
     """Return the graph of a scenario, without one property (`key`) of its edges."""
-    # A graph model may return the same object at each call.
-    made = scenario.network.make_graph(scenario.team.count).copy()
-    edges = [data for _, _, data in made.edges(data=True) if key in data]
+    # A copy, because a graph model may return the same object at each call.
+    graph = scenario.network.make_graph(scenario.team.count).copy()
+    edges = [data for _, _, data in graph.edges(data=True) if key in data]
     for data in edges:
         del data[key]
-    return Edges.of(made) if edges else scenario.network.graph
+    return Edges.of(graph) if edges else scenario.network.graph
