@@ -258,7 +258,7 @@ PERFECT_NETWORK = (
     without_range,
     without_walls("radio"),
 )
-"""The removals that make everything arrive at once; contention comes first, because it keeps the airtime."""
+"""The removals that make everything arrive at once. While nodes contend, `without_latency` would keep the airtime."""
 
 
 def with_perfect_network(scenario: Scenario) -> Scenario:

@@ -309,7 +309,7 @@ class _Choices:
         return report
 
     def _symmetric(self, key: _Key, choice: _Choice, reports: Mapping[_Key, _Report]) -> _Report | None:
-        """Return the outcome of the choice that loses an unread late message instead; None if there is no such choice."""
+        """Return the outcome of the choice that loses an unread late message instead; None if there is none."""
         for step in choice.steps if choice.is_in_order else ():
             number, arrival = step.copy.number, step.copy.arrival + self._delay
             lost = reports.get(key - {(number, "late")} | {(number, "lost")}) if step.fate == "late" else None

@@ -69,7 +69,7 @@ def connected(path: Path | None, read_only: bool = False, network: str = "") -> 
         ":memory:" if path is None else address_of(path, read_only, network), timeout=LOCK_TIMEOUT, uri=True
     )
     try:
-        database.execute("PRAGMA trusted_schema = OFF")  # views and triggers of a foreign file may not call functions
+        database.execute("PRAGMA trusted_schema = OFF")  # a foreign schema may call only harmless functions
     except sqlite3.Error:
         database.close()
         raise
@@ -110,7 +110,7 @@ def use_rollback_journal(path: Path | None, network: str = "") -> None:
     try:
         database.execute("PRAGMA locking_mode = EXCLUSIVE")
         database.execute("PRAGMA journal_mode = DELETE")
-        database.execute("SELECT count(*) FROM sqlite_master")  # the first read settles the old journal
+        database.execute("SELECT count(*) FROM sqlite_master")  # reading undoes what a rollback journal holds
     finally:
         database.close()
 
