@@ -83,7 +83,7 @@ def test_without_common_seeds_the_interval_is_that_of_welch():
         low, high = ttest_ind(new, old, equal_var=False).confidence_interval(0.95)
         assert compared.pairs == 0
         assert difference.half_width == pytest.approx((high - low) / 2.0)
-    assert "no seeds in common" in comparison.table()
+    assert "fewer than two seeds in common" in comparison.table()
     paired = compare(sweep_of(BEFORE), sweep_of(AFTER), ["active_time"])
     here, there = (each.configurations[0].metrics["active_time"].difference.half_width for each in (paired, comparison))
     assert here < 0.2 * there, "a control: pairs are worth it where runs of a seed are alike"
@@ -153,6 +153,7 @@ def test_a_few_equal_differences_are_not_distinguishable_from_0():
 def test_one_run_of_each_is_not_judged():
     comparison = compare(sweep_of([[1.0]]), sweep_of([[2.0]]), ["active_time"])
     assert comparison.sentences() == ["active time: no configuration has two runs of both to compare"]
+    assert "fewer than two seeds in common: the runs are compared as independent ones" in comparison.table()
 
 
 def test_configurations_are_matched_by_their_settings():

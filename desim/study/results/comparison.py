@@ -38,7 +38,7 @@ class Compared:
 
     settings: Mapping[str, Any]
     pairs: int
-    """The number of seeds that both sweeps have; 0 if the runs are compared as independent ones."""
+    """The number of seeds that both sweeps have; 0 if they share fewer than two: the runs are then independent."""
     runs: tuple[int, int]
     """The number of runs of each sweep that have ended."""
     metrics: Mapping[str, MetricDifference]
@@ -150,7 +150,7 @@ class Comparison(TabularResult):
         for key, (old, new) in self.changes.items():
             yield f"{key}: {old} in {first}, {new} in {second}"
         if not any(compared.pairs for compared in self.configurations):
-            yield "no seeds in common: the runs of the two are compared as independent ones (Welch's t interval)"
+            yield "fewer than two seeds in common: the runs are compared as independent ones (Welch's t interval)"
         for name, count in zip(self.names, self.unmatched, strict=True):
             if count:
                 yield f"{counted(count, 'configuration')} of {name} left out: the other sweep does not have it"

@@ -68,8 +68,8 @@ def compare(
     """Compare two sweeps: the second minus the first, for each configuration that both have.
 
     Use it for two versions of a protocol, or two scenarios that differ in what is not swept. Configurations are matched
-    by their values of the keys of the grid. Runs with the same seed are paired; if the two sweeps have no seeds in
-    common, their runs are compared as independent ones.
+    by their values of the keys of the grid. Runs with the same seed are paired; if the two sweeps share fewer than two
+    seeds, their runs are compared as independent ones.
 
         print(desim.compare("out/before", "out/after", ["active_time"]))
 
