@@ -265,17 +265,17 @@ def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
     from desim.config.traits import is_ours
 
     if isinstance(node, BaseModel):
-        inner = dict(node)
+        members = dict(node)
     elif (parameters := parameters_of(node)) is not None:
-        inner = parameters
+        members = parameters
         yield from (".".join((*place, name)) for name in not_kept(node))
     elif isinstance(node, tuple | dict) and not callable(node):  # such as the grid of a sweep
-        inner = {str(k): entry for k, entry in (node.items() if isinstance(node, dict) else enumerate(node))}
+        members = {str(k): entry for k, entry in (node.items() if isinstance(node, dict) else enumerate(node))}
     else:
         if callable(node) and not isinstance(node, FunctionType | type) and _has_state(node):
             yield ".".join(place)
         return
-    for name, value in inner.items():
+    for name, value in members.items():
         yield from _unrecorded(value, (*place, name))
         field = getattr(type(node), "model_fields", {}).get(name)
         is_chosen = field is not None and choices_of(field)  # the name of a model is enough to select it again

@@ -17,7 +17,7 @@ from desim.results import provenance
 
 
 def whole_trace(trace: Iterable[Event]) -> Iterator[Event]:
-    """Yield the events of a trace.
+    """Yield the events of a trace, and check them one by one.
 
     Raises:
         ValueError: if an event is earlier than the event before, if a broadcast has neither one arrival for all
@@ -68,7 +68,7 @@ def field_limits(start: Any) -> Limits:
 
 
 def inconsistencies(trace: Sequence[Event]) -> Iterator[tuple[int, str]]:
-    """Yield (line, error) for each line of a trace that is inconsistent with the lines before."""
+    """Yield (line, error) for each line of a trace that is inconsistent with the other lines."""
     nodes = len(trace[0].pursuers) if isinstance(trace[0], Started) else 0
     unique_types = set[type[Event]]()
     receivers, active_faults = dict[int, tuple[int, ...]](), list[TracedFault]()

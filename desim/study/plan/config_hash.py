@@ -90,9 +90,9 @@ def identify(scenario: Scenario) -> Identity:
             object.
     """
     pickler = StablePickler(UserCode())
-    for key, part in _user_objects(scenario):
+    for key, value in _user_objects(scenario):
         try:
-            pickler.dump((key, part))
+            pickler.dump((key, value))
         except DataFileError as error:
             raise ScenarioError(Problem(str(error), key)) from error
         except Exception as error:  # code of the object may raise anything
@@ -122,7 +122,7 @@ def tables(scenario: Scenario) -> dict[str, Any]:
 
 
 def _user_objects(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield each user-defined callable or model in a model or a list, with its dotted key."""
+    """Yield each callable or model of the user in a scenario, or in a part of it, with its dotted key."""
     members: Any = ()
     if (callable(value) or isinstance(value, BaseModel)) and package_of(definition_of(value).__module__) not in OURS:
         yield key, value
@@ -171,6 +171,7 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
         kind = type(value)
         if kind in PICKLED:
             return None
+        # New texts and lists, so that it does not matter whether equal texts or tuples are one object.
         if kind in {str, bytes}:
             return repr(value)
         if kind is tuple:
@@ -226,7 +227,7 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
             return f"{module}:{name}"
         try:
             imported = attrgetter(name)(sys.modules[module]) if name else sys.modules[module]
-        except (AttributeError, KeyError):  # it was made by a function
+        except (AttributeError, KeyError):  # a class or function that a function made
             return ""
         return f"{plain_name(module)}:{name}" if imported is value and self.user.add(module) else ""
 

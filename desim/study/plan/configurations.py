@@ -114,7 +114,7 @@ def as_source(scenario: Scenario | Source, function: str) -> Source:
 
 
 def sweep_of(source: Source, grid: SweepGrid | None, design: Design | str | None = None) -> tuple[Source, Sweep]:
-    """Return a source with another grid or design, and its table `sweep`; None: that of the source.
+    """Return a source with another grid or design (None: its own), and its table `sweep`.
 
     Raises:
         ScenarioError: if the scenario is invalid, or the grid is empty.
@@ -148,8 +148,8 @@ def check_grid(source: Source) -> None:
     if sweep.design is None and any(map(is_range, grid.values())):
         # One configuration for each value of each key that has no range, with the first values of the others.
         changes = ({key: value} for key, values in grid.items() if not is_range(values) for value in values)
-        first = {key: values_to_try(values)[0] for key, values in grid.items()}
-        to_try = [first | change for change in [{}, *changes]]
+        first_values = {key: values_to_try(values)[0] for key, values in grid.items()}
+        to_try = [first_values | change for change in [{}, *changes]]
         valid_configurations(source, grid, {repr(settings): settings for settings in to_try}.values())
     else:
         configurations(source)
@@ -164,17 +164,17 @@ def checked_ranges(source: Source, grid: SweepGrid) -> SweepGrid:
     for inner, table in combinations(grid, 2):
         if inner.startswith(f"{table}."):
             raise ScenarioError(_about_grid(source, f"would replace {inner}: give {table} first", table))
-    first = {key: values_to_try(values)[0] for key, values in grid.items()}
+    first_values = {key: values_to_try(values)[0] for key, values in grid.items()}
     checked, problems = dict(grid), list[Problem]()
     for key, (interval, *_) in ((key, values) for key, values in grid.items() if is_range(values)):
         if interval.low % 1.0 == interval.high % 1.0 == 0.0:
             # A key of whole numbers refuses the number halfway between two of them.
-            takes_halves = not _problems_of_key(source, first | {key: interval.low + 0.5}, key)
+            takes_halves = not _problems_of_key(source, first_values | {key: interval.low + 0.5}, key)
             interval = replace(interval, is_whole=not takes_halves)
             checked[key] = (interval,)
-        first[key] = interval.at(0.0)
+        first_values[key] = interval.at(0.0)
         for end in values_to_try(checked[key]):
-            problems += _problems_of_key(source, first | {key: end}, key)
+            problems += _problems_of_key(source, first_values | {key: end}, key)
     if problems:
         raise ScenarioError(*dict.fromkeys(problems))
     return checked
@@ -285,9 +285,9 @@ def _swept_above(key: str, settings: Iterable[str]) -> str | None:
 
 
 def _with_grid(source: Source, grid: SweepGrid | None, design: Design | str | None) -> Source:
-    """Return a copy of a source whose table `sweep` contains only a grid and its design; None: the source's own grid.
+    """Return a copy of a source with another grid or another design; None: the source's own.
 
-    A new grid replaces the design of the source, which belongs to the source's own grid.
+    A new grid replaces the whole table `sweep`, whose design belongs to the source's own grid.
     """
     changed = source.copy()
     if grid is not None:
@@ -333,9 +333,8 @@ def _source_with(source: Source, settings: Settings) -> tuple[Source, dict[str, 
     changed.tables.pop("sweep", None)
     unset: dict[str, list[Problem]] = {}
     for key, value in settings.items():
-        if reason := UNSWEPT.get(key.partition(".")[0]) or (
-            METRICS_UNSWEPT if key.startswith("record.metrics") else None
-        ):
+        reason = METRICS_UNSWEPT if key.startswith("record.metrics") else UNSWEPT.get(key.partition(".")[0])
+        if reason is not None:
             unset[key] = [_about_grid(source, f"cannot be swept; {reason}", key)]
             continue
         try:

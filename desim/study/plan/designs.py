@@ -1,4 +1,4 @@
-"""The points of a design: values between 0 and 1 for each key that is drawn, and the settings of each point."""
+"""The points of a design: numbers between 0 and 1 for each key that is drawn, and the settings of each point."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product

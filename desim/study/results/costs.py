@@ -68,8 +68,8 @@ class Bounds:
     @classmethod
     def of(cls, perfect: list[float], silent: list[float]) -> Self:
         """Return the bounds, given the metric in each run of both, paired by seed."""
-        difference = [float(late) - float(early) for late, early in zip(silent, perfect, strict=True)]
-        return cls(mean_or_share(perfect), mean_or_share(silent), Saving.of(difference))
+        differences = [float(without) - float(with_all) for without, with_all in zip(silent, perfect, strict=True)]
+        return cls(mean_or_share(perfect), mean_or_share(silent), Saving.of(differences))
 
     def document(self) -> dict[str, Any]:
         """Return the bounds as JSON-compatible values."""
@@ -104,7 +104,7 @@ class Cost:
     """The metric between the bounds of the network; None if they were not run."""
 
     @classmethod
-    def of(cls, made: Mapping[str, Any]) -> Self:
+    def of(cls, document: Mapping[str, Any]) -> Self:
         """Return the cost that a part of a document describes; see `Explanation.document`."""
 
         def saving(part: Mapping[str, Any]) -> Saving:
@@ -116,16 +116,16 @@ class Cost:
             )
 
         return cls(
-            str(made["label"]),
-            str(made["unit"]),
-            from_json(made["as_it_is"]),
-            from_json(made["ideal"]),
-            {str(name): saving(part) for name, part in made["parts"].items()},
-            saving(made["together"]),
-            saving(made["interaction"]),
-            made["more_is"],
-            float(made["confidence"]),
-            None if (bounds := made.get("bounds")) is None else bounds_of(bounds),
+            str(document["label"]),
+            str(document["unit"]),
+            from_json(document["as_it_is"]),
+            from_json(document["ideal"]),
+            {str(name): saving(part) for name, part in document["parts"].items()},
+            saving(document["together"]),
+            saving(document["interaction"]),
+            document["more_is"],
+            float(document["confidence"]),
+            None if (bounds := document.get("bounds")) is None else bounds_of(bounds),
         )
 
     @property

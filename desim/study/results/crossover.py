@@ -87,8 +87,7 @@ class Crossover:
     def _level(self) -> str:
         """The level at which no value tells the curves apart, as text; "" if some value does."""
         risk = f"{100.0 * (1.0 - self.confidence):.3g} %"
-        several = f" at a level of {risk} for all {self.values} values together"
-        return "" if self.is_told_apart else several
+        return "" if self.is_told_apart else f" at a level of {risk} for all {self.values} values together"
 
     def __str__(self) -> str:
         unit = f" {name}" if (name := unit_of_key(self.key, Scenario)) else ""
@@ -157,7 +156,7 @@ class Crossover:
     ) -> Self:
         """Return where two curves of a sweep cross; see `SweepResult.crossover`."""
         check_paired(result, metric, confidence)
-        lines = [curve(result, key, {**(where or {}), **chosen}) for chosen in (a, b)]
+        lines = [curve(result, key, {**(where or {}), **settings}) for settings in (a, b)]
         x = sorted(lines[0].keys() & lines[1].keys())
         if len(x) < 2:
             raise ValueError(f"{key}: a crossover needs two or more finite numbers that both curves have, got {len(x)}")
@@ -228,22 +227,22 @@ def check_paired(result: SweepRuns, metric: str, confidence: float) -> None:
         raise ValueError("runs with independent seeds cannot be paired: the sweep needs sweep.seeds = common")
 
 
-def curve(result: SweepRuns, key: str, chosen: Mapping[str, Any]) -> dict[float, Group]:
+def curve(result: SweepRuns, key: str, settings: Mapping[str, Any]) -> dict[float, Group]:
     """Return the configurations of a curve by their finite value of the key.
 
     Raises:
         ValueError: if the grid lacks a key or a value, a value is no number, or another key has several values.
     """
     values = result.values(key)
-    if key in chosen:
+    if key in settings:
         raise ValueError(f"{key} is the key along which curves cross: a and b should not fix it")
     if not all(map(is_number, values)):
         raise ValueError(f"{key}: curves cross along numbers, and it takes {', '.join(map(text, values))}")
-    groups = result.groups_with(chosen)
+    groups = result.groups_with(settings)
     for name in result.keys:
         if name != key and len(open_values := {group.settings[name] for group in groups}) > 1:
             several = ", ".join(sorted(map(text, open_values)))
-            wanted = in_words({other: result.setting(other, value) for other, value in chosen.items()})
+            wanted = in_words({other: result.setting(other, value) for other, value in settings.items()})
             raise ValueError(
                 f"{name} takes {several} on the curve {wanted or 'of all'}: choose one"
                 f' with where={{"{name}": ...}}, or --where {name}=...'
@@ -261,7 +260,7 @@ def paired_values(groups: Sequence[Group], metric: str) -> Floats:
 
 
 def sign_changes(x: Sequence[float], means: Sequence[float]) -> tuple[float, ...]:
-    """Return where the polyline through the means changes its sign; a stretch of zeros changes it in its middle."""
+    """Return where the polyline through the means changes its sign; along a stretch of zeros, that is the middle."""
     nonzero = [k for k, value in enumerate(means) if value]
     crossings = []
     for before, after in pairwise(nonzero):

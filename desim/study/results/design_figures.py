@@ -109,14 +109,14 @@ def contour(
     """
     keys = result.drawn_keys or swept_numbers(result)[:2]
     if len(keys) != 2:
-        instead = "; `scatter` has a panel for each key" if keys else ""
-        raise ValueError(f"contours need two keys that take several numbers, there are {len(keys)}{instead}")
+        hint = "; `scatter` has a panel for each key" if keys else ""
+        raise ValueError(f"contours need two keys that take several numbers, there are {len(keys)}{hint}")
     panels: dict[str, list[Point]] = {}
     points = list(zip(result.groups, result.estimates(metric), strict=True))
     for group, estimate in points:
         if isfinite(estimate.mean) and all(isfinite(group.settings[key]) for key in keys):
-            others = {k: v for k, v in group.settings.items() if k not in keys and len(result.values(k)) > 1}
-            panels.setdefault(in_words(others), []).append((group, estimate))
+            panel_settings = {k: v for k, v in group.settings.items() if k not in keys and len(result.values(k)) > 1}
+            panels.setdefault(in_words(panel_settings), []).append((group, estimate))
     if not panels:
         raise ValueError(f"{metric}: no configuration has a finite value")
     means = [estimate.mean for panel in panels.values() for _, estimate in panel]

@@ -48,15 +48,17 @@ class Explanation(TabularResult):
     """The costs by metric."""
 
     @classmethod
-    def of(cls, made: Mapping[str, Any]) -> Self:
+    def of(cls, document: Mapping[str, Any]) -> Self:
         """Return the explanation that a document of JSON values describes; see `document`.
 
         Raises:
             ValueError: if the document is not an explanation.
         """
         try:
-            costs = {str(metric): Cost.of(cost) for metric, cost in made["costs"].items()}
-            explanation = cls(str(made["name"]), int(made["runs"]), int(made["failed"]), tuple(made["absent"]), costs)
+            costs = {str(metric): Cost.of(cost) for metric, cost in document["costs"].items()}
+            explanation = cls(
+                str(document["name"]), int(document["runs"]), int(document["failed"]), tuple(document["absent"]), costs
+            )
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise ValueError(f"is not an explanation: {type(error).__name__}: {error}") from error
         if not costs:

@@ -94,10 +94,12 @@ class Group:
         The two arrays hold the positions of the runs in `values` of this and of the other group. If seeds are common
         (`SweepRuns.common`), the two runs of a pair have the same seed.
         """
-        mine, theirs = (group._table.replications.numbers() for group in (self, other))
-        if np.array_equal(mine, theirs):  # the usual case; the general case takes much longer
-            return np.arange(len(mine)), np.arange(len(mine))
-        _, positions, other_positions = np.intersect1d(mine, theirs, assume_unique=True, return_indices=True)
+        replications, other_replications = (group._table.replications.numbers() for group in (self, other))
+        if np.array_equal(replications, other_replications):  # the usual case; the general case takes much longer
+            return np.arange(len(replications)), np.arange(len(replications))
+        _, positions, other_positions = np.intersect1d(
+            replications, other_replications, assume_unique=True, return_indices=True
+        )
         return positions, other_positions
 
 
@@ -277,15 +279,15 @@ class SweepRuns:
         that need no runs.
         """
         metrics = names_of_metrics(metrics)
-        captureless = [] if (sentence := self._without_capture(metrics)) is None else [sentence]
+        no_captures = [] if (sentence := self._without_capture(metrics)) is None else [sentence]
         if self.failed or not self.common:
-            return captureless
+            return no_captures
         names = ", ".join(("captured", *map(words, metrics)))
-        return captureless + [
-            f"{where}nothing shown ({names}) depends on {key}: equal in {counted(count, 'pair')} of runs that differ"
-            f" in it only{NO_MESSAGES_HINT * key.startswith(MESSAGING)}"
+        return no_captures + [
+            f"{condition}nothing shown ({names}) depends on {key}: equal in {counted(count, 'pair')} of runs that"
+            f" differ in it only{NO_MESSAGES_HINT * key.startswith(MESSAGING)}"
             for key in self.keys
-            for where, count in self._without_effect(key, metrics)
+            for condition, count in self._without_effect(key, metrics)
         ]
 
     def _without_capture(self, metrics: Sequence[str]) -> str | None:
@@ -312,7 +314,7 @@ class SweepRuns:
             return
         for other in [name for name in self.keys if name != key]:
             values = dict.fromkeys(text(group.settings[other]) for group, _ in pairs)
-            for value in values if len(values) > 1 else ():  # the condition of an only value is no condition
+            for value in values if len(values) > 1 else ():  # a single value is no condition
                 if count := _count_equal([pair for pair in pairs if text(pair[0].settings[other]) == value], metrics):
                     yield f"with {other} = {value}, ", count
 
@@ -320,10 +322,10 @@ class SweepRuns:
 def _count_equal(pairs: Sequence[tuple[Group, Group]], metrics: Sequence[str]) -> int:
     """Return the number of pairs of runs; 0 if the runs of any pair differ in `captured` or one of the metrics."""
     names = ("captured", *metrics)
-    same = all(
+    are_equal = all(
         np.array_equal(*_aligned(group, other, name), equal_nan=True) for group, other in pairs for name in names
     )
-    return sum(len(group.pairs(other)[0]) for group, other in pairs) if same else 0
+    return sum(len(group.pairs(other)[0]) for group, other in pairs) if are_equal else 0
 
 
 def _aligned(group: Group, other: Group, metric: str) -> tuple[Floats, Floats]:
@@ -357,10 +359,10 @@ def is_number(value: Any) -> TypeGuard[float]:
 
 
 def names_of_metrics(metrics: Sequence[str]) -> Sequence[str]:
-    """Return the names of metrics, or of columns; one name may be given as it is.
+    """Return the names of metrics, or of columns; a single name may be given without a list.
 
     Raises:
-        ValueError: if they are no names.
+        ValueError: if the names are no list of texts.
     """
     names: Any = [metrics] if isinstance(metrics, str) else metrics
     if not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):

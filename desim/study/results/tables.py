@@ -86,8 +86,8 @@ def heading(result: SweepRuns, metrics: Sequence[str]) -> str:
 def notes(result: SweepRuns, metrics: Sequence[str]) -> Iterator[str]:
     """Yield the notes below the tables.
 
-    They say what is known at the start, whether the means are over different seeds, how many runs failed, and what the
-    sweep warns of.
+    They say what pursuers know at the start, whether the means are over different seeds, how many runs failed, and of
+    what the sweep warns.
     """
     if result.start_rule is not None:
         yield result.start_rule
@@ -177,7 +177,7 @@ def _mean_rows(result: SweepRuns, metrics: Sequence[str]) -> list[tuple[str, ...
 def _difference_rows(
     result: SweepRuns, metrics: Sequence[str], against: Mapping[str, Any] | None = None
 ) -> list[tuple[str, ...]]:
-    """Return rows of text: settings, number of pairs, and the mean difference of each metric."""
+    """Return rows of text: settings, number of pairs, and mean differences; a reference has no row."""
     differences = [result.differences(metric, against) for metric in metrics]
     rows: list[tuple[str, ...]] = [(*result.keys, "pairs", *(title(name, result.units) for name in metrics))]
     references = result.references(against)

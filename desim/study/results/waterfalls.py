@@ -71,8 +71,8 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
     level = cost.ideal.mean
     for place, (name, step) in enumerate(steps.items(), start=1):
         is_interaction = name == "interaction"
-        signs = {"worse": (VERMILION, GREEN), "better": (GREEN, VERMILION), None: (ORANGE, ORANGE)}
-        colour = GREY if is_interaction else signs[cost.more_is][step.mean.mean <= 0.0]
+        colours = {"worse": (VERMILION, GREEN), "better": (GREEN, VERMILION), None: (ORANGE, ORANGE)}
+        colour = GREY if is_interaction else colours[cost.more_is][step.mean.mean <= 0.0]
         axes.bar(place, step.mean.mean, bottom=level, color=colour, width=0.6, hatch="//" if is_interaction else None)
         axes.plot([place - 0.7, place + 0.3], [level, level], color=GREY, lw=0.7)
         _mark(axes, place, level, step.mean, "+z")  # "z": a cost that is rounded to 0 has no minus sign

@@ -214,7 +214,7 @@ def _holder(path: Path, now: float) -> Holder | None:
     Opening the file makes NFS ask the server for its time. A file without a holder was just made, or its maker died.
     """
     try:
-        # A link to nowhere would be there for `os.link`, and absent for who reads it.
+        # Links are refused: `os.link` finds a link to nowhere, but a reader does not.
         with open(path, "rb", opener=open_no_link) as stream:
             age, text = now - os.fstat(stream.fileno()).st_mtime, stream.read(LONGEST)
     except FileNotFoundError:

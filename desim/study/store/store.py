@@ -2,8 +2,7 @@
 
 Committed rows survive if this process is killed. A row is identified by its configuration, its replication and its root
 seed, from which the seeds of all runs of a sweep are derived. A run that is in the store is repeated only if it failed
-or lacks a metric.
-`SELECT * FROM results` has a column per metric.
+or lacks a metric. `SELECT * FROM results` has a column per metric.
 
 A row has the metrics that were computed for its run. The store records a hash of the code of each metric. A metric that
 is added later is missing in earlier rows, until a command that needs it repeats their runs. If the code of a metric
@@ -84,7 +83,7 @@ class Store(SweepProperties, RunRows):
     @naming_the_file
     def units(self) -> Mapping[str, str]:
         """The unit of each metric that runs of the store may have, by name."""
-        return MappingProxyType({name: unit for name, unit, _ in self.rows("metrics", "ORDER BY rowid")})
+        return MappingProxyType({name: unit for name, unit, _ in self.rows("metrics", ROWID)})
 
     @naming_the_file
     def note_command(self, folder: str, argv: Sequence[str]) -> None:
@@ -183,7 +182,7 @@ class Store(SweepProperties, RunRows):
 
     @naming_the_file
     def count(self, configurations: int, reps: int | None) -> int:
-        """Return the number of runs of the first configurations whose replication is below `reps`; None: of all."""
+        """Return the number of runs of the first configurations with a replication below `reps` (None: with any)."""
         first = "SELECT configuration FROM configurations ORDER BY place LIMIT ?"
         query = f"SELECT count(*) FROM runs WHERE configuration IN ({first}) AND (? IS NULL OR replication < ?)"
         return int(self.database.execute(query, (configurations, reps, reps)).fetchone()[0])
