@@ -24,7 +24,7 @@ LOGS, CLAIMS = "logs", "claims"
 WARNED = 60
 """The time before the end of a part at which Slurm warns it, s; Slurm looks at the time once a minute."""
 RESTARTS = 20
-"""The largest number of times that a part is run again; a run that takes longer than a part may never end otherwise."""
+"""The largest number of times that a part is run again: a single run longer than a part would repeat it for ever."""
 SLURM_TIMEOUT = 30.0
 """The time limit of a command of Slurm, s."""
 
@@ -104,7 +104,7 @@ def part_script(
 ) -> str:
     """Return the script of an array job that performs some parts of a sweep, given their numbers.
 
-    All machines see the folder under this path. The program is the words of the command that performs the sweep,
+    All machines see the folder under this path. `program` is the words of the command that performs the sweep,
     without its part and its folder; `made_by` is the command that made the script.
     """
     options = (

@@ -36,7 +36,7 @@ def open(path: str | PathLike[str], *, allow_import: bool = False) -> Result | S
         allow_import: whether run.json may name code to be imported; see `desim.load`. A sweep is read without imports.
 
     Raises:
-        TypeError: if the path is not a path.
+        TypeError: if `path` is neither a text nor a path.
         ValueError: if the path has no run and no sweep, or both (the message says what it has), or if the trace or
             run.json is damaged or of another format.
         OSError: if a file does not exist or cannot be read, or if a store is damaged or of another format.
@@ -86,13 +86,11 @@ def compare(
     names = [path or sweep.name for path, sweep in zip(paths, sweeps, strict=True)]
     if names[0] == names[1]:
         names = [f"{name} ({order})" for name, order in zip(names, ("first", "second"), strict=True)]
-    shared_values = [
+    old, new = (
         None if path is None else _shared_values(Path(path), sweep, other)
         for path, sweep, other in zip(paths, sweeps, reversed(sweeps), strict=True)
-    ]
-    changes = (
-        {} if shared_values[0] is None or shared_values[1] is None else _changes(shared_values[0], shared_values[1])
     )
+    changes = {} if old is None or new is None else _changes(old, new)
     return Comparison.of(sweeps[0], sweeps[1], metrics, (names[0], names[1]), changes)
 
 

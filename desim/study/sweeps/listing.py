@@ -58,16 +58,12 @@ class Listing(list[Entry]):
 
     def rows(self) -> list[tuple[str, ...]]:
         """Return the results as rows of text; the first row is the header."""
-        return [
-            HEAD,
-            *(
-                (
-                    *(escaped(text) for text in (str(entry.folder), entry.kind, entry.scenario or "-")),
-                    *(entry.date, "-" if entry.runs is None else f"{entry.runs:,}", escaped(entry.state)),
-                )
-                for entry in self
-            ),
-        ]
+        rows: list[tuple[str, ...]] = [HEAD]
+        for entry in self:
+            runs = "-" if entry.runs is None else f"{entry.runs:,}"
+            cells = str(entry.folder), entry.kind, entry.scenario or "-", entry.date, runs, entry.state
+            rows.append(tuple(map(escaped, cells)))
+        return rows
 
     def table(self) -> str:
         """Return the results as text."""
@@ -159,7 +155,7 @@ def _entry(folder: Path, stores: list[Path], has_trace: bool, modified: float) -
 
 
 def _stored(stores: list[Path], planned: int | None, plan: PlannedRuns | None) -> tuple[str | None, int, str]:
-    """Return the name of the scenario in stores, if it is known, the number of their runs, and their state."""
+    """Return the name of the scenario in stores (None if unknown), the number of their runs, and their state."""
     runs, failed, done, outcomes, keys = 0, 0, 0, set[Run](), list[list[str]]()
     name: str | None = None
     for path in stores:
@@ -170,7 +166,7 @@ def _stored(stores: list[Path], planned: int | None, plan: PlannedRuns | None) -
                 keys.append(store.keys)
                 if len(stores) == 1:
                     done = store.count(plan.configurations, plan.reps)
-                else:  # they may have runs in common
+                else:  # several stores may have runs in common
                     outcomes.update(*store.outcomes())
     was_planned = plan.includes(keys) if plan is not None and keys else None
     # Without a record of the planned configurations, all runs count as done.

@@ -22,12 +22,12 @@ def metric_value(metric: str, configuration: Configuration, row: Row) -> float:
     Raises:
         NoMeanError: if the run has no value, or an infinite one.
     """
-    where, value = f"{words(metric)}: the run of {configuration} with seed {row.seed}", row.value(metric)
+    subject, value = f"{words(metric)}: the run of {configuration} with seed {row.seed}", row.value(metric)
     if value is None:
         hint = "; end_time counts the horizon where there is no capture" if "capture_time" in metric else ""
-        raise NoMeanError(f"{where} has no value, and a mean over all seeds needs one in every run{hint}")
+        raise NoMeanError(f"{subject} has no value, and a mean over all seeds needs one in every run{hint}")
     if not isfinite(value):
-        raise NoMeanError(f"{where} is {float(value)}, and a mean needs finite values")
+        raise NoMeanError(f"{subject} is {float(value)}, and a mean needs finite values")
     return float(value)
 
 

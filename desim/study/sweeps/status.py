@@ -78,13 +78,13 @@ class SweepStatus:
 def status(folder: str | Path) -> SweepStatus:
     """Return how far the sweep in a folder is.
 
-    The folder is that of `desim submit`, or any with the stores of a sweep. Runs are read from the stores, also while a
-    sweep writes to them, and the states of parts from squeue if there is one.
+    The folder is that of `desim submit`, or any folder with the stores of a sweep. Runs are read from the stores, also
+    while a sweep writes to them; the states of parts are those of squeue, if Slurm is there.
 
     Raises:
         TypeError: if the folder is not given as a path.
         ValueError: if the folder has no sweep.
-        OSError: if it cannot be read.
+        OSError: if the folder cannot be read.
     """
     RESULTS.check(folder, "status")
     folder = Path(folder)
@@ -101,9 +101,8 @@ def status(folder: str | Path) -> SweepStatus:
     parts = []
     for name, count in counts.items():
         planned = job.planned(int(name)) if job is not None and name.isdecimal() else None
-        parts.append(
-            SweepPart(name, planned, len(count.done), len(count.failed), _state(name, count, planned, slurm_states))
-        )
+        state = _state(name, count, planned, slurm_states)
+        parts.append(SweepPart(name, planned, len(count.done), len(count.failed), state))
     plan = PlannedRuns(job.runs) if job is not None else _planned(folder)
     done = frozenset().union(*(count.done for count in counts.values()))
     failed = frozenset().union(*(count.failed for count in counts.values())) - done
