@@ -25,6 +25,7 @@ from desim.cli import main
 from desim.scenario.toml import load
 from desim.study.workers import executors
 from desim.study.workers import workers as places
+from desim.study.workers.batch import run_many
 from desim.study.workers.executors import workers_for
 from desim.study.workers.serialization import called, packed
 from desim.study.workers.workers import InProcess, Processes
@@ -472,6 +473,37 @@ def test_processes_are_made_anew_as_they_were(kept, monkeypatch):
     workers.renew()
     assert made == [(3, kept)] * 2
     assert workers.executor == 2
+
+
+def test_copies_with_another_time_out_share_the_pool_that_replaces_a_broken_or_stopped_one(monkeypatch):
+    pools = [SimpleNamespace(shutdown=lambda **_: None) for _ in range(3)]
+    made = iter(pools)
+    monkeypatch.setattr(places, "_pool", lambda count, *, kept: next(made))
+    workers = Processes(3, kept=True)
+    first, second = workers_for(workers), workers_for(workers, timeout=2.0)
+    assert first.executor is second.executor is workers.executor is pools[0]
+    first.renew()
+    assert second.executor is workers.executor is pools[1]
+    second.stop()
+    assert first.executor is workers.executor is pools[2], "who stops a run leaves workers that can be used"
+    workers.stop()
+    workers.stop()
+
+
+def fails(scenario, seed):
+    raise ValueError("no")
+
+
+@pytest.mark.whole
+def test_processes_of_the_caller_can_be_used_after_a_run_that_failed():
+    tasks = [(desim.Scenario(team={"count": 2}, horizon=0.5), 0)]
+    workers = Processes(2, kept=True)
+    try:
+        with pytest.raises(ValueError, match="no"):
+            run_many(tasks, workers, simulate=fails)
+        assert run_many(tasks, workers) == run_many(tasks, 1)
+    finally:
+        workers.stop()
 
 
 @pytest.mark.parametrize("kept", [True, False])

@@ -131,7 +131,19 @@ class Processes(Workers):
 
     def __init__(self, count: int, *, kept: bool = False):
         self._kept = kept
+        self._pools: list[Executor] = []  # at most one, which copies with another time-out share; see `workers_for`
         super().__init__(_pool(count, kept=kept), count)
+
+    @property
+    def executor(self) -> Executor:
+        """The pool of the processes; after `stop`, a new one."""
+        if not self._pools:
+            self._pools.append(_pool(self.count, kept=self._kept))
+        return self._pools[0]
+
+    @executor.setter
+    def executor(self, pool: Executor) -> None:
+        self._pools[:] = [pool]
 
     def renew(self) -> None:
         """Replace the workers after one died; the next calls start the new ones."""
@@ -143,8 +155,9 @@ class Processes(Workers):
             return super().submit(call)
 
     def stop(self) -> None:
-        """Kill the workers, even during a call."""
-        self.executor.shutdown(wait=True, kill_workers=True)  # type: ignore[call-arg]
+        """Kill the workers, even during a call; the next call starts new ones."""
+        while self._pools:
+            self._pools.pop().shutdown(wait=True, kill_workers=True)  # type: ignore[call-arg]
 
 
 class Cluster(Workers):
