@@ -28,14 +28,14 @@ class MessageCopy(NamedTuple):
     arrival: int
     """The time of arrival, ns; `LOST` if it never arrived."""
     seq: int | None
-    """The number of the record among those of its sender; None if it is no record."""
+    """The number of the record among the records of its sender; None if the message is no record."""
     action: int | None
-    """The action that it announces; None if it announces none."""
+    """The action that the message announces; None if it announces none."""
 
     def __str__(self) -> str:
         """Return the number, the sender, the receiver, the time of sending, and the action."""
-        told = "" if self.action is None else f", says {f'chases {self.action}' if self.action else 'stays'}"
-        return f"message {self.number}: {self.src} to {self.dst}, sent at {seconds(self.sent):.3f} s{told}"
+        announced = "" if self.action is None else f", says {f'chases {self.action}' if self.action else 'stays'}"
+        return f"message {self.number}: {self.src} to {self.dst}, sent at {seconds(self.sent):.3f} s{announced}"
 
 
 def copies(result: Result) -> list[MessageCopy]:
@@ -45,7 +45,7 @@ def copies(result: Result) -> list[MessageCopy]:
     """
     table = delivery_table(result)
     table = table.in_order_of(table.transmission)
-    # Copies that faults make have the numbers of transmission from `FIRST_COPY` on.
+    # Copies that faults make have transmission numbers from `FIRST_COPY` on.
     numbered = int(np.searchsorted(table.transmission, FIRST_COPY))
     columns = table.event, table.dst, table.created, np.where(table.cause < 0, table.until, LOST)
     rows = zip(*(column[:numbered].tolist() for column in columns), strict=True)

@@ -47,8 +47,8 @@ class LossTable:
         unit: the unit of margins.
         fatal: the choices that violate the property, the smallest first.
         runs: the number of runs.
-        skipped: the number of times that a choice was not extended by a message, because the message has no effect in
-            the run of the choice; with most = 1, the number of choices that were not run.
+        skipped: how often a choice was not extended by a message that has no effect in the run of the choice; with
+            most = 1, this is the number of choices that were not run.
         symmetric: the number of choices that were not run, because another choice has the same run.
         messages: by seed, the number of messages in the undisturbed run.
         broken: the seeds with which the property is violated without any choice.
@@ -75,9 +75,9 @@ class LossTable:
         messages = counted(self.most, "lost message") if fates == "lost" else f"{counted(self.most, 'message')} {fates}"
         lines = [f"seed {seed}: violated without any loss" for seed in self.broken]
         for fatal in self.fatal:
-            these = f"if these are {fates}" if len(self.fates) == 1 else "with these"
+            condition = f"if these are {fates}" if len(self.fates) == 1 else "with these"
             outcome = f"fails ({fatal.failure})" if fatal.failure else f"margin {fatal.verdict.margin:.3g} {self.unit}"
-            lines.append(f"seed {fatal.seed}: {outcome.rstrip()} {these}:")
+            lines.append(f"seed {fatal.seed}: {outcome.rstrip()} {condition}:")
             for copy, fate in zip(fatal.messages, fatal.fates, strict=True):
                 lines.append(f"  {'' if len(self.fates) == 1 else f'{words[fate]}: '}{copy}")
         if not lines:

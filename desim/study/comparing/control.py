@@ -1,7 +1,7 @@
 """Sweeps with a control variate: another protocol in the same runs, whose mean is known from many cheap runs.
 
-`desim.analysis.control_variates` has the estimate. A control that knows everything and sends nothing runs on a perfect
-network, which changes nothing in its runs: then all configurations that differ in the network share its runs.
+`desim.analysis.control_variates` has the estimate. A control that knows everything and sends nothing is run on a
+perfect network, which changes nothing in its runs. Configurations that differ only in the network then share them.
 """
 
 from collections.abc import Iterator, Sequence
@@ -98,10 +98,10 @@ class ControlPlan:
 
 
 def _controlled_by(scenario: Scenario, protocol: Any) -> Scenario:
-    """Return a scenario with a control as its protocol; on a perfect network if the control does not use any."""
+    """Return a scenario with a control as its protocol; on a perfect network if the control uses no network."""
     control = scenario.with_({"protocol": protocol})
-    needs_none = control.protocol_traits.omniscient and not control.announces
-    return with_perfect_network(control) if needs_none else control
+    needs_no_network = control.protocol_traits.omniscient and not control.announces
+    return with_perfect_network(control) if needs_no_network else control
 
 
 @dataclass(frozen=True, repr=False)
@@ -240,13 +240,13 @@ def controlled(
 
     With the same seed, a run of another protocol has the same initial positions, so its metrics explain a share of the
     variance. Use it if runs are slow and many configurations share a cheap control, as those of a grid over properties
-    of the network share `centralised`. It does not help paired differences: equal seeds have done that already.
+    of the network share `centralised`. It does not help paired differences: equal seeds already remove this share.
 
         print(controlled(scenario, {"network.latency": [0.0, 0.2, 0.5]}, reps=50))
 
     `control` is the protocol of the control: a kind, a table, or an object. `control_runs` is the number of its runs in
-    each of its own configurations (None = ten times `reps`), and `control_store` the file to which they are
-    added (None = no file). `shown` names the metrics that are corrected. The other arguments are as in `sweep`; `reps`
+    each of its own configurations (None = ten times `reps`), and `control_store` the file to which they are added
+    (None = no file). `shown` names the metrics that are corrected. The other arguments are as in `sweep`; `reps`
     is at least 4.
 
     Raises:

@@ -63,7 +63,7 @@ GENERATED = {
     *("_abc_impl", "__protocol_attrs__", "__dataclass_fields__", "__dataclass_params__"),
     *("__class_vars__", "__private_attributes__", "__signature__"),
 }
-"""The attributes that Python, dataclasses and pydantic add to a class, besides methods and `__pydantic_*`."""
+"""The attributes that Python, dataclasses and pydantic add to a class, without methods and `__pydantic_*`."""
 ANNOTATORS = {"__annotate__", "__annotate_func__"}
 """The methods with which Python 3.14 evaluates the annotations of a class."""
 ADVICE = "store plain values instead, or leave it out in the __getstate__ of the class that holds it"

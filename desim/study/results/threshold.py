@@ -4,8 +4,8 @@ A run with the metric y at a value of the key, and b at the baseline with the sa
 y - (1 + share) b. Where its mean changes sign, the ratio of the means is 1 + share. The t test of this difference is
 the one from which Fieller 1954, "Some Problems in Interval Estimation", makes the interval of a ratio of two means. The
 value of the key therefore has the interval of `desim.study.results.crossover`, and the relative difference at the end
-of the curve has Fieller's interval: both hold what the same paired test does not exclude. An interval by the delta
-method would be symmetric, and wrong where the baseline is not far from 0 in standard errors.
+of the curve has Fieller's interval: both intervals hold the values that the same paired test does not exclude. An
+interval by the delta method would be symmetric, and wrong where the baseline is not far from 0 in standard errors.
 """
 
 from collections.abc import Mapping
@@ -52,7 +52,7 @@ class Threshold:
     ceases to.
     """
     is_beyond: bool | None
-    """Whether the share is exceeded beyond `at`, or everywhere; False: below `at`, or nowhere; None: not decided."""
+    """True: the mean exceeds the share beyond `at`, or everywhere; False: below `at`, or nowhere; None: not decided."""
     low: float
     """The lower end of the confidence interval of `at`; -inf = below the least value of the key."""
     high: float

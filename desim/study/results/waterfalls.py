@@ -28,7 +28,7 @@ def waterfall(
 ) -> Figure:
     """Draw the cost of each imperfection as a waterfall chart with 95 % intervals, with a panel for each metric.
 
-    The first arguments are the fields of an `Explanation`, whose `plot` says what size, style and axes are.
+    The first three arguments are fields of an `Explanation`. For the size, style and axes see `Explanation.plot`.
 
     Raises:
         ValueError: if the size or the style is invalid, or several metrics do not fit into `ax`.

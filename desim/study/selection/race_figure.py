@@ -78,7 +78,7 @@ def _draw_means(axes: Axes, selection: Selection, order: Sequence[int], names: S
         means = np.cumsum(numbers) / counts
         look = look_of(rank) if rank < NAMED else look_of(rank) | {"marker": ""}
         label = literal(name) if rank < NAMED else None
-        gap = max(len(means) // MARKS, 1)  # the marks of equal lines stand beside each other
+        gap = max(len(means) // MARKS, 1)  # lines begin their marks at different runs, so that no mark hides another
         axes.plot(counts[1:], means[1:], label=label, markevery=(rank % gap, gap), **look)
         if system in dropped_systems:
             axes.plot(counts[-1:], means[-1:], marker="x", ls="none", color=look["color"], ms=7, mew=1.6, zorder=3)

@@ -65,7 +65,7 @@ def sensitivity(
     timeout: float | None = None,
     mix_versions: bool = False,
 ) -> SensitivityResult:
-    """Find which keys decide a metric: how much of its variance over the ranges of the keys each key causes.
+    """Find which keys decide a metric: each key's share of the variance of the metric over the ranges of the keys.
 
     Use it before a sweep over many keys: a sweep over those that decide is then enough.
 
@@ -115,7 +115,7 @@ class Analysis:
     points: int
     trajectories: int
     plan: SweepPlan
-    """The scenario, the number of runs at each point and their seeds; its configurations are those of a stage."""
+    """The scenario, the number of runs at each point and their seeds; `_values` adds the points as configurations."""
 
     @classmethod
     def of(
@@ -223,7 +223,7 @@ class Analysis:
             if not isinstance(first, KeyRange):
                 spans[:, k] = 1.0
             elif first.is_whole:
-                ends = zip(*(map(first.at, points[:, e, k].tolist()) for e in (0, -1)), strict=True)
+                ends = zip(*(map(first.at, points[:, end, k].tolist()) for end in (0, -1)), strict=True)
                 spans[:, k] = [first.share_between(*pair) for pair in ends]
         return spans
 
