@@ -11,6 +11,7 @@ Kept equal to a loop over the trace by
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, pairwise, repeat
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -41,42 +42,47 @@ PIECE = np.dtype(
         ("source", np.int64),
         ("created", np.int64),  # time of the announcement by the source, ns; for an initial belief, `begin`
         ("active", np.int32),  # action of the source as received: the evader that it chases, or 0
-        ("presumed", np.bool_),  # whether it is an initial belief, not a record received
+        ("presumed", np.bool_),  # whether the row is an initial belief instead of a record received
         ("begin", np.int64),  # time of arrival, ns; for an initial belief, the start of the run or the loss of memory
-        ("after", np.int64),  # trace position; of the events at `begin`, only the later ones find the record known
+        ("after", np.int64),  # trace position: an event at the time `begin` is in the period if its position is later
         ("until", np.int64),  # time at which a newer record arrived, the memory was lost or the run ended, ns
-        ("before", np.int64),  # trace position; of the events at `until`, only the earlier ones find the record known
+        (
+            "before",
+            np.int64,
+        ),  # trace position: an event at the time `until` is in the period if its position is earlier
         ("superseded", np.bool_),  # whether the arrival of a newer record ended the period
     ]
 )
 FIRST, LAST = -1, int(np.iinfo(np.int64).max)
 """Positions in the trace before and after all events."""
 DELIVERED = -1
-"""In place of the number of a transmission: a message that a transport has delivered, and that is not lost."""
+"""In place of the number of a transmission, for a message that a transport has delivered: no `Lost` refers to it."""
 ROUNDING = 100
-"""ns; a stamp is rounded to 1 ns, which the slowest clock (`MIN_DRIFT`) takes 100 ns for."""
+"""Error of a time computed from a stamp, ns: a stamp is rounded to 1 ns, for which the slowest clock takes 100 ns."""
 ROWS = 1 << 12
-"""Number of rows of a batch: temporary arrays are then small, so that their memory is used again."""
+"""Number of rows of a batch, so few that numpy reuses the memory of the temporary arrays."""
 
 
 @remembered
 def knowledge(result: Result) -> Pieces:
     """Return the newest record that each pursuer had of every other over time; O(n log n) for n received records.
 
-    A record that is newer than the known one counts from its arrival until a newer one arrives or the reader loses its
-    memory. A record without an action (an attribute `active` of its body, an evader or 0) does not change the known
-    action. A relayed record of a node that does not exist is ignored.
+    A period ends when a newer record arrives or the reader loses its memory. The action in a record is the attribute
+    `active` of its body, an evader or 0; a record without an action does not change the known action. A relayed record
+    of a node that does not exist is ignored.
 
     Raises:
         ValueError: if the trace lacks messages that were sent.
     """
     require_messages(result)
     profile, end = np.array(started(result).active, np.int64), ended(result).t
-    announced, sent, receptions = _messages(result, len(profile), end)
-    lives, records, size = _lives(result, receptions, end), sent.count[receptions.sent], len(profile)
-    pieces, number = np.empty(len(lives.reader) * (size - 1) + records.sum(), PIECE), 0
-    for batch in lives.batches(size, records):
-        number += batch.fill(pieces[number:], announced, sent, receptions, profile)
+    announced, transmissions, receptions = _messages(result, len(profile), end)
+    lives, size = _lives(result, receptions, end), len(profile)
+    record_counts = transmissions.count[receptions.transmission]
+    # Too many rows if relays carry records back to their sources.
+    pieces, number = np.empty(len(lives.reader) * (size - 1) + record_counts.sum(), PIECE), 0
+    for batch in lives.batches(size, record_counts):
+        number += batch.fill(pieces[number:], announced, transmissions, receptions, profile)
     return pieces[:number]
 
 
@@ -106,21 +112,22 @@ class _Transmissions:
 
 @dataclass(frozen=True, slots=True)
 class _Receptions:
-    """The columns of a table of receptions, one row each, in order of receiver, arrival and `sent`."""
+    """The columns of a table of receptions, one row each, in order of receiver, arrival and transmission."""
 
     dst: Integers
     arrival: Integers
-    sent: Integers
+    """ns"""
+    transmission: Integers
     """The row in `_Transmissions`."""
 
     def between(self, first: int, last: int) -> "_Receptions":
         """Return the rows from `first` to before `last`."""
-        return _Receptions(self.dst[first:last], self.arrival[first:last], self.sent[first:last])
+        return _Receptions(self.dst[first:last], self.arrival[first:last], self.transmission[first:last])
 
-    def unpacked(self, sent: _Transmissions) -> tuple[Integers, Integers]:
+    def unpacked(self, transmissions: _Transmissions) -> tuple[Integers, Integers]:
         """Return, for each record received, the row of its reception in this table and its row in `_Announcements`."""
-        count, first = sent.count[self.sent], sent.first[self.sent]
-        if (count == 1).all():  # as a rule, without relays
+        count, first = transmissions.count[self.transmission], transmissions.first[self.transmission]
+        if (count == 1).all():  # usual without relays
             return np.arange(len(count)), first
         reception = np.repeat(np.arange(len(count)), count)
         return reception, np.arange(len(reception)) + (first - np.cumsum(count) + count)[reception]
@@ -128,7 +135,7 @@ class _Receptions:
 
 @dataclass(frozen=True, slots=True)
 class _Lives:
-    """The columns of a table of lives, periods in which a reader keeps its memory, in order of reader and time."""
+    """The columns of a table of lives, in order of reader and time. A life is a period between two losses of memory."""
 
     edges: Integers
     """(lives + 1,) the row in `_Receptions` of the first reception of each life, and the number of receptions."""
@@ -138,22 +145,25 @@ class _Lives:
     until: Integers
     """Time of the next loss of memory, or end of the run, ns."""
     before: Integers
-    """`LAST` if the life ends with the run, else `FIRST`."""
+    """As in `PIECE`: `LAST` if the life ends with the run, else `FIRST`, because faults come first at an instant."""
     knows: Integers
-    """1 if the reader knows the initial actions of all, else 0: the rank of the sequence number of its beliefs."""
+    """1 if the reader knows the initial actions of all, else 0; also the rank of its initial beliefs.
 
-    def batches(self, size: int, records: Integers) -> "Iterator[_Lives]":
+    A network gives known initial actions the number 0, of rank 1; rank 0 is below that of any record.
+    """
+
+    def batches(self, size: int, record_counts: Integers) -> "Iterator[_Lives]":
         """Yield the lives in batches of about `ROWS` rows at most; one life may have more.
 
-        A batch has at most 2^16 pairs of a life and a source, unless one life has more, because numpy sorts small
-        integers in linear time.
+        A batch has at most 2^16 pairs of a life and a source, unless one life has more: numpy sorts integers of 16 bits
+        in linear time.
 
         Args:
             size: number of pursuers.
-            records: number of records in each reception.
+            record_counts: number of records in each reception.
         """
         number = np.arange(len(self.reader))
-        rows = np.append(0, np.cumsum(records))[self.edges[:-1]] + number * size
+        rows = np.append(0, np.cumsum(record_counts))[self.edges[:-1]] + number * size
         part, block = rows // ROWS, number // max((1 << 16) // size, 1)
         bounds = np.flatnonzero((np.diff(part) > 0) | (np.diff(block) > 0)) + 1
         for first, last in pairwise([0, *bounds.tolist(), len(number)]):
@@ -164,36 +174,38 @@ class _Lives:
         self,
         rows: Pieces,
         announced: _Announcements,
-        sent: _Transmissions,
+        transmissions: _Transmissions,
         receptions: _Receptions,
         profile: Integers,
     ) -> int:
-        """Write the newest records of the readers in these lives over time, and return their number.
+        """Write the newest records of the readers in these lives over time, and return the number of rows written.
 
         Args:
-            rows: where to write them, with as many rows as there are initial beliefs and records received, or more.
+            rows: where to write, at least one row for each initial belief and each record received.
             announced: all records sent.
-            sent: all transmissions.
+            transmissions: all transmissions.
             receptions: all receptions.
             profile: (N,) the initial action of each pursuer.
         """
-        size, count, mine = len(profile), len(self.reader), receptions.between(self.edges[0], self.edges[-1])
-        reception, record = mine.unpacked(sent)
+        size, count, received = len(profile), len(self.reader), receptions.between(self.edges[0], self.edges[-1])
+        reception, record = received.unpacked(transmissions)
         life_of = np.repeat(np.arange(count), np.diff(self.edges))[reception]
-        foreign = announced.source[record] != self.reader[life_of]
-        if not foreign.all():  # a relay may carry a record back to its source
-            reception, record, life_of = reception[foreign], record[foreign], life_of[foreign]
-        # The rows: the initial belief of each life in each source, then all records received, in order of arrival.
-        initial = np.delete(np.arange(count * size), np.arange(count) * size + self.reader)
-        lives, sources = np.divmod(initial, size)
+        is_foreign = announced.source[record] != self.reader[life_of]
+        if not is_foreign.all():  # a relay may carry a record back to its source
+            reception, record, life_of = reception[is_foreign], record[is_foreign], life_of[is_foreign]
+        # A pair of a life and a source is numbered life * size + source. The rows are the initial belief of each pair,
+        # then all records received, in order of arrival.
+        initial_pairs = np.delete(np.arange(count * size), np.arange(count) * size + self.reader)
+        lives, sources = np.divmod(initial_pairs, size)
 
-        def column(presumed: int | Integers, heard: Integers) -> Integers:
-            return np.concatenate([np.broadcast_to(presumed, len(initial)), heard])
+        def column(of_beliefs: int | Integers, of_records: Integers) -> Integers:
+            return np.concatenate([np.broadcast_to(of_beliefs, len(initial_pairs)), of_records])
 
-        pair = column(initial, life_of * size + announced.source[record])
+        pair = column(initial_pairs, life_of * size + announced.source[record])
         rank = column(self.knows[lives], announced.rank[record])
         order = np.argsort(pair.astype(np.min_scalar_type(count * size)), kind="stable")
-        # In order of pair, then arrival, the running maximum of this key belongs to the newest record so far.
+        # In order of pair, then arrival, a row is newer than all earlier ones of its pair if this key exceeds theirs.
+        # The slices `[: len(...)]` drop the appended value if there are no rows.
         key = (pair * (rank.max(initial=0) + 1) + rank)[order]
         order = order[np.append(True, key[1:] > np.maximum.accumulate(key)[:-1])[: len(key)]]
         active = column(self.knows[lives] * profile[sources], announced.active[record])[order]
@@ -203,9 +215,9 @@ class _Lives:
         pieces = rows[: len(order)]
         pieces["reader"], pieces["source"] = self.reader[life], pair[order] - life * size
         pieces["created"] = column(self.begin[lives], announced.created[record])[order]
-        pieces["active"], pieces["presumed"] = active[last_with_action], order < len(initial)
-        begin = pieces["begin"] = column(self.begin[lives], mine.arrival[reception])[order]
-        after = pieces["after"] = column(FIRST, sent.place[mine.sent][reception])[order]
+        pieces["active"], pieces["presumed"] = active[last_with_action], order < len(initial_pairs)
+        begin = pieces["begin"] = column(self.begin[lives], received.arrival[reception])[order]
+        after = pieces["after"] = column(FIRST, transmissions.place[received.transmission][reception])[order]
         superseded = np.append(np.diff(pair[order]) == 0, False)[: len(order)]
         pieces["until"] = np.where(superseded, np.roll(begin, -1), self.until[life])
         pieces["before"] = np.where(superseded, np.roll(after, -1), self.before[life])
@@ -214,7 +226,7 @@ class _Lives:
 
 
 def _lives(result: Result, receptions: _Receptions, end: int) -> _Lives:
-    """Return the lives of all readers up to the end of the run, ns."""
+    """Return the lives of all readers up to the end of the run, ns; a reader knows no initial actions after a loss."""
     memory_losses, size = _memory_losses(result), len(started(result).active)
     knows = int(result.scenario.announce.start == "known")
     lives, edges = list[tuple[int, int, int, int, int]](), list[int]()
@@ -230,11 +242,12 @@ def _lives(result: Result, receptions: _Receptions, end: int) -> _Lives:
 def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Transmissions, _Receptions]:
     """Return the records sent, their transmissions, and the receptions up to `end` (ns)."""
     records: list[Record] = []
-    # (place in the trace, first record, number of records, number, number of receivers) of each transmission
+    # (place in the trace, first record, number of records, number, number of receivers) of each transmission, flat
     transmissions: list[int] = []
     nodes: list[tuple[int, ...]] = []
     arrivals: list[Iterable[int]] = []
-    # The first record of a message to one node, and their number, by the identity of its body: copies of it share both.
+    # The first record of a message to one node, and the number of its records, by the identity of its body, which all
+    # its copies share.
     carried: dict[int, tuple[int, int]] = {}
     clocks, events = _Clocks(result, size), result.trace.events
     for place in places_of(result, Broadcast, Sent, Delivered):
@@ -243,10 +256,10 @@ def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Tra
             announced = clocks.true_records(event)
             transmissions += (place, len(records), len(announced), event.transmission, len(event.dst))
             records += announced
-            # The receivers of a broadcast are taken as a whole: pairs of receiver and arrival take ten times as long.
+            # One tuple for all receivers: the pairs of `event.fates()` take ten times as long.
             nodes.append(event.dst)
-            alike = len(event.arrival) == 1
-            arrivals.append(repeat(event.arrival[0], len(event.dst)) if alike else event.arrival)
+            is_one_time = len(event.arrival) == 1
+            arrivals.append(repeat(event.arrival[0], len(event.dst)) if is_one_time else event.arrival)
             continue
         if id(event.body) not in carried:
             announced = clocks.true_records(event)
@@ -258,13 +271,14 @@ def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Tra
             transmissions += (place, first, count, number, 1)
             nodes.append((event.dst,))
             arrivals.append((arrival,))
-    *columns, numbers, receivers = np.array(transmissions, np.int64).reshape(-1, 5).T
-    sent = np.repeat(np.arange(len(receivers)), receivers)
+    *columns, numbers, receiver_counts = np.array(transmissions, np.int64).reshape(-1, 5).T
+    sent = np.repeat(np.arange(len(receiver_counts)), receiver_counts)  # the transmission of each message to one node
     node, at = (np.fromiter(chain.from_iterable(column), np.int64, len(sent)) for column in (nodes, arrivals))
     lost = [event.transmission * size + event.dst for event in traced_events(result, Lost)]
     arrived = np.flatnonzero((at != LOST) & (at <= end))
     arrived = arrived[~np.isin(numbers[sent[arrived]] * size + node[arrived], lost)]
-    # In order of (node, at, sent): the rows are in order of `sent`, and nearly in order of `at`, which is then fast.
+    # Two stable sorts give the order (node, at, sent): the rows begin in order of `sent`. They are nearly in order of
+    # `at`, so the first sort is fast.
     arrived = arrived[np.argsort(at[arrived], kind="stable")]
     arrived = arrived[np.argsort(node[arrived].astype(np.min_scalar_type(size)), kind="stable")]
     table = _columns(records, len(started(result).evaders))
@@ -274,7 +288,7 @@ def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Tra
 class _Clocks:
     """The errors of the nodes' clocks, and the times at which records were published.
 
-    The time stamp of a record is a reading of its source's clock, if it was not forged by another pursuer.
+    The time stamp of a record is a reading of its source's clock, unless another pursuer forged the record.
     """
 
     def __init__(self, result: Result, size: int):
@@ -289,57 +303,62 @@ class _Clocks:
         self._lies = first_lies(result)
         self._published: dict[tuple[int, int], int] = {}
         """By source and sequence number, the time of publication, ns."""
-        self._right = not (self._corrections or any(map(any, self._errors)) or any(self._walks))
+        self._are_exact = not (self._corrections or any(map(any, self._errors)) or any(self._walks))
 
     def true_records(self, event: Broadcast | Sent | Delivered) -> Sequence[Record]:
         """Return the records in a transmission or delivery, forwarded or the sender's own, with true time stamps."""
         relayed = relayed_records(event.body)
         if relayed is None:
-            if not self._right:
-                self._note(event)
+            if not self._are_exact:
+                self._note_publication(event)
             return own_records(event)
         records = [record for record in relayed if record.src < len(self._errors)]
-        return records if self._right else [record._replace(stamp=self._time(record, event)) for record in records]
+        if self._are_exact:
+            return records
+        return [record._replace(stamp=self._publication_time(record, event)) for record in records]
 
-    def _note(self, event: Broadcast | Sent | Delivered) -> None:
-        """Note when a record is published: as its source broadcasts it, or in the first frame of a transport with it.
+    def _note_publication(self, event: Broadcast | Sent | Delivered) -> None:
+        """Note when a record is published: when its source broadcasts it, or sends the first frame that carries it.
 
-        A pursuer with a Byzantine fault may forward it later, and may be the first whose message arrives.
+        Otherwise a copy that a pursuer with a Byzantine fault forwards could count as the first transmission.
         """
         if isinstance(event, Broadcast):
             self._published.setdefault((event.src, event.seq), event.created)
         for record in relayed_records(getattr(event.body, "body", None)) or ():
             if record.src < len(self._errors):
-                self._time(record, event)
+                self._publication_time(record, event)
 
-    def _time(self, record: Record, event: Broadcast | Sent | Delivered) -> int:
+    def _publication_time(self, record: Record, event: Broadcast | Sent | Delivered) -> int:
         """Return the true time, ns, at which a record in a transmission or delivery was published.
 
-        A record that a pursuer with a Byzantine fault transmits first may be forged: it was published then.
+        If a pursuer with a Byzantine fault is the first to transmit a record, it may have forged the record. Then the
+        time of that transmission counts, not the stamp.
         """
-        name = record.src, record.seq
-        if name not in self._published:
-            is_suspect = self._lies.get(event.src, event.created + 1) <= event.created
-            shown = event.created if is_suspect else self._true(record.src, record.stamp, event.created)
-            self._published[name] = min(shown, event.created)
-        return self._published[name]
+        key = record.src, record.seq
+        if key not in self._published:
+            is_suspect = self._lies.get(event.src, inf) <= event.created
+            time = event.created if is_suspect else self._time_of_stamp(record.src, record.stamp, event.created)
+            self._published[key] = min(time, event.created)
+        return self._published[key]
 
-    def _true(self, node: int, stamp: int, latest: int) -> int:
-        """Return the true time, ns, at which the clock of a node showed a stamp, ns; the last one up to `latest`.
+    def _time_of_stamp(self, node: int, stamp: int, latest: int) -> int:
+        """Return the last true time up to `latest`, ns, at which the clock of a node showed a stamp, ns.
 
-        A clock that has stepped back showed some stamps twice, and one that has stepped forward did not show some.
+        A clock that was set back showed some stamps twice. One that was set forward skipped some stamps; the result for
+        these is the time at which an earlier correction would have shown them.
         """
         (offset, drift), walk = self._errors[node], self._walks[node]
         time = 0
         for begin, correction in self._corrections.get(node, [(0, 0.0)]):
-            shown = stamp - (offset + correction) * SECOND
-            time = round(shown / (1.0 + drift)) if walk is None else nanoseconds(walk.when(shown / SECOND))
+            uncorrected = stamp - (offset + correction) * SECOND
+            time = round(uncorrected / (1.0 + drift)) if walk is None else nanoseconds(walk.when(uncorrected / SECOND))
             if begin - ROUNDING <= time <= latest + ROUNDING:
                 break
         return time
 
 
 def _columns(records: list[Record], evaders: int) -> _Announcements:
+    """Return the table of the records, given the number of evaders."""
     source, seq, created, bodies = zip(*records, strict=True) if records else ((),) * len(Record._fields)
     active = [-1 if (action := action_in_game(body, evaders)) is None else action for body in bodies]
     _, rank = np.unique([0, *seq], return_inverse=True)
