@@ -61,7 +61,7 @@ def decisions(result: Result) -> list[Decided]:
 def changes(result: Result) -> list[Change]:
     """Return the changes of action in order; a capture yields one `Released` for each pursuer of the evader.
 
-    A capture at the instant of the end of the run yields none: the pursuers of that evader stay active up to the end.
+    A capture at the end of the run yields none: the pursuers of that evader stay active up to the end.
     """
     actions, end = list(started(result).active), ended(result).t
     changed: list[Change] = []
@@ -125,7 +125,7 @@ def activity(result: Result) -> Steps:
 def pressure(result: Result) -> list[Steps]:
     """Return n_j(t), the number of pursuers of each evader j, up to its capture or the end of the run."""
     return [
-        _step_function(portable_sum(pursuit.start), ((t, by) for t, _, by in pursuit.steps), pursuit.end)
+        _step_function(portable_sum(pursuit.start), ((t, step) for t, _, step in pursuit.steps), pursuit.end)
         for pursuit in evader_pursuits(result)
     ]
 
@@ -133,15 +133,15 @@ def pressure(result: Result) -> list[Steps]:
 def _step_function(start: int, steps: Iterable[tuple[int, int]], end: int) -> Steps:
     """Return the step function of a count, given its value at the start and (time (ns), increment) of each change."""
     times, counts = [0], [start]
-    for t, by in steps:
+    for t, increment in steps:
         times.append(t)
-        counts.append(counts[-1] + by)
+        counts.append(counts[-1] + increment)
     return np.diff([*times, end]) / SECOND, np.array(counts)
 
 
-def _integral(steps: Iterable[Steps], of: Callable[[Integers], Integers | Bools]) -> float:
-    """Return the integral of `of(counts)` over time, s, summed over the step functions by `fsum`."""
-    return fsum(time for durations, counts in steps for time in (durations * of(counts)).tolist())
+def _integral(functions: Iterable[Steps], of: Callable[[Integers], Integers | Bools]) -> float:
+    """Return the integral of `of(counts)` over time, s, summed over the step functions."""
+    return fsum(time for durations, counts in functions for time in (durations * of(counts)).tolist())
 
 
 def active_time(result: Result) -> float:
@@ -171,10 +171,10 @@ def energy(result: Result) -> float:
     """Return the energy of the chase, (m/s)^p s: int sum_i v_i^p a_i dt with a_i = 1{i is active}.
 
     v_i is the speed of pursuer i through its medium, and p is `team.power_exponent`. A drive that needs the force
-    c v^(p-1) at the speed v spends c times as much, J: p = 1 is dry friction, 2 viscous friction, 3 the drag of air or
-    water. Not counted are what a robot consumes at rest and what accelerating takes. A robot with inertia counts with
-    its full speed also while it is slower, and not while it brakes. In a static game, where no pursuer moves, the
-    result is the energy that pursuers with the same actions would need to move.
+    c v^(p-1) at the speed v spends c times this integral, in J: p = 1 is dry friction, 2 viscous friction, 3 the drag
+    of air or water. The consumption at rest and that of accelerations do not count. An active robot with inertia counts
+    with its full speed even while it is slower, and an inactive one not at all, even while it brakes. In a static game,
+    where no pursuer moves, the result is the energy that pursuers with the same actions would need to move.
     """
     end = ended(result).t
     chasing = [end * bool(active) for active in started(result).active]  # active times, ns: integers, so sums are exact
@@ -201,25 +201,27 @@ def relays(result: Result, evader: int = 1) -> list[tuple[int, int]]:
 
 @remembered
 def _relays(result: Result) -> list[list[tuple[int, int]]]:
+    """Return the `relays` of each evader."""
     return [_relays_of(pursuit) for pursuit in evader_pursuits(result)]
 
 
 def _relays_of(pursuit: EvaderPursuit) -> list[tuple[int, int]]:
+    """Return the `relays` of one evader."""
     active = {pursuer for pursuer, chasing in enumerate(pursuit.start) if chasing}
     times = [0, *(t for t, _, _ in pursuit.steps), pursuit.end]
-    relays: list[tuple[int, int]] = []
+    chain: list[tuple[int, int]] = []
     for step, (begin, end) in zip([None, *pursuit.steps], pairwise(times), strict=True):
         if step is not None:
-            active ^= {step[1]}
-        if len(active) == 1 and begin < end and (not relays or relays[-1][1] not in active):
-            relays.append((begin, min(active)))
-    return relays
+            active ^= {step[1]}  # the pursuer joins or leaves
+        if len(active) == 1 and begin < end and (not chain or chain[-1][1] not in active):
+            chain.append((begin, min(active)))
+    return chain
 
 
 def handovers(result: Result) -> int:
     """Return the number of handovers: changes of the only pursuer of an evader (n_j = 1), over all evaders.
 
-    Before the new pursuer is the only one, no pursuer or several may chase the evader for a time.
+    Between the two, the evader may have no pursuer or several for a time.
     """
     return portable_sum(max(len(chain) - 1, 0) for chain in _relays(result))
 
@@ -232,6 +234,6 @@ def ping_pongs(result: Result, within: float = 1.0) -> int:
     return sum(
         1
         for chain in _relays(result)
-        for (_, before), (there, _), (back, after) in zip(chain, chain[1:], chain[2:], strict=False)
-        if before == after and back - there < nanoseconds(within)
+        for (_, before), (handed_over, _), (handed_back, after) in zip(chain, chain[1:], chain[2:], strict=False)
+        if before == after and handed_back - handed_over < nanoseconds(within)
     )

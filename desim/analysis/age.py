@@ -49,7 +49,7 @@ def ages(result: Result) -> Ages:
         ValueError: if the trace lacks messages that were sent.
     """
     pieces, size = knowledge(result), len(started(result).active)
-    pair, heard = pieces["reader"] * size + pieces["source"], ~pieces["presumed"]
+    pair, is_received = pieces["reader"] * size + pieces["source"], ~pieces["presumed"]
     begin, until, created = pieces["begin"], pieces["until"], pieces["created"]
 
     def averaged(total: Floats, weight: NDArray[np.generic]) -> Floats:
@@ -58,13 +58,17 @@ def ages(result: Result) -> Ages:
         averages: Floats = np.divide(totals, weights, out=np.full(size * size, nan), where=weights > 0)
         return averages.reshape(size, size)
 
-    # Initial beliefs weigh nothing: to leave out their rows would copy all others.
-    duration = (until - begin) / SECOND * heard
-    middle = (begin + until - 2 * created) / (2 * SECOND)
-    replaced = pieces["superseded"] & heard
-    last = (until - created) / SECOND * replaced
+    # Initial beliefs get the weight 0: leaving out their rows would copy all other rows.
+    duration = (until - begin) / SECOND * is_received
+    mean_age = (begin + until - 2 * created) / (2 * SECOND)  # during the piece
+    is_replaced = pieces["superseded"] & is_received
+    last_age = (until - created) / SECOND * is_replaced
     total, count = _at_decisions(result, pieces)
-    return Ages(averaged(duration * middle, duration), averaged(last, replaced), averaged(total * heard, count * heard))
+    return Ages(
+        mean=averaged(duration * mean_age, duration),
+        peak=averaged(last_age, is_replaced),
+        at_decision=averaged(total * is_received, count * is_received),
+    )
 
 
 def over_pairs(age: Floats) -> float:
@@ -76,8 +80,8 @@ def over_pairs(age: Floats) -> float:
 def age_mean(result: Result) -> float:
     """Return the age of information, s, averaged over time and then over pairs; nan without a measurement.
 
-    Pairs of which the reader never heard the source are left out. Where much is lost, the mean is
-    therefore too small: such pairs have the greatest ages.
+    A pair without any reception is left out. Such pairs have the greatest ages, so the mean is too small if many
+    messages are lost.
 
     Raises:
         ValueError: if the trace lacks messages that were sent.
@@ -112,22 +116,21 @@ def belief_error(result: Result) -> float:
 
     The share, in [0, 1], is averaged over time; it is nan if there are no pairs or no time passed. Until its first
     record of a source arrives, a reader takes the source for inactive, unless all know the initial actions
-    (`announce.start`); so it does after a loss of memory. The time-out of beliefs (`announce.belief_timeout`) has no
-    effect, because this metric compares records only. With several evaders, a record is also wrong if it names an
-    evader that the source does not chase, such as an evader captured since. Pursuers that only relay (`team.relay`) are
-    neither readers nor sources: they never act, so all records of them are right, and their beliefs decide nothing.
+    (`announce.start`). After a loss of memory, it takes every source for inactive. The time-out of beliefs
+    (`announce.belief_timeout`) has no effect, because this metric compares records only. With several evaders, a record
+    is also wrong if it names an evader that the source does not chase, such as an evader captured since. Pursuers that
+    only relay (`team.relay`) are neither readers nor sources, because they never act.
 
     Raises:
         ValueError: if the trace lacks messages that were sent.
     """
     size, end, relays = len(started(result).active), ended(result).t, list(result.scenario.team.relays)
     acting, beliefs, actions = size - len(relays), _beliefs(result), _true_actions(result)
-    about = beliefs.of(~np.isin(beliefs.reader, relays) & ~np.isin(beliefs.source, relays))
-    right = actions.time(about.source, about.active, about.until) - actions.time(
-        about.source, about.active, about.begin
-    )
-    wrong = portable_sum((about.until - about.begin - right).tolist())
-    return wrong / (acting * (acting - 1) * end) if acting > 1 and end else nan
+    beliefs = beliefs.of(~np.isin(beliefs.reader, relays) & ~np.isin(beliefs.source, relays))
+    time_by_end = actions.time_spent(beliefs.source, beliefs.active, beliefs.until)
+    right_time = time_by_end - actions.time_spent(beliefs.source, beliefs.active, beliefs.begin)
+    wrong_time = portable_sum((beliefs.until - beliefs.begin - right_time).tolist())
+    return wrong_time / (acting * (acting - 1) * end) if acting > 1 and end else nan
 
 
 def believed_leaders(result: Result) -> float:
@@ -140,14 +143,17 @@ def believed_leaders(result: Result) -> float:
         ValueError: if the trace lacks messages that were sent.
     """
     end, beliefs, actions = ended(result).t, _beliefs(result), _true_actions(result)
-    others = beliefs.of(beliefs.active > 0)
-    reader, evader = np.tile(others.reader, 2), np.tile(others.active, 2)
-    times, steps = np.append(others.begin, others.until), np.repeat([1, -1], len(others.begin))
+    chases = beliefs.of(beliefs.active > 0)
+    # A step is the begin (1) or the end (-1) of a belief that a source chases an evader.
+    reader, evader = np.tile(chases.reader, 2), np.tile(chases.active, 2)
+    times, steps = np.append(chases.begin, chases.until), np.repeat([1, -1], len(chases.begin))
     order = np.lexsort((times, evader, reader))
-    # After an event at which the count is not 0, and up to the next, the reader knows of others on the evader.
+    # The sum of the steps of a reader and an evader ends at 0. Until the step after one with another sum, the reader
+    # knows of other pursuers of this evader.
     begins = np.flatnonzero(np.cumsum(steps[order]))
-    chasing = actions.time(reader, evader, times)[order]
-    alone = int(actions.lasted[actions.did > 0].sum()) - portable_sum((chasing[begins + 1] - chasing[begins]).tolist())
+    spent = actions.time_spent(reader, evader, times)[order]
+    active_time = int(actions.duration[actions.action > 0].sum())
+    alone = active_time - portable_sum((spent[begins + 1] - spent[begins]).tolist())
     return alone / end if end else nan
 
 
@@ -171,7 +177,7 @@ class _Beliefs:
 
 @remembered
 def _beliefs(result: Result) -> _Beliefs:
-    """Return the beliefs of all readers: successive pieces with one action are one belief; most pieces are such."""
+    """Return the beliefs of all readers: successive pieces with the same action, as most pieces are, become one."""
     pieces = knowledge(result)
     active, superseded = pieces["active"], pieces["superseded"]
     first = np.flatnonzero(np.append(True, ~superseded[:-1] | (active[1:] != active[:-1]))[: len(pieces)])
@@ -185,25 +191,28 @@ class _TrueActions:
     """The columns of a table of the successive actions of all pursuers, in order of pursuer and time."""
 
     pursuer: Integers
-    began: Integers
+    start: Integers
     """Start time, ns; 0 for the first action of a pursuer."""
-    did: Integers
+    action: Integers
     """The number of an evader, or 0."""
-    lasted: Integers
+    duration: Integers
     """ns"""
     total: Integers
     """(M + 1, k) time of each action in all earlier rows, ns, for M evaders and k rows."""
 
-    def time(self, pursuer: Integers, action: Integers, t: Integers) -> Integers:
-        """Return the cumulative time, ns, of (n,) actions of (n,) pursuers at (n,) times, ns, up to a constant each."""
+    def time_spent(self, pursuer: Integers, action: Integers, t: Integers) -> Integers:
+        """Return the (n,) times, ns, that (n,) pursuers spent on (n,) actions up to (n,) times, ns.
+
+        Each result has a constant added that depends only on the pursuer and the action; only differences are useful.
+        """
         # A row is found by its pursuer and the rank of its start: a key of the time itself might exceed 64 bits.
-        instants = np.unique(self.began)
+        instants = np.unique(self.start)
 
-        def keys(of: Integers, at: Integers) -> Integers:
-            return of * (len(instants) + 1) + np.searchsorted(instants, at, side="right")
+        def keys(pursuers: Integers, times: Integers) -> Integers:
+            return pursuers * (len(instants) + 1) + np.searchsorted(instants, times, side="right")
 
-        k = np.searchsorted(keys(self.pursuer, self.began), keys(pursuer, t), side="right") - 1
-        total: Integers = self.total[action, k] + (self.did[k] == action) * (t - self.began[k])
+        k = np.searchsorted(keys(self.pursuer, self.start), keys(pursuer, t), side="right") - 1
+        total: Integers = self.total[action, k] + (self.action[k] == action) * (t - self.start[k])
         return total
 
 
@@ -212,11 +221,11 @@ def _true_actions(result: Result) -> _TrueActions:
     """Return the true actions of all pursuers."""
     actions = [(pursuer, 0, active) for pursuer, active in enumerate(started(result).active)]
     actions += [(change.pursuer, change.t, action(change)) for change in changes(result)]
-    pursuer, began, did = np.array(sorted(actions, key=itemgetter(0)), np.int64).T
+    pursuer, start, evader = np.array(sorted(actions, key=itemgetter(0)), np.int64).T
     is_last = np.append(np.diff(pursuer) > 0, True)
-    lasted = np.where(is_last, ended(result).t, np.append(began[1:], 0)) - began
-    spent = lasted * (did == np.arange(len(started(result).evaders) + 1)[:, None])
-    return _TrueActions(pursuer, began, did, lasted, np.cumsum(spent, axis=1) - spent)
+    duration = np.where(is_last, ended(result).t, np.append(start[1:], 0)) - start
+    by_action = duration * (evader == np.arange(len(started(result).evaders) + 1)[:, None])
+    return _TrueActions(pursuer, start, evader, duration, np.cumsum(by_action, axis=1) - by_action)
 
 
 def _at_decisions(result: Result, pieces: Pieces) -> tuple[Floats, Integers]:
@@ -228,24 +237,31 @@ def _at_decisions(result: Result, pieces: Pieces) -> tuple[Floats, Integers]:
     edges = np.searchsorted(pieces["reader"], np.arange(size + 1)).tolist()
     total, count = np.zeros(len(pieces)), np.zeros(len(pieces), np.int64)
     names = ("begin", "after", "until", "before", "superseded", "created")
-    for timed, (first, last) in zip(decided, pairwise(edges), strict=True):
-        times, places = np.array(timed, np.int64).reshape(-1, 2).T.copy()
+    for of_reader, (first, last) in zip(decided, pairwise(edges), strict=True):
+        times, places = np.array(of_reader, np.int64).reshape(-1, 2).T.copy()
         begin, after, until, before, superseded, created = (pieces[name][first:last] for name in names)
-        since = _earlier(times, places, begin, after)
-        # A piece lasts until the next one of its source, which is the next row, if there is one.
+        by_begin = _count_earlier(times, places, begin, after)
+        # A piece that is superseded lasts until the begin of the next row.
+        by_end = np.append(by_begin[1:], 0)[: len(by_begin)]
         ends = np.flatnonzero(~superseded)
-        still = np.append(since[1:], 0)[: len(since)]
-        still[ends] = _earlier(times, places, until[ends], before[ends])
-        sums, number = np.append(0, np.cumsum(times)), still - since
+        by_end[ends] = _count_earlier(times, places, until[ends], before[ends])
+        sums, number = np.append(0, np.cumsum(times)), by_end - by_begin
         count[first:last] = number
-        total[first:last] = (sums[still] - sums[since] - number * created) / SECOND
+        total[first:last] = (sums[by_end] - sums[by_begin] - number * created) / SECOND
     return total, count
 
 
-def _earlier(times: Integers, places: Integers, t: Integers, place: Integers) -> Integers:
-    """Return the number of events before time t, plus those at t that precede a position in the trace."""
+def _count_earlier(times: Integers, places: Integers, t: Integers, place: Integers) -> Integers:
+    """Return the number of decisions before a time, plus those at this time that precede a position in the trace.
+
+    Args:
+        times: (n,) times of the decisions, ns, ascending.
+        places: (n,) positions of the decisions in the trace, ascending.
+        t: (k,) the times, ns.
+        place: (k,) the positions.
+    """
     earlier = np.searchsorted(times, t)
-    at_once = np.flatnonzero(np.append(times, -1)[earlier] == t)  # few: only for these the position matters
+    at_once = np.flatnonzero(np.append(times, -1)[earlier] == t)  # the position matters only for these few
     if len(at_once):
         last = np.searchsorted(times, t[at_once], side="right")
         earlier[at_once] = np.clip(np.searchsorted(places, place[at_once]), earlier[at_once], last)

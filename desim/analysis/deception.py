@@ -1,7 +1,7 @@
-"""Pursuers with Byzantine faults: when they are found out, which honest ones are suspected, and what they cost."""
+"""Pursuers with Byzantine faults: when teammates detect them, how often honest ones are suspected, what they cost."""
 
 from collections.abc import Callable
-from math import nan
+from math import inf, nan
 
 from desim.analysis.hindsight import value_of
 from desim.analysis.trace_index import captures, traced_events
@@ -14,7 +14,7 @@ from desim.simulation.run import Result, run
 
 
 def first_lies(result: Result) -> dict[int, int]:
-    """Return the time, ns, at which the first Byzantine fault of each pursuer that has one begins, by pursuer."""
+    """Return the time, ns, at which the first Byzantine fault of a pursuer begins, by pursuer; others are missing."""
     lies: dict[int, int] = {}
     for event in traced_events(result, FaultStarted):
         if isinstance(event.fault, Misbehaviour):
@@ -28,15 +28,15 @@ def checks_announcements(result: Result) -> bool:
 
 
 def false_accusations(result: Result) -> int:
-    """Return the number of times that a pursuer began to distrust a teammate without a Byzantine fault up to then.
+    """Return how often a pursuer began to distrust a teammate that had had no Byzantine fault up to then.
 
-    Both pursuers are honest: what a pursuer with a Byzantine fault believes does not count.
+    A pursuer that has a Byzantine fault at any time of the run does not count as an accuser.
     """
     lies = first_lies(result)
     return sum(
         1
         for event in traced_events(result, Distrusted)
-        if event.distrusted and lies.get(event.suspect, event.t + 1) > event.t and event.pursuer not in lies
+        if event.distrusted and lies.get(event.suspect, inf) > event.t and event.pursuer not in lies
     )
 
 
@@ -47,9 +47,9 @@ def time_to_detect(result: Result) -> float:
     """
     lies, detections = first_lies(result), dict[int, int]()
     for event in traced_events(result, Distrusted):
-        begun = lies.get(event.suspect)
-        if event.distrusted and event.pursuer not in lies and begun is not None and event.t >= begun:
-            detections.setdefault(event.suspect, event.t - begun)
+        start = lies.get(event.suspect)
+        if event.distrusted and event.pursuer not in lies and start is not None and event.t >= start:
+            detections.setdefault(event.suspect, event.t - start)
     return seconds(portable_sum(detections.values())) / len(detections) if detections else nan
 
 

@@ -19,8 +19,8 @@ scenarios/relay.toml, where i* never changes. Sampling every 0.05 s instead of e
 misassigned time or the time to relay. It changes the potential gap by 0.01 % and the regret by 0.02 %. With all speeds
 1.1 m/s, i* may change at every motion step, when the evader runs between two equally near pursuers. Sampling every
 0.05 s then gives a misassigned time of 1.244 s instead of 1.234 s; in one of the runs the error is 0.16 s. After a
-change of i*, S differs from {i*} until S follows, so the times of these changes also determine the time to relay. With
-the coarse samples it is 1.25 s instead of 1.34 s. If such errors matter, sample at every motion step.
+change of i*, S differs from {i*} until S follows, so the times of these changes also determine the time to relay, which
+is 1.25 s instead of 1.34 s. If such errors matter, sample at every motion step.
 """
 
 from collections.abc import Callable, Sequence
@@ -73,19 +73,18 @@ def hindsight(result: Result) -> Hindsight:
     evaders, size = len(started(result).evaders), len(started(result).active)
     times, relayed, gap = [np.zeros(1, np.int64)], [np.zeros(0, bool)], [np.zeros(0)]
     # Integrals of the gains, s^2: (M, N) from chasing one evader throughout, and (N,) from the actions taken.
-    fixed, played = np.zeros((evaders, size)), np.zeros(size)
+    of_fixed, of_taken = np.zeros((evaders, size)), np.zeros(size)
     for parts in zip(*(timeline(result, j + 1) for j in range(evaders)), strict=True):
         best = _optimal_pursuers(parts)
         times.append(parts[0].times[1:])
         relayed.append(np.all([_relayed(part, chaser) for part, chaser in zip(parts, best, strict=True)], axis=0))
-        most = np.sum([_single_potential(part, chaser) for part, chaser in zip(parts, best, strict=True)], axis=0)
-        gap.append(most - np.sum([_potential(part) for part in parts], axis=0))
-        for part, worth in zip(parts, fixed, strict=True):
-            gain = gains(part)
-            pieces = part.durations[:, None] * gain  # (k, N) s^2
-            worth += pieces.sum(axis=0)
-            played += np.where(part.active, pieces, 0.0).sum(axis=0)
-    regret = np.maximum(fixed.max(axis=0), 0.0) - played
+        optimum = np.sum([_single_potential(part, chaser) for part, chaser in zip(parts, best, strict=True)], axis=0)
+        gap.append(optimum - np.sum([_potential(part) for part in parts], axis=0))
+        for part, of_chasing in zip(parts, of_fixed, strict=True):
+            integrals = part.durations[:, None] * gains(part)  # (k, N) s^2
+            of_chasing += integrals.sum(axis=0)
+            of_taken += np.where(part.active, integrals, 0.0).sum(axis=0)
+    regret = np.maximum(of_fixed.max(axis=0), 0.0) - of_taken  # 0 for never chasing
     return Hindsight(np.concatenate(times), np.concatenate(relayed), np.concatenate(gap), regret)
 
 
@@ -95,21 +94,23 @@ def gains(part: Timeline) -> Floats:
     The gain is U_i(active) - U_i(inactive) for the wonderful-life utility, as in `desim.pursuit.game.game.gain`, but 0
     for a pursuer that cannot capture the evader (phi = inf), because it can only be inactive.
     """
-    able = np.isfinite(part.phi)
-    phi = np.where(able, part.phi, 0.0)
-    counted = part.active & able
-    chased = np.where(counted, phi, 0.0)
-    n = counted.sum(axis=1)[:, None] - counted
-    alternatives = (chased.sum(axis=1)[:, None] - chased) / np.maximum(n, 1)
-    return np.where(able, np.where(n > 0, (alternatives - phi) / (n + 1), part.left[:, None] - phi), 0.0)
+    is_able = np.isfinite(part.phi)
+    phi = np.where(is_able, part.phi, 0.0)
+    counted = part.active & is_able
+    counted_phi = np.where(counted, phi, 0.0)
+    others = counted.sum(axis=1)[:, None] - counted
+    mean_of_others = (counted_phi.sum(axis=1)[:, None] - counted_phi) / np.maximum(others, 1)
+    gain = np.where(others > 0, (mean_of_others - phi) / (others + 1), part.left[:, None] - phi)
+    return np.where(is_able, gain, 0.0)
 
 
 def _optimal_pursuers(parts: Sequence[Timeline]) -> Integers:
     """Return the (M, k) optimal pursuer of each evader in each piece, or `NO_PURSUER`; see the top of this module."""
     best = np.array([part.phi.argmin(axis=1) for part in parts])
-    worth = np.array([_single_potential(part, chaser) for part, chaser in zip(parts, best, strict=True)])
-    best[worth == 0.0] = NO_PURSUER
+    potentials = np.array([_single_potential(part, chaser) for part, chaser in zip(parts, best, strict=True)])
+    best[potentials == 0.0] = NO_PURSUER
     ordered = np.sort(best, axis=0)
+    # In these pieces, one pursuer is the best for several evaders.
     for k in np.flatnonzero(((ordered[1:] == ordered[:-1]) & (ordered[1:] != NO_PURSUER)).any(axis=0)):
         chosen = optimal_assignment(np.transpose([part.phi[k] for part in parts]), parts[0].left[k])
         best[:, k] = NO_PURSUER
@@ -210,9 +211,9 @@ def settling_window(result: Result) -> float:
 
     L is the mean latency of the scenario's links, with processing delays and the airtime of a message, but without
     queueing. delta is the mean time between two decisions of the team, so N delta is the mean time between two
-    decisions of one pursuer. A protocol with a `slot` or a `period` of its own decides for every pursuer once in this
-    time, so N delta is the `slot` or, without one, the `period`. For any other protocol, N delta is the mean in this
-    run, and W is inf if there were no decisions.
+    decisions of one pursuer. If the protocol has a `slot` or a `period`, N delta is the `slot` or, without one, the
+    `period`, because each pursuer decides once in this time. For any other protocol, N delta is the mean in this run,
+    and W is inf if there were no decisions.
     """
     protocol = result.scenario.protocol_traits
     between = protocol.period if protocol.slot is None else protocol.slot
@@ -223,6 +224,7 @@ def settling_window(result: Result) -> float:
 
 
 def _latency(result: Result) -> float:
+    """Return L, s; see `settling_window`."""
     links, places = result.scenario.network, np.array(started(result).pursuers)
     sampler = LinkSampler(links, links.make_graph(len(places)), result.seed, lambda: places)
     return sampler.typical_latency() + airtime_of(links.medium, TYPICAL_SIZE, len(places))

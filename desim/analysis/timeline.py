@@ -43,7 +43,7 @@ class RelativePlaces:
     Attributes:
         are_known: (N + M,) whether the position of each player is known relative to the medium, or the flow does
             not carry it.
-        error: upper bound of the error of a position, m: within a motion step, the simulated flow is constant.
+        error: upper bound of the error of a position, m, because the simulated flow is constant within a motion step.
     """
 
     def __init__(self, scenario: Scenario):
@@ -64,7 +64,7 @@ class RelativePlaces:
 
 
 ROUNDING = 1e-9
-"""Up to this displacement between two samples, a pursuer stands still, m."""
+"""Displacement between two samples, m, up to which a pursuer counts as standing still."""
 PART = 1 << 18
 """Largest number of capture times in one part of a timeline; a part with a single piece may have more."""
 
@@ -108,15 +108,15 @@ def timeline(result: Result, evader: int = 1) -> Iterator[Timeline]:
     capture_times = _capture_times(result, evader, path)
     active = _Counts(pursuit.start, pursuit.steps)
     broken = _Counts((False,) * size, list(_breakdowns(result)))
-    acts = [act.t for act in [*changes(result), *captures(result)]]
-    times = np.unique(np.concatenate([[0, end], path.t, np.array(acts, np.int64), broken.t]))
+    event_times = [event.t for event in [*changes(result), *captures(result)]]
+    times = np.unique(np.concatenate([[0, end], path.t, np.array(event_times, np.int64), broken.t]))
     step = max(PART // size, 1)
     for first in range(0, len(times) - 1, step):
         instants = times[first : first + step + 1]
         middle = (instants[:-1] + instants[1:]) / 2
         phi = capture_times(middle)
         phi[broken.during(instants)] = np.inf
-        phi[:, list(scenario.team.relays)] = np.inf  # it may not chase, also where an evader comes to it
+        phi[:, list(scenario.team.relays)] = np.inf  # a relay may not chase, even if an evader comes near
         phi[instants[:-1] >= pursuit.end] = np.inf
         left = (horizon - (np.zeros_like(middle) if static else middle)) / SECOND
         yield Timeline(instants, active.during(instants), phi, left)
@@ -127,7 +127,6 @@ def _capture_times(result: Result, evader: int, path: "_Path") -> Callable[[Floa
     scenario, speeds = result.scenario, np.array(started(result).speeds)
     dynamics, environment = scenario.pursuer_dynamics, scenario.players_environment
     evader_speed, radius = scenario.evaders[evader - 1].speed, scenario.capture.radius
-
     radial_time = RadialTime(speeds, evader_speed, radius)
 
     def with_inertia(t: Floats) -> Floats:
@@ -136,23 +135,23 @@ def _capture_times(result: Result, evader: int, path: "_Path") -> Callable[[Floa
 
     def in_flow(t: Floats) -> Floats:
         states = zip(path.gaps(t), path.pursuers(t), t.tolist(), strict=True)
-        phi_of_pursuers = [
+        phi = [
             capture_times_in_flow(
-                environment, at[0] + gaps[0], at, lengths(gaps), speeds, evader_speed, radius, int(now)
+                environment, places[0] + gaps[0], places, lengths(gaps), speeds, evader_speed, radius, int(now)
             )
-            for gaps, at, now in states
+            for gaps, places, now in states
         ]
-        return np.array(phi_of_pursuers)
+        return np.array(phi)
 
     def among_walls(t: Floats) -> Floats:
-        space, phi_of_pursuers = scenario.space, []
+        space, phi = scenario.space, []
         for gaps, at in zip(path.gaps(t), path.pursuers(t), strict=True):
             places = np.append(at, at[0] + gaps[0])
             free = space.are_free(places)
             if not free.all():  # between two samples, a straight line may cut a corner of a wall
                 places = np.where(free, places, [space.free_place(place) for place in places.tolist()])
-            phi_of_pursuers.append(radial_time(space.distances(places[:-1], complex(places[-1]))))
-        return np.array(phi_of_pursuers)
+            phi.append(radial_time(space.distances(places[:-1], complex(places[-1]))))
+        return np.array(phi)
 
     if not dynamics.is_simple:
         return with_inertia
@@ -181,31 +180,30 @@ class _Counts:
 
     def __init__(self, start: tuple[bool, ...], steps: list[tuple[int, int, int]]):
         self._start = np.array(start, np.int32)
-        self.t, self._pursuer, self._by = np.array(steps, np.int64).reshape(-1, 3).T
+        self.t, self._pursuer, self._increment = np.array(steps, np.int64).reshape(-1, 3).T
 
     def during(self, times: Integers) -> Bools:
         """Return (k, N) whether each counter is positive in each of the k pieces between the (k + 1,) times (ns)."""
         piece = np.searchsorted(times, self.t)  # for each step, the first piece that begins at its time or later
         rows = np.zeros((len(times), len(self._start)), np.int32)
         rows[0] = self._start
-        np.add.at(rows, (np.minimum(piece, len(times) - 1), self._pursuer), self._by)
+        np.add.at(rows, (np.minimum(piece, len(times) - 1), self._pursuer), self._increment)
         during: Bools = np.cumsum(rows[:-1], axis=0) > 0  # the last row holds the steps after the last piece
         return during
 
 
 class _Path:
-    """The positions of an evader relative to all pursuers, interpolated linearly; the first sample is the start."""
+    """The positions of the pursuers and of one evader, interpolated linearly; the first sample is the start."""
 
     def __init__(self, result: Result, evader: int):
-        self._result, sampled = result, samples(result)
-        self.t = np.array([sample.t for sample in sampled])
-        # One by one: an array of nested tuples takes eight times as long.
-        coordinates = chain.from_iterable(chain.from_iterable(sample.pursuers for sample in sampled))
-        pursuers = np.fromiter(coordinates, float).reshape(len(sampled), -1, 2)
-        gaps = np.array([sample.evaders[evader - 1] for sample in sampled])[:, None] - pursuers
+        self._result, self._samples = result, samples(result)
+        self.t = np.array([sample.t for sample in self._samples])
+        # Number by number: `np.array` of the nested tuples takes eight times as long.
+        coordinates = chain.from_iterable(chain.from_iterable(sample.pursuers for sample in self._samples))
+        pursuers = np.fromiter(coordinates, float).reshape(len(self._samples), -1, 2)
+        gaps = np.array([sample.evaders[evader - 1] for sample in self._samples])[:, None] - pursuers
         self._gaps = gaps[..., 0] + 1j * gaps[..., 1]  # (samples, N) from each pursuer to the evader
         self._pursuers = pursuers[..., 0] + 1j * pursuers[..., 1]
-        self._known = sampled
 
     def gaps(self, t: Floats) -> Points:
         """Return the (k, N) vectors from each pursuer to the evader at (k,) times (ns), m; constant after the last."""
@@ -229,16 +227,16 @@ class _Path:
         """
         scenario, seed = self._result.scenario, self._result.seed
         relative = RelativePlaces(scenario)
-        places = np.array([relative(sample)[: scenario.team.count] for sample in self._known])
-        moved = np.diff(places, axis=0, append=places[-1:])
-        headings, noise = np.empty_like(moved), ROUNDING + 2.0 * relative.error
-        last = np.array(scenario.team.headings(seed))
-        for row, step in enumerate(moved):
-            last = np.where(lengths(step) <= noise, last, step / np.maximum(lengths(step), SMALLEST))
-            headings[row] = last
-        durations = np.diff(self.t, append=self.t[-1] + 1) / SECOND
+        places = np.array([relative(sample)[: scenario.team.count] for sample in self._samples])
+        displacements = np.diff(places, axis=0, append=places[-1:])
+        headings, noise = np.empty_like(displacements), ROUNDING + 2.0 * relative.error
+        heading = np.array(scenario.team.headings(seed))
+        for row, step in enumerate(displacements):
+            heading = np.where(lengths(step) <= noise, heading, step / np.maximum(lengths(step), SMALLEST))
+            headings[row] = heading
+        durations = np.diff(self.t, append=self.t[-1] + 1) / SECOND  # after the last sample, any time but 0
         before, _ = self._samples_around(t)
-        return [Courses(moved[row] / durations[row], headings[row]) for row in before.tolist()]
+        return [Courses(displacements[row] / durations[row], headings[row]) for row in before.tolist()]
 
     def _samples_around(self, t: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the indices of the samples before and after each of (k,) times (ns)."""
