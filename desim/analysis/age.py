@@ -64,11 +64,8 @@ def ages(result: Result) -> Ages:
     is_replaced = pieces["superseded"] & is_received
     last_age = (until - created) / SECOND * is_replaced
     total, count = _at_decisions(result, pieces)
-    return Ages(
-        mean=averaged(duration * mean_age, duration),
-        peak=averaged(last_age, is_replaced),
-        at_decision=averaged(total * is_received, count * is_received),
-    )
+    mean, peak = averaged(duration * mean_age, duration), averaged(last_age, is_replaced)
+    return Ages(mean, peak, averaged(total * is_received, count * is_received))
 
 
 def over_pairs(age: Floats) -> float:
@@ -252,14 +249,7 @@ def _at_decisions(result: Result, pieces: Pieces) -> tuple[Floats, Integers]:
 
 
 def _count_earlier(times: Integers, places: Integers, t: Integers, place: Integers) -> Integers:
-    """Return the number of decisions before a time, plus those at this time that precede a position in the trace.
-
-    Args:
-        times: (n,) times of the decisions, ns, ascending.
-        places: (n,) positions of the decisions in the trace, ascending.
-        t: (k,) the times, ns.
-        place: (k,) the positions.
-    """
+    """Return how many decisions, at `times` and `places`, are before time t, or at t before a position in the trace."""
     earlier = np.searchsorted(times, t)
     at_once = np.flatnonzero(np.append(times, -1)[earlier] == t)  # the position matters only for these few
     if len(at_once):

@@ -1,9 +1,10 @@
-"""Means that a control variate makes more precise: a value of the same run with a known mean.
+"""Means made more precise by a control variate: a correlated value whose mean is known better.
 
-With the same seed, the value of a cheap control explains a share of the variance of a value. Its mean is estimated from
-many runs of its own, and the estimate is corrected by how far the control of the few paired runs is from this mean
-(Lavenberg & Welch 1981, "A Perspective on the Use of Control Variables to Increase the Efficiency of Monte Carlo
-Simulations"; for the estimated mean, the double sampling of Cochran 1977, "Sampling Techniques", section 12.6).
+The control is the metric of a cheap run with the same seed. It explains a share of the variance of the value. The mean
+of the control is estimated from many more runs, and the mean of the value is corrected by how far the control of the
+few paired runs is from that mean (Lavenberg & Welch 1981, "A Perspective on the Use of Control Variables to Increase
+the Efficiency of Monte Carlo Simulations"; for the estimated mean, the double sampling of Cochran 1977, "Sampling
+Techniques", section 12.6).
 
 The slope that corrects a run is fitted to all other runs (Avramidis & Wilson 1993, "A Splitting Scheme for Control
 Variates"), and the mean of the control is that of runs that are not paired. So the slope is independent of what it
@@ -11,8 +12,9 @@ multiplies, and the estimate is unbiased for any distribution; with one slope fo
 
 `python -m scenarios.coverage --control` measured how often 95 % intervals cover the mean, in %, with n pairs and 10 n
 runs of the control, from 2,000 studies (s.e. 0.5 % near 95 %, 0.022 for the bias; `-n 2000 --seeds 200`). `plain` is
-the mean of the n values, and the third share is that of intervals that take the mean of the control for known. The bias
-of the estimate is in its standard deviations, with the slopes of other runs and with one slope.
+the mean of the n values, and `mean taken for known` is for intervals that take the mean of the control as exact. The
+bias is in standard deviations of the estimate, with the slopes of other runs and with one slope. For `worth` see
+`ControlledEstimate`.
 
     pairs                n  plain  control  mean taken for known    bias  with one slope  worth
     normal              10   95.8     94.9                  91.1  -0.015          -0.009  3.2 n
@@ -46,16 +48,16 @@ from desim.config.arrays import Floats
 from desim.kernel.core.portable_math import inner_product
 
 MIN_PAIRS = 4
-"""The least number of pairs: a slope fitted to all others needs two, and the interval degrees of freedom."""
+"""The least number of pairs: a slope fitted to all other pairs needs two, and the interval degrees of freedom."""
 MIN_CONTROLS = 2
 """The least number of runs of the control in addition to the pairs; for an interval take `FEW_CONTROLS` or more."""
 FEW_CONTROLS = 5
-"""The number of runs of the control in addition to the pairs from which on intervals cover as often as they say.
+"""The least number of runs of the control in addition to the pairs for which intervals cover as often as they say.
 
 The mean of two has one degree of freedom, for which Satterthwaite's approximation is too narrow.
 """
 USELESS = 1.1
-"""A control is worth little if as many runs without it, times this factor at most, have the same interval."""
+"""A control helps only if its `ControlledEstimate.worth` is more than this factor times its number of pairs."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -103,8 +105,8 @@ def control_variate(
 ) -> ControlledEstimate:
     """Return the mean of values, corrected by a control.
 
-    Its variance is that of the corrected values over n, and that of the mean of the control times the squared slope: an
-    interval without the second part covers too rarely.
+    Its variance is a sum: the variance of the corrected values over n, and the variance of the mean of the control
+    times the squared slope. An interval without the second term covers too rarely.
 
     Args:
         values: (n,) values of independent runs.
@@ -124,12 +126,12 @@ def control_variate(
         )
     if not all(np.isfinite(numbers).all() for numbers in (y, x, z)):
         raise ValueError("some runs have no value, or no finite one")
-    plain, control, rest = estimate(y), estimate(x), estimate(z)
+    plain, paired_control, other_control = estimate(y), estimate(x), estimate(z)
     if any(np.ptp(numbers) <= ROUNDING * np.abs(numbers).max() for numbers in (x, z)):
         raise ValueError("the control does not vary")
-    slopes, slope, explained = _slopes(y - plain.mean, x - control.mean)
-    corrected = estimate(y - slopes * (x - rest.mean))
-    variances = corrected.standard_error**2, (slope * rest.standard_error) ** 2
+    slopes, slope, explained = _slopes(y - plain.mean, x - paired_control.mean)
+    corrected = estimate(y - slopes * (x - other_control.mean))
+    variances = corrected.standard_error**2, (slope * other_control.standard_error) ** 2
     total = variances[0] + variances[1]
     scale = variances[0] ** 2 / (len(y) - 2) + variances[1] ** 2 / (len(z) - 1)
     return ControlledEstimate(
@@ -154,9 +156,9 @@ def _slopes(y: Floats, x: Floats) -> tuple[Floats, float, float]:
     abscissae, ordinates = x.tolist(), y.tolist()
     squares, variation = inner_product(abscissae, abscissae), inner_product(ordinates, ordinates)
     slope = inner_product(abscissae, ordinates) / squares
-    residuals, left = y - slope * x, 1.0 - 1.0 / len(x) - x * x / squares
-    some_left = left > 1e-12
-    change = np.divide(x * residuals, squares * left, out=np.zeros_like(x), where=some_left)
-    slopes = np.where(some_left, slope - change, 0.0)
+    residuals, unleveraged = y - slope * x, 1.0 - 1.0 / len(x) - x * x / squares  # e_i and 1 - h_i
+    varies = unleveraged > 1e-12  # the control varies among the other runs
+    change = np.divide(x * residuals, squares * unleveraged, out=np.zeros_like(x), where=varies)
+    slopes = np.where(varies, slope - change, 0.0)
     explained = slope * slope * squares / variation if variation else nan
     return slopes, slope, explained

@@ -246,8 +246,7 @@ def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Tra
     transmissions: list[int] = []
     nodes: list[tuple[int, ...]] = []
     arrivals: list[Iterable[int]] = []
-    # The first record of a message to one node, and the number of its records, by the identity of its body, which all
-    # its copies share.
+    # For messages to one node: first record and number of records, by the identity of the body, which copies share.
     carried: dict[int, tuple[int, int]] = {}
     clocks, events = _Clocks(result, size), result.trace.events
     for place in places_of(result, Broadcast, Sent, Delivered):
@@ -277,8 +276,7 @@ def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Tra
     lost = [event.transmission * size + event.dst for event in traced_events(result, Lost)]
     arrived = np.flatnonzero((at != LOST) & (at <= end))
     arrived = arrived[~np.isin(numbers[sent[arrived]] * size + node[arrived], lost)]
-    # Two stable sorts give the order (node, at, sent): the rows begin in order of `sent`. They are nearly in order of
-    # `at`, so the first sort is fast.
+    # Stable sorts: the rows are in order of `sent`, and nearly in order of `at`, so that the first sort is fast.
     arrived = arrived[np.argsort(at[arrived], kind="stable")]
     arrived = arrived[np.argsort(node[arrived].astype(np.min_scalar_type(size)), kind="stable")]
     table = _columns(records, len(started(result).evaders))

@@ -4,8 +4,8 @@ A *look* is an interim check of whether the runs of a study suffice.
 
 A sequential study ends as soon as a look finds a half width of at most a target. `python -m scenarios.coverage` made
 this table: the share of intervals that cover the mean, in %, the bias of the mean in half widths of the target, and the
-mean number of values, from 4000 studies each (s.e. at most 0.7 %, and 0.015 for the bias). The target is that of 30 or
-300 values with a known sigma, 1.96 sigma / sqrt(n).
+mean number of values, from 4000 studies each (s.e. at most 0.7 %, and 0.015 for the bias). The target is the half width
+of n = 30 or 300 values with a known sigma, 1.96 sigma / sqrt(n).
 
     distribution               target of   first look at 3          at 30                    at 100
     normal                            30   92.2 +0.002   34 values   94.7 +0.004   36 values   95.1 +0.011  100 values
@@ -17,11 +17,11 @@ mean number of values, from 4000 studies each (s.e. at most 0.7 %, and 0.015 for
     true with probability 0.1         30   97.4 -0.169   33 values   97.5 -0.078   36 values   94.2 -0.002  100 values
     true with probability 0.1        300   94.0 -0.107  317 values   94.6 -0.108  314 values   95.0 -0.102  317 values
 
-A study of skewed values ends when its values happen to vary little, and then their mean is too low. For exponential
-values about 94 % remain, for lognormal ones 90 %. Other rules that were tried on them do not help: a correction as
-of Chow & Robbins, a tenth more runs after the last look, and a first look at 25 to 50 times the squared skewness of
-the values (Cochran 1977, "Sampling Techniques", section 2.15) bring lognormal values to 90 to 93 %, with up to ten
-times the runs.
+A study of skewed values ends when its values happen to vary little, and then their mean is too low. So the intervals
+cover the mean of exponential values in about 94 % of cases, and that of lognormal ones in 90 %. Other rules help
+little: a correction as of Chow & Robbins, a tenth more runs after the last look, and a first look at 25 to 50 times the
+squared skewness of the values (Cochran 1977, "Sampling Techniques", section 2.15) bring lognormal values to 90 to 93 %,
+with up to ten times the runs.
 """
 
 from collections.abc import Sequence
@@ -36,23 +36,22 @@ A few values may lie close together by chance, so a study whose first look is at
 95 % interval covers the mean of normal values 92 times in 100, and the mean of exponential values 80 times.
 """
 OTHERS = 0.05
-"""Largest share of runs that may differ from values that are all equal, if these are to end a sequential study."""
+"""Values that are all equal end a sequential study if at most this share of all runs has another value."""
 
 
 def runs_needed(values: Sequence[float | None], target: float, *, at_most: int, first_look: int = FIRST_LOOK) -> int:
     """Return the number of runs at which a sequential study ends, or that its next look needs.
 
-    The study ends with the first look that finds a half width of at most `target`, or with `at_most` runs. If the given
-    values do not end it, the number of runs that its next look needs is returned. Looks are taken at the same numbers
-    of runs however many runs exist already. A study that is interrupted and resumed therefore ends at the same number
-    of runs as an uninterrupted one. See `next_look` for the arguments.
+    The study ends with the first look that finds a half width of at most `target`, or with `at_most` runs. Looks are
+    taken at the same numbers of runs however many runs exist already. So a study that is interrupted and resumed ends
+    at the same number of runs as an uninterrupted one. See `next_look` for the arguments.
     """
     look = next_look((), target, at_most=at_most, first_look=first_look)
     while look <= len(values):
-        following = next_look(values[:look], target, at_most=at_most, first_look=first_look)
-        if following == look:
+        following_look = next_look(values[:look], target, at_most=at_most, first_look=first_look)
+        if following_look == look:
             break
-        look = following
+        look = following_look
     return look
 
 
@@ -70,8 +69,8 @@ def next_look(values: Sequence[float | None], target: float, *, at_most: int, fi
     value (None or nan) counts as a run, but not for the mean. A study ends only with `at_most` runs, or with at least
     `first_look` values that are not missing. With fewer values, the next look is at the number of runs that is expected
     to give `first_look` values, at the present share of missing ones. If all values are equal numbers, the t interval
-    has width 0. The look then ends the study if at most a share `OTHERS` of all runs has another value, by the Wilson
-    interval: if there are at least 73.
+    has width 0. The look then ends the study if, by the Wilson interval, at most a share `OTHERS` of all runs has
+    another value. This takes at least 73 values.
 
     The runs should be independent and in the order of their seeds; in the order in which they end, short runs would
     come first. The coverage is nominal only in the limit of a small target.
@@ -89,19 +88,19 @@ def next_look(values: Sequence[float | None], target: float, *, at_most: int, fi
         raise ValueError(f"the half width to reach should be positive, got {target}")
     if at_most < 1 or first_look < 2:
         raise ValueError(f"at_most should be at least 1 and first_look at least 2, got {at_most} and {first_look}")
-    count, present = len(values), [value for value in values if value is not None and not isnan(value)]
+    count, numbers = len(values), [value for value in values if value is not None and not isnan(value)]
     if count >= at_most:
         return count
     if count < first_look:
         return min(first_look, at_most)
-    wanted = float(first_look)
-    if len(present) >= first_look:
-        half_width = _half_width(present)
+    numbers_needed = float(first_look)
+    if len(numbers) >= first_look:
+        half_width = _half_width(numbers)
         if half_width <= target:
             return count
         ratio = half_width / target
-        wanted = len(present) * ratio * ratio
-    predicted = count * wanted / max(len(present), 1)
+        numbers_needed = len(numbers) * ratio * ratio
+    predicted = count * numbers_needed / max(len(numbers), 1)
     least, most = count + ceil(count / 10), 2 * count
     return min(max(least, ceil(min(most, predicted))), at_most)
 

@@ -50,8 +50,8 @@ def summary(result: Result, metrics: Metrics = MappingProxyType({})) -> Summary:
 def measured(added: UsersMetrics, result: Result) -> Summary:
     """Return the built-in metrics of a run and those of a user; see `summary`."""
     with (
-        fresh_copy(result.scenario, alone=True) as scenario,  # metrics call models, which may remember the calls
-        fresh_copy(added, is_run=True) as fresh_metrics,  # and may remember something themselves
+        fresh_copy(result.scenario, alone=True) as scenario,  # metrics call models, which may have state
+        fresh_copy(added, is_run=True) as fresh_metrics,  # a user's metric may have state, too
     ):
         index = trace_index(replace(result, scenario=scenario))
         values = {name: metric(index) for name, metric in METRICS.items()}
@@ -73,7 +73,7 @@ def _checked(name: str, metric: Metric, result: Result) -> bool | int | float | 
         raise MetricError(f"{where}: {type(error).__name__}: {error}") from error
     if value is not None and not isinstance(value, bool | int | float):
         raise MetricError(f"{where}: should return a number, True, False or None, not a {type(returned).__name__}")
-    if isinstance(value, int) and abs(value) > float_info.max:  # it has no mean
+    if isinstance(value, int) and abs(value) > float_info.max:  # means are floats
         raise MetricError(f"{where}: should return a number up to 1.8e308, not an integer of {value.bit_length()} bits")
     return None if isinstance(value, float) and isnan(value) else value
 
@@ -93,16 +93,18 @@ def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType
     for name, of in pairs:
         if not (isinstance(name, str) and name.isascii() and name.isidentifier()) or iskeyword(name):
             raise ValueError(f"the name of a metric should be a Python identifier in ASCII, got {value_text(name)}")
-        low = name.lower()  # SQL does not tell cases apart
-        if low in METRICS or low in COLUMNS or low in Scenario.model_fields:
-            taken = "built-in metric" if low in METRICS else "column of tables" if low in COLUMNS else "scenario key"
+        lower = name.lower()  # SQL does not tell cases apart
+        if lower in METRICS or lower in COLUMNS or lower in Scenario.model_fields:
+            taken = (
+                "built-in metric" if lower in METRICS else "column of tables" if lower in COLUMNS else "scenario key"
+            )
             raise ValueError(f"metric {name!r} should have another name: there is a {taken} of this name")
         if not callable(of) or isinstance(of, type):
             raise ValueError(f"metric {name!r} should be a function of a result, got {value_text(of)}")
         function = of.of if isinstance(of, Metric) else of
         check_argument(function, ("result",), f"metric {name!r}")
         check_at_once(function, f"metric {name!r} ")
-        if (other := next((earlier for earlier in metrics if earlier.lower() == low), name)) != name:
+        if (other := next((earlier for earlier in metrics if earlier.lower() == lower), name)) != name:
             raise ValueError(f"metric {name!r} should have another name: it differs from {other!r} only in case")
         metric = of if isinstance(of, Metric) else Metric(of)
         if metrics.setdefault(name, metric) != metric:
@@ -120,11 +122,11 @@ def check_numeric(metric: str, added: Iterable[str] = ()) -> None:
         NoMetricError: if it is not.
         ValueError: if it is no name.
     """
-    asked: Any = metric
-    if not isinstance(asked, str):
-        if isinstance(asked, Sequence):
+    value: Any = metric  # a caller may give a list of names, or a function
+    if not isinstance(value, str):
+        if isinstance(value, Sequence):
             raise ValueError(f"{ONE_NAME} (got {value_text(metric)})")
-        name = getattr(asked, "__name__", "mine")
+        name = getattr(value, "__name__", "mine")
         raise ValueError(
             f'metric should be a name: "{name}", with metrics={{"{name}": ...}} (got {value_text(metric)})'
         )

@@ -127,13 +127,13 @@ class Metric(NamedTuple):
         return None if isinstance(value, float) and isnan(value) else value
 
 
-def entry(of: Callable[[Result], Any], unit: str = "", note: Any = None, **shown: Any) -> Any:
+def entry(of: Callable[[Result], Any], unit: str = "", note: Any = None, **fields: Any) -> Any:
     """Create a metric as an entry of `Summary`; the arguments are the fields of `Metric`."""
-    return Metric(of, unit, note, **shown)
+    return Metric(of, unit, note, **fields)
 
 
 worse = partial(entry, more_is="worse")
-"""Creates a metric of which more is worse. The following also need a recording, or are of some runs only."""
+"""Creates a metric of which more is worse. Those of the functions below are None for some runs; see `Metric.given`."""
 of_positions = partial(worse, given=positions_known)
 of_messages = partial(worse, given=messages_recorded)
 of_transport = partial(worse, given=has_transport)
@@ -182,8 +182,8 @@ class Summary(Mapping[str, Any]):
         return len(self._values)
 
     def __repr__(self) -> str:
-        some = ", ".join(f"{name} = {_formatted(self[name])}" for name in IN_REPR if self.get(name) is not None)
-        return f"<{type(self).__name__} of {len(self)} metrics: {some}>"
+        shown = ", ".join(f"{name} = {_formatted(self[name])}" for name in IN_REPR if self.get(name) is not None)
+        return f"<{type(self).__name__} of {len(self)} metrics: {shown}>"
 
     def __str__(self) -> str:
         return "\n".join(f"{name}: {text}" for name, text in self._texts.items())
@@ -194,10 +194,10 @@ class Summary(Mapping[str, Any]):
 
     @property
     def _texts(self) -> dict[str, str]:
-        """Each metric that has a value, by its name in words, as text with its unit; losses by no cause are none."""
-        there = {name: value for name, value in self.items() if value is not None and value != {}}
+        """The text of each metric, with its unit, by its name in words; without metrics that are None or empty."""
+        values = {name: value for name, value in self.items() if value is not None and value != {}}
         return {
-            words(name): f"{_formatted(value)} {unit_of(name, self.units)}".rstrip() for name, value in there.items()
+            words(name): f"{_formatted(value)} {unit_of(name, self.units)}".rstrip() for name, value in values.items()
         }
 
     seed: int = entry(lambda result: result.seed, in_tables=False, is_number=False)
@@ -288,22 +288,22 @@ class Summary(Mapping[str, Any]):
 
 
 def columns_of(runs: Sequence[Mapping[str, Any]], missing: object = None) -> dict[str, Sequence[Any]]:
-    """Return the values of each metric of several runs by name; `missing` for a run that lacks the metric.
+    """Return the values of each metric, one for each run, by name.
 
     Args:
         runs: the summary of each run, or a dict of its metrics.
-        missing: see above.
+        missing: the value for a run that lacks the metric.
     """
-    values = [run._values if isinstance(run, Summary) else run for run in runs]
-    if not values:
+    dicts = [run._values if isinstance(run, Summary) else run for run in runs]
+    if not dicts:
         return {}
-    names = tuple(values[0])
-    if len(names) > 1 and set(map(len, values)) == {len(names)}:
-        # Usually all have the same metrics. This takes a fifth of the time of the general case.
+    names = tuple(dicts[0])
+    if len(names) > 1 and set(map(len, dicts)) == {len(names)}:
+        # Usually all runs have the same metrics. Then this takes a fifth of the time of the general case.
         with suppress(KeyError):
-            return dict(zip(names, zip(*map(itemgetter(*names), values), strict=True), strict=True))
-    names = tuple(dict.fromkeys(name for numbers in values for name in numbers))
-    return {name: [numbers.get(name, missing) for numbers in values] for name in names}
+            return dict(zip(names, zip(*map(itemgetter(*names), dicts), strict=True), strict=True))
+    names = tuple(dict.fromkeys(name for metrics in dicts for name in metrics))
+    return {name: [metrics.get(name, missing) for metrics in dicts] for name in names}
 
 
 METRICS: Mapping[str, Metric] = MappingProxyType(
@@ -315,9 +315,9 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
 def _attribute(name: str) -> property:
     """Return the attribute of summaries for a built-in metric; the summary of an older run may lack the metric."""
 
-    def value(numbers: Summary) -> Any:
+    def value(summary: Summary) -> Any:
         try:
-            return numbers[name]
+            return summary[name]
         except KeyError:
             raise AttributeError(f"the run has no {name!r}: it was stored before this metric existed") from None
 
@@ -328,9 +328,9 @@ for _name in METRICS:
     setattr(Summary, _name, _attribute(_name))
 
 
-def plain(numbers: Summary) -> dict[str, Any]:
+def plain(summary: Summary) -> dict[str, Any]:
     """Return the metrics of a run by name, as JSON values."""
-    return {name: to_json(number) for name, number in numbers.items()}
+    return {name: to_json(value) for name, value in summary.items()}
 
 
 def _formatted(value: Any) -> str:

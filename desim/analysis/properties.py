@@ -1,4 +1,4 @@
-"""Properties of a run, judged: the margin of a property, and the watcher that ends a run that violates it."""
+"""Judge properties of a run: the margin of a property, and a watcher that ends a run that violates it."""
 
 from collections import deque
 from math import nan
@@ -23,11 +23,11 @@ class Judgement(NamedTuple):
     """How far a run is from violating a property."""
 
     margin: float
-    """At least 0 if the run keeps it; s, or for `always` in the unit of its quantity."""
+    """At least 0 if the run keeps the property; s, or for `always` in the unit of its quantity."""
     measure: float
-    """What the property bounds: a time, s, or for `always` the largest violation of its condition."""
+    """The worst value of what the property bounds: a time, s, or for `always` the largest violation."""
     at: float
-    """When the worst of the run began, s."""
+    """When this worst value began, s."""
     reference: float | None = None
     """The measure of the run under the protocol `against`; None without one."""
 
@@ -38,7 +38,7 @@ class Judgement(NamedTuple):
 
 
 def worst_of(prop: Property, result: Result) -> Worst:
-    """Return the worst of a run for a property, whatever its reference; one pass over the changes of its quantities.
+    """Return the worst value of what a property bounds in a run, whatever its reference, from one pass over the run.
 
     Raises:
         ValueError: if the trace lacks positions or messages that a quantity needs.
@@ -52,7 +52,7 @@ def worst_of(prop: Property, result: Result) -> Worst:
 def reference_scenario(prop: Property, scenario: Scenario) -> Scenario | None:
     """Return the scenario with the protocol that a property is against; None if the property has no reference.
 
-    The parameters of the protocol that this one has, too, such as its schedule, are kept.
+    Parameters that both protocols have, such as a schedule, are kept.
 
     Raises:
         ValueError: if the protocol is its own reference.
@@ -65,7 +65,7 @@ def reference_scenario(prop: Property, scenario: Scenario) -> Scenario | None:
 
 
 def under_protocol(scenario: Scenario, kind: str) -> Scenario:
-    """Return a scenario under another installed protocol, with those parameters of its protocol that both have."""
+    """Return a scenario under another installed protocol, with the parameters that both protocols have."""
     return scenario.with_({"protocol.kind" if PROTOCOLS.holds(scenario.protocol) else "protocol": kind})
 
 
@@ -89,10 +89,11 @@ def judge(prop: Stated, result: Result) -> Judgement:
     run_argument(Result).check(result, "judge")
     prop = stated(prop, result.scenario)
     worst, reference = worst_of(prop, trace_index(result)), reference_scenario(prop, result.scenario)
-    compared = None
+    measure_of_reference = None
     if reference is not None:
-        compared = worst_of(prop, trace_index(run(recording(reference, [prop]), result.seed))).measure
-    return Judgement(prop.margin(worst.measure, compared), worst.measure, seconds(worst.at), compared)
+        measure_of_reference = worst_of(prop, trace_index(run(recording(reference, [prop]), result.seed))).measure
+    margin = prop.margin(worst.measure, measure_of_reference)
+    return Judgement(margin, worst.measure, seconds(worst.at), measure_of_reference)
 
 
 def stated(prop: Stated, scenario: Scenario) -> Property:
@@ -101,10 +102,10 @@ def stated(prop: Stated, scenario: Scenario) -> Property:
     Raises:
         ValueError: if the text states no property, or it names an evader or a protocol that does not exist.
     """
-    made = property_of(prop)
-    for place, why in misfits_of(made, scenario):
-        raise ArgumentError("property", f"{made.text!r}: {'.'.join(map(str, place))}: {why}")
-    return made
+    prop = property_of(prop)
+    for place, why in misfits_of(prop, scenario):
+        raise ArgumentError("property", f"{prop.text!r}: {'.'.join(map(str, place))}: {why}")
+    return prop
 
 
 class PropertyWatcher:
@@ -113,13 +114,13 @@ class PropertyWatcher:
     The property is judged at each event, so also at each sample of the trajectory (`record.trajectory`).
 
     Args:
-        prop: the property, or its text. Its quantities are those of the actions (`WATCHED`), since all others need the
-            whole trace, and it has no reference.
+        prop: the property, or its text. All its quantities are in `WATCHED`, since others need the whole trace, and it
+            has no reference.
         scenario: the scenario of the run.
 
     Attributes:
         margin: the margin up to the last event.
-        violated_at: when it was found to be violated, s; None if it holds.
+        violated_at: the time, s, at which the watcher found the property violated; None if it holds.
 
     Raises:
         ValueError: if the text states no property, or the property cannot be judged while a run lasts.
@@ -129,9 +130,9 @@ class PropertyWatcher:
         self.property = stated(prop, scenario)
         conditions = self.property.conditions
         self._comparisons = [comparison for condition in conditions for comparison in condition.comparisons]
-        late = [comparison.quantity for comparison in self._comparisons if comparison.quantity not in WATCHED]
-        if late or self.property.against:
-            what = late[0] if late else f"the reference {self.property.against}"
+        unwatched = [comparison.quantity for comparison in self._comparisons if comparison.quantity not in WATCHED]
+        if unwatched or self.property.against:
+            what = unwatched[0] if unwatched else f"the reference {self.property.against}"
             raise ArgumentError(
                 "property",
                 f"{self.property.text!r}: {what} is known only after a run; quantities that are known"
@@ -141,7 +142,7 @@ class PropertyWatcher:
         self.violated_at: float | None = None
         self._tally, self._now, self._levels = Tally(), 0, list[Level]()
         self._pieces = deque[PropertyPiece]()
-        # A generator over pieces, of which there is none yet: it takes the one just appended at each `next`.
+        # A generator over the pieces still to come: each `next` takes the piece that was just appended.
         self._worst = self.property.worst(iter(self._pieces.popleft, None))
 
     def __call__(self, event: Event) -> bool:

@@ -32,7 +32,7 @@ StepChanges = Iterator[tuple[int, float]]
 RISING = frozenset({"waiting", "age"})
 """The quantities that rise by 1 s per second between their changes."""
 QuantityKey = tuple[str, int | None]
-"""The name of a quantity, and the evader that it is of; None: all."""
+"""The name of a quantity, and the number of its evader; None: all evaders."""
 
 
 class Level(NamedTuple):
@@ -46,20 +46,23 @@ class Level(NamedTuple):
 
 
 class Tally:
-    """The quantities that follow from the actions alone, kept up to date event by event."""
+    """The quantities in `WATCHED`, kept up to date event by event. A method of the same name returns each quantity."""
 
     def __init__(self) -> None:
         self._profile: list[int] = []
+        """The action of each pursuer."""
         self._at_large: set[int] = set()
         self._evaders = 0
         self._down: Counter[int] = Counter()
-        self._decided = 0
+        """By robot, the number of its present crashes, which may overlap."""
+        self._last_decision = 0
+        """ns"""
 
     def __call__(self, event: Event) -> bool:
         """Process an event; return whether a quantity may have changed."""
         if isinstance(event, Decided):
             self._profile[event.pursuer] = event.active
-            self._decided = event.t
+            self._last_decision = event.t
         elif isinstance(event, BrokeDown):
             self._profile[event.pursuer] = 0
         elif isinstance(event, Captured):
@@ -85,11 +88,11 @@ class Tally:
 
     def idle(self, evader: int | None, _: int) -> int:
         """Return the number of evaders at large without a pursuer."""
-        return sum(not self._profile.count(j) for j in self._of(evader))
+        return sum(not self._profile.count(j) for j in self._watched_evaders(evader))
 
     def crowded(self, evader: int | None, _: int) -> int:
         """Return the number of evaders at large with several pursuers."""
-        return sum(self._profile.count(j) > 1 for j in self._of(evader))
+        return sum(self._profile.count(j) > 1 for j in self._watched_evaders(evader))
 
     def captured(self, evader: int | None, _: int) -> int:
         """Return the number of captured evaders."""
@@ -101,9 +104,10 @@ class Tally:
 
     def waiting(self, _: int | None, now: int) -> float:
         """Return the time since the last decision, s."""
-        return seconds(now - self._decided)
+        return seconds(now - self._last_decision)
 
-    def _of(self, evader: int | None) -> set[int]:
+    def _watched_evaders(self, evader: int | None) -> set[int]:
+        """Return the evaders at large, or only the given one."""
         return self._at_large if evader is None else self._at_large & {evader}
 
 
@@ -113,20 +117,22 @@ WATCHED = frozenset({"active", "idle", "crowded", "captured", "down", "waiting"}
 
 def _tallied(result: Result, keys: Collection[QuantityKey]) -> Mapping[QuantityKey, list[tuple[int, float]]]:
     """Return the changes of some quantities in `WATCHED`, from one pass over the trace."""
-    steps: dict[QuantityKey, list[tuple[int, float]]] = {key: [] for key in keys}
+    changes_by_key: dict[QuantityKey, list[tuple[int, float]]] = {key: [] for key in keys}
     tally = Tally()
     for event in result.trace if keys else ():
         if tally(event):
-            for key, changed in steps.items():
+            for key, steps in changes_by_key.items():
                 value = tally.value(*key, event.t)
-                if not changed or changed[-1][1] != value or key[0] in RISING:
-                    changed.append((event.t, value))
-    return steps
+                # A quantity that rises may have risen, and fallen to the value of its last change.
+                if not steps or steps[-1][1] != value or key[0] in RISING:
+                    steps.append((event.t, value))
+    return changes_by_key
 
 
 def _misassigned(result: Result) -> StepChanges:
-    view = hindsight(result)
-    yield from zip(view.times.tolist(), (~view.relayed).astype(float).tolist(), strict=False)
+    """Yield the changes of the quantity: 1 while the relay pursuers are not the only active ones, else 0."""
+    pieces = hindsight(result)
+    yield from zip(pieces.times.tolist(), (~pieces.relayed).astype(float).tolist(), strict=False)
 
 
 def _records(result: Result) -> list[tuple[int, int, int, int, int]]:
@@ -139,33 +145,42 @@ def _records(result: Result) -> list[tuple[int, int, int, int, int]]:
 
 
 def _wrong_beliefs(result: Result) -> StepChanges:
+    """Yield the changes of the number of pairs whose reader believes a wrong action of the source."""
     actions, size = list(started(result).active), len(started(result).active)
     believed: dict[tuple[int, int], int] = {}
     wrong: set[tuple[int, int]] = set()
+    # The true changes have no reader.
     truths = [(change.t, None, change.pursuer, action(change), 0) for change in changes(result)]
-    for t, reader, source, announced, _ in heapq.merge(truths, _records(result), key=lambda row: row[0]):
+    for t, reader, source, act, _ in heapq.merge(truths, _records(result), key=lambda row: row[0]):
         if reader is None:
-            actions[source] = announced
+            actions[source] = act
+            readers = [i for i in range(size) if i != source]
         else:
-            believed[reader, source] = announced
-        for pair in [(reader, source)] if reader is not None else [(i, source) for i in range(size) if i != source]:
-            (wrong.add if believed.get(pair, 0) != actions[source] else wrong.discard)(pair)
+            believed[reader, source] = act
+            readers = [reader]
+        for i in readers:
+            if believed.get((i, source), 0) != actions[source]:
+                wrong.add((i, source))
+            else:
+                wrong.discard((i, source))
         yield t, float(len(wrong))
 
 
 def _disagreements(result: Result) -> StepChanges:
+    """Yield the changes of the number of sources of which two readers believe different actions."""
     size = len(started(result).active)
-    held = [Counter[int]() for _ in range(size)]
+    readers_by_action = [Counter[int]() for _ in range(size)]  # for each source, the number of readers
     believed: dict[tuple[int, int], int] = {}
     for t, reader, source, announced, _ in _records(result):
         if (before := believed.get((reader, source))) is not None:
-            held[source][before] -= 1
+            readers_by_action[source][before] -= 1
         believed[reader, source] = announced
-        held[source][announced] += 1
-        yield t, float(sum(len(+actions) > 1 for actions in held))
+        readers_by_action[source][announced] += 1
+        yield t, float(sum(len(+readers) > 1 for readers in readers_by_action))  # `+` drops counts of 0
 
 
 def _age(result: Result) -> StepChanges:
+    """Yield the changes of the greatest age of a newest record."""
     created: dict[tuple[int, int], int] = {}
     for t, reader, source, _, announced in _records(result):
         created[reader, source] = announced
@@ -232,27 +247,31 @@ def key_of(comparison: QuantityComparison) -> QuantityKey:
 def cut(conditions: Sequence[Condition], levels: Sequence[Level], begin: int, end: int) -> Iterator[PropertyPiece]:
     """Yield the pieces between two successive changes (ns) of quantities, given the level of each comparison.
 
-    There are several if a rising quantity reaches the number with which it is compared.
+    A new piece begins where a rising quantity reaches the number with which it is compared.
     """
     comparisons = [comparison for condition in conditions for comparison in condition.comparisons]
     instants = {begin, end}
     for comparison, level in zip(comparisons, levels, strict=True):
         if level.rises:
             reached = level.since + round((comparison.number - level.value) * SECOND)
-            instants |= {reached} if begin < reached < end else set()
+            if begin < reached < end:
+                instants.add(reached)
     for first, last in pairwise(sorted(instants)):
+        # A single iterator: each condition takes the margins of its comparisons from it.
         margins = (
-            _least(comparison, level, first, last) for comparison, level in zip(comparisons, levels, strict=True)
+            _least_margin(comparison, level, first, last) for comparison, level in zip(comparisons, levels, strict=True)
         )
         yield PropertyPiece(
             first, last, tuple(min(islice(margins, len(condition.comparisons))) for condition in conditions)
         )
 
 
-def _least(comparison: QuantityComparison, level: Level, begin: int, end: int) -> float:
-    """Return the least margin of a comparison in a time (ns) in which it holds throughout or not at all."""
+def _least_margin(comparison: QuantityComparison, level: Level, begin: int, end: int) -> float:
+    """Return the least margin of a comparison from `begin` to `end` (ns), where it holds throughout or not at all."""
     if not level.rises:
         return comparison.margin(level.value)
     first, middle, last = (level.value + seconds(t - level.since) for t in (begin, (begin + end) // 2, end))
     least, holds = min(comparison.margin(first), comparison.margin(last)), comparison.holds(middle)
-    return least if (least >= 0.0) == holds else 0.0 if holds else JUST_BELOW_0
+    if (least >= 0.0) != holds:  # at an end of the piece, the comparison changes, so the margin there is 0
+        return 0.0 if holds else JUST_BELOW_0
+    return least

@@ -28,7 +28,7 @@ from desim.config.number_texts import counted
 NORMAL_975 = 1.959963984540054
 """The 97.5 % quantile of the standard normal distribution."""
 ROUNDING = 8.0 * float(np.finfo(float).eps)
-"""The largest spread of differences, relative to the values, that rounding makes."""
+"""The largest spread of differences, relative to the values, that rounding causes."""
 
 
 def t_quantile(freedom: float, confidence: float) -> float:
@@ -57,7 +57,7 @@ class Estimate:
         return f"{self.mean:.{digits}g} +- {self.half_width:.2g} (95 % interval, {runs})"
 
     def __format__(self, form: str) -> str:
-        """Return "mean +- half width", both in the form of a number; a sign is that of the mean. Without: `str`."""
+        """Return "mean +- half width", both in a format of numbers, or `str` without one; a sign is only the mean's."""
         return f"{self.mean:{form}} +- {self.half_width:{form.lstrip('+')}}" if form else str(self)
 
     def __repr__(self) -> str:
@@ -66,10 +66,10 @@ class Estimate:
 
     @property
     def others(self) -> float | None:
-        """Upper bound on the share of runs with another value if all n are equal; None if they are not, or one.
+        """Upper bound on the share of all runs that have another value, if n > 1 runs have equal values; else None.
 
-        It is that of the 95 % Wilson interval of 0 in n, z^2 / (n + z^2): the t interval of equal values has no width,
-        and says nothing about the runs that were not made.
+        The bound is the upper end of the 95 % Wilson interval of 0 in n, z^2 / (n + z^2). The t interval of equal
+        values has no width, and says nothing about other runs.
         """
         is_equal = self.count > 1 and self.standard_error == 0.0
         return wilson(0, self.count)[1] if is_equal else None
@@ -96,8 +96,8 @@ class Estimate:
     def excludes_0(self, confidence: float = 0.95) -> bool:
         """Return whether a two-sided test at the level 1 - confidence tells the mean apart from 0.
 
-        It is the t test, unless all values are equal: their t interval has no width, even if there are two. They are
-        judged by the probability of a difference as large if there is none; see `_chance_of_equal`.
+        This is the t test, unless all values are equal: then the t interval has no width, even for two values, and the
+        test compares `_chance_of_equal` with the level.
         """
         if not self.count > 1:
             return False
@@ -106,6 +106,7 @@ class Estimate:
         return abs(self.mean) > self.half_width_at(confidence)
 
     def _chance_of_equal(self) -> float:
+        """Return the probability of an equally clear difference if the true mean is 0."""
         return chance_of_one_sign(self.count)
 
     def half_width_at(self, confidence: float) -> float:
@@ -144,8 +145,8 @@ def chance_of_one_sign(count: int) -> float:
 
 def share(truths: Sequence[float] | Floats) -> Estimate:
     """Return the share of true values, given as truth values or as 0 and 1; without any, the count is 0."""
-    made = mean(truths)
-    return Share(made.mean, made.standard_error, made.count) if made.count else made
+    truth = mean(truths)
+    return Share(truth.mean, truth.standard_error, truth.count) if truth.count else truth
 
 
 def mean_or_share(values: Sequence[float]) -> Estimate:
@@ -204,30 +205,30 @@ def paired(values: Sequence[float | None] | Floats, others: Sequence[float | Non
 
 
 def differences(values: Floats, others: Floats) -> Floats:
-    """Return the (n, ...) differences of n pairs; a column whose differences are equal but for rounding is constant.
+    """Return the (n, ...) differences of n pairs; in a column, differences that are equal but for rounding are equal.
 
-    For example, 0.3 - 0.2 and 1.3 - 1.2 differ in the last bit, which would be a scatter that excludes 0.
+    For example, 0.3 - 0.2 and 1.3 - 1.2 differ in the last bit. From this scatter, a t interval would exclude 0.
     """
     with np.errstate(invalid="ignore"):  # inf - inf
-        made: Floats = np.asarray(values - others, dtype=float)
-        if not len(made):
-            return made
+        computed: Floats = np.asarray(values - others, dtype=float)
+        if not len(computed):
+            return computed
         rounding = ROUNDING * np.maximum(np.abs(values).max(axis=0), np.abs(others).max(axis=0))
-        is_equal = np.isfinite(rounding) & (np.ptp(made, axis=0) <= rounding)
-        first = np.where(np.abs(made[0]) > rounding, made[0], 0.0)
-    return np.where(is_equal, first, made)
+        is_equal = np.isfinite(rounding) & (np.ptp(computed, axis=0) <= rounding)
+        first = np.where(np.abs(computed[0]) > rounding, computed[0], 0.0)
+    return np.where(is_equal, first, computed)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class IndependentDifference(Estimate):
-    """The difference of two means over independent runs, by Welch's t interval; `count` is the smaller of the two."""
+    """The difference of the means of independent runs, by Welch's t interval; `count` is the smaller number of runs."""
 
     freedom: float = nan
     """The degrees of freedom of Welch and Satterthwaite."""
 
     @property
     def others(self) -> float | None:
-        """None: two kinds of runs of which each has equal values say nothing about pairs."""
+        """None: there are no pairs whose differences could be equal."""
         return None
 
     def half_width_at(self, confidence: float) -> float:
@@ -237,7 +238,7 @@ class IndependentDifference(Estimate):
         return t_quantile(self.freedom, confidence) * self.standard_error if self.standard_error else 0.0
 
     def _chance_of_equal(self) -> float:
-        """Return the probability that chance separates two samples of n values as clearly: 2 in n of 2 n."""
+        """Return the probability that all of n values exceed all of n others, or the reverse: 2 / binomial(2 n, n)."""
         return 2 / comb(2 * self.count, self.count)  # 0 where a float cannot hold the coefficient
 
 

@@ -28,7 +28,7 @@ MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#|~$])")
 INFINITE = {"inf": r"$\infty$", "-inf": r"$-\infty$"}
 """The symbols of cells that are infinite."""
 NUMBER = r"[+-]?\d[\d,]*(?:\.\d+)?(?:e[+-]\d+)?"
-MEASURED = re.compile(rf"(?P<mean>{NUMBER})(?: \+- (?P<width>{NUMBER}|-))?(?P<rest>| .*)")
+MEASURED = re.compile(rf"(?P<mean>{NUMBER})(?: \+- (?P<width>{NUMBER}|-))?(?P<remark>| .*)")
 """Matches a number, perhaps with a half width and a remark."""
 NEGATIVE = re.compile(r"(?<=[( ])-(?=\d)")
 """Matches the sign of a number within a text."""
@@ -45,6 +45,7 @@ class TabularResult:
         raise NotImplementedError
 
     def _notes(self) -> Iterable[str]:
+        """Return the notes below the tables, in order."""
         raise NotImplementedError
 
     def _right_from(self) -> int:
@@ -108,9 +109,9 @@ def _latex(title: str, rows: Sequence[Sequence[str]], right_from: int) -> str:
         " & ".join(latex_text(cell) for cell in head),
         *(" & ".join(_latex_cell(cell) for cell in row) for row in body),
     ]
-    first, *others = (f"{line} \\\\" for line in lines)
-    rules = [r"\toprule", first, r"\midrule", *others, r"\bottomrule"]
-    return "\n".join([f"% {_line(title)}", rf"\begin{{tabular}}{{{columns}}}", *rules, r"\end{tabular}"])
+    header, *rest = (f"{line} \\\\" for line in lines)
+    ruled = [r"\toprule", header, r"\midrule", *rest, r"\bottomrule"]
+    return "\n".join([f"% {_line(title)}", rf"\begin{{tabular}}{{{columns}}}", *ruled, r"\end{tabular}"])
 
 
 def latex_text(text: str) -> str:
@@ -119,20 +120,22 @@ def latex_text(text: str) -> str:
 
 
 def _latex_cell(cell: str) -> str:
-    """Return a cell for LaTeX: a number, with its half width if it has one, is mathematics."""
+    """Return a cell for LaTeX; a number at its start, with its half width if it has one, becomes mathematics."""
     match = MEASURED.fullmatch(cell)
     if cell in INFINITE:
         return INFINITE[cell]
-    rest = latex_text(cell if match is None else match["rest"])
-    rest = NEGATIVE.sub("$-$", rest).replace(" .. ", "--")  # in text, three hyphens are a dash
+    text = latex_text(cell if match is None else match["remark"])
+    # First the signs, in mathematics: a hyphen next to the "--" of a range would make a dash of three hyphens.
+    text = NEGATIVE.sub("$-$", text).replace(" .. ", "--")
     if match is None:
-        return rest
+        return text
     mean, width = (_latex_number(match[name] or "") for name in ("mean", "width"))
-    middle = rf" \pm {width}" if width not in {"", "-"} else ""
-    return f"${mean}{middle}${rest}"
+    plus_minus = rf" \pm {width}" if width not in {"", "-"} else ""
+    return f"${mean}{plus_minus}${text}"
 
 
 def _latex_number(number: str) -> str:
+    """Return a number for the mathematics of LaTeX; braces keep the space after a thousands separator away."""
     mantissa, e, exponent = number.replace(",", "{,}").partition("e")
     return rf"{mantissa} \times 10^{{{int(exponent)}}}" if e else mantissa
 

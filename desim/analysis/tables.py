@@ -20,9 +20,9 @@ With one evader they repeat `captured` and `capture_time`.
 SHOWN = 12
 """Largest number of evaders listed in the table of a run."""
 NANO = 1e-9
-"""The resolution of times, s: what is smaller is rounding, and shown as 0."""
+"""Smaller numbers are shown as 0, as rounding errors: it is the resolution of times, s."""
 ALL_EQUAL = "all equal"
-"""Stands for the half width of values that are all equal, of which the t interval has no width."""
+"""The text in place of the half width if all values are equal, because their t interval has no width."""
 
 
 def aligned(rows: Sequence[Sequence[str]], right_from: int = 1) -> str:
@@ -58,27 +58,27 @@ def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -
     rows: list[Sequence[str]] = [("", "mean", "+-", "least", "most", "runs"), *_rows_of_batch(scenario, runs)]
     seeds = f"seed {runs[0].seed}" if len(runs) == 1 else f"seeds {runs[0].seed} to {runs[-1].seed}"
     several, needed = len(scenario.evaders), scenario.capture.captures_to_end
-    every = "" if several == 1 else "all " if needed in (None, several) else f"{needed} of {several} "
+    evaders = "" if several == 1 else "all " if needed in (None, several) else f"{needed} of {several} "
     rate = portable_sum(run.messages_sent for run in runs) / wall_time
-    equal = [int(row[-1]) for row in rows if ALL_EQUAL in row]
-    most = wilson(0, min(equal))[1] if equal else 0.0
-    unseen = f"; {ALL_EQUAL}: at most {percent(most)} of all seeds have another value" if equal else ""
-    if len({*equal}) > 1:
-        unseen += f" (for {min(equal)} values; {percent(wilson(0, max(equal))[1])} for {max(equal)})"
-    added = [{type(run[name]) for run in runs} - {type(None)} for name in runs[0] if name not in METRICS]
-    is_of_truths = {bool} in added
-    shares = ", of shares half a Wilson interval" * is_of_truths
-    late = portable_sum(run.end_time >= scenario.horizon for run in runs)
-    why = (
-        f"{counted(late, 'run')} ended at the horizon of {scenario.horizon:g} s, which may be too short for a capture\n"
+    counts = [int(row[-1]) for row in rows if ALL_EQUAL in row]
+    bound = wilson(0, min(counts))[1] if counts else 0.0
+    on_equal = f"; {ALL_EQUAL}: at most {percent(bound)} of all seeds have another value" if counts else ""
+    if len({*counts}) > 1:
+        on_equal += f" (for {min(counts)} values; {percent(wilson(0, max(counts))[1])} for {max(counts)})"
+    types_of_added = [{type(run[name]) for run in runs} - {type(None)} for name in runs[0] if name not in METRICS]
+    on_shares = ", of shares half a Wilson interval" if {bool} in types_of_added else ""
+    at_horizon = portable_sum(run.end_time >= scenario.horizon for run in runs)
+    on_horizon = (
+        f"{counted(at_horizon, 'run')} ended at the horizon of {scenario.horizon:g} s, which may be too short"
+        + " for a capture\n"
     )
     return (
         _heading(scenario, seeds)
-        + f"{every}captured in {captured} of {counted(len(runs), 'run')}; +- is half a 95 % t"
-        + f" interval{shares}{unseen}\n"
+        + f"{evaders}captured in {captured} of {counted(len(runs), 'run')}; +- is half a 95 % t"
+        + f" interval{on_shares}{on_equal}\n"
         + f"capture probability {fraction(captured / len(runs))}, 95 % Wilson interval {fraction(low)} to"
         + f" {fraction(high)}\n"
-        + ("" if captured or not late else why)
+        + ("" if captured or not at_horizon else on_horizon)
         + aligned(rows)
         + f"\nwall time {wall_time:.3f} s, {rate:,.0f} messages/s"
     )
@@ -90,10 +90,10 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def digits_of(values: Sequence[Estimate]) -> int:
-    """Return the number of decimals of the estimates in a column of a table: all have the same.
+    """Return the number of decimals that the estimates in a column of a table share.
 
-    There are three, or one if all means are large; if all numbers are below 0.01, as many as leave the greatest three
-    digits. A cell that these would show as certain has more; see `digits_in`.
+    There are three, or one if all means are at least 100. If all numbers are below 0.01, the greatest has three digits.
+    A cell that these decimals would show as certain has more; see `digits_in`.
     """
     sizes = [abs(size) for value in values for size in (value.mean, value.half_width) if isfinite(size)]
     return _decimals(sizes) if any(abs(value.mean) < 100.0 for value in values) else 1
@@ -102,8 +102,8 @@ def digits_of(values: Sequence[Estimate]) -> int:
 def digits_in(value: Estimate, digits: int | None = None) -> int:
     """Return the number of decimals of an estimate in a column with `digits` decimals; None = in a column of its own.
 
-    There are more if its half width would be shown as 0, which would say that the mean is certain; without a half
-    width, if the mean would be.
+    The estimate has more decimals if they would show its half width as 0, so that the mean would seem certain. If it
+    has no half width, it has more if they would show its mean as 0.
     """
     has_width = value.count > 1 and value.others is None
     size = value.half_width if has_width else abs(value.mean)
@@ -111,12 +111,12 @@ def digits_in(value: Estimate, digits: int | None = None) -> int:
 
 
 def decimals_of(size: float, least: int = 3) -> int:
-    """Return the number of decimals of a number >= 0: `least`, or as many as leave two digits if it would be 0 then."""
+    """Return the number of decimals of a number >= 0: `least`, or as many as show two digits if `least` show 0."""
     return 1 - floor(log10(size)) if NANO <= size < inf and not float(f"{size:.{least}f}") else least
 
 
 def _decimals(sizes: Sequence[float]) -> int:
-    """Return the number of decimals of some numbers: three, or more for numbers that would be 0.00 otherwise."""
+    """Return the number of decimals of some numbers: three, or, if all are below 0.01, three digits of the greatest."""
     greatest = max(sizes, default=0.0)
     return 2 - floor(log10(greatest)) if NANO <= greatest < 0.01 else 3
 
@@ -162,15 +162,15 @@ def with_half_width(value: Estimate, runs: int, sign: str = "", unit: str = "", 
 
 def as_json(value: Estimate) -> dict[str, Any]:
     """Return an estimate as JSON values; a share also has its interval, which is not symmetric."""
-    made = {"mean": json_number(value.mean), "half_width": json_number(value.half_width), "runs": value.count}
-    return made | ({"interval": list(value.interval)} if isinstance(value, Share) else {})
+    numbers = {"mean": json_number(value.mean), "half_width": json_number(value.half_width), "runs": value.count}
+    return numbers | ({"interval": list(value.interval)} if isinstance(value, Share) else {})
 
 
-def from_json(made: Mapping[str, Any]) -> Estimate:
+def from_json(numbers: Mapping[str, Any]) -> Estimate:
     """Return the estimate that `as_json` converted to JSON values, up to rounding."""
-    mean, half_width = (nan if made[key] is None else float(made[key]) for key in ("mean", "half_width"))
-    count = int(made["runs"])
-    if "interval" in made:
+    mean, half_width = (nan if numbers[key] is None else float(numbers[key]) for key in ("mean", "half_width"))
+    count = int(numbers["runs"])
+    if "interval" in numbers:
         successes = round(mean * count)
         return share([1.0] * successes + [0.0] * (count - successes))
     return Estimate(mean, half_width / t_quantile(count - 1, 0.95) if count > 1 else nan, count)
@@ -238,6 +238,7 @@ def _rows_of_batch(scenario: Scenario, runs: Sequence[Summary]) -> Iterator[Sequ
 
 
 def _row(name: str, values: Sequence[float]) -> tuple[str, ...]:
+    """Return the row of a metric in the table of several runs, given its values in the runs that have one."""
     summary = mean_or_share(values)
     digits = decimals_of(summary.half_width, _decimals([abs(value) for value in values if isfinite(value)]))
     mean, half_width, least, most = (
@@ -246,8 +247,9 @@ def _row(name: str, values: Sequence[float]) -> tuple[str, ...]:
     return (name, mean, half_width if summary.others is None else ALL_EQUAL, least, most, str(len(values)))
 
 
-def _heading(scenario: Scenario, phrase: str) -> str:
+def _heading(scenario: Scenario, seeds: str) -> str:
+    """Return the first line of a table, given the words for its seeds."""
     players = counted(scenario.team.count, "pursuer") + (
         f", {len(scenario.evaders)} evaders" if len(scenario.evaders) > 1 else ""
     )
-    return f"{scenario.name}: {players}, {scenario.protocol_name}, {phrase}\n"
+    return f"{scenario.name}: {players}, {scenario.protocol_name}, {seeds}\n"

@@ -34,7 +34,7 @@ def remembered(derive: Callable[[Result], Derived]) -> Callable[[Result], Derive
     """Cache the return value of a function for each `TraceIndex`; callers must not modify the value."""
 
     @wraps(derive)
-    def once(result: Result) -> Derived:
+    def cached(result: Result) -> Derived:
         if not isinstance(result, TraceIndex):
             return derive(result)
         if derive not in result.derived:
@@ -42,7 +42,7 @@ def remembered(derive: Callable[[Result], Derived]) -> Callable[[Result], Derive
         value: Derived = result.derived[derive]
         return value
 
-    return once
+    return cached
 
 
 @remembered
@@ -60,11 +60,12 @@ def _places(result: Result) -> dict[type, list[int]]:
 def places_of(result: Result, *kinds: type) -> list[int]:
     """Return the positions in the trace of the events of some types, in order.
 
-    One pass serves all calls for a `TraceIndex`. It takes longer than the search of a single call for another result.
+    For a `TraceIndex`, one pass serves all calls. For another result each call searches the trace, which is faster than
+    that pass.
     """
     if not isinstance(result, TraceIndex):
         return [place for place, event in enumerate(result.trace) if isinstance(event, kinds)]
-    return sorted(chain.from_iterable(at for kind, at in _places(result).items() if issubclass(kind, kinds)))
+    return sorted(chain.from_iterable(places for kind, places in _places(result).items() if issubclass(kind, kinds)))
 
 
 def traced_events(result: Result, kind: type[Kind]) -> list[Kind]:
@@ -146,6 +147,6 @@ def messages(result: Result) -> MessageCounts:
 
 @remembered
 def transport(result: Result) -> TransportCounts | None:
-    """Return what transports did; None if no message needed a transport."""
+    """Return the counts of the transports; None if no message needed a transport."""
     counts = traced_events(result, TransportCounts)
     return counts[0] if counts else None

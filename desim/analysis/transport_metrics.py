@@ -1,6 +1,7 @@
 """Metrics of transports: the share of messages that were delivered, the attempts and the delay.
 
-A broadcast counts as one message per receiver. In a run without a transport (`has_transport`) all raise ValueError.
+A broadcast counts as one message per receiver. If no message needed a transport (`has_transport`), all these metrics
+raise ValueError.
 """
 
 from math import nan
@@ -18,6 +19,7 @@ def has_transport(result: Result) -> bool:
 
 
 def _counts(result: Result) -> TransportCounts:
+    """Return the counts of the transports; raise ValueError if no message needed one."""
     counts = transport(result)
     if counts is None:
         raise ValueError("no message needed a transport: see network.transport and announce.dissemination")
@@ -37,7 +39,7 @@ def share_delivered(result: Result) -> float:
 def mean_attempts(result: Result) -> float:
     """Return the mean number of transmissions of a message, or of its pieces, to each receiver; nan without messages.
 
-    An attempt counts when it is handed to the transmitter, also if it then waits, or is lost in a queue.
+    An attempt counts when it is handed to the transmitter, even if it then waits or is lost in a queue.
 
     Raises:
         ValueError: if no message needed a transport.

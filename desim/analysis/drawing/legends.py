@@ -10,22 +10,22 @@ from matplotlib.transforms import Bbox
 MAX_COLUMNS = 3
 """The largest number of columns of a legend below the axes."""
 NOTHING = {"None", "", " ", None}
-"""The markers and the styles of lines that are not drawn."""
+"""The markers and the line styles that draw nothing."""
 
 
 def uncover_data(figure: Figure) -> bool:
-    """Move each legend that lies on data below the axes, and return whether there is one; the figure has been drawn.
+    """Move each legend that lies on data below the axes, and return whether there is one; the figure must be drawn.
 
-    In a small figure of a study with other data than its author saw, no place within the axes may be free.
+    A figure may be smaller, or have other data, than its author saw, so that no place within its axes is free.
     """
     legends = [(axes, legend) for axes in figure.axes if (legend := axes.get_legend()) is not None]
     covering = [pair for pair in legends if covers_data(figure, pair[1].get_window_extent())]
     for axes, legend in covering:
         texts, title = [text.get_text() for text in legend.get_texts()], legend.get_title().get_text()
         size = legend.get_texts()[0].get_fontsize()
-        of_label = handles_of([axes])  # with marks, which the handles may lack
+        by_label = handles_of([axes])  # these have marks, which the handles of a legend may lack
         handles: list[Any] = [
-            of_label.get(text, handle) for text, handle in zip(texts, legend.legend_handles, strict=True)
+            by_label.get(text, handle) for text, handle in zip(texts, legend.legend_handles, strict=True)
         ]
         legend.remove()
         columns = min(len(texts), MAX_COLUMNS)
@@ -34,7 +34,7 @@ def uncover_data(figure: Figure) -> bool:
 
 
 def handles_of(panels: Iterable[Axes]) -> dict[str, Any]:
-    """Return what a legend shows of the lines of several panels, by name."""
+    """Return the lines of several panels that a legend can show, by label."""
     return {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
 
 

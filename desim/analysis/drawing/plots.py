@@ -91,12 +91,12 @@ def figure_of(ax: object, *, panels: Sequence[str] = ("",), size: str | None = N
 
     Args:
         ax: what a caller gave as `ax`.
-        panels: the titles of the panels of the drawing; it needs one pair of axes, so there should be one.
-        size: the size that was asked for beside `ax`; the size is that of the figure, so there should be none.
+        panels: the titles of the panels of the drawing; one pair of axes has room for one panel.
+        size: what the caller gave as `size`; it should be None, because the figure has its size already.
 
     Raises:
         TypeError: if `ax` is not a pair of axes.
-        ValueError: if the axes are not plain, there are several panels, or a size.
+        ValueError: if the axes are not plain, there are several panels, or a size is given.
     """
     if not isinstance(ax, Axes):
         hint = ""
@@ -175,27 +175,29 @@ class _SettledLayout(ConstrainedLayoutEngine):
     Repeated layouts of one figure differ by rounding errors, so its files would differ, too.
     """
 
-    _known: object = None
+    _last_extent: object = None
+    """The `_extent` of the figure after its last layout."""
 
     def is_settled(self, figure: Figure) -> bool:
         """Return whether size and texts of a figure are those of its last layout."""
-        return _extent(figure) == self._known
+        return _extent(figure) == self._last_extent
 
     def unsettle(self) -> None:
         """Let the next drawing compute the layout anew."""
-        self._known = None
+        self._last_extent = None
 
     def execute(self, figure: Figure) -> None:
+        """Compute the layout if it is not settled; matplotlib calls this at each drawing."""
         if not self.is_settled(figure):
             super().execute(figure)
-            self._known = _extent(figure)
+            self._last_extent = _extent(figure)
 
 
 @contextmanager
 def _laid_out(figure: Figure) -> Iterator[None]:
-    """Draw a figure if it has changed, and let its files be written without layouts of their own.
+    """Draw a figure if it has changed, and keep `savefig` from computing a layout for each file.
 
-    To lay out a figure, `savefig` draws it once more for each file, though its layout is settled: half of the time.
+    Even if the layout is settled, `savefig` draws a figure once more to lay it out, which takes half of the time.
     """
     layout = figure.get_layout_engine()
 
@@ -223,7 +225,7 @@ def _extent(figure: Figure) -> object:
 
 def as_it_is(text: str) -> dict[str, Any]:
     """Return the options of a title whose "$" is shown as it is; a long title is wrapped unless it has a "$"."""
-    return {"parse_math": False, "wrap": "$" not in text}  # to wrap a text, matplotlib reads "$" as mathematics
+    return {"parse_math": False, "wrap": "$" not in text}  # matplotlib reads "$" as mathematics in texts that it wraps
 
 
 SIZE = re.compile(r"(?P<width>\d+(\.\d+)?)(?P<unit>cm|mm|in)?(x(?P<height>\d+(\.\d+)?)(?P<last>cm|mm|in)?)?")
@@ -246,7 +248,7 @@ def size_of(text: str) -> tuple[float, float | None]:
     if match is None or not any(units):
         why = "should be a width and perhaps a height in cm, mm or in, as 8.5cmx6cm"
         raise ArgumentError("size", f"{why} (got {value_text(text)})")
-    unit, last = (unit_name or units[1 - k] for k, unit_name in enumerate(units))
+    unit, last = (name or units[1 - k] for k, name in enumerate(units))  # one unit serves both lengths
     width = float(match["width"]) / UNITS[unit]
     height = None if match["height"] is None else float(match["height"]) / UNITS[last]
     if not all(LENGTHS[0] <= length <= LENGTHS[1] for length in (width, height) if length is not None):

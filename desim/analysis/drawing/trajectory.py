@@ -66,7 +66,7 @@ def set_plane(axes: Axes) -> None:
 
 
 def draw_trajectory(axes: Axes, result: Result) -> None:
-    """Draw the starts of the pursuers, and the paths of the players that `trajectory` shows, on given axes."""
+    """Draw on given axes the pursuers at the start, and the paths of the players that `trajectory` shows."""
     samples = sampled(result)
     evaders = np.array([sample.evaders for sample in samples])  # (samples, M, 2)
     pursuers = np.array([sample.pursuers for sample in samples])  # (samples, N, 2)

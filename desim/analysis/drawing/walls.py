@@ -14,12 +14,12 @@ from desim.kernel.walls.wall import Wall
 from desim.pursuit.paths.corners import solid_side
 
 SOLID = "#333333"
-"""A wall that blocks motion."""
+"""The colour of a wall that blocks motion."""
 
 
 def draw_walls(axes: Axes, walls: Sequence[Wall]) -> None:
-    """Draw walls: those that let players through are pale, and those through which players see are dashed."""
-    label: str | None = "wall"
+    """Draw walls: pale if players can pass through them, and dashed if players can see through them."""
+    label: str | None = "wall"  # only of the first, for the legend
     for wall in walls:
         colour = SOLID if "motion" in wall.blocks else GREY
         look: dict[str, Any] = {"color": colour, "lw": 1.8, "ls": "-" if "sight" in wall.blocks else (0, (3, 2))}
