@@ -14,7 +14,7 @@ from desim.scenario.scenario import Scenario
 ROUNDING = 1e-9
 """A displacement of at most this share of the distance from the origin (m, plus 1) is a rounding error."""
 SLOW = 1e-3
-"""A player that moves at most this share of the way of the flow may be at rest in it."""
+"""A player whose motion in the flow is at most this share of its drift may be at rest there."""
 
 
 class Headings:
@@ -30,19 +30,20 @@ class Headings:
 
     def __init__(self, scenario: Scenario, seed: int):
         team, evaders = scenario.team, scenario.evaders
-        able = [k for k in range(team.count) if team.has_inertia and k not in team.relays]
-        headings = dict(zip(able, [team.headings(seed)[k] for k in able], strict=True))
+        pursuers = [k for k in range(team.count) if team.has_inertia and k not in team.relays]
+        headings = dict(zip(pursuers, [team.headings(seed)[k] for k in pursuers], strict=True))
         headings |= {team.count + k: evader.heading(seed, k) for k, evader in enumerate(evaders) if evader.has_inertia}
         self.players = tuple(headings)
         self._headings = list(headings.values())
         self._places: list[complex] = []
+        """The positions of `players` at the last sample, m."""
         self._t = 0
         self._environment, self._size = scenario.environment, team.count
 
     def at(self, sample: Started | Sampled) -> list[complex]:
         """Return the headings, of length 1, of `players` at a sample, given the samples in order."""
-        every = [complex(x, y) for x, y in (*sample.pursuers, *sample.evaders)]
-        places = [every[k] for k in self.players]
+        positions = [complex(x, y) for x, y in (*sample.pursuers, *sample.evaders)]
+        places = [positions[k] for k in self.players]
         for k, (before, place) in enumerate(zip(self._places, places, strict=False)):
             if place == before:  # also a captured player, which the flow does not carry
                 continue

@@ -28,7 +28,7 @@ from desim.view.formats.pcapng import Pcapng
 from desim.view.formats.perfetto import Perfetto
 from desim.view.formats.trace_table import Csv, Parquet
 
-WRITTEN = ("result", "file")
+ARGUMENTS = ("result", "file")
 """The arguments of an exporter."""
 
 
@@ -44,12 +44,12 @@ class ExporterTraits(Traits):
     """The noun of the counted items in the plural, such as "rows"; one item is "1 row"."""
     streams: Flag = False
     """Whether it reads `result.trace` once, in order, and no more than it has to. A recorded trace is then read from
-    its file event by event, and may be longer than the memory; `result.scenario` is None for one without run.json."""
+    its file event by event, and may be longer than the memory; without a run.json, `result.scenario` is None."""
     requires: tuple[str, str] | None = None
     """A package that it imports, and the extra of desim that installs it; the error of a failed import names both."""
 
 
-EXPORTERS = OneOf(Csv, Parquet, Pcapng, Mcap, Perfetto, group="desim.exporters", takes=WRITTEN, traits=ExporterTraits)
+EXPORTERS = OneOf(Csv, Parquet, Pcapng, Mcap, Perfetto, group="desim.exporters", takes=ARGUMENTS, traits=ExporterTraits)
 
 
 class _Chosen(Value):
@@ -60,11 +60,12 @@ class _Chosen(Value):
 
 def suffixes() -> dict[str, str]:
     """Return the suffixes of all exporters that have a kind, and the kind of each."""
-    every = ((kind, ExporterTraits.of(model).suffix) for kind, model in EXPORTERS.choices().items())
-    return {suffix: kind for kind, suffix in every if suffix is not None}
+    pairs = ((kind, ExporterTraits.of(model).suffix) for kind, model in EXPORTERS.choices().items())
+    return {suffix: kind for kind, suffix in pairs if suffix is not None}
 
 
 FILE = Argument("the path of a file", (str, PathLike), MappingProxyType({}))
+"""Checks the argument `file` of `export`."""
 
 
 def exporter_for(file: Path, exporter: Any = None, *, allow_import: bool = False, **parameters: Any) -> Any:
@@ -117,7 +118,7 @@ def export(result: Result | StreamedResult, file: str | PathLike[str], exporter:
     """Write a run to a file, and return the number of its rows, packets, messages or other items.
 
     Use it to read a run in another program; `desim.open` reads a run that desim has written to a folder. The file is
-    written beside its place and replaces an older one at the end.
+    written under another name, and replaces an older file at the end.
 
     Args:
         result: the result of the run, or of `desim.results.run_folder.streamed(folder)`.
@@ -135,14 +136,14 @@ def export(result: Result | StreamedResult, file: str | PathLike[str], exporter:
     chosen = exporter_for(file, exporter, allow_import=True)
     if not hasattr(result, "trace"):  # any object with a trace may be exported
         run_argument(Result, StreamedResult).check(result, "export")
-    needed = ExporterTraits.of(chosen).requires
-    with replacing(file) as part, fresh_copy({"exporter": chosen}) as copied:  # it may remember something
-        if part != file:
-            part.unlink()  # the exporter creates it: one that writes nothing is told
+    required = ExporterTraits.of(chosen).requires
+    with replacing(file) as part, fresh_copy({"exporter": chosen}) as copied:  # an exporter may have state
+        if part != file:  # not a device or a pipe
+            part.unlink()  # so that an exporter that writes nothing is noticed
         try:
             count = copied["exporter"](result, part)
         except ModuleNotFoundError as error:
-            package, extra = needed or ("", "")
+            package, extra = required or ("", "")
             if (error.name or "").partition(".")[0] != package:
                 raise
             raise ImportError(missing(package, extra)) from None

@@ -6,10 +6,10 @@ times of messages are those of the run, which begins at the Unix epoch. The topi
 - /tf: the frame of each player in the frame `world`, at the start and at each sample of positions; the x axis of a
   player with inertia is its heading;
 - /players: a sphere for each pursuer and a diamond for each evader, in their frames, with the colours of the replay;
-- /in_flight: a line from sender to receiver for the time of flight of each message, and a red one when it is lost;
+- /in_flight: for each message a line from sender to receiver while it is in flight, and a red line when it is lost;
 - /log: changes of actions, captures, faults, losses, and the end of the run;
 - /messages: each transmission to each receiver;
-- /beliefs: what each pursuer believes of the action of each teammate, whenever this is updated.
+- /beliefs: the action of a teammate as a pursuer believes it, at each update of the belief.
 """
 
 import json
@@ -58,7 +58,7 @@ PART = 0.02
 """Size of a player as a share of the extent of the initial positions."""
 UPRIGHT: Message = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 DIAMOND: Message = {"x": 0.0, "y": 0.0, "z": 0.3826834323650898, "w": 0.9238795325112867}
-"""Turned by 45 degrees about the z axis, as (0, 0, sin 22.5 degrees, cos 22.5 degrees)."""
+"""The rotation by 45 degrees about the z axis, as (0, 0, sin 22.5 degrees, cos 22.5 degrees)."""
 
 
 def write(events: Iterable[Event], file: Path, beliefs: Pieces | None = None, headings: Headings | None = None) -> int:
@@ -68,7 +68,8 @@ def write(events: Iterable[Event], file: Path, beliefs: Pieces | None = None, he
         events: the events of the run, in order.
         file: the path of the file.
         beliefs: the beliefs in the run, from `desim.analysis.knowledge.knowledge`; None: the topic is left out.
-        headings: the headings of the players with inertia, not asked before; None: all head along the x axis.
+        headings: the headings of the players with inertia, of which no sample has been asked for; None: all head along
+            the x axis.
 
     Raises:
         ImportError: if the package mcap is not installed.
@@ -95,7 +96,7 @@ def write(events: Iterable[Event], file: Path, beliefs: Pieces | None = None, he
 class Mcap(Value):
     """An MCAP file for Foxglove: players, messages, beliefs and a log.
 
-    It has no beliefs if `record.messages` is not true: with "file" the trace may be too long for the memory.
+    It has no beliefs if `record.messages` is not true: if it is "file", the trace may be too long for the memory.
     """
 
     kind: Literal["mcap"] = "mcap"
@@ -118,7 +119,7 @@ class Mcap(Value):
 
 
 class Scene:
-    """The players as they were last recorded, from which the messages of a run are made."""
+    """The players as they were last recorded; makes the messages from the events of a run."""
 
     def __init__(self, headings: Headings | None = None) -> None:
         self._headings = headings
@@ -126,7 +127,7 @@ class Scene:
         self._actions: list[int] = []
         self._captured: set[int] = set()
         self._size = 0.0
-        self._is_new = False  # whether an action has changed since the players were last drawn
+        self._must_draw = False  # whether an action has changed since the players were last drawn
 
     def entries(self, events: Iterable[Event]) -> Iterator[Entry]:
         """Yield the messages of the events of a run, in order of time."""
@@ -134,20 +135,20 @@ class Scene:
             match event:
                 case Started():
                     self._start(event)
-                    yield from self._moved(event)
+                    yield from self._positions(event)
                 case Sampled():
-                    yield from self._moved(event)
+                    yield from self._positions(event)
                 case Decided():
-                    yield from self._decided(event.t, event.pursuer, event.active)
+                    yield from self._decision(event.t, event.pursuer, event.active)
                 case BrokeDown():
-                    yield from self._decided(event.t, event.pursuer, 0, "breaks down")
+                    yield from self._decision(event.t, event.pursuer, 0, "breaks down")
                 case Captured():
                     self._captured.add(event.evader)
                     self._actions = [0 if action == event.evader else action for action in self._actions]
-                    self._is_new = True
+                    self._must_draw = True
                     yield _log(event.t, f"pursuer {event.capturer}", f"captures evader {event.evader}")
                 case Broadcast() | Sent():
-                    yield from self._sent(event)
+                    yield from self._transmission(event)
                 case Lost():
                     yield _log(event.t, f"pursuer {event.src}", f"message to {event.dst} lost: {event.cause}", DEBUG)
                     yield event.t, "/in_flight", _scene([self._line(event, event.dst, SHOWN, LOST)])
@@ -155,42 +156,43 @@ class Scene:
                     verb = "starts" if isinstance(event, FaultStarted) else "ends"
                     yield _log(event.t, "faults", f"{verb}: {value_text(event.fault)}", WARNING)
                 case Ended():
-                    if self._is_new:
-                        yield self._drawn(event.t)
+                    if self._must_draw:
+                        yield self._drawing(event.t)
                     yield _log(event.t, "run", f"ends: {event.reason}")
 
     def _start(self, event: Started) -> None:
+        """Take the first actions, and the size of the players, from the initial positions."""
         self._actions = list(event.active)
         places = [*event.pursuers, *event.evaders]
         extent = max(max(axis) - min(axis) for axis in zip(*places, strict=True))
-        self._size, self._is_new = PART * extent or 1.0, True
+        self._size, self._must_draw = PART * extent or 1.0, True
 
-    def _moved(self, event: Started | Sampled) -> Iterator[Entry]:
-        """Yield the positions of all players and, if an action has changed, the players as they look now."""
+    def _positions(self, event: Started | Sampled) -> Iterator[Entry]:
+        """Yield the positions of all players and, if an action has changed, the drawing of the players."""
         pursuers = {f"pursuer {k}": place for k, place in enumerate(event.pursuers)}
         self._places = pursuers | {f"evader {k}": place for k, place in enumerate(event.evaders, start=1)}
         time, rotations = _time(event.t), [UPRIGHT] * len(self._places)
         if self._headings is not None:
             for player, heading in zip(self._headings.players, self._headings.at(event), strict=True):
-                rotations[player] = _turned(heading)
+                rotations[player] = _rotation(heading)
         transforms = [
             {"timestamp": time, "parent_frame_id": WORLD, "child_frame_id": name, "translation": _point(place)}
             | {"rotation": rotation}
             for (name, place), rotation in zip(self._places.items(), rotations, strict=True)
         ]
         yield event.t, "/tf", {"transforms": transforms}
-        if self._is_new:
-            yield self._drawn(event.t)
+        if self._must_draw:
+            yield self._drawing(event.t)
 
-    def _decided(self, t: int, pursuer: int, action: int, text: str = "") -> Iterator[Entry]:
-        """Yield the log message of a decision that changes an action."""
+    def _decision(self, t: int, pursuer: int, action: int, text: str = "") -> Iterator[Entry]:
+        """Yield the log message of a decision if it changes the action."""
         if self._actions[pursuer] != action:
-            self._actions[pursuer], self._is_new = action, True
+            self._actions[pursuer], self._must_draw = action, True
             yield _log(t, f"pursuer {pursuer}", text or (f"chases evader {action}" if action else "stops"))
 
-    def _drawn(self, t: int) -> Entry:
+    def _drawing(self, t: int) -> Entry:
         """Return the message that draws all players: after a seek, Foxglove reads only the last message of a topic."""
-        self._is_new = False
+        self._must_draw = False
         chasers = Counter(self._actions)
         players = []
         for name in self._places:
@@ -213,8 +215,8 @@ class Scene:
             return _colour(INACTIVE, 0.4)
         return _colour(ACTIVE if chasers[action] == 1 else ACTIVE_WITH_OTHERS)
 
-    def _sent(self, event: Broadcast | Sent) -> Iterator[Entry]:
-        """Yield the message of a transmission to each receiver, and the lines of those in flight."""
+    def _transmission(self, event: Broadcast | Sent) -> Iterator[Entry]:
+        """Yield a message for each receiver of a transmission, and the lines to the receivers that it may reach."""
         body, lines = body_json(event.body), []
         for dst, arrival in event.fates():
             content = {"timestamp": _time(event.t), "transmission": event.transmission, "src": event.src, "dst": dst}
@@ -227,7 +229,7 @@ class Scene:
             yield event.t, "/in_flight", _scene(lines)
 
     def _line(self, event: Broadcast | Sent | Lost, dst: int, lifetime: int, colour: str) -> Message:
-        """Return the line of a message from its sender to its receiver, where they were last seen."""
+        """Return the line of a message from its sender to its receiver, at their last recorded positions."""
         ends = [_point(self._places[f"pursuer {node}"]) for node in (event.src, dst)]
         line = {"type": 0, "pose": _pose(), "thickness": 2.0, "scale_invariant": True, "points": ends}
         line |= {"color": _colour(colour), "colors": [], "indices": []}
@@ -256,15 +258,15 @@ def _entity(
     t: int, name: str, primitives: dict[str, list[Message]], *, frame: str = WORLD, lifetime: int = 0
 ) -> Message:
     """Return an entity of a scene, with its primitives by kind; with a lifetime of 0 ns it stays until replaced."""
-    about = {"timestamp": _time(t), "frame_id": frame, "id": name, "lifetime": _time(lifetime), "frame_locked": True}
-    return about | {"cubes": [], "spheres": [], "lines": [], "texts": []} | primitives
+    header = {"timestamp": _time(t), "frame_id": frame, "id": name, "lifetime": _time(lifetime), "frame_locked": True}
+    return header | {"cubes": [], "spheres": [], "lines": [], "texts": []} | primitives
 
 
 def _pose(orientation: Message = UPRIGHT) -> Message:
     return {"position": _point((0.0, 0.0)), "orientation": orientation}
 
 
-def _turned(heading: complex) -> Message:
+def _rotation(heading: complex) -> Message:
     """Return the rotation about the z axis by the angle of a heading."""
     half = phase(heading) / 2.0
     return {"x": 0.0, "y": 0.0, "z": sin(half), "w": cos(half)}

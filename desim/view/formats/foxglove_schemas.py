@@ -1,7 +1,7 @@
 """JSON schemas of the messages in an MCAP file: those of Foxglove that `foxglove` writes, and two of desim.
 
 Foxglove recognises a schema by its name (https://docs.foxglove.dev/docs/visualization/message-schemas/introduction).
-Of the primitives of a scene, only those are listed that are drawn.
+Of the primitives of a scene, the schema lists only those that `foxglove` draws.
 """
 
 from collections.abc import Mapping

@@ -30,7 +30,7 @@ SECTION_HEADER, INTERFACE, PACKET = 0x0A0D0D0A, 1, 6
 END, COMMENT, RESOLUTION, APPLICATION = 0, 1, 9, 4
 """Codes of options; the last two are those of the interface and of the section header."""
 MAX_OPTION = 0xFFFF
-"""Size of the longest option, bytes; a longer content has several comments."""
+"""Size of the longest option, bytes; a longer content is split into several comments."""
 LINKTYPE_RAW = 101
 """The link type of packets that begin with an IP header."""
 NETWORK = 10 << 24
@@ -60,7 +60,7 @@ class Pcapng(Value):
         """
         count, are_recorded = 0, False
         with file.open("wb") as stream:
-            stream.write(_header())
+            stream.write(_file_header())
             for event in result.trace:
                 are_recorded = are_recorded or isinstance(event, MESSAGES)
                 if isinstance(event, Broadcast | Sent):
@@ -72,10 +72,10 @@ class Pcapng(Value):
         return count
 
 
-def _header() -> bytes:
+def _file_header() -> bytes:
     """Return the blocks at the beginning of a file."""
-    version = struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)
-    nanoseconds = _option(RESOLUTION, bytes([9]))
+    version = struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)  # byte order, version 1.0, a section of unknown length
+    nanoseconds = _option(RESOLUTION, bytes([9]))  # 10^-9 s
     interface = struct.pack("<HHI", LINKTYPE_RAW, 0, 0) + nanoseconds + _option(END, b"")
     section = version + _option(APPLICATION, b"desim") + _option(END, b"")
     return _block(SECTION_HEADER, section) + _block(INTERFACE, interface)
@@ -88,17 +88,18 @@ def _packets(event: Broadcast | Sent) -> Iterator[bytes]:
     comments = b"".join(_option(COMMENT, part) for part in parts) + _option(END, b"")
     payload = bytes(min(event.size, MAX_PAYLOAD))
     for dst, _ in event.fates():
-        data = _headers(event, dst) + payload
+        data = _packet_headers(event, dst) + payload
         lengths = len(data), HEADERS + event.size
         fields = struct.pack("<IIIII", 0, event.t >> 32, event.t & 0xFFFF_FFFF, *lengths)
         yield _block(PACKET, fields + _padded(data) + comments)
 
 
-def _headers(event: Broadcast | Sent, dst: int) -> bytes:
-    """Return the headers of IPv4 and UDP of the packet to one receiver; UDP has no checksum, as its 0 says."""
+def _packet_headers(event: Broadcast | Sent, dst: int) -> bytes:
+    """Return the headers of IPv4 and UDP of the packet to one receiver; the checksum 0 of UDP means none."""
     fits = event.size <= MAX_PAYLOAD
     total, datagram = (HEADERS + event.size, 8 + event.size) if fits else (0, 0)
     addresses = NETWORK + event.src, NETWORK + dst
+    # Version 4 with 5 words, no type of service, length, identification, no fragments, time to live 1, UDP.
     start = struct.pack(">BBHHHBB", 0x45, 0, total, event.transmission & 0xFFFF, 0, 1, 17)
     words = struct.unpack(">10H", start + struct.pack(">HII", 0, *addresses))
     # The complement of the sum of the words in ones' complement (RFC 1071).

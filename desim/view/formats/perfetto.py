@@ -45,7 +45,7 @@ OF_TRANSPORT: Mapping[type, tuple[str, str]] = MappingProxyType(
         LivelinessLost: ("dst", "loses the liveliness of {src}"),
     }
 )
-"""For each type of an event of a transport: which of its pursuers has the instant, and the name of the instant."""
+"""For each type of an event of a transport: the field with the pursuer of the instant, and the name of the instant."""
 Entry = dict[str, Any]
 """One event of the format, a JSON object."""
 
@@ -127,13 +127,13 @@ def _instants(result: Result) -> Iterator[Entry]:
             "i", name, FIRST + decision.pursuer, decision.t, cat="decision", s="t", args={"active": decision.active}
         )
     for t, pursuer, evader in handover_events(result):
-        whom: dict[str, int] = {"evader": evader} if several else {}
+        args: dict[str, int] = {"pursuer": pursuer, "evader": evader} if several else {"pursuer": pursuer}
         name = f"{pursuer} takes over {evader}" if several else f"{pursuer} takes over"
-        yield _entry("i", name, TEAM, t, cat="relay", s="t", args={"pursuer": pursuer} | whom)
+        yield _entry("i", name, TEAM, t, cat="relay", s="t", args=args)
     for capture in result.trace.of(Captured):
-        who = {"evader": capture.evader, "capturer": capture.capturer}
+        args = {"evader": capture.evader, "capturer": capture.capturer}
         name = f"evader {capture.evader} captured"
-        yield _entry("i", name, TEAM, capture.t, cat="capture", s="g", args=who)
+        yield _entry("i", name, TEAM, capture.t, cat="capture", s="g", args=args)
     yield from _transport(result)
     end = ended(result)
     yield _entry("i", end.reason, TEAM, end.t, cat="end", s="g", args={"capturer": end.capturer})
@@ -155,19 +155,19 @@ def _counts(result: Result) -> Iterator[Entry]:
     With several evaders, also yield the counter of the pursuers of each evader, at the start and when it changes.
     """
     start = started(result)
-    on = {evader: sum(action == evader for action in start.active) for evader in range(1, len(start.evaders) + 1)}
+    chasers = {evader: sum(action == evader for action in start.active) for evader in range(1, len(start.evaders) + 1)}
 
-    def counts(t: int, evaders: Iterable[int]) -> Iterator[Entry]:
-        yield _entry("C", "active pursuers", TEAM, t, args={"number": portable_sum(on.values())})
-        for evader in evaders if len(on) > 1 else ():
-            yield _entry("C", f"pursuers on {evader}", TEAM, t, args={"number": on[evader]})
+    def counters(t: int, evaders: Iterable[int]) -> Iterator[Entry]:
+        yield _entry("C", "active pursuers", TEAM, t, args={"number": portable_sum(chasers.values())})
+        for evader in evaders if len(chasers) > 1 else ():
+            yield _entry("C", f"pursuers on {evader}", TEAM, t, args={"number": chasers[evader]})
 
-    yield from counts(0, on)
+    yield from counters(0, chasers)
     for change, before in changes_with_previous(result):
-        turns = [(evader, by) for evader, by in ((before, -1), (action(change), 1)) if evader]
-        for evader, by in turns:
-            on[evader] += by
-        yield from counts(change.t, [evader for evader, _ in turns])
+        steps = [(evader, step) for evader, step in ((before, -1), (action(change), 1)) if evader]
+        for evader, step in steps:
+            chasers[evader] += step
+        yield from counters(change.t, [evader for evader, _ in steps])
 
 
 def _messages(result: Result) -> Iterator[Entry]:
@@ -176,7 +176,7 @@ def _messages(result: Result) -> Iterator[Entry]:
     The slice of a message in flight at the end of the run lasts until its arrival. For a message that is still queued
     at the end of the run, a slice of zero duration follows the end.
     """
-    size, over = len(started(result).active), ended(result).t
+    size, end = len(started(result).active), ended(result).t
     for delivery in deliveries(result):
         link: dict[str, Any] = {
             "pid": FIRST + delivery.dst,
@@ -184,16 +184,17 @@ def _messages(result: Result) -> Iterator[Entry]:
             "id": f"{delivery.transmission}.{delivery.dst}",
         }
         name, tid = f"{delivery.src} to {delivery.dst}", FIRST + size + delivery.dst
-        says = {"bytes": delivery.size, "says": json.loads(body_json(delivery.body))}
+        args = {"bytes": delivery.size, "says": json.loads(body_json(delivery.body))}
         if delivery.created < delivery.left:
-            says["waited (s)"] = (delivery.left - delivery.created) / SECOND
-        fate = f"lost: {delivery.cause}" if delivery.cause else "in flight" if delivery.until > over else "arrived"
-        yield _entry("b", name, tid, delivery.left, **link, args=says)
+            args["waited (s)"] = (delivery.left - delivery.created) / SECOND
+        fate = f"lost: {delivery.cause}" if delivery.cause else "in flight" if delivery.until > end else "arrived"
+        yield _entry("b", name, tid, delivery.left, **link, args=args)
         yield _entry("e", name, tid, delivery.until, **link, args={"fate": fate})
 
 
-def _entry(ph: str, name: str, tid: int, t: int, *, pid: int = PURSUERS, **more: Any) -> Entry:
-    return {"ph": ph, "name": name, "pid": pid, "tid": tid, "ts": _microseconds(t)} | more
+def _entry(ph: str, name: str, tid: int, t: int, *, pid: int = PURSUERS, **fields: Any) -> Entry:
+    """Return an entry at a time, ns; the keys are those of the format."""
+    return {"ph": ph, "name": name, "pid": pid, "tid": tid, "ts": _microseconds(t)} | fields
 
 
 def _microseconds(t: int) -> float | int:

@@ -29,13 +29,13 @@ KINDS = tuple(kind.__name__ for kind in EVENTS)
 """The names of all types of events."""
 
 
-def _is_event(name: str) -> str:
+def _checked_name(name: str) -> str:
     if name not in KINDS:
         raise ValueError(f"there are no events {name}; there are {', '.join(KINDS)}")
     return name
 
 
-EventName = Annotated[str, AfterValidator(_is_event)]
+EventName = Annotated[str, AfterValidator(_checked_name)]
 """The name of a type of events."""
 
 
@@ -104,9 +104,9 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
 PARTS: Mapping[str, Sequence[str]] = MappingProxyType(
     {"pursuers": ("pursuer", "x", "y"), "evaders": ("evader", "x", "y"), "speeds": ("speed",), "format": ()}
 )
-"""The columns of a field of an event, if they do not have the name of the field."""
+"""By field of an event, its columns, if a field has other columns than one of its name."""
 BATCH = 1 << 15
-"""Number of rows that are converted to Parquet at once: a row group."""
+"""Number of rows of a row group of Parquet, which are in memory together."""
 
 
 def columns_of(kinds: Collection[str] = KINDS) -> list[str]:
@@ -121,14 +121,14 @@ def rows(events: Iterable[Event], kinds: Collection[str] = KINDS) -> Iterator[Ro
     for line, event in enumerate(events, start=1):
         if (name := type(event).__name__) in kinds:
             head = {"line": line, "event": name, "t": seconds(event.t)}
-            yield from ({**head, **own_row} for own_row in _own_rows(event))
+            yield from ({**head, **columns} for columns in _other_columns(event))
 
 
 class _Table(Value):
     """Base of the exporters of tables."""
 
     events: tuple[EventName, ...] = KINDS
-    """The types of events in the table; it has only the columns of these."""
+    """The types of events in the table, which has only their columns."""
 
     items: ClassVar[str] = "rows"
     streams: ClassVar[bool] = True
@@ -182,11 +182,11 @@ class Parquet(_Table):
 
 
 def _in_unicode(value: Any) -> Any:
-    """Return a value; half a surrogate pair in a text, such as the name of a port, is escaped as in JSON."""
+    """Return a value; a lone surrogate in a text, such as the name of a port, is escaped as in JSON."""
     return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
 
 
-def _own_rows(event: Event) -> Iterator[Row]:
+def _other_columns(event: Event) -> Iterator[Row]:
     """Yield the rows of an event without the columns that all events have."""
     if isinstance(event, Started | Sampled):
         yield from _players(event)

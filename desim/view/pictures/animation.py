@@ -3,7 +3,7 @@
 Colours, symbols and the motion of messages are as in the replay: see `desim.analysis.drawing.palette` and
 `desim.view.pages.replay_data`. A collision is a cross, as any other loss.
 
-All frames share one background and one palette; equal runs give equal bytes.
+All frames share one background, and those of a GIF one palette; equal runs give equal bytes.
 """
 
 import re
@@ -64,6 +64,7 @@ SUFFIXES = (".gif", ".mp4")
 HOLD = 1500
 """Display time of the last frame, ms."""
 COLOURS = ("black", INACTIVE, ACTIVE, ACTIVE_WITH_OTHERS, EVADER, IN_FLIGHT, DELIVERED, LOST)
+"""The colours of a GIF with one evader; with several it also has `HUES`."""
 PALE = 0.4
 """If there are several evaders, the weight of an evader's hue in the colour of the pursuers that chase it together; the
 rest is white."""
@@ -116,16 +117,16 @@ def animate(
     pixels = _pixels(size)
     if is_video:
         import imageio_ffmpeg  # noqa: F401 - missing packages are reported before anything is drawn
-    over = seconds(ended(result).t)
-    last = over if end is None else min(real(end, "end"), over)
+    run_end = seconds(ended(result).t)
+    last = run_end if end is None else min(real(end, "end"), run_end)
     if not 0.0 <= begin < last:
         raise ValueError(
-            f"`begin`, `end`: the window from {begin:g} s to {last:g} s is empty: the run lasted {over:g} s"
+            f"`begin`, `end`: the window from {begin:g} s to {last:g} s is empty: the run lasted {run_end:g} s"
         )
     if not (0.0 < speed < inf and 1 <= fps <= 50):
         raise ValueError(f"the speed should be greater than 0 and fps from 1 to 50, got {speed:g} and {fps}")
     pause = 100 // fps * 10  # ms
-    step = nanoseconds(min(speed * pause / 1000.0, over))
+    step = nanoseconds(min(speed * pause / 1000.0, run_end))
     times = [*range(nanoseconds(begin), nanoseconds(last), max(step, 1))[: MAX_FRAMES + 1], nanoseconds(last)]
     if len(times) > MAX_FRAMES:
         raise ValueError(
@@ -152,7 +153,7 @@ def _pixels(size: str | None) -> tuple[int, int]:
     """Return the even width and height of a frame, pixels, as a video needs them.
 
     Raises:
-        ValueError: if the size is none, or out of bounds.
+        ValueError: if the text is not a size, or the size is out of bounds.
     """
     if size is None:
         return round(WIDTH * DPI), round(HEIGHT * DPI)
@@ -174,11 +175,11 @@ def _write_video(path: Path, images: Iterator[Image.Image], pixels: tuple[int, i
     """Write pictures as an H.264 video; the last one is held for a number of frames."""
     import imageio_ffmpeg
 
-    exact = ["-fflags", "+bitexact", "-flags:v", "+bitexact", "-movflags", "+faststart", "-f", "mp4"]
+    options = ["-fflags", "+bitexact", "-flags:v", "+bitexact", "-movflags", "+faststart", "-f", "mp4"]
     writer = imageio_ffmpeg.write_frames(
-        str(path), pixels, fps=fps, codec="libx264", macro_block_size=2, quality=8, output_params=exact
+        str(path), pixels, fps=fps, codec="libx264", macro_block_size=2, quality=8, output_params=options
     )
-    writer.send(None)
+    writer.send(None)  # start the generator
     content = b""
     try:
         for image in images:
@@ -230,10 +231,10 @@ def _drawn(result: Result, times: Sequence[int], pixels: tuple[int, int]) -> Ite
             bar.update()
 
 
-def _palette(of: Sequence[str]) -> Image.Image:
+def _palette(colours: Sequence[str]) -> Image.Image:
     """Return an image with the common palette of all frames: white, and the shades of the given colours."""
-    colours = [_shade(colour, k / SHADES) for colour in of for k in range(1, SHADES + 1)]
-    levels = np.rint(255 * np.array([[1.0, 1.0, 1.0], *colours])).astype(int)
+    shades = [_shade(colour, k / SHADES) for colour in colours for k in range(1, SHADES + 1)]
+    levels = np.rint(255 * np.array([[1.0, 1.0, 1.0], *shades])).astype(int)
     image = Image.new("P", (1, 1))
     image.putpalette(levels.ravel().tolist())
     return image
@@ -241,8 +242,8 @@ def _palette(of: Sequence[str]) -> Image.Image:
 
 def _shade(colour: str, share: float) -> Floats:
     """Return a colour blended with white, as RGB; `share` in [0, 1] is the weight of the colour."""
-    shades: Floats = 1.0 + (np.array(to_rgb(colour)) - 1.0) * share
-    return shades
+    shade: Floats = 1.0 + (np.array(to_rgb(colour)) - 1.0) * share
+    return shade
 
 
 class _EvaderArtists:
@@ -277,7 +278,7 @@ class _Scene:
         self._result, self._paths, self._active_periods = result, Paths(result), active_periods(result)
         self._captured = {capture.evader: capture for capture in captures(result)}
         axes = figure.add_subplot()
-        self._set(axes)
+        self._set_limits(axes)
         draw_walls(axes, result.scenario.wall)
         left, right = axes.get_xlim()
         self._messages = _MessageDots(result, self._paths, RECEIVER_GAP * (right - left))
@@ -315,7 +316,7 @@ class _Scene:
         messages = [self._dots, self._arrived, self._crosses]
         return [*chased, *messages, *layers("evader", "star", "number"), self._caption]
 
-    def _set(self, axes: Axes) -> None:
+    def _set_limits(self, axes: Axes) -> None:
         everywhere = np.concatenate([self._paths.evaders.reshape(-1, 2), self._paths.pursuers.reshape(-1, 2)])
         low, high = everywhere.min(axis=0), everywhere.max(axis=0)
         margin = 0.05 * float((high - low).max()) or 1.0
@@ -357,37 +358,38 @@ class _Scene:
         }
 
     def _set_evader(self, evader: int, artists: _EvaderArtists, t: int, chasers: Floats) -> None:
-        begun = [period for period in self._active_periods if period.begin <= t and period.evader == evader]
+        periods = [period for period in self._active_periods if period.begin <= t and period.evader == evader]
         for line, alone in ((artists.trails, False), (artists.relay, True)):
-            paths = [self._paths.of(s.pursuer, s.begin, min(s.end, t)) for s in begun if s.alone == alone]
+            of_kind = [period for period in periods if period.alone == alone]
+            paths = [self._paths.of(period.pursuer, period.begin, min(period.end, t)) for period in of_kind]
             line.set_data(_joined(paths))
-        past = self._paths.of_evader(evader, 0, t)
-        artists.path.set_data(past.T)
+        path = self._paths.of_evader(evader, 0, t)
+        artists.path.set_data(path.T)
         artists.together.set_data(chasers.T if len(chasers) > 1 else ([], []))
         artists.alone.set_data(chasers.T if len(chasers) == 1 else ([], []))
-        artists.evader.set_data(past[-1:].T)
-        artists.star.set_data(past[-1:].T if self._is_captured(evader, t) else ([], []))
-        artists.number.xy = tuple(past[-1].tolist())
+        artists.evader.set_data(path[-1:].T)
+        artists.star.set_data(path[-1:].T if self._is_captured(evader, t) else ([], []))
+        artists.number.xy = tuple(path[-1].tolist())
 
     def _is_captured(self, evader: int, t: int) -> bool:
         return evader in self._captured and self._captured[evader].t <= t
 
     def _status_text(self, t: int, chases: dict[int, int]) -> str:
         """Return the caption of a frame, without the time."""
-        count, by = self._paths.count, ended(self._result).capturer
+        count, capturer = self._paths.count, ended(self._result).capturer
         captured = portable_sum(self._is_captured(evader, t) for evader in self._captured)
         if count > 1:
-            last = f", the last by {by}" if captured == count else f", {len(chases)} active"
+            last = f", the last by {capturer}" if captured == count else f", {len(chases)} active"
             return f"captured {captured} of {count}{last}"
         if captured:
-            return f"captured by {by}"
+            return f"captured by {capturer}"
         return f"pursuer {min(chases)} alone" if len(chases) == 1 else f"{len(chases)} active"
 
 
 def _joined(paths: Sequence[Floats]) -> Floats:
     """Return several (k, 2) paths as one (2, K) path, separated by NaN."""
     gap = np.full((1, 2), np.nan)
-    joined: Floats = np.concatenate([gap, *(part for path in paths for part in (path, gap))]).T
+    joined: Floats = np.concatenate([gap, *(rows for path in paths for rows in (path, gap))]).T
     return joined
 
 
@@ -399,41 +401,36 @@ class _MessageDots:
     Args:
         result: the run.
         paths: the positions of its players.
-        short: the distance between the mark of an arrival or a loss and the receiver, m; see `RECEIVER_GAP`.
+        gap: the distance between the mark of an arrival or a loss and the receiver, m; see `RECEIVER_GAP`.
 
     Attributes:
         left: (k,) times of transmission, ns.
         lost: (k,) whether the message was lost.
     """
 
-    def __init__(self, result: Result, paths: Paths, short: float):
+    def __init__(self, result: Result, paths: Paths, gap: float):
         messages = deliveries(result) if messages_recorded(result) else []
-        rows = [(one.left, one.until, one.src, one.dst, one.cause is not None) for one in messages]
+        rows = [(m.left, m.until, m.src, m.dst, m.cause is not None) for m in messages]
         self.left, self._until, src, dst, lost = np.array(rows, np.int64).reshape(-1, 5).T
-        self.lost, self._short = lost.astype(bool), short
+        self.lost, self._gap = lost.astype(bool), gap
         self._source, self._target = np.zeros((2, len(messages), 2))
         for pursuer in range(paths.pursuers.shape[1]):
-            sent, read = src == pursuer, dst == pursuer
-            self._source[sent], self._target[read] = (
-                paths.at(pursuer, self.left[sent]),
-                paths.at(pursuer, self._until[read]),
-            )
+            is_sender, is_receiver = src == pursuer, dst == pursuer
+            self._source[is_sender] = paths.at(pursuer, self.left[is_sender])
+            self._target[is_receiver] = paths.at(pursuer, self._until[is_receiver])
 
     def under_way(self, t: int) -> Floats:
-        """Return the (k, 2) positions, m, of the messages in flight."""
-        flying = (self.left <= t) & (t < self._until)
-        share = ((t - self.left[flying]) / (self._until - self.left)[flying])[:, None]
-        places: Floats = self._source[flying] + share * (self._target - self._source)[flying]
+        """Return the (k, 2) positions, m, of the messages in flight at time t (ns)."""
+        in_flight = (self.left <= t) & (t < self._until)
+        share = ((t - self.left[in_flight]) / (self._until - self.left)[in_flight])[:, None]
+        places: Floats = self._source[in_flight] + share * (self._target - self._source)[in_flight]
         return places
 
     def ended_between(self, before: int, t: int, *, lost: bool) -> Floats:
-        """Return the (k, 2) positions, m, of the marks of messages lost after `before` and up to `t` (ns).
-
-        If `lost` is false, return the positions of the marks of messages delivered in this interval.
-        """
-        gone = (self.lost == lost) & (before < self._until) & (self._until <= t)
-        way = (self._target - self._source)[gone]
+        """Return the (k, 2) positions, m, of the marks of messages lost, or else delivered, in (before, t] (ns)."""
+        has_ended = (self.lost == lost) & (before < self._until) & (self._until <= t)
+        way = (self._target - self._source)[has_ended]
         length = np.hypot(way[:, 0], way[:, 1])
-        share = np.minimum(self._short / np.maximum(length, self._short), 0.5)[:, None]
-        places: Floats = self._target[gone] - share * way
+        share = np.minimum(self._gap / np.maximum(length, self._gap), 0.5)[:, None]
+        places: Floats = self._target[has_ended] - share * way
         return places

@@ -23,7 +23,7 @@ GRID = 400
 LEGEND = 0.5
 """Height of the legend, inches."""
 SHORT = 10
-"""Length of the labels, five of which fit into a row of the legend."""
+"""Largest length of labels, in letters, of which five fit into a row of the legend."""
 Y_LABELS: dict[type[LinkTrace], str] = {
     LatencyTrace: "one-way latency (ms)",
     LossTrace: "probability of loss",
@@ -45,7 +45,7 @@ def link_traces(scenario: Scenario) -> Figure:
     """Draw the measurements that the links of a scenario follow, with a panel for each of them.
 
     Up to six links have a line each. A row without a value, whose messages are lost, is a cross at the value before it.
-    Of more links, the median, the middle 90 % and the share without a value are drawn.
+    Instead of more than six links, the panel shows their median, the middle 90 % and the share without a value.
 
     A model of a user's class that overrides how the table is replayed is left out.
 
@@ -92,6 +92,7 @@ def _links(trace: LinkTrace) -> list[_Link]:
 
 
 def _draw(axes: Axes, trace: LinkTrace) -> None:
+    """Draw the panel of one trace."""
     links, is_linear = _links(trace), trace.between == "linear"
     if len(links) > len(SERIES):
         _draw_many(axes, links, is_linear)
@@ -106,8 +107,8 @@ def _draw(axes: Axes, trace: LinkTrace) -> None:
 
 
 def _draw_line(axes: Axes, link: _Link, colour: str, is_linear: bool) -> None:
-    """Draw a link; its line is interrupted while its value is missing, from a cross on."""
-    # At a row without a value, the line goes on to the time of the row, with the value before it.
+    """Draw a link; from the cross of a row without a value on, the line is interrupted."""
+    # Two points for each row: a line that leads to a row without a value ends at the time of this row.
     ends = np.where(link.is_missing, np.nan, link.values)
     times, values = np.repeat(link.times, 2), np.column_stack((link.values, ends)).ravel()
     axes.plot(times, values, color=colour, lw=1.0, drawstyle="default" if is_linear else "steps-post", label=link.label)
@@ -132,8 +133,8 @@ def _draw_many(axes: Axes, links: list[_Link], is_linear: bool) -> None:
     axes.fill_between(grid, low, high, color=BLUE, alpha=0.2, lw=0.0, label=f"middle 90 % of {len(links)} links")
     axes.plot(grid, median, color=BLUE, lw=1.2, label="median")
     if not has_value.all():
-        share = axes.twinx()
-        share.plot(grid, 1.0 - has_value.mean(axis=0), color=LOST, lw=0.8, ls=":")
+        right_axes = axes.twinx()
+        right_axes.plot(grid, 1.0 - has_value.mean(axis=0), color=LOST, lw=0.8, ls=":")
         axes.plot([], [], color=LOST, lw=0.8, ls=":", label="share without a value")
-        share.set(ylim=(0.0, 1.0), ylabel="share without a value")
-        share.spines["right"].set_visible(True)
+        right_axes.set(ylim=(0.0, 1.0), ylabel="share without a value")
+        right_axes.spines["right"].set_visible(True)

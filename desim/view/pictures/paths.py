@@ -35,6 +35,7 @@ from desim.kernel.core.portable_math import portable_sum
 from desim.simulation.run import Result
 
 LabelPosition = tuple[float, float]
+"""(x, y) in data coordinates."""
 LABEL_SIZE = 6.0
 """Font size of labels, points."""
 DIGIT_WIDTH, DIGIT_HEIGHT = 0.66, 0.85
@@ -89,20 +90,21 @@ def active_periods(result: Result) -> list[ActivePeriod]:
 
 
 def _active_periods(evader: int, pursuit: EvaderPursuit) -> list[ActivePeriod]:
-    active = {pursuer: 0 for pursuer, chasing in enumerate(pursuit.start) if chasing}
+    """Return the active periods of the pursuers of one evader, ordered by end."""
+    begins = {pursuer: 0 for pursuer, chasing in enumerate(pursuit.start) if chasing}  # of the present periods
     times = [0, *(t for t, _, _ in pursuit.steps), pursuit.end]
-    periods, alone = [], len(active) == 1
-    for step, (begin, end) in zip([None, *pursuit.steps], pairwise(times), strict=True):
+    periods, alone = [], len(begins) == 1
+    for step, (t, next_t) in zip([None, *pursuit.steps], pairwise(times), strict=True):
         if step is not None:
-            _, pursuer, by = step
-            if by < 0:
-                periods.append(ActivePeriod(pursuer, active.pop(pursuer), begin, alone, evader))
+            _, pursuer, increment = step
+            if increment < 0:
+                periods.append(ActivePeriod(pursuer, begins.pop(pursuer), t, alone, evader))
             else:
-                active[pursuer] = begin
-        if (len(active) == 1) != alone and begin < end:
-            periods += [ActivePeriod(pursuer, since, begin, alone, evader) for pursuer, since in active.items()]
-            active, alone = dict.fromkeys(active, begin), not alone
-    periods += [ActivePeriod(pursuer, since, pursuit.end, alone, evader) for pursuer, since in active.items()]
+                begins[pursuer] = t
+        if (len(begins) == 1) != alone and t < next_t:  # after the last of several steps at one instant
+            periods += [ActivePeriod(pursuer, begin, t, alone, evader) for pursuer, begin in begins.items()]
+            begins, alone = dict.fromkeys(begins, t), not alone
+    periods += [ActivePeriod(pursuer, begin, pursuit.end, alone, evader) for pursuer, begin in begins.items()]
     return [period for period in periods if period.begin < period.end]
 
 
@@ -136,7 +138,7 @@ class Paths:
 
     def at(self, pursuer: int, times: Integers) -> Floats:
         """Return the (k, 2) positions (m) of a pursuer at (k,) times (ns)."""
-        return self._along(self.pursuers[:, pursuer], times)
+        return self._interpolated(self.pursuers[:, pursuer], times)
 
     def position_of(self, handover: Handover) -> tuple[float, float]:
         """Return the position (x, y), m, of the pursuer that takes over."""
@@ -145,9 +147,9 @@ class Paths:
 
     def _between(self, positions: Floats, begin: int, end: int) -> Floats:
         inside = self.t[(begin < self.t) & (self.t < end)]
-        return self._along(positions, np.concatenate([[begin], inside, [end]]))
+        return self._interpolated(positions, np.concatenate([[begin], inside, [end]]))
 
-    def _along(self, positions: Floats, times: Integers) -> Floats:
+    def _interpolated(self, positions: Floats, times: Integers) -> Floats:
         return np.stack([np.interp(times, self.t, positions[:, axis]) for axis in (0, 1)], axis=1)
 
 
@@ -182,16 +184,16 @@ def draw_pursuit(axes: Axes, result: Result) -> None:
 
 def _draw_active_periods(axes: Axes, result: Result, paths: Paths, looks: dict[int, EvaderStyle]) -> None:
     labels: dict[bool, str | None] = {False: "active with others", True: "active alone"}
-    wide: dict[bool, dict[str, Any]] = {False: {"lw": 0.8}, True: {"lw": 2.6, "zorder": 3}}
-    if paths.count > 1:
+    widths: dict[bool, dict[str, Any]] = {False: {"lw": 0.8}, True: {"lw": 2.6, "zorder": 3}}
+    if paths.count > 1:  # the hue is that of an evader, so the legend shows the widths in grey
         for alone, label in labels.items():
-            axes.plot([], [], color=GREY, label=label, **wide[alone])
+            axes.plot([], [], color=GREY, label=label, **widths[alone])
         labels = {}
     for period in active_periods(result):
         path, look = paths.of(period.pursuer, period.begin, period.end), looks[period.evader]
         colour = look.alone if period.alone else look.together
-        label = labels.pop(period.alone, None)
-        axes.plot(*path.T, color=colour, **wide[period.alone], label=label, solid_capstyle="butt")
+        label = labels.pop(period.alone, None)  # only the first line of a kind has a label
+        axes.plot(*path.T, color=colour, **widths[period.alone], label=label, solid_capstyle="butt")
 
 
 def _draw_handovers(axes: Axes, result: Result, paths: Paths, looks: dict[int, EvaderStyle]) -> None:
@@ -210,15 +212,16 @@ def label_handovers(axes: Axes, result: Result) -> None:
     If there are several evaders, the initial position of each is labelled with its number. See `label_points` for the
     requirements on the axes.
     """
-    paths, chain = Paths(result), handover_events(result)
-    everyone = (*paths.evaders.transpose(1, 0, 2), *paths.pursuers.transpose(1, 0, 2))
-    ends = [tuple(path[k].tolist()) for path in everyone for k in (0, -1)]
-    named = [(paths.position_of(handover), str(handover.pursuer), handover.evader, "normal") for handover in chain]
+    paths, handovers = Paths(result), handover_events(result)
+    players = (*paths.evaders.transpose(1, 0, 2), *paths.pursuers.transpose(1, 0, 2))
+    ends = [tuple(path[k].tolist()) for path in players for k in (0, -1)]
+    # (position, name, evader, weight) of each label
+    labels = [(paths.position_of(handover), str(handover.pursuer), handover.evader, "normal") for handover in handovers]
     if paths.count > 1:
-        named += [(start, str(k), k, "bold") for k, start in enumerate(map(tuple, paths.evaders[0].tolist()), start=1)]
-    places, names = [named_place[0] for named_place in named], [named_place[1] for named_place in named]
-    texts = label_points(axes, places, names, avoid=ends, zorder=6)
-    for text, (_, _, evader, weight) in zip(texts, named, strict=True):
+        starts = [(x, y) for x, y in paths.evaders[0].tolist()]
+        labels += [(start, str(k), k, "bold") for k, start in enumerate(starts, start=1)]
+    texts = label_points(axes, [label[0] for label in labels], [label[1] for label in labels], avoid=ends, zorder=6)
+    for text, (_, _, evader, weight) in zip(texts, labels, strict=True):
         text.set(color=EvaderStyle.of(evader, paths.count).alone, weight=weight)
         if paths.count > 1:
             text.set_path_effects(list(HALO))
@@ -246,21 +249,20 @@ def label_points(
         look: further properties of the texts.
     """
     assert isinstance(axes.figure, Figure)
-    points = 72.0 / axes.figure.dpi
-    everything = axes.transData.transform(np.array([*places, *avoid], dtype=float)) * points
-    taken = [
-        np.concatenate([place - HALF_MARKER, place + HALF_MARKER]) for place in everything
-    ]  # left, bottom, right, top
-    frame = np.array(axes.bbox.extents) * points
+    points_per_pixel = 72.0 / axes.figure.dpi
+    anchors = axes.transData.transform(np.array([*places, *avoid], dtype=float)) * points_per_pixel
+    # A box is (left, bottom, right, top) in points.
+    occupied = [np.concatenate([anchor - HALF_MARKER, anchor + HALF_MARKER]) for anchor in anchors]
+    frame = np.array(axes.bbox.extents) * points_per_pixel
     texts: list[Text] = []
-    for name, place, anchor in zip(names, places, everything, strict=False):
-        boxes = _beside(anchor, DIGIT_WIDTH * LABEL_SIZE * len(name), DIGIT_HEIGHT * LABEL_SIZE)
+    for name, place, anchor in zip(names, places, anchors, strict=False):
+        boxes = _boxes_beside(anchor, DIGIT_WIDTH * LABEL_SIZE * len(name), DIGIT_HEIGHT * LABEL_SIZE)
         costs = [
-            portable_sum(_common(box, box_taken) for box_taken in taken) + _area(box) - _common(box, frame)
+            portable_sum(_overlap(box, other) for other in occupied) + _area(box) - _overlap(box, frame)
             for box in boxes
         ]
         best = boxes[int(np.argmin(costs))]
-        taken.append(best)
+        occupied.append(best)
         x, y = (best[:2] - anchor).tolist()
         text = axes.annotate(name, place, (x, y), textcoords="offset points", fontsize=LABEL_SIZE, **look)
         text.set_in_layout(False)
@@ -268,16 +270,17 @@ def label_points(
     return texts
 
 
-def _beside(anchor: Floats, width: float, height: float) -> list[Floats]:
+def _boxes_beside(anchor: Floats, width: float, height: float) -> list[Floats]:
     """Return the eight candidate boxes around a point, starting at the upper right."""
     x, y = anchor
     lefts = (x + HALF_MARKER + 0.5, x - width / 2.0, x - width - HALF_MARKER - 0.5)
     bottoms = (y + HALF_MARKER - 0.5, y - height / 2.0, y - height - HALF_MARKER + 0.5)
     corners = list(product(lefts, bottoms))
-    return [np.array([left, bottom, left + width, bottom + height]) for left, bottom in corners[:4] + corners[5:]]
+    del corners[4]  # on the point
+    return [np.array([left, bottom, left + width, bottom + height]) for left, bottom in corners]
 
 
-def _common(first: Floats, other: Floats) -> float:
+def _overlap(first: Floats, other: Floats) -> float:
     """Return the area of the intersection of two boxes."""
     sides = np.minimum(first[2:], other[2:]) - np.maximum(first[:2], other[:2])
     return float(np.prod(np.maximum(sides, 0.0)))

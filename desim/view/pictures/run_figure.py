@@ -41,7 +41,7 @@ def plot(
             the most changes of action.
         size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm"; None = the usual size of the kind.
         style: a style of matplotlib on top of that of desim: rcParams, or the name of a style.
-        ax: the axes to draw on, for a figure of several; None = a figure of its own.
+        ax: the axes to draw on, for a figure of several panels; None = a figure of its own.
 
     Raises:
         TypeError: if it is not a run, with what to write instead, or `ax` is not one pair of axes of matplotlib.

@@ -44,6 +44,8 @@ PALE = "#8c8c8c"
 """Colour of messages that announce inactivity; lighter in greyscale than messages that announce activity."""
 MAX_SHOWN = 10
 """Maximum size of a team whose pursuers are all drawn by default."""
+BUSIEST = 6
+"""Number of pursuers that are drawn by default in a larger team."""
 
 
 def spacetime(
@@ -79,9 +81,9 @@ def spacetime(
     figure = None if ax is None else figure_of(ax, size=size)
     width, height = size_of(size or "17cm") if ax is None else (ax.get_window_extent().width / ax.figure.dpi, None)
     begin, end = (None if time is None else real(time, name) for time, name in ((begin, "begin"), (end, "end")))
-    numbers: Any = pursuers
-    if numbers is not None and (isinstance(numbers, str) or not isinstance(numbers, Iterable)):
-        raise ArgumentError("pursuers", f"should be a list of their numbers (got {value_text(numbers)})")
+    value: Any = pursuers  # as the caller gave it
+    if value is not None and (isinstance(value, str) or not isinstance(value, Iterable)):
+        raise ArgumentError("pursuers", f"should be a list of their numbers (got {value_text(value)})")
     shown = _busiest(result) if pursuers is None else [whole(pursuer, "a pursuer") for pursuer in pursuers]
     _check(result, shown, begin, end)
     window, shown_messages = _window(result, shown, begin, end, round(MAX_DENSITY * width * 2.54))
@@ -106,13 +108,13 @@ def spacetime(
             place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.01), "borderaxespad": 0.0}
             ax.legend(list(by_label.values()), list(by_label), fontsize=6, ncols=3, frameon=False, **place)
         return figure
-    usual = width, height or 1.2 + 0.3 * len(shown)
-    with styled(usual, font=7 if width < NARROW else 8, style=style) as figure:
+    figsize = width, height or 1.2 + 0.3 * len(shown)
+    with styled(figsize, font=7 if width < NARROW else 8, style=style) as figure:
         axes = figure.add_subplot()
         by_label = draw(axes)
         count = len(started(result).active)
-        some = f", {len(shown)} of {count} pursuers" if len(shown) < count else ""
-        axes.set_title(escaped(f"{result.scenario.name}, seed {result.seed}{some}"), parse_math=False)
+        selection = f", {len(shown)} of {count} pursuers" if len(shown) < count else ""
+        axes.set_title(escaped(f"{result.scenario.name}, seed {result.seed}{selection}"), parse_math=False)
         figure.legend(
             list(by_label.values()),
             list(by_label),
@@ -124,18 +126,16 @@ def spacetime(
 
 
 def _busiest(result: Result) -> list[int]:
-    """Return the pursuers to draw by default, ascending: all, or the six with the most changes of action.
-
-    All are drawn in a team of up to `MAX_SHOWN` pursuers.
-    """
-    size, most = len(started(result).active), 6
+    """Return the pursuers to draw by default, ascending: all, or those with the most changes of action."""
+    size = len(started(result).active)
     if size <= MAX_SHOWN:
         return list(range(size))
     count = np.bincount([change.pursuer for change in changes(result)], minlength=size)
-    return sorted(np.argsort(-count, kind="stable")[:most].tolist())
+    return sorted(np.argsort(-count, kind="stable")[:BUSIEST].tolist())
 
 
 def _check(result: Result, shown: Sequence[int], begin: float | None, end: float | None) -> None:
+    """Raise ValueError if the pursuers to draw or the window, s, are wrong."""
     size, last = len(started(result).active), seconds(ended(result).t)
     for pursuer in shown:
         if not 0 <= pursuer < size:
@@ -159,25 +159,26 @@ def _window(
     Raises:
         ValueError: if there are more than `most` deliveries; `most` is the number that can be told apart.
     """
-    among = set(shown)
-    first, last = nanoseconds(begin or 0.0), ended(result).t if end is None else nanoseconds(min(end, 1e9))
-    last = min(last, ended(result).t)
-    inside = [
+    pursuers, first, last = set(shown), nanoseconds(begin or 0.0), ended(result).t
+    if end is not None:
+        last = min(nanoseconds(min(end, 1e9)), last)  # an `end` of inf has no ns
+    messages = [
         message
         for message in deliveries(result)
-        if message.src in among and message.dst in among and message.left <= last and message.until >= first
+        if message.src in pursuers and message.dst in pursuers and message.left <= last and message.until >= first
     ]
-    if end is None and len(inside) > most // 2:
-        last = next((message.left for message in inside[most // 2 :] if message.left > first), last)
-        inside = [message for message in inside if message.left <= last]
-    if len(inside) > most:
-        fits = max((message.left for message in inside[:most] if message.left < inside[most].left), default=first)
-        advice = f"end the window at {seconds(fits):.9f} s, or " if fits > first else ""
+    if end is None and len(messages) > most // 2:
+        last = next((message.left for message in messages[most // 2 :] if message.left > first), last)
+        messages = [message for message in messages if message.left <= last]
+    if len(messages) > most:
+        next_left = messages[most].left
+        latest = max((message.left for message in messages[:most] if message.left < next_left), default=first)
+        advice = f"end the window at {seconds(latest):.9f} s, or " if latest > first else ""
         raise ValueError(
-            f"{len(inside)} messages among {len(shown)} pursuers from {seconds(first):g} s to {seconds(last):g} s are "
-            f"more than the {most} that can be told apart: {advice}choose fewer pursuers or a wider figure"
+            f"{len(messages)} messages among {len(shown)} pursuers from {seconds(first):g} s to {seconds(last):g} s are"
+            f" more than the {most} that can be told apart: {advice}choose fewer pursuers or a wider figure"
         )
-    return Interval(first, last), inside
+    return Interval(first, last), messages
 
 
 def _draw_pursuers(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
@@ -211,8 +212,8 @@ def _draw_outages(axes: Axes, result: Result, rows: dict[int, int], window: Inte
         node, scope = (fault.sketch().get(key) for key in ("node", "scope"))
         if scope is None:
             axes.axvspan(*x, color=GREY, alpha=0.18, lw=0, zorder=0)
-            lower, level = (2, -2 - 8 * level), 1 - level
-            axes.annotate(fault.label, (x[0], -0.8), lower, textcoords="offset points", va="top", fontsize=7)
+            offset, level = (2, -2 - 8 * level), 1 - level  # labels alternate between two heights
+            axes.annotate(fault.label, (x[0], -0.8), offset, textcoords="offset points", va="top", fontsize=7)
         elif node in rows:
             row = rows[node]
             kind = "robot down" if scope == "robot" else "radio down"
@@ -258,19 +259,20 @@ def _draw_messages(axes: Axes, messages: Sequence[Delivery], rows: dict[int, int
     latency = float(np.mean(flights)) / SECOND if flights else 0.0
     t, row = _ends(lost, rows)
     collided = np.array([message.cause == "collision" for message in lost])
-    at_once = (t[1] == t[0]) & ~collided  # an acknowledged message that is given up has collided at its receiver
-    way = np.where(at_once, 1.0 - LOSS_GAP / np.abs(row[1] - row[0]), 1.0)
-    t[1] += np.where(at_once, latency * way, 0.0)
-    row[1] = row[0] + way * (row[1] - row[0])
+    # An acknowledged message that is given up after collisions ends when it begins, too, but at its receiver.
+    has_no_arrival = (t[1] == t[0]) & ~collided
+    share = np.where(has_no_arrival, 1.0 - LOSS_GAP / np.abs(row[1] - row[0]), 1.0)
+    t[1] += np.where(has_no_arrival, latency * share, 0.0)
+    row[1] = row[0] + share * (row[1] - row[0])
     gaps = np.full(len(lost), np.nan)
     axes.plot(np.stack([*t, gaps], 1).ravel(), np.stack([*row, gaps], 1).ravel(), color=LOST, ls=":", lw=0.8, zorder=3)
     marks: list[tuple[str, Any, float, Any]] = [
         ("lost message", LOST_MARK, 4.0, ~collided),
         ("collision", COLLISION_MARK, 6.5, collided),
     ]
-    for label, mark, size, chosen in marks:
-        if chosen.any():
-            axes.plot(t[1][chosen], row[1][chosen], color=LOST, marker=mark, ls="", ms=size, mew=1.0, zorder=4)
+    for label, mark, size, mask in marks:
+        if mask.any():
+            axes.plot(t[1][mask], row[1][mask], color=LOST, marker=mark, ls="", ms=size, mew=1.0, zorder=4)
             axes.plot([], [], color=LOST, ls=":", marker=mark, ms=size, lw=1.0, label=label)
 
 
@@ -283,7 +285,7 @@ def _ends(messages: Sequence[Delivery], rows: dict[int, int]) -> tuple[Any, Any]
 def _draw_decisions(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
     """Mark the decisions: a tick if the action is kept, a triangle or a diamond if it changes."""
     changed = {id(change) for change in changes(result)}
-    turns = {id(change) for change, before in changes_with_previous(result) if before and chases(change)}
+    switches = {id(change) for change, before in changes_with_previous(result) if before and chases(change)}
     looks: dict[str, dict[str, Any]] = {
         "keeps action": {"marker": "|", "color": "black", "ms": 5},
         "starts": {"marker": "^", "mfc": "black", "mec": "black", "ms": 5},
@@ -293,7 +295,7 @@ def _draw_decisions(axes: Axes, result: Result, rows: dict[int, int], window: In
     marked: dict[str, list[tuple[float, int]]] = {label: [] for label in looks}
     for decision in decisions(result):
         if window.begin <= decision.t <= window.end and decision.pursuer in rows:
-            label = "switches evader" if id(decision) in turns else "starts" if chases(decision) else "stops"
+            label = "switches evader" if id(decision) in switches else "starts" if chases(decision) else "stops"
             place = decision.t / SECOND, rows[decision.pursuer]
             marked[label if id(decision) in changed else "keeps action"].append(place)
     for label, places in marked.items():
