@@ -22,6 +22,7 @@ from desim.scenario.named_metrics import NamedMetric
 from desim.scenario.scenario import Scenario
 
 Form = Literal["kind", "choice", "flag", "integer", "number", "text"]
+"""The form of a control; see `Control.form`."""
 FIRST = (
     "network.latency",
     "network.loss",
@@ -78,7 +79,7 @@ class Control:
     options: tuple[str, ...] = ()
     """The possible values of a kind or a choice; for a text, suggestions."""
     needs_file: tuple[str, ...] = ()
-    """The kinds that need a file, or as many numbers as a file has: they cannot be chosen without writing one."""
+    """The kinds that need a file, or its content, so that a page cannot choose them."""
     example: str = ""
     """An example of a value that is no number, text or kind; "" if there is none."""
     low: float | None = None
@@ -87,7 +88,7 @@ class Control:
     """The upper bound of a number, which may itself be excluded; None if there is none."""
     slider: Slider | None = None
     first: int | None = None
-    """The position of the key among the keys that come first; None for all others."""
+    """The position in `FIRST` of the key, or of the model whose parameter it is; None for all others."""
 
 
 def controls(scenario: Scenario | Mapping[str, Any]) -> list[Control]:
@@ -100,7 +101,7 @@ def controls(scenario: Scenario | Mapping[str, Any]) -> list[Control]:
 
 
 def _controls(model: type[BaseModel], values: Mapping[str, Any], above: tuple[str, ...]) -> Iterator[Control]:
-    """Yield the controls of the fields of a model, given their values, at a place in the file."""
+    """Yield the controls of the fields of a model, given their values, and the place of the model in the file."""
     for name, field in fields_of(model).items():
         if name in {"kind", "sweep"}:
             continue
@@ -108,8 +109,8 @@ def _controls(model: type[BaseModel], values: Mapping[str, Any], above: tuple[st
         value = values.get(name, default)
         if isinstance(value, list | tuple):
             value = [metric.given if isinstance(metric, NamedMetric) else metric for metric in value]
-        tables = isinstance(value, list) and value and all(isinstance(entry, BaseModel | dict) for entry in value)
-        for k, entry in enumerate(value) if tables else [(None, value)]:
+        has_tables = isinstance(value, list) and value and all(isinstance(entry, BaseModel | dict) for entry in value)
+        for k, entry in enumerate(value) if has_tables else [(None, value)]:
             place = (*above, name) if k is None else (*above, name, str(k))
             yield from _of_value(field, entry, place)
 
@@ -117,12 +118,11 @@ def _controls(model: type[BaseModel], values: Mapping[str, Any], above: tuple[st
 def _of_value(field: FieldInfo, value: Any, place: tuple[str, ...]) -> Iterator[Control]:
     """Yield the controls of one value of a field.
 
-    If the value is a model, these are the controls of its keys, preceded by a control of its kind if it has one. If the
-    value is anything else, this is one control. A field that takes kinds has no control if its value is None, and nor
-    has a text of several lines.
+    A model has a control of its kind, if it has one, and then the controls of its keys. Any other value has one
+    control. There is no control for None in a field that takes kinds, and none for a text of several lines.
     """
-    choice, plain = next(iter(choices_of(field)), None), next(models_in(field.annotation), None)
-    inner: type[BaseModel] | None = type(value) if isinstance(value, BaseModel) else plain
+    choice, only_model = next(iter(choices_of(field)), None), next(models_in(field.annotation), None)
+    inner: type[BaseModel] | None = type(value) if isinstance(value, BaseModel) else only_model
     if isinstance(value, str) and "\n" in value:  # a field of a page has one line
         return
     if isinstance(value, list | tuple):
@@ -138,7 +138,7 @@ def _of_value(field: FieldInfo, value: Any, place: tuple[str, ...]) -> Iterator[
         if not isinstance(value, BaseModel | dict) and choice.number is not None and not isinstance(value, str):
             value = {choice.number[1]: value}
     elif not isinstance(value, BaseModel | dict) or {*_types(field.annotation)} <= {bool, int, float, str, NoneType}:
-        yield _scalar(place, field, value)  # also of a table, if one was typed where a number belongs
+        yield _scalar(place, field, value)  # the value may be a table that was typed in place of a number
         return
     if inner is not None:
         yield from _controls(inner, dict(value) if isinstance(value, BaseModel | dict) else {}, place)
@@ -237,20 +237,21 @@ def _slider(key: str, unit: str | None, low: float, high: float, value: Any, *, 
         slider = Slider(*BY_UNIT[unit], is_log=True, at_low=at_low, at_high=at_high)
     else:
         return None
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)  # what is typed may be any TOML value
-    on = is_number and (slider.low <= value <= slider.high or value in {slider.at_low, slider.at_high})
-    return slider if on else None
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)  # a user may type any TOML value
+    is_on_slider = is_number and (slider.low <= value <= slider.high or value in {slider.at_low, slider.at_high})
+    return slider if is_on_slider else None
 
 
-def _control(place: tuple[str, ...], form: Form, value: str, field: FieldInfo, **more: Any) -> Control:
+def _control(place: tuple[str, ...], form: Form, value: str, field: FieldInfo, **options: Any) -> Control:
+    """Return a control of a value as text, with further fields of `Control`."""
     text = " ".join((field.description or "").split())
     if form == "text":
-        more = {"example": _example(field)} | more
-    return Control(".".join(place), form, value, text, unit_in(field) or "", first=_first(place), **more)
+        options = {"example": _example(field)} | options
+    return Control(".".join(place), form, value, text, unit_in(field) or "", first=_first(place), **options)
 
 
 def _first(place: tuple[str, ...]) -> int | None:
-    """Return the position of a place among the keys that come first; see `FIRST`."""
+    """Return the position of a place among the keys that come first; see `Control.first`."""
     key = ".".join(part for part in place if not part.isdigit())
     above = key.rpartition(".")[0]
     return FIRST.index(key) if key in FIRST else FIRST.index(above) if above in FIRST and above != "protocol" else None

@@ -65,7 +65,7 @@ def conditions(scenario: Scenario) -> str:
 
 
 def _model(model: Any) -> str:
-    """Return a model as text: its kind and its numbers except 0 and inf; if it is not a `Value`, its name."""
+    """Return a model as text: its kind and its numbers except 0 and inf, or the name of a model that is no `Value`."""
     if not isinstance(model, Value):
         return name_of(model)
     parameters = {name: value for name, value in model if name not in model.unused_fields}

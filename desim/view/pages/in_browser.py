@@ -1,4 +1,4 @@
-"""What the front page of the site asks of desim in a browser: the run of an example with some keys changed.
+"""The function that the front page of the site calls in a browser: it runs an example with some keys changed.
 
 Python in a browser (Pyodide) has no threads, no processes and no sockets; a test performs these runs without them.
 """

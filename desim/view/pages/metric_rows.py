@@ -22,11 +22,11 @@ FIRST = (
 )
 """The metrics that are shown first, in their order."""
 CONFIDENCE = 1.0 - 0.05 / len(FIRST)
-"""The confidence of the interval by which one of them is said to differ over several seeds."""
+"""The confidence at which one of these metrics differs over several seeds: 95 % for all together (Bonferroni)."""
 ROUNDING = 1e-9
 """A value of at most this size counts as a rounding error of 0."""
 HALF_A_DIGIT = 0.0005
-"""A smaller difference is shown only if the values beside it differ, too."""
+"""A smaller difference is shown only if the two values differ as texts, too."""
 
 
 def named_metrics_of(scenario: Scenario) -> Mapping[str, Metric]:
@@ -35,13 +35,13 @@ def named_metrics_of(scenario: Scenario) -> Mapping[str, Metric]:
 
 
 def differences_over_seeds(
-    pairs: Sequence[tuple[Summary, Summary]], failures: Sequence[str], of: int, named_metrics: Mapping[str, Metric]
+    pairs: Sequence[tuple[Summary, Summary]], failures: Sequence[str], count: int, named_metrics: Mapping[str, Metric]
 ) -> Answer:
-    """Return the progress of a comparison, and the mean difference of each metric with its 95 % interval.
+    """Return the progress of a comparison of `count` pairs, and the mean difference of each metric with its interval.
 
-    A metric `differs` as soon as all pairs are there, if its difference is told apart from 0 at a level of 5 % for all
-    metrics of `FIRST` together (Bonferroni). Before that none does, although the table is drawn after each pair: of
-    repeated tests, one would sooner or later be significant by chance. `named_metrics` are the user's metrics by name.
+    The entry `differs` says whether the mean difference of a metric excludes 0 with `CONFIDENCE`. It is false until all
+    pairs are complete: of tests after each pair, one would sooner or later be significant by chance. `failures` are the
+    reasons why pairs failed, and `named_metrics` the user's metrics by name.
     """
     rows: list[Answer] = []
     done = len(pairs) + len(failures)
@@ -60,12 +60,12 @@ def differences_over_seeds(
                     "now": _formatted(mean(values).mean),
                     "pinned": _formatted(mean(pinned_values).mean),
                     "difference": with_half_width(difference, difference.count, sign="+"),
-                    "differs": done == of and difference.excludes_0(CONFIDENCE),
+                    "differs": done == count and difference.excludes_0(CONFIDENCE),
                     "sign": difference.mean,
                     "count": difference.count,
                 }
             )
-    return json_answer({"done": done, "of": of, "failed": len(failures), "failure": failures[:1], "metrics": rows})
+    return json_answer({"done": done, "of": count, "failed": len(failures), "failure": failures[:1], "metrics": rows})
 
 
 def compared_metrics(now: Summary, pinned: Summary | None, named_metrics: Mapping[str, Metric]) -> Iterator[Answer]:
@@ -105,6 +105,6 @@ def _formatted(value: Any, sign: str = "") -> str:
         return "yes" if value else "no"
     if float(value).is_integer() and abs(value) < 1e15:
         return f"{int(value):{sign},}"
-    if ROUNDING < abs(value) < 0.001:  # such as the delay of a message on a fast link, which is not 0.000
+    if ROUNDING < abs(value) < 0.001:  # 0.000 would be wrong, for example for the delay of a message on a fast link
         return f"{value:{sign}.2g}"
     return f"{value:{sign},.{3 if abs(value) < 100.0 else 1}f}"

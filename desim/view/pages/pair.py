@@ -17,10 +17,7 @@ MAX_TEXT = 48
 INFINITY = "Infinity"
 """Infinity as a JSON value; see `desim.config.model.Value.plain`."""
 IGNORED = {"name", "seed", "record", "sweep"}
-"""Keys of a scenario that are not compared: three that do not change a run, and `seed`.
-
-The seeds of the runs are compared instead of the key `seed`.
-"""
+"""Keys of a scenario that are not compared: three do not change a run, and for `seed`, the runs have their seeds."""
 
 
 class Difference(NamedTuple):
@@ -40,8 +37,8 @@ def side_by_side(first: Result, second: Result, *, on_part: Callable[[], object]
     """Return a self-contained HTML page that plays two runs on one clock; needs jinja2 (the extra `plot`).
 
     Each run has its replay, the first one on the left or, in a narrow window, above. Both show the same time and play
-    at the same speed up to the end of the longer run; the shorter one stays where it ended. The header names the runs
-    and the keys in which their scenarios differ.
+    at the same speed up to the end of the longer run; the shorter run stays at its end. The header names the runs and
+    the keys in which their scenarios differ.
 
     `on_part` is called after each part of the two replays, see `replay_page`.
     """

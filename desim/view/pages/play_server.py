@@ -26,7 +26,7 @@ from desim.view.pages.session import Session, is_request
 LINGER = 5.0
 """The time, s, for which the server waits for another page after the last one was closed, for example by a reload."""
 BEAT = 1.0
-"""The time between two signs of life, s: lines that the server sends to each browser with open pages.
+"""The time between two lines that the server sends to each browser with open pages, s.
 
 The server notices that the last page was closed when it cannot send the next line.
 """
@@ -44,7 +44,7 @@ replay have no nonce, because the same page is also written to files.
 PATIENCE = 10.0
 """The time in which a browser must have sent its whole request, s."""
 MAX_COMPARISONS = 100
-"""The largest number of comparisons that are kept; the oldest are dropped, as their pages may have been closed."""
+"""The largest number of comparisons that are kept; the oldest are dropped, because their pages may be closed."""
 
 
 class PlayServer(ThreadingHTTPServer):
@@ -62,6 +62,7 @@ class PlayServer(ThreadingHTTPServer):
         self.token = secrets.token_urlsafe(16)
         self.hosts = {f"{name}:{self.server_port}" for name in ("127.0.0.1", "localhost")}
         self._pages, self._closed_at = 0, float("inf")
+        """The number of open pages, or of browsers with open pages, and the time at which the last one was closed."""
         self._lock = threading.Lock()
         self._comparisons: dict[str, Iterator[Answer]] = {}
         """By page, the comparison whose next answers the page will ask for."""
@@ -79,7 +80,7 @@ class PlayServer(ThreadingHTTPServer):
         self.serve_forever(poll_interval=0.1)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Handle a request in a thread of its own; it is incoming from now on."""
+        """Handle a request in a thread of its own; it must arrive within `PATIENCE`."""
         self._incoming[request] = time.monotonic() + PATIENCE
         super().process_request(request, client_address)
 
@@ -101,7 +102,7 @@ class PlayServer(ThreadingHTTPServer):
                 del self._comparisons[next(iter(self._comparisons))]
 
     def next_of_comparison(self, page: str) -> Answer:
-        """Return the next answer of the comparison of a page; after the last one, an empty answer."""
+        """Return the next answer of the comparison of a page; after the last answer, an empty one."""
         answers = self._comparisons.get(page, iter(()))
         answer = next(answers, None)
         with self._lock:
@@ -123,6 +124,7 @@ class PlayServer(ThreadingHTTPServer):
                 self._closed_at = time.monotonic()
 
     def _watch(self) -> None:
+        """Close connections whose request is late, and end the server `LINGER` s after its last page was closed."""
         while (now := time.monotonic()) < self._closed_at + LINGER:
             for request in [request for request, limit in list(self._incoming.items()) if limit < now]:
                 self.arrived(request)
@@ -148,7 +150,7 @@ class _Handler(BaseHTTPRequestHandler):
         return cast("PlayServer", self.server)
 
     def do_GET(self) -> None:
-        """Answer with the page, or with signs of life as long as a page is open."""
+        """Answer with the page or a script, or send lines (`BEAT`) for as long as a page is open."""
         self._play.arrived(self.connection)
         self._answer({"": self._page, "life.js": self._life, "alive": self._alive})
 
@@ -176,20 +178,20 @@ class _Handler(BaseHTTPRequestHandler):
         if self.headers.get("Host") not in self._play.hosts:
             return "Other host"
         origin = self.headers.get("Origin")
-        own_origins = {f"http://{host}" for host in self._play.hosts}
-        if origin not in own_origins if self.command == "POST" else origin is not None and origin not in own_origins:
-            return "Other origin"
-        return None
+        allowed_origins: set[str | None] = {f"http://{host}" for host in self._play.hosts}
+        if self.command != "POST":  # a browser names no origin when it loads the page
+            allowed_origins.add(None)
+        return None if origin in allowed_origins else "Other origin"
 
     def _body(self) -> Answer | None:
         """Return the body of a request, a JSON object; if the body is invalid, answer with an error and return None."""
         length = self.headers.get("Content-Length", "")
         if length.isdecimal() and len(length) < 10:
             body = self.rfile.read(min(int(length), MAX_BODY))
-            left = int(length) - len(body)
+            unread = int(length) - len(body)
             # If a part of the request stays unread, the client may miss the answer.
-            while left > 0 and (skipped := self.rfile.read(min(left, MAX_BODY))):
-                left -= len(skipped)
+            while unread > 0 and (skipped := self.rfile.read(min(unread, MAX_BODY))):
+                unread -= len(skipped)
             self._play.arrived(self.connection)
             try:
                 content: Any = json.loads(body) if int(length) <= MAX_BODY else None
@@ -201,6 +203,7 @@ class _Handler(BaseHTTPRequestHandler):
         return None
 
     def _begin(self, kind: str, length: int | None = None) -> None:
+        """Send the headers of an answer, given its content type and its length in bytes."""
         self.send_response(HTTPStatus.OK)
         self.send_header("Content-Type", f"{kind}; charset=utf-8")
         if length is not None:
@@ -226,6 +229,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send("text/javascript", files("desim.view.pages").joinpath("play_life.js").read_bytes())
 
     def _alive(self) -> None:
+        """Send a line each `BEAT` s until the browser closes the connection."""
         self._play.page_opened()
         try:
             self._begin("text/event-stream")
@@ -242,7 +246,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_json(self._play.session.run(body["now"], body["pinned"], body["page"]))
 
     def _seeds(self) -> None:
-        """Begin a comparison, and answer with its first answer; the others are those of `_more`."""
+        """Begin a comparison, and send its first answer; the page requests the others from `_more`."""
         if (body := self._body()) is None:
             return
         if body["pinned"] is None:

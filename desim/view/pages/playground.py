@@ -2,7 +2,7 @@
 
 A pinned run is one that the user has chosen as the reference. A control is the part of a page that changes one key.
 The page of `desim play` (`desim.view.pages.play_server`) and the widget of notebooks (`desim.view.pages.widget`) show
-what the functions here return. Each answer to a request of a page is a JSON object.
+the results of these functions. Each answer to a request of a page is a JSON object.
 """
 
 import re
@@ -36,7 +36,7 @@ WITH_COMMA = re.compile(r"[+-]?\d+,\d+")
 INNERMOST = 3
 """The number of innermost calls that are shown of the traceback of a run that failed."""
 KEPT = 3
-"""The number of results that a process keeps: the pinned run is needed again with every change."""
+"""The number of results that a process keeps, because the pinned run is needed again with every change."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class Playground:
                         "warnings": [f"{key}: {why}" for key, why in warnings(scenario)],
                     }
                 )
-        except ScenarioError as error:  # of the pinned run, as that of an address may be
+        except ScenarioError as error:  # of the pinned run, which the address of the page may name
             return json_answer(shown | {"errors": {"": f"The pinned run is not valid, so unpin it: {error}"}})
         except (Exception, TimedOut) as error:
             return json_answer(shown | {"errors": {"": _reason(error)}})
@@ -157,14 +157,14 @@ class Playground:
             f"result = run(load({file!r}{arguments}{', allow_import=True' if allow else ''}))\n",
         }
 
-    def save(self, changes: Changes, made: provenance.Document) -> Answer:
+    def save(self, changes: Changes, document: provenance.Document) -> Answer:
         """Run the scenario, and write the run to the first of out/NAME-1, out/NAME-2, ... that does not exist.
 
         `desim run --from` repeats the run from the run.json in this folder.
 
         Args:
             changes: the changes of the scenario.
-            made: the provenance of the run.
+            document: the provenance of the run.
 
         Returns:
             The `folder`, or an `error`.
@@ -172,7 +172,7 @@ class Playground:
         try:
             result = self.result(changes)
             folder = _new_folder(Path("out"), folder_name(result.scenario.name))
-            run_folder.write(result, folder, made)
+            run_folder.write(result, folder, document)
         except (Exception, TimedOut) as error:
             return {"error": str(error) if isinstance(error, ScenarioError | OSError) else _reason(error)}
         return {"folder": str(folder)}
@@ -212,10 +212,10 @@ def _result(request: _Request) -> Result:
 
 
 def _by_key(error: ScenarioError, changes: Changes, controls_by_key: Mapping[str, Answer]) -> dict[str, str]:
-    """Return the reasons of each key in the problems of an error; under "" those that belong to no key.
+    """Return by key the reasons why its value is wrong; under "" the problems of an error that belong to no key.
 
-    A reason does not repeat the help of its key, which a page shows beneath the control. A decimal comma is not read as
-    a point, as 1,000 may be a thousand.
+    A reason does not repeat the help of its key, which a page shows beneath the control. A number with a comma has a
+    reason of its own. Its comma is not read as a decimal point, because 1,000 may be a thousand.
     """
     values = {key: value for key, sign, value in (change.partition("=") for change in changes) if sign}
     keys = {f"--set {change}": change.partition("=")[0] for change in changes}
@@ -223,8 +223,8 @@ def _by_key(error: ScenarioError, changes: Changes, controls_by_key: Mapping[str
     for problem in error.problems:
         key = problem.key or keys.get(problem.where, "")
         control = controls_by_key.get(key, {})
-        about = control.get("help", "").rstrip(".")
-        reason = problem.reason.replace(f"; {about}", "", 1) if about else problem.reason
+        help_text = control.get("help", "").rstrip(".")
+        reason = problem.reason.replace(f"; {help_text}", "", 1) if help_text else problem.reason
         value = values.get(key, "").strip()
         if WITH_COMMA.fullmatch(value) and control.get("form") == "integer":
             reason = f"should be an integer without a comma (got {value})"

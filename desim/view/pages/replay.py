@@ -24,7 +24,7 @@ LARGE_TEAM = 1000
 SAMPLES = 0.05
 """Time between samples of positions, s, in a run for a replay if the scenario does not record positions."""
 SCRIPTS = ("run", "walls", "state", "plane", "beliefs", "axis", "drag", "page")
-"""The parts of the script in their order: they share one scope, and each uses those before it as the page begins."""
+"""The parts of the script, in one scope; while the page loads, each uses only the parts before it."""
 HEIGHT = 760
 """The height of a replay in a notebook, in pixels of CSS."""
 
@@ -109,7 +109,7 @@ def replay_page(result: Result, ghost: Result | None = None, *, on_part: Callabl
 
 
 def _has_shadows(data: ReplayData) -> bool:
-    """Return whether the page can show where radio does not reach: walls shorten one range of all, or end any range."""
+    """Return whether the page can show where radio does not reach: walls shorten the common range, or block radio."""
     reception, factors = data["reception"], [wall["factor"] for wall in data["walls"] or ()]
     is_shortened = reception["radius"] is not None and any(factor != 1.0 for factor in factors)
     return reception["known"] and (is_shortened or None in factors)

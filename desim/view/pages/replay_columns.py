@@ -73,11 +73,11 @@ def packed_column(values: ArrayLike, kind: str) -> str:
     if not np.array_equal(column, numbers):
         raise ValueError(f"a replay cannot store {np.abs(numbers).max()} in a column of {np.dtype(kind).name}")
     plain = column.ravel().astype(np.int64)
-    # Receivers of a broadcast ascend by ones, and arrival times are equal: runs of equal differences cost two bytes
-    # each, however long. Random latencies have no runs, and angles no small differences: the shortest of four it is.
+    # Receivers of a broadcast ascend by ones, and arrival times may be equal: a run of equal differences, however long,
+    # takes two bytes. Random latencies have no runs, and angles no small differences. So the shortest form is taken.
     candidates = []
-    for form, signed in ((0, plain), (DIFFERENCES, np.diff(plain, prepend=0))):
-        codes = (signed << 1) ^ (signed >> 63)  # zigzag: 0, -1, 1, -2, ... become 0, 1, 2, 3, ...
+    for form, integers in ((0, plain), (DIFFERENCES, np.diff(plain, prepend=0))):
+        codes = (integers << 1) ^ (integers >> 63)  # zigzag: 0, -1, 1, -2, ... become 0, 1, 2, 3, ...
         starts = np.flatnonzero(np.diff(codes, prepend=-1))
         lengths = np.diff(starts, append=len(codes))
         candidates += [(form, codes), (form | RUNS, np.column_stack([codes[starts], lengths]).ravel())]
@@ -98,8 +98,8 @@ def _varints(codes: Integers) -> bytes:
     widths = _widths(codes)
     ends = np.cumsum(widths)
     content = np.zeros(int(ends[-1]) if len(ends) else 0, np.uint8)
-    for place in range(int(widths.max(initial=0))):
-        has_group = widths > place
-        groups = (codes[has_group] >> 7 * place) & 127
-        content[(ends - widths)[has_group] + place] = groups | np.where(widths[has_group] > place + 1, 128, 0)
+    for k in range(int(widths.max(initial=0))):  # the k-th groups of all numbers
+        has_group = widths > k
+        groups = (codes[has_group] >> 7 * k) & 127
+        content[(ends - widths)[has_group] + k] = groups | np.where(widths[has_group] > k + 1, 128, 0)
     return content.tobytes()

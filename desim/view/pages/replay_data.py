@@ -30,9 +30,9 @@ from desim.view.pages.replay_plane import (
 )
 
 MANY_MESSAGES, COARSE_TICK = 1_000_000, 10_000
-"""With more messages than this, a tick has at least so many ns: random latencies then take two bytes instead of four.
+"""If a run has more messages, the shortest tick, ns: random latencies then take two bytes instead of four.
 
-It is shorter than a frame at the slowest speed.
+This tick is shorter than a frame at the slowest speed.
 """
 PARTS = 3
 """How often `on_part` is called for a page: after the messages, the beliefs, and the rest."""
@@ -84,12 +84,12 @@ def replay_data(
 def _decisions(result: Result, ticks: Ticks) -> ReplayData:
     """Return as columns the decisions, the breakdowns, and the releases of pursuers by the capture of their evader."""
     events = list(_acts(result))
-    why = {Decided: DECIDED, BrokeDown: BROKE_DOWN, Released: RELEASED}
+    causes = {Decided: DECIDED, BrokeDown: BROKE_DOWN, Released: RELEASED}
     return {
         "t": ticks([event.t for event in events]),
         "who": packed_column([event.pursuer for event in events], "<u2"),
         "active": packed_column([action(event) for event in events], _kind(result)),
-        "cause": packed_column([why[type(event)] for event in events], "u1"),
+        "cause": packed_column([causes[type(event)] for event in events], "u1"),
     }
 
 
@@ -157,13 +157,14 @@ def _beliefs(pieces: Pieces, result: Result, ticks: Ticks) -> ReplayData:
     0 .. M, or M + 1 if it is unknown: nothing was received since the start or since a loss of memory. With
     `announce.start` = "known", the initial actions are known. Of several changes at one instant, the last one counts.
     """
-    unheard = len(started(result).evaders) + 1
-    # As at time 0, without latency. Columns are taken out one by one: a row of `pieces` is wide, and copying it slow.
-    counts = np.flatnonzero(~pieces["superseded"] | (pieces["until"] > pieces["begin"]))
-    reader, source, begin = (pieces[name][counts] for name in ("reader", "source", "begin"))
+    unknown = len(started(result).evaders) + 1
+    # A row that is superseded at once does not count, such as an initial belief without latency. Columns are read one
+    # by one, because it is slow to copy the wide rows of `pieces`.
+    lasting = np.flatnonzero(~pieces["superseded"] | (pieces["until"] > pieces["begin"]))
+    reader, source, begin = (pieces[name][lasting] for name in ("reader", "source", "begin"))
     is_certain = (result.scenario.announce.start == "known") & (begin == 0)
-    value = np.where(pieces["presumed"][counts] & ~is_certain, unheard, pieces["active"][counts].astype(int))
-    changed = np.ones(len(counts), bool)
+    value = np.where(pieces["presumed"][lasting] & ~is_certain, unknown, pieces["active"][lasting].astype(int))
+    changed = np.ones(len(lasting), bool)
     changed[1:] = (reader[1:] != reader[:-1]) | (source[1:] != source[:-1]) | (value[1:] != value[:-1])
     order = np.flatnonzero(changed)
     order = order[np.argsort(begin[order], kind="stable")]
@@ -177,14 +178,14 @@ def _beliefs(pieces: Pieces, result: Result, ticks: Ticks) -> ReplayData:
 
 def _distrust(result: Result, ticks: Ticks) -> ReplayData | None:
     """Return the changes of trust as columns: time, pursuer, suspect, and whether it begins; None if there are none."""
-    turns = result.trace.of(Distrusted)
-    if not turns:
+    events = result.trace.of(Distrusted)
+    if not events:
         return None
     return {
-        "t": ticks([turn.t for turn in turns]),
-        "who": packed_column([turn.pursuer for turn in turns], "<u2"),
-        "suspect": packed_column([turn.suspect for turn in turns], "<u2"),
-        "begins": packed_column([turn.distrusted for turn in turns], "u1"),
+        "t": ticks([event.t for event in events]),
+        "who": packed_column([event.pursuer for event in events], "<u2"),
+        "suspect": packed_column([event.suspect for event in events], "<u2"),
+        "begins": packed_column([event.distrusted for event in events], "u1"),
     }
 
 

@@ -29,11 +29,11 @@ TURN = 256
 MAX_LENGTH = 2**30
 """The greatest position and semi-axis of an estimate that is stored; greater ones are off the plane."""
 FLOW_POINTS, FLOW_TIMES = 12, 60
-"""Number of intervals along the longer side of the grid on which a flow is shown, and of times at which it is."""
-FAINT = 1000.0
-"""Loss of a wall, dB, that stands for any greater one."""
+"""Number of intervals along the longer side of the grid on which a flow is shown, and number of times."""
 FLOW_MARGIN = 1.0
 """Margin of this grid around all paths, m."""
+FAINT = 1000.0
+"""Loss, dB, to which a greater loss of a wall is reduced, so that factors of distances stay finite."""
 
 
 def arcs_data(result: Result) -> str | None:
@@ -89,8 +89,8 @@ def _radii(links: Links, size: int, seed: int, farthest: float) -> Floats:
         for _ in range(64):
             places[:, 0] = middle = (low + high) / 2.0
             places[node] = 0.0
-            heard = np.isin(np.arange(size), topology.neighbours(node))
-            low, high = np.where(heard, middle, low), np.where(heard, high, middle)
+            is_reached = np.isin(np.arange(size), topology.neighbours(node))
+            low, high = np.where(is_reached, middle, low), np.where(is_reached, high, middle)
         radii[node] = low
     return radii
 
@@ -144,7 +144,7 @@ def estimates_data(result: Result, ticks: Ticks) -> ReplayData | None:
     if not estimates:
         return None
     per_metre = _per_metre(all_places(result))
-    x, y, xx, xy, yy = np.array([(one.x, one.y, one.xx, one.xy, one.yy) for one in estimates]).T
+    x, y, xx, xy, yy = np.array([(event.x, event.y, event.xx, event.xy, event.yy) for event in estimates]).T
     mean, half = (xx + yy) / 2.0, (xx - yy) / 2.0
     offset = np.hypot(half, xy)  # of the two eigenvalues of a covariance from their mean
     variances = np.column_stack([mean + offset, mean - offset])

@@ -76,16 +76,16 @@ class Study:
             OSError: if a file cannot be read, or the store is missing or damaged (StoreError).
             ValueError: if the contents of a file are invalid (ProvenanceError, ...).
         """
-        with Store(folder / STORE, read_only=True) as kept:
-            result, base = SweepResult.of(kept), kept.read_property("scenario", dict[str, Any])
-            commands, versions = kept.commands, kept.versions
+        with Store(folder / STORE, read_only=True) as store:
+            result, base = SweepResult.of(store), store.read_property("scenario", dict[str, Any])
+            commands, versions = store.commands, store.versions
         path = folder / provenance.FILE
         made = provenance.read(path) if path.exists() else None
         scenario = (made and made["scenario"]) or base
-        swept = tuple(f"{key}." for key in (*result.keys, "sweep", "seed", "name"))
+        excluded = tuple(f"{key}." for key in (*result.keys, "sweep", "seed", "name"))
         settings = flat(scenario, _has_keys).items()
         fixed = {
-            key: json.dumps(value, ensure_ascii=False) for key, value in settings if not f"{key}.".startswith(swept)
+            key: json.dumps(value, ensure_ascii=False) for key, value in settings if not f"{key}.".startswith(excluded)
         }
         return cls(result, fixed, made, _explanation(folder), commands, versions)
 
@@ -104,9 +104,9 @@ class Study:
 
     @property
     def variants(self) -> list[str]:
-        """The variants of the scenario in a folder of `desim explain`, in words: what is removed, and the bounds."""
-        whole = {IDEAL: f"{IDEAL} (without all of these)", AS_IT_IS: AS_IT_IS, PERFECT: PERFECT, SILENT: SILENT}
-        return [whole.get(name, f"without {name}") for name in self.parameters["without"]]
+        """The variants of the scenario in a folder of `desim explain`, in words: bounds, or what is removed."""
+        bounds = {IDEAL: f"{IDEAL} (without all of these)", AS_IT_IS: AS_IT_IS, PERFECT: PERFECT, SILENT: SILENT}
+        return [bounds.get(name, f"without {name}") for name in self.parameters["without"]]
 
     @property
     def measured(self) -> list[str]:
@@ -175,12 +175,12 @@ def report(study: Study) -> str:
 def findings(study: Study) -> Iterator[str]:
     """Yield the findings as sentences: one about the costs of imperfections, and one about the paired differences.
 
-    A cost refers to the first metric of the explanation, a difference to the first measured metric of the tables. Of
-    the costs or differences whose means differ significantly from 0, a sentence names the one with the greatest
-    absolute mean. If none differs, the sentence says so and names the greatest of all. The test has a level of 5 % for
-    all costs or all differences together (Bonferroni). The 95 % interval shown is for one cost or difference alone, as
-    in the tables. If nothing can be compared, there is no sentence. The runs of `desim explain` have no sentence about
-    differences.
+    Costs are those in the first metric of the explanation, differences those in the first measured metric of the
+    tables. Of the costs or differences whose means differ significantly from 0, a sentence names the one with the
+    greatest absolute mean. If none differs, the sentence says so and names the greatest of all. The test has a level of
+    5 % for all costs or all differences together (Bonferroni). The 95 % interval shown is for one cost or difference
+    alone, as in the tables. If nothing can be compared, there is no sentence. Runs of `desim explain` have no sentence
+    about differences.
     """
     if study.explanation:
         yield from _greatest_cost(study.explanation)
@@ -295,7 +295,7 @@ def _failures(result: SweepResult) -> Iterator[tuple[str, str, list[str]]]:
             runs.setdefault((row.error, row.traceback), []).append(
                 f"{group.in_words()}; seed {row.seed} ({row.status})"
             )
-    yield from ((error, SOURCE_LINE.sub(r'File "\1"', trace), which) for (error, trace), which in runs.items())
+    yield from ((error, SOURCE_LINE.sub(r'File "\1"', trace), texts) for (error, trace), texts in runs.items())
 
 
 def _computed_by(versions: Sequence[Mapping[str, str]]) -> dict[str, str]:
@@ -330,10 +330,10 @@ def _inline(figure: "Figure", name: str, label: str) -> "Markup":
     stream = BytesIO()
     figure.savefig(stream, format="svg", metadata={"Date": None}, transparent=True)
     root = ElementTree.fromstring(stream.getvalue())
-    for above in list(root.iter()):
-        for inner in list(above):
-            if inner.tag in {f"{{{SVG}}}metadata", f"{{{SVG}}}style"}:
-                above.remove(inner)
+    for parent in list(root.iter()):
+        for child in list(parent):
+            if child.tag in {f"{{{SVG}}}metadata", f"{{{SVG}}}style"}:
+                parent.remove(child)
     for element in root.iter():
         element.tag = element.tag.removeprefix(f"{{{SVG}}}")
         attributes = {key.removeprefix(f"{{{XLINK}}}"): value for key, value in element.attrib.items()}

@@ -1,4 +1,4 @@
-"""The session of one user of a playground: its workers, the requests that are under way, comparisons over seeds."""
+"""The session of one user of a playground: its workers, its pending requests, and its comparisons over seeds."""
 
 from collections.abc import Generator
 from functools import partial
@@ -27,14 +27,15 @@ class Session:
 
     Args:
         playground: the scenario to play with.
-        workers: they perform the runs.
+        workers: the workers that perform the runs.
     """
 
     def __init__(self, playground: Playground, workers: Workers):
         self.playground, self.workers = playground, workers
         self._last: dict[str, Future[Any]] = {}
+        """By page, the run that it requested last, until it ends."""
         self._comparisons: dict[str, object] = {}
-        """By page, an object of its own for the comparison that is under way."""
+        """By page, an object that identifies its comparison; a comparison ends once its object is not here."""
 
     def warm_up(self) -> None:
         """Let the workers import what a run needs, and return without waiting for them."""
@@ -59,11 +60,11 @@ class Session:
 
     def save(self, changes: Changes) -> Answer:
         """Save a run in a worker; see `Playground.save`."""
-        ground = self.playground
+        playground = self.playground
         try:
-            scenario = ground.scenario(changes)
-            made = provenance.document(provenance.RUN, scenario, seed=scenario.seed, folder=ground.folder)
-            return dict(self._result(self._submit(partial(ground.save, changes, made))))
+            scenario = playground.scenario(changes)
+            document = provenance.document(provenance.RUN, scenario, seed=scenario.seed, folder=playground.folder)
+            return dict(self._result(self._submit(partial(playground.save, changes, document))))
         except Exception as error:
             return {"error": f"{type(error).__name__}: {error}"}
 
@@ -72,7 +73,7 @@ class Session:
         self._comparisons.pop(page, None)
 
     def compare(self, now: Changes, pinned: Changes, count: int, page: str = "") -> Generator[Answer, None, None]:
-        """Run both scenarios with equal seeds, and yield after each pair of runs what is known of the differences.
+        """Run both scenarios with equal seeds, and yield the differences up to then after each pair of runs.
 
         The seeds are those of several runs of the scenario with the changes `now`, see `seeds_from`. An earlier
         comparison of the same page is cancelled.
@@ -83,14 +84,14 @@ class Session:
         scenario = self.playground.scenario(now)
         self.playground.scenario(pinned)
         comparison = self._comparisons[page] = object()
-        waiting = list(seeds_from(scenario.seed, count))[::-1]
+        seeds = list(seeds_from(scenario.seed, count))[::-1]
         pending: set[Future[Any]] = set()
         pairs: list[tuple[Summary, Summary]] = []
         failures: list[str] = []
         try:
-            while (waiting or pending) and comparison is self._comparisons.get(page):
-                while waiting and len(pending) < self.workers.count:
-                    pending.add(self._submit(partial(self.playground.pair, now, pinned, waiting.pop())))
+            while (seeds or pending) and comparison is self._comparisons.get(page):
+                while seeds and len(pending) < self.workers.count:
+                    pending.add(self._submit(partial(self.playground.pair, now, pinned, seeds.pop())))
                 for future in self.workers.done(pending):
                     pending.remove(future)
                     try:
@@ -128,7 +129,7 @@ class Session:
 def is_request(body: Any) -> bool:
     """Return whether a value has the form of a request: changes `now` and `pinned`, a `count` of seeds, and its `page`.
 
-    A request without `pinned`, `count` or `page` gets their defaults.
+    The default of a missing `pinned`, `count` or `page` is added to the value.
     """
     if not isinstance(body, dict):
         return False

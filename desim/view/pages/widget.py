@@ -20,19 +20,19 @@ from desim.view.pages.session import Session, is_request
 GLUE = """
 export default {
   render({ model, el }) {
-    const asked = new Map();
-    const hear = ({ number, answer, isLast, error }) => {
-      const own = asked.get(number);
-      if (error) { asked.delete(number); own?.fail(new Error(error)); }
-      else if (isLast) { asked.delete(number); own?.done(answer); } else own?.show(answer);
+    const requests = new Map();
+    const receive = ({ number, answer, isLast, error }) => {
+      const request = requests.get(number);
+      if (error) { requests.delete(number); request?.reject(new Error(error)); }
+      else if (isLast) { requests.delete(number); request?.resolve(answer); } else request?.show(answer);
     };
-    model.on("msg:custom", hear);
-    const ask = (what, body, signal, show) => new Promise((done, fail) => {
-      const number = `${Math.random()}`;  // random: a second view hears these answers, too; a counter would collide
-      asked.set(number, { done, fail, show });
+    model.on("msg:custom", receive);
+    const ask = (what, body, signal, show) => new Promise((resolve, reject) => {
+      const number = `${Math.random()}`;  // each view of the widget receives all answers, so counters would collide
+      requests.set(number, { resolve, reject, show });
       signal?.addEventListener("abort", () => {
-        if (!asked.delete(number)) return;
-        fail(new DOMException("aborted", "AbortError"));
+        if (!requests.delete(number)) return;
+        reject(new DOMException("aborted", "AbortError"));
       });
       model.send({ number, what, body });
     });
@@ -45,7 +45,7 @@ export default {
     const options = { name: model.get("name"), changes: [], values: model.get("values"), hasAddress: false };
     const play = start(el, transport, options);
     el.play = play;
-    return () => { model.off("msg:custom", hear); play.remove(); };
+    return () => { model.off("msg:custom", receive); play.remove(); };
   },
 };
 """
@@ -70,7 +70,7 @@ class PlayWidget(anywidget.AnyWidget):
     Args:
         scenario: the scenario before any change.
         timeout: the wall time after which a run is ended, s.
-        workers: they perform the runs; None = one process per core, which all widgets share.
+        workers: the workers that perform the runs; None = one process per core, which all widgets share.
     """
 
     _esm = files("desim.view.pages").joinpath("play.js").read_text(encoding="utf-8") + GLUE
@@ -79,9 +79,9 @@ class PlayWidget(anywidget.AnyWidget):
     values = traitlets.Dict().tag(sync=True)
 
     def __init__(self, scenario: Scenario, timeout: float = 30.0, workers: Workers | None = None):
-        ground = Playground(Source.of(scenario), None, timeout=timeout)
-        super().__init__(name=scenario.name, values=ground.values)
-        self._session = Session(ground, workers or _processes())
+        playground = Playground(Source.of(scenario), None, timeout=timeout)
+        super().__init__(name=scenario.name, values=playground.values)
+        self._session = Session(playground, workers or _processes())
         self.on_msg(self._hear)
 
     def _hear(self, _widget: Any, request: Any, _buffers: Any) -> None:
@@ -92,6 +92,7 @@ class PlayWidget(anywidget.AnyWidget):
             self.send({"number": request["number"], "error": "the request is malformed"})
 
     def _answer(self, number: str, task: str, body: dict[str, Any]) -> None:
+        """Perform the task of a request, and send its answers; the last one is marked."""
         session, last = self._session, Answer()
         if task == "run":
             last = session.run(body["now"], body["pinned"], body["page"])
