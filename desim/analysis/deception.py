@@ -28,7 +28,7 @@ def checks_announcements(result: Result) -> bool:
 
 
 def false_accusations(result: Result) -> int:
-    """Return how often a pursuer began to distrust a teammate that had had no Byzantine fault up to then.
+    """Return the number of times that a pursuer began to distrust a teammate without a Byzantine fault up to then.
 
     A pursuer that has a Byzantine fault at any time of the run does not count as an accuser.
     """

@@ -10,10 +10,10 @@ function drawMatrix() {
   c.setTransform(ratio, 0, 0, ratio, 0, 0);
   c.clearRect(0, 0, board.width, board.height);
   const cell = (w - GUTTER) / N, gap = cell > 7 ? 1 : 0, from = focus(), gutter = GUTTER;
-  const [across, downwards] = [N > 100 ? 24 : N > 10 ? 17 : 10, 11].map(room => [1, 2, 5, 10, 20, 50].find(each => each * cell >= room) || 100);
+  const [across, downwards] = [N > 100 ? 24 : N > 10 ? 17 : 10, 11].map(room => [1, 2, 5, 10, 20, 50].find(n => n * cell >= room) || 100);
   c.font = `${Math.max(Math.min(cell - 3, 11), 10)}px ${FONT}`; c.textAlign = "center"; c.textBaseline = "middle";
   const square = (i, j, inset) => c.rect(gutter + j * cell + inset, gutter + i * cell + inset, cell - 2 * inset - gap, cell - 2 * inset - gap);
-  for (let i = 0; i < N; i++) {  // the actual actions in the margins
+  for (let i = 0; i < N; i++) {  // the true actions, in the margins
     c.fillStyle = lies[i] ? colour.wrongBelief : truth[i] ? colour.active : colour.soft;
     if (i % across === 0) c.fillText(i, gutter + (i + .5) * cell, gutter / 2 - 1);
     if (i % downwards === 0) c.fillText(i, gutter / 2 - 1, gutter + (i + .5) * cell);
@@ -26,26 +26,26 @@ function drawMatrix() {
   if (from >= 0) { c.fillStyle = colour.faint; c.fillRect(gutter, gutter + from * cell, N * cell, cell); }
   const kinds = [[], [], [], [], []];  // correct: chases, inactive; wrong: phantom, missed; nothing received
   for (let i = 0; i < N; i++) for (let j = 0; j < N; j++) if (i !== j) {
-    const thinks = believed(i, j);
-    if (thinks === truth[j]) kinds[thinks ? 0 : heard[i * N + j] === UNHEARD ? 4 : 1].push(i, j);
+    const believedAction = believed(i, j);
+    if (believedAction === truth[j]) kinds[believedAction ? 0 : received[i * N + j] === UNHEARD ? 4 : 1].push(i, j);
     else {
-      if (thinks) kinds[2].push(i, j);
+      if (believedAction) kinds[2].push(i, j);
       if (truth[j]) kinds[3].push(i, j);
     }
   }
-  const each = (kind, act) => { for (let k = 0; k < kinds[kind].length; k += 2) act(kinds[kind][k], kinds[kind][k + 1]); };
-  c.fillStyle = colour.active; c.beginPath(); each(0, (i, j) => square(i, j, 0)); c.fill();
-  c.fillStyle = colour.inactive; c.globalAlpha = .55; c.beginPath(); each(1, (i, j) => square(i, j, cell * .38)); c.fill(); c.globalAlpha = 1;
+  const forCells = (kind, visit) => { for (let k = 0; k < kinds[kind].length; k += 2) visit(kinds[kind][k], kinds[kind][k + 1]); };
+  c.fillStyle = colour.active; c.beginPath(); forCells(0, (i, j) => square(i, j, 0)); c.fill();
+  c.fillStyle = colour.inactive; c.globalAlpha = .55; c.beginPath(); forCells(1, (i, j) => square(i, j, cell * .38)); c.fill(); c.globalAlpha = 1;
   c.fillStyle = colour.wrongBelief; c.beginPath();
-  each(2, (i, j) => { const x = gutter + j * cell, y = gutter + i * cell, s = cell - gap; c.moveTo(x, y); c.lineTo(x + s, y); c.lineTo(x + s, y + s); c.closePath(); });
+  forCells(2, (i, j) => { const x = gutter + j * cell, y = gutter + i * cell, s = cell - gap; c.moveTo(x, y); c.lineTo(x + s, y); c.lineTo(x + s, y + s); c.closePath(); });
   c.fill();
   const stroke = Math.min(Math.max(cell / 6, 1), 2.5);
-  c.strokeStyle = colour.wrongBelief; c.lineWidth = stroke; c.beginPath(); each(3, (i, j) => square(i, j, stroke / 2 + .5)); c.stroke();
-  if (M > 1 && cell > 12) writeActions(c, each, cell, gap, gutter);
+  c.strokeStyle = colour.wrongBelief; c.lineWidth = stroke; c.beginPath(); forCells(3, (i, j) => square(i, j, stroke / 2 + .5)); c.stroke();
+  if (M > 1 && cell > 12) writeActions(c, forCells, cell, gap, gutter);
   c.strokeStyle = colour.inactive; c.lineWidth = 1; c.globalAlpha = .6; c.beginPath();
-  each(4, (i, j) => { const x = gutter + j * cell, y = gutter + i * cell; c.moveTo(x + cell * .25, y + cell * .75); c.lineTo(x + cell * .75, y + cell * .25); });
+  forCells(4, (i, j) => { const x = gutter + j * cell, y = gutter + i * cell; c.moveTo(x + cell * .25, y + cell * .75); c.lineTo(x + cell * .75, y + cell * .25); });
   c.stroke(); c.globalAlpha = 1;
-  if (suspicion) {  // what is crossed out is not believed
+  if (suspicion) {  // a cross: the row distrusts the column
     c.strokeStyle = colour.ink; c.lineWidth = 1.2; c.beginPath();
     for (let i = 0; i < N; i++) for (let j = 0; j < N; j++) if (distrusts[i * N + j]) {
       const x = gutter + j * cell, y = gutter + i * cell, s = cell - gap;
@@ -58,10 +58,10 @@ function drawMatrix() {
   c.fill();
 }
 
-const SMALL = 3.5;  // cells of fewer pixels are pixels of a picture
+const SMALL = 3.5;  // cells with a smaller side, in pixels of the screen, are drawn by `drawPixels`
 const cells = document.createElement("canvas");
 let cellImage = null, cellPixels = null;
-/** The matrix of a large team as a picture of one pixel a cell, scaled: a hundred thousand cells are too many shapes. */
+/** Draw the matrix of a large team as a scaled picture with a pixel for each cell: 100,000 cells are too many shapes. */
 function drawPixels(c, w, from) {
   if (!cellImage) {
     cells.width = cells.height = N;
@@ -71,8 +71,8 @@ function drawPixels(c, w, from) {
   const right = pixelOf(colour.active), inactive = pixelOf(colour.inactive, 60), phantom = pixelOf(colour.wrongBelief), missed = pixelOf(colour.wrongBelief, 170);
   const nothing = pixelOf(colour.inactive, 25), diagonal = pixelOf(colour.line), suspect = pixelOf(colour.ink, 110);
   for (let i = 0, k = 0; i < N; i++) for (let j = 0; j < N; j++, k++) {
-    const last = heard[k], thinks = last === UNHEARD ? 0 : last, action = truth[j];
-    cellPixels[k] = i === j ? diagonal : suspicion && distrusts[k] ? suspect : thinks === action ? thinks ? right : last === UNHEARD ? nothing : inactive : thinks ? phantom : missed;
+    const receivedAction = received[k], believedAction = receivedAction === UNHEARD ? 0 : receivedAction, action = truth[j];
+    cellPixels[k] = i === j ? diagonal : suspicion && distrusts[k] ? suspect : believedAction === action ? believedAction ? right : receivedAction === UNHEARD ? nothing : inactive : believedAction ? phantom : missed;
   }
   cells.getContext("2d").putImageData(cellImage, 0, 0);
   const size = w - GUTTER;
@@ -83,13 +83,13 @@ function drawPixels(c, w, from) {
   c.strokeRect(GUTTER - .5, GUTTER + from * size / N - 1, size, size / N + 2);
 }
 
-/** The believed evader in the middle of a cell or, if the belief is wrong, above the actual one, if any. */
-function writeActions(c, each, cell, gap, gutter) {
+/** Write the believed evader into each cell. If the belief is wrong, the true evader, if any, is below it. */
+function writeActions(c, forCells, cell, gap, gutter) {
   const write = (hue, action, i, j, x, y) => { c.fillStyle = hue; c.fillText(action, gutter + j * cell + x * (cell - gap), gutter + i * cell + y * (cell - gap) + .5); };
   c.save();
   c.font = `650 ${Math.min(cell * .42, 12)}px ${FONT}`;
-  each(0, (i, j) => write(colour.card, truth[j], i, j, .5, .5));
-  each(2, (i, j) => write(colour.card, believed(i, j), i, j, .7, .32));
-  each(3, (i, j) => write(colour.wrongBelief, truth[j], i, j, ...believed(i, j) ? [.3, .7] : [.5, .5]));
+  forCells(0, (i, j) => write(colour.card, truth[j], i, j, .5, .5));
+  forCells(2, (i, j) => write(colour.card, believed(i, j), i, j, .7, .32));
+  forCells(3, (i, j) => write(colour.wrongBelief, truth[j], i, j, ...believed(i, j) ? [.3, .7] : [.5, .5]));
   c.restore();
 }

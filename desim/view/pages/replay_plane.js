@@ -26,7 +26,7 @@ function surface(canvas) {
   return box;
 }
 const arena = surface($("arena")), axis = surface($("axis")), board = surface($("matrix"));
-const whole = (() => {
+const extent = (() => {
   let [left, right, low, high] = [Infinity, -Infinity, Infinity, -Infinity];
   const include = (x, y) => { left = Math.min(left, x); right = Math.max(right, x); low = Math.min(low, y); high = Math.max(high, y); };
   for (let k = 0; k < path.places.length; k += 2) include(path.places[k], path.places[k + 1]);
@@ -42,14 +42,14 @@ const whole = (() => {
 })();
 let scale = 1, originX = 0, originY = 0;
 const px = x => originX + x * scale, py = y => originY - y * scale;
-const nice = rough => {
+const niceStep = rough => {
   const power = 10 ** Math.floor(Math.log10(rough)), lead = rough / power;
   return power * (lead <= 1 ? 1 : lead <= 2 ? 2 : lead <= 5 ? 5 : 10);
 };
 
-const MANY = 60;  // from more pursuers on, they are drawn as sprites, and few are labelled
+const MANY = 60;  // if there are more pursuers, they are drawn as sprites, and few are labelled
 
-/** A canvas off the page with the size of the plane, for what need not be drawn anew for each frame. */
+/** A canvas off the page with the size of the plane, for parts that need not be drawn anew for each frame. */
 function layer() {
   const canvas = document.createElement("canvas"), context = canvas.getContext("2d");
   return {
@@ -64,16 +64,16 @@ function layer() {
   };
 }
 const ground = layer(), past = layer(), recent = layer(), ghostPast = layer();
-let view = "";  // what all layers depend on: the part of the plane that is shown, the size of the canvas, the theme
+let view = "";  // all layers depend on it: the part of the plane that is shown, the size of the canvas, the theme
 
 function drawArena() {
   const { context: c, width: w, height: h, ratio } = arena;
   if (!w) return;
   c.setTransform(ratio, 0, 0, ratio, 0, 0);
   c.clearRect(0, 0, w, h);
-  const edge = 30, base = Math.max(Math.min((w - 2 * edge) / whole.width, (h - 2 * edge - 34) / whole.height), 1e-6);
-  scale = base * zoom;
-  const evader = player(watched()), x = zoom > 1 ? X[evader] : whole.x, y = zoom > 1 ? Y[evader] : whole.y;
+  const edge = 30, fitScale = Math.max(Math.min((w - 2 * edge) / extent.width, (h - 2 * edge - 34) / extent.height), 1e-6);
+  scale = fitScale * zoom;
+  const evader = player(watched()), x = zoom > 1 ? X[evader] : extent.x, y = zoom > 1 ? Y[evader] : extent.y;
   originX = w / 2 - x * scale;
   originY = (h + 24) / 2 + y * scale;
   view = `${scale} ${originX} ${originY} ${w} ${h} ${ratio} ${look}`;
@@ -88,39 +88,39 @@ function drawArena() {
   drawMessages(c);
   drawPlayers(c, w);
 }
-const groundX = new Float64Array(N), groundY = new Float64Array(N);  // where the pursuers were as the ground was drawn
+const groundX = new Float64Array(N), groundY = new Float64Array(N);  // the positions of the pursuers when the ground was drawn
 /** Whether a pursuer has moved by more than a pixel since the ground was drawn. */
 function hasMoved() {
-  const least = 1 / scale;
-  for (let i = 0; i < N; i++) if (Math.abs(X[i] - groundX[i]) > least || Math.abs(Y[i] - groundY[i]) > least) return true;
+  const pixel = 1 / scale;
+  for (let i = 0; i < N; i++) if (Math.abs(X[i] - groundX[i]) > pixel || Math.abs(Y[i] - groundY[i]) > pixel) return true;
   return false;
 }
-/** What changes slowly: the grid, sensing ranges, jammed areas, links. */
+/** Draw the parts that change slowly, if they have changed: the grid, sensing ranges, jammed areas, walls, links. */
 function drawGround(w, h) {
   const hasLinks = $("links").checked && run.reception.known, hasSight = $("sight")?.checked;
   const ranges = hasLinks && isRangeShown() && focus() < 0 ? rangesShown().join() : "";
   const hasShadows = $("shadows")?.checked && run.reception.known;
-  const state = `${view} ${epoch} ${focus()} ${hasLinks} ${hasSight} ${hasShadows} ${ranges}`;
-  const depends = jams.length || hasSight || hasShadows || (hasLinks && (sparse || focus() >= 0)) || ranges;
-  if (state === ground.state && !(depends && (N <= MANY || hasMoved()))) return;
+  const state = `${view} ${epochCount} ${focus()} ${hasLinks} ${hasSight} ${hasShadows} ${ranges}`;
+  const isMoving = openJams.length || hasSight || hasShadows || (hasLinks && (canLackLinks || focus() >= 0)) || ranges;
+  if (state === ground.state && !(isMoving && (N <= MANY || hasMoved()))) return;
   ground.state = state;
   groundX.set(X.subarray(0, N)); groundY.set(Y.subarray(0, N));
   const c = ground.context;
   ground.clear();
   drawGrid(c, w, h);
   if (hasSight) drawSight(c);
-  for (const jam of jams) drawJam(c, jam);
+  for (const jam of openJams) drawJam(c, jam);
   if (hasShadows) drawShadows(c, w, h);
   if (walls.length) drawWalls(c);
   if (hasLinks) { drawLinks(c); drawRanges(c); }
 }
 /** The evader in the centre of a zoomed view: that of the selected pursuer, else one at large, else the last captured. */
 function watched() {
-  const own = focus() >= 0 && truth[focus()];
-  return own || evaders.find(each => !caught.has(each)) || run.captures.at(-1).evader;
+  const chased = focus() >= 0 && truth[focus()];
+  return chased || evaders.find(number => !capturerOf.has(number)) || run.captures.at(-1).evader;
 }
 function drawGrid(c, w, h) {
-  const step = nice(70 / scale);
+  const step = niceStep(70 / scale);
   c.strokeStyle = colour.faint; c.lineWidth = 1;
   c.beginPath();
   for (let x = Math.ceil(-originX / scale / step) * step; px(x) < w; x += step) { c.moveTo(Math.round(px(x)) + .5, 0); c.lineTo(Math.round(px(x)) + .5, h); }
@@ -136,12 +136,12 @@ function flowAt(x, y) {
   const { columns, edge, start, t, velocities } = flow, rows = velocities.length / (2 * t.length * columns);
   const [u, v] = [(x - start[0]) / edge, (y - start[1]) / edge], [i, j] = [Math.floor(u), Math.floor(v)];
   if (i < 0 || j < 0 || i > columns - 2 || j > rows - 2) return null;
-  const now = Math.max(upto(t, time) - 1, 0), next = Math.min(now + 1, t.length - 1);
-  const share = next > now ? (time - t[now]) / (t[next] - t[now]) : 0;
+  const sample = Math.max(upto(t, time) - 1, 0), next = Math.min(sample + 1, t.length - 1);
+  const share = next > sample ? (time - t[sample]) / (t[next] - t[sample]) : 0;
   return [0, 1].map(axis => {
     const at = (k, a, b) => velocities[2 * ((k * rows + j + b) * columns + i + a) + axis];
     const mean = k => (at(k, 0, 0) * (i + 1 - u) + at(k, 1, 0) * (u - i)) * (j + 1 - v) + (at(k, 0, 1) * (i + 1 - u) + at(k, 1, 1) * (u - i)) * (v - j);
-    return (1 - share) * mean(now) + share * mean(next);
+    return (1 - share) * mean(sample) + share * mean(next);
   });
 }
 const EVERY = 54;  // distance of the arrows of a flow, px; the longest are half as long
@@ -164,18 +164,18 @@ function drawFlow(c, w, h) {
 function shownEstimates() {
   const end = upto(estimates.t, time), from = focus(), rows = [];
   for (let k = end - 1; k >= 0 && estimates.t[k] === estimates.t[end - 1]; k--) {
-    const own = estimates.pursuer[k];
-    if (!caught.has(estimates.evader[k]) && (from >= 0 ? own === from : truth[own] === estimates.evader[k])) rows.push(k);
+    const pursuer = estimates.pursuer[k];
+    if (!capturerOf.has(estimates.evader[k]) && (from >= 0 ? pursuer === from : truth[pursuer] === estimates.evader[k])) rows.push(k);
   }
   return rows;
 }
 const WITHIN = Math.sqrt(-2 * Math.log(.05));  // 95 % of a normal distribution in the plane are within as many standard deviations
 function drawEstimates(c) {
   for (const k of shownEstimates()) {
-    const x = px(estimates.centres[2 * k]), y = py(estimates.centres[2 * k + 1]), own = estimates.pursuer[k];
+    const x = px(estimates.centres[2 * k]), y = py(estimates.centres[2 * k + 1]), pursuer = estimates.pursuer[k];
     const [major, minor] = [0, 1].map(axis => WITHIN * scale * estimates.semiAxes[2 * k + axis]);
     if (major > 20000) continue;
-    c.strokeStyle = c.fillStyle = own === focus() ? colour.ink : crowd[truth[own]] === 1 ? colour.active : colour.activeWithOthers;
+    c.strokeStyle = c.fillStyle = pursuer === focus() ? colour.ink : chasersOn[truth[pursuer]] === 1 ? colour.active : colour.activeWithOthers;
     c.lineWidth = 1.5;
     c.beginPath(); c.ellipse(x, y, major, minor, -estimates.turn * estimates.angles[k], 0, 2 * Math.PI);
     c.globalAlpha = .08; c.fill();
@@ -200,18 +200,18 @@ function drawJam(c, jam) {
   c.beginPath(); c.arc(x, y, r, 0, 7); c.stroke();
   c.restore();
 }
-const focus = () => chosen >= 0 ? chosen : hovered;
+const focus = () => selected >= 0 ? selected : hovered;
 /** Draw links, a list of sender, receiver and whether it is two-way; a one-way link has an arrow head at the receiver. */
-function drawWays(c, ways, size) {
+function drawArrows(c, links, size) {
   c.beginPath();
-  for (const [src, dst] of ways) { c.moveTo(px(X[src]), py(Y[src])); c.lineTo(px(X[dst]), py(Y[dst])); }
+  for (const [src, dst] of links) { c.moveTo(px(X[src]), py(Y[src])); c.lineTo(px(X[dst]), py(Y[dst])); }
   c.stroke();
   c.setLineDash([]);
   c.globalAlpha = Math.min(2 * c.globalAlpha, 1);
   c.beginPath();
-  for (const [src, dst, mutual] of ways) {
+  for (const [src, dst, isTwoWay] of links) {
     const x = px(X[dst]), y = py(Y[dst]), dx = x - px(X[src]), dy = y - py(Y[src]), length = Math.hypot(dx, dy);
-    if (mutual || length < 30) continue;
+    if (isTwoWay || length < 30) continue;
     const [ux, uy] = [dx / length, dy / length], tip = 10, tail = tip + size, half = size / 2.6;
     c.moveTo(x - tip * ux, y - tip * uy); c.lineTo(x - tail * ux - half * uy, y - tail * uy + half * ux);
     c.lineTo(x - tail * ux + half * uy, y - tail * uy - half * ux); c.closePath();
@@ -221,21 +221,21 @@ function drawWays(c, ways, size) {
 }
 function drawLinks(c) {
   const from = focus();
-  if (sparse) {
-    const ways = [];
+  if (canLackLinks) {
+    const links = [];
     for (let i = 0; i < N; i++) for (let j = i + 1; j < N; j++) {
-      const to = passes(i, j), fro = passes(j, i);
-      if (to || fro) ways.push([to ? i : j, to ? j : i, to && fro]);
+      const to = passes(i, j), back = passes(j, i);
+      if (to || back) links.push([to ? i : j, to ? j : i, to && back]);
     }
     c.strokeStyle = c.fillStyle = colour.inactive; c.lineWidth = 1; c.globalAlpha = from >= 0 ? .14 : N > 25 ? .22 : .4;
-    drawWays(c, ways, 8);
+    drawArrows(c, links, 8);
   }
   if (from < 0) return;
-  const hearing = all.filter(j => passes(j, from)), heardOnly = all.filter(j => passes(from, j) && !passes(j, from));
+  const senders = all.filter(j => passes(j, from)), receiversOnly = all.filter(j => passes(from, j) && !passes(j, from));
   c.strokeStyle = c.fillStyle = colour.soft; c.lineWidth = 1.4; c.globalAlpha = .75;
-  drawWays(c, hearing.map(j => [j, from, passes(from, j)]), 10);
+  drawArrows(c, senders.map(j => [j, from, passes(from, j)]), 10);
   c.setLineDash([5, 4]); c.globalAlpha = .75;
-  drawWays(c, heardOnly.map(j => [from, j, false]), 10);
+  drawArrows(c, receiversOnly.map(j => [from, j, false]), 10);
 }
 const isRangeShown = () => run.reception.radius !== null && run.reception.radius * scale <= 20000;
 const rangesShown = () => (focus() >= 0 ? [focus()] : all.filter(i => truth[i]).slice(0, 3)).filter(i => !down[i]);
@@ -246,7 +246,7 @@ function drawRanges(c) {
   c.globalAlpha = from >= 0 ? .9 : .45;
   for (const i of shown) {
     c.beginPath();
-    if (radioEdges.length) outline(c, reachOf(X[i], Y[i], run.reception.radius, run.reception.radius));
+    if (radioEdges.length) addOutline(c, reachOf(X[i], Y[i], run.reception.radius, run.reception.radius));
     else c.arc(px(X[i]), py(Y[i]), run.reception.radius * scale, 0, 7);
     c.stroke();
   }
@@ -279,23 +279,23 @@ function drawTargets(c) {
 const TOLERANCE = .3;  // of a trail, px
 const cornersByScale = new WeakMap();  // by path: the scale for which its corners were found, and these
 function cornersAt(track) {
-  const known = cornersByScale.get(track);
-  if (known && known.scale >= scale && known.scale <= 4 * scale) return known.corners;
+  const kept = cornersByScale.get(track);
+  if (kept && kept.scale >= scale && kept.scale <= 4 * scale) return kept.corners;
   const corners = cornersOf(track, TOLERANCE / scale);
   cornersByScale.set(track, { scale, corners });
   return corners;
 }
 /** Add the trail of a player from one sample to another to the line that is drawn. */
-function addTrail(c, { width, places }, kept, i, from, until) {
+function addTrail(c, { width, places }, corners, i, from, until) {
   const x = k => px(places[k * width + 2 * i]), y = k => py(places[k * width + 2 * i + 1]);
   c.moveTo(x(from), y(from));
-  for (let k = upto(kept, from); k < kept.length && kept[k] < until; k++) c.lineTo(x(kept[k]), y(kept[k]));
+  for (let k = upto(corners, from); k < corners.length && corners[k] < until; k++) c.lineTo(x(corners[k]), y(corners[k]));
   c.lineTo(x(until), y(until));
 }
 /** Draw the trails of groups of players, each with a hue, from one sample to another. */
-function strokeTrails(c, track, groups, from, until, wide) {
+function strokeTrails(c, track, groups, from, until, lineWidth) {
   const corners = cornersAt(track);
-  c.lineJoin = c.lineCap = "round"; c.lineWidth = wide;
+  c.lineJoin = c.lineCap = "round"; c.lineWidth = lineWidth;
   for (const [hue, players] of groups) {
     c.strokeStyle = hue;
     c.beginPath();
@@ -303,16 +303,16 @@ function strokeTrails(c, track, groups, from, until, wide) {
     c.stroke();
   }
 }
-/** Bring a layer with the trails of groups of players, each with a hue, up to a sample: only what is new is drawn, if it can be. */
-function extendTrails(onto, track, groups, until, wide) {
-  if (onto.state !== view || onto.until > until) { onto.clear(); onto.state = view; onto.until = 0; }
-  if (onto.until === until) return;
-  strokeTrails(onto.context, track, groups, onto.until, until, wide);
-  onto.until = until;
+/** Extend the trails of groups of players, each with a hue, on a layer up to a sample; if the view has changed, draw them anew. */
+function extendTrails(target, track, groups, until, lineWidth) {
+  if (target.state !== view || target.until > until) { target.clear(); target.state = view; target.until = 0; }
+  if (target.until === until) return;
+  strokeTrails(target.context, track, groups, target.until, until, lineWidth);
+  target.until = until;
 }
-/** Draw the last bit of the trails: from a sample to x, y of each player at the time shown. */
-function drawTips(c, { width, places }, groups, from, x, y, wide) {
-  c.lineWidth = wide; c.lineCap = "round";
+/** Draw the ends of the trails: from a sample to x, y of each player at the time shown. */
+function drawTips(c, { width, places }, groups, from, x, y, lineWidth) {
+  c.lineWidth = lineWidth; c.lineCap = "round";
   for (const [hue, players] of groups) {
     c.strokeStyle = hue;
     c.beginPath();
@@ -342,7 +342,7 @@ function drawGhost(c) {
   c.stroke();
   c.globalAlpha = 1;
 }
-const RECENT = 2;  // time, s, of which the trails are drawn strongly
+const RECENT = 2;  // the trails of the last seconds are drawn boldly
 function drawTrails(c) {
   const groups = [[colour.active, all], [colour.evader, evaders.map(player)]], last = Math.max(upto(path.t, time) - 1, 0);
   extendTrails(past, path, groups, last, 1.4);
@@ -363,46 +363,49 @@ function drawTrails(c) {
 class Numbers {
   constructor() { this.content = new Float64Array(1024); this.length = 0; }
   push(...numbers) {
-    if (this.length + numbers.length > this.content.length) { const more = new Float64Array(2 * this.content.length); more.set(this.content); this.content = more; }
+    if (this.length + numbers.length > this.content.length) { const longer = new Float64Array(2 * this.content.length); longer.set(this.content); this.content = longer; }
     for (let k = 0; k < numbers.length; k++) this.content[this.length++] = numbers[k];
   }
   get used() { return this.content.subarray(0, this.length); }
 }
-const flying = new Numbers(), gone = new Numbers(), arrived = new Numbers();
-const SWARM = 1500;  // from more messages on, they are set as single pixels
+const flying = new Numbers(), lost = new Numbers(), arrived = new Numbers();
+const SWARM = 1500;  // if more messages are drawn, `drawSwarm` draws them
 const RIM = 9;  // distance, px, at which a message leaves a player and reaches one
 const departure = {}, arrival = {};
 
-/** Find where the messages are that are in flight (x, y, direction, length so far), just lost (with the share of the time since then) or just delivered. */
+/**
+ * Find the messages to draw, with their x, y: in flight (direction, length so far), just lost (direction, elapsed share of
+ * the time for which a loss is shown, whether it is a collision), and just delivered.
+ */
 function findMessages() {
-  flying.length = gone.length = arrived.length = 0;
-  const collision = said.causes.indexOf("collision") + 1 || -1;
-  const fade = Math.min(.5 * speed, 1) / TICK, flash = .4 * fade, rows = upto(said.begin, time);
-  let shown = -1;  // the time of `arrival`
-  for (let row = upto(said.begin, time - fade - said.longest - 1); row < rows; row++) {
-    if (said.latest[row] + fade <= time) continue;
-    const left = said.left[row], src = said.src[row], waits = time < left;
+  flying.length = lost.length = arrived.length = 0;
+  const collision = messages.causes.indexOf("collision") + 1 || -1;
+  const fade = Math.min(.5 * speed, 1) / TICK, flash = .4 * fade, rows = upto(messages.begin, time);
+  let arrivalTime = -1;  // the time of `arrival`
+  for (let row = upto(messages.begin, time - fade - messages.longest - 1); row < rows; row++) {
+    if (messages.latest[row] + fade <= time) continue;
+    const left = messages.left[row], src = messages.src[row], waits = time < left;
     // A message moves at constant speed from its sender at transmission to its receiver at arrival.
     if (!waits) moment(left, path, departure);
     const x = px(waits ? X[src] : between(departure, 2 * src)), y = py(waits ? Y[src] : between(departure, 2 * src + 1));
-    for (let m = said.first[row], last = said.first[row + 1]; m < last; m++) {
-      const end = said.end[m], isLost = said.fate[m] > 0;
+    for (let m = messages.first[row], last = messages.first[row + 1]; m < last; m++) {
+      const end = messages.end[m], isLost = messages.fate[m] > 0;
       if (time >= end + (isLost ? fade : flash)) continue;
-      if (end !== shown) { moment(end, path, arrival); shown = end; }
-      const dst = said.dst[m], dx = px(between(arrival, 2 * dst)) - x, dy = py(between(arrival, 2 * dst + 1)) - y, length = Math.hypot(dx, dy) || 1;
-      const begin = length > 3 * RIM ? RIM / length : 0, way = 1 - 2 * begin;
+      if (end !== arrivalTime) { moment(end, path, arrival); arrivalTime = end; }
+      const dst = messages.dst[m], dx = px(between(arrival, 2 * dst)) - x, dy = py(between(arrival, 2 * dst + 1)) - y, length = Math.hypot(dx, dy) || 1;
+      const begin = length > 3 * RIM ? RIM / length : 0, usable = 1 - 2 * begin;
       if (time < end) {
-        const share = waits ? 0 : (time - left) / (end - left), part = begin + share * way;
-        flying.push(x + dx * part, y + dy * part, dx / length, dy / length, share * length);
-      } else if (isLost) gone.push(x + dx * (1 - begin), y + dy * (1 - begin), dx / length, dy / length, (time - end) / fade, said.fate[m] === collision ? 1 : 0);
+        const share = waits ? 0 : (time - left) / (end - left), partShare = begin + share * usable;
+        flying.push(x + dx * partShare, y + dy * partShare, dx / length, dy / length, share * length);
+      } else if (isLost) lost.push(x + dx * (1 - begin), y + dy * (1 - begin), dx / length, dy / length, (time - end) / fade, messages.fate[m] === collision ? 1 : 0);
       else arrived.push(x + dx * (1 - begin), y + dy * (1 - begin));
     }
   }
-  drawn.flying = flying.length / 5; drawn.lost = gone.length / 6; drawn.delivered = arrived.length / 2;
+  drawn.flying = flying.length / 5; drawn.lost = lost.length / 6; drawn.delivered = arrived.length / 2;
 }
-/** Messages in flight, just lost (a collision as an asterisk) and just delivered; the latter two are drawn just short of their receiver, and fade. */
+/** Messages in flight, just lost (a collision as an asterisk) or just delivered; marks of the last two are just short of their receiver. */
 function drawMessages(c) {
-  if (!said) return;
+  if (!messages) return;
   findMessages();
   if (drawn.flying + drawn.lost > SWARM) drawSwarm(c);
   else { if (drawn.delivered <= SWARM) dots(c, colour.delivered, arrived, 2, 2.4); drawFlights(c); drawLosses(c); }
@@ -420,7 +423,7 @@ function drawFlights(c) {
   dots(c, colour.inFlight, flying, 5, 2.8);
 }
 function drawLosses(c) {
-  const { content, length } = gone;
+  const { content, length } = lost;
   c.strokeStyle = colour.lost;
   for (let shade = 0; shade < 4; shade++) {
     const crosses = new Path2D(), tails = new Path2D();
@@ -450,7 +453,7 @@ function pixelOf(hue, alpha = 255) {
   const [r, g, b] = [1, 3, 5].map(k => parseInt(hue.slice(k, k + 2), 16));
   return new Uint32Array(new Uint8Array([r, g, b, alpha]).buffer)[0];
 }
-/** Tens of thousands of messages: squares, and crosses for losses. Writing pixels takes a tenth of the time of drawing shapes. */
+/** Tens of thousands of messages: squares, and crosses for losses. To write pixels takes a tenth of the time of shapes. */
 function drawSwarm(c) {
   const { width, height } = arena.canvas, ratio = arena.ratio;
   if (!swarmImage || swarmImage.width !== width || swarmImage.height !== height) {
@@ -461,8 +464,8 @@ function drawSwarm(c) {
   const set = (x, y, pixel) => { if (x >= 0 && y >= 0 && x < width && y < height) swarmPixels[y * width + x] = pixel; };
   const half = drawn.flying > 10 * SWARM ? 0 : Math.max(Math.round(ratio), 1), arm = Math.round(3 * ratio);
   const shades = [255, 191, 127, 64].map(alpha => pixelOf(colour.lost, alpha));
-  for (let k = 0; k < gone.length; k += 6) {
-    const x = Math.round(gone.content[k] * ratio), y = Math.round(gone.content[k + 1] * ratio), pixel = shades[Math.min(Math.floor(gone.content[k + 4] * 4), 3)];
+  for (let k = 0; k < lost.length; k += 6) {
+    const x = Math.round(lost.content[k] * ratio), y = Math.round(lost.content[k + 1] * ratio), pixel = shades[Math.min(Math.floor(lost.content[k + 4] * 4), 3)];
     for (let d = -arm; d <= arm; d++) { set(x + d, y + d, pixel); set(x + d, y - d, pixel); set(x + d + 1, y + d, pixel); set(x + d + 1, y - d, pixel); }
   }
   const pixel = pixelOf(colour.inFlight);
@@ -476,38 +479,38 @@ function drawSwarm(c) {
 function drawPlayers(c, w) {
   const size = w < 460 || N > 60 ? 5.5 : 7, from = focus();
   c.font = `600 11px ${FONT}`; c.textBaseline = "middle"; c.textAlign = "left";
-  let letters = 0;  // one per group of a partition; unlisted pursuers have none
-  const lettered = cuts.map(cut => ({ cut, first: (letters += cut.groups.length) - cut.groups.length }));
+  let letterCount = 0;  // one per group of a partition; unlisted pursuers have none
+  const partitions = openCuts.map(cut => ({ cut, first: (letterCount += cut.groups.length) - cut.groups.length }));
   for (let pass = 0; pass < 2; pass++) for (let i = 0; i < N; i++) if (!!truth[i] === !!pass) {  // active pursuers on top
     const x = px(X[i]), y = py(Y[i]);
-    const isAlone = crowd[truth[i]] === 1;
+    const isAlone = chasersOn[truth[i]] === 1;
     drawNose(c, i, x, y, size, !truth[i] ? colour.inactive : isAlone ? colour.active : colour.activeWithOthers);
-    if (N <= MANY) { drawDisc(c, x, y, size, truth[i], isAlone); if (mistaken[i]) drawErrors(c, x, y, size, mistaken[i] / (N - 1)); }
+    if (N <= MANY) { drawDisc(c, x, y, size, truth[i], isAlone); if (wrongAbout[i]) drawErrors(c, x, y, size, wrongAbout[i] / (N - 1)); }
     else {
-      const part = Math.ceil(ARCS * mistaken[i] / (N - 1));
+      const part = Math.ceil(ARCS * wrongAbout[i] / (N - 1));
       stamp(c, x, y, `disc ${truth[i]} ${isAlone}`, size + 2, (onto, u, v) => drawDisc(onto, u, v, size, truth[i], isAlone));
       if (part) stamp(c, x, y, `errors ${part}`, size + 7, (onto, u, v) => drawErrors(onto, u, v, size, part / ARCS));
     }
     if (from >= 0 && from !== i && belief) {  // the belief of the selected pursuer about it
-      const thinks = believed(from, i);
-      if (thinks) { c.strokeStyle = colour.ink; c.lineWidth = 1.5; c.strokeRect(x - size - 7, y - size - 7, 2 * size + 14, 2 * size + 14); }
-      if (thinks && M > 1) mark(c, x - size - 7, y - size - 7, `${thinks}`);
+      const believedAction = believed(from, i);
+      if (believedAction) { c.strokeStyle = colour.ink; c.lineWidth = 1.5; c.strokeRect(x - size - 7, y - size - 7, 2 * size + 14, 2 * size + 14); }
+      if (believedAction && M > 1) mark(c, x - size - 7, y - size - 7, `${believedAction}`);
     }
     if (i === from) { c.strokeStyle = colour.ink; c.lineWidth = 2; c.beginPath(); c.arc(x, y, size + 8, 0, 7); c.stroke(); }
     if (lies[i]) drawLiar(c, i, x, y, size);
-    const side = lettered.length && lettered.map(({ cut, first }) => { const group = cut.side[i]; return group < 0 ? "" : String.fromCharCode(65 + (first + group) % 26); }).join("");
-    if (side) mark(c, x, y - size - 9, side);
-    if (down[i]) for (const each of open) if (isCrash(each) && each.node === i) {
+    const groupLetters = partitions.length && partitions.map(({ cut, first }) => { const group = cut.side[i]; return group < 0 ? "" : String.fromCharCode(65 + (first + group) % 26); }).join("");
+    if (groupLetters) mark(c, x, y - size - 9, groupLetters);
+    if (down[i]) for (const fault of openFaults) if (isCrash(fault) && fault.node === i) {
       c.strokeStyle = colour.ink; c.lineWidth = 1.6; c.setLineDash([3, 3]);
       c.beginPath(); c.arc(x, y, size + 5, 0, 7); c.stroke(); c.setLineDash([]);
-      if (each.scope === "robot") { c.beginPath(); c.moveTo(x - 4, y - 4); c.lineTo(x + 4, y + 4); c.moveTo(x + 4, y - 4); c.lineTo(x - 4, y + 4); c.stroke(); }
+      if (fault.scope === "robot") { c.beginPath(); c.moveTo(x - 4, y - 4); c.lineTo(x + 4, y + 4); c.moveTo(x + 4, y - 4); c.lineTo(x - 4, y + 4); c.stroke(); }
     }
   }
-  drawNames(c, size, lettered.length > 0);
-  for (const evader of evaders) if (M > 1 && caught.has(evader)) drawCaught(c, evader);
-  for (const evader of evaders) if (M === 1 || !caught.has(evader)) drawEvader(c, evader);
+  drawNames(c, size, partitions.length > 0);
+  for (const evader of evaders) if (M > 1 && capturerOf.has(evader)) drawCaught(c, evader);
+  for (const evader of evaders) if (M === 1 || !capturerOf.has(evader)) drawEvader(c, evader);
 }
-const ARCS = 48;  // into so many parts the share of the teammates that are wrong is rounded up, in a sprite
+const ARCS = 48;  // in a sprite, the share of the teammates that are wrong is rounded up to multiples of 1 / ARCS
 function drawDisc(c, x, y, size, action, isAlone) {
   c.beginPath(); c.arc(x, y, size, 0, 7);
   c.fillStyle = !action ? colour.card : isAlone ? colour.active : colour.activeWithOthers; c.fill();
@@ -519,7 +522,7 @@ function drawErrors(c, x, y, size, share) {
   c.strokeStyle = colour.wrongBelief; c.lineWidth = 3;
   c.beginPath(); c.arc(x, y, size + 4, -Math.PI / 2, -Math.PI / 2 + 2 * Math.PI * share); c.stroke();
 }
-/** Draw a picture that is kept by its name, up to `half` px around a place: copying it takes a tenth of the time of drawing it. */
+/** Draw a sprite, up to `half` px around a place; `paint` draws it once for each name. Copies take a tenth of the time. */
 function stamp(c, x, y, name, half, paint) {
   let sprite = sprites.get(name);
   if (!sprite || sprite.ratio !== arena.ratio) {
@@ -543,7 +546,7 @@ function drawNose(c, i, x, y, size, hue) {
   c.fill(); c.stroke();
 }
 const isFooled = (i, liar) => i !== liar && !distrusts[i * N + liar] && believed(i, liar) !== truth[liar];
-/** A pursuer with a Byzantine fault, and the teammates that believe what is wrong about it. */
+/** Mark a pursuer with a Byzantine fault, and draw lines to the teammates with a wrong belief about it. */
 function drawLiar(c, i, x, y, size) {
   c.strokeStyle = colour.wrongBelief; c.lineWidth = 2; c.setLineDash([2, 5]);
   if (belief) for (const j of all) if (isFooled(j, i)) {
@@ -559,9 +562,9 @@ function drawEvader(c, evader) {
   c.strokeStyle = colour.evader; c.lineWidth = 1.5;
   c.globalAlpha = .15; c.fillStyle = colour.evader; c.beginPath(); c.arc(x, y, run.radius * scale, 0, 7); c.fill();
   c.globalAlpha = 1; c.stroke();
-  if (!caught.has(evader)) drawNose(c, player(evader), x, y, r - 2, colour.evader);
+  if (!capturerOf.has(evader)) drawNose(c, player(evader), x, y, r - 2, colour.evader);
   c.beginPath(); c.moveTo(x, y - r); c.lineTo(x + r, y); c.lineTo(x, y + r); c.lineTo(x - r, y); c.closePath();
-  if (!caught.has(evader) && isHidden(evader)) {
+  if (!capturerOf.has(evader) && isHidden(evader)) {
     c.fillStyle = colour.card; c.fill(); c.setLineDash([3, 2]); c.lineWidth = 1.8; c.stroke(); c.setLineDash([]);
     c.fillStyle = colour.evader;
     if (M > 1) label(c, `${evader}`, x + r + 3, y, colour.evader);
@@ -569,11 +572,11 @@ function drawEvader(c, evader) {
   }
   c.fill(); c.strokeStyle = colour.card; c.lineWidth = 1.2; c.stroke();
   if (M > 1) inside(c, evader, x, y, 10);
-  if (caught.has(evader)) {
+  if (capturerOf.has(evader)) {
     c.strokeStyle = colour.ink; c.lineWidth = 2.5; c.beginPath(); c.arc(x, y, Math.max(16, run.radius * scale + 5), 0, 7); c.stroke();
-    const by = caught.get(evader);  // above the evader, which would hide it
-    c.fillStyle = colour.active; c.strokeStyle = colour.card; c.lineWidth = 1.2; c.beginPath(); c.arc(px(X[by]), py(Y[by]), 4, 0, 7); c.fill(); c.stroke();
-    label(c, `captured by ${by}`, x + Math.max(16, run.radius * scale + 5) + 7, y, colour.ink);
+    const capturer = capturerOf.get(evader);  // above the evader, which would hide it
+    c.fillStyle = colour.active; c.strokeStyle = colour.card; c.lineWidth = 1.2; c.beginPath(); c.arc(px(X[capturer]), py(Y[capturer]), 4, 0, 7); c.fill(); c.stroke();
+    label(c, `captured by ${capturer}`, x + Math.max(16, run.radius * scale + 5) + 7, y, colour.ink);
   }
 }
 function drawCaught(c, evader) {
@@ -581,7 +584,7 @@ function drawCaught(c, evader) {
   c.strokeStyle = colour.soft; c.lineWidth = 1; c.beginPath(); c.arc(x, y, run.radius * scale, 0, 7); c.stroke();
   c.fillStyle = colour.ink; star(c, x, y, 13); c.fill(); c.strokeStyle = colour.card; c.lineWidth = 1.2; c.stroke();
   inside(c, evader, x, y, 9);
-  label(c, `by ${caught.get(evader)}`, x + 15, y, colour.ink);
+  label(c, `by ${capturerOf.get(evader)}`, x + 15, y, colour.ink);
 }
 function star(c, x, y, r) {
   c.beginPath();
@@ -599,33 +602,33 @@ function inside(c, number, x, y, size, hue = colour.card) {
   c.restore();
 }
 const SLOTS = [[1, -1], [1, 1], [-1, -1], [-1, 1], [1, 0], [-1, 0]], slot = new Uint8Array(N);  // a label keeps its position
-const FEW = 12;  // with more pursuers than `MANY`, the active ones are labelled while they are at most so many
+const FEW = 12;  // if there are more than `MANY` pursuers, the active ones are labelled if there are at most so many of them
 /** Labels beside the players, without overlaps; if there is no room, only that of the selected pursuer. */
 function drawNames(c, size, isLettered) {
   drawn.labels = 0;
   const from = focus(), pad = from >= 0 ? 10 : 4, high = isLettered ? size + 17 : size;
   const half = i => i < N || M === 1 ? size : 11, above = i => i < N ? high : half(i);
-  if (N > MANY && from < 0 && N - crowd[0] > FEW) return;
-  const taken = [...X].map((x, i) => [px(x) - half(i), py(Y[i]) - above(i), px(x) + half(i), py(Y[i]) + half(i)]);
-  if (M > 1) for (const evader of caught.keys()) {
+  if (N > MANY && from < 0 && N - chasersOn[0] > FEW) return;
+  const occupied = [...X].map((x, i) => [px(x) - half(i), py(Y[i]) - above(i), px(x) + half(i), py(Y[i]) + half(i)]);
+  if (M > 1) for (const evader of capturerOf.keys()) {
     const x = px(X[player(evader)]), y = py(Y[player(evader)]);
-    taken.push([x, y - 6, x + 20 + c.measureText(`by ${caught.get(evader)}`).width, y + 6]);
+    occupied.push([x, y - 6, x + 20 + c.measureText(`by ${capturerOf.get(evader)}`).width, y + 6]);
   }
-  const isFree = ([left, top, right, bottom]) => taken.every(each => right <= each[0] || left >= each[2] || bottom <= each[1] || top >= each[3]);
-  const matters = i => 2 * (i === from) + !!truth[i];
-  const named = N <= MANY ? [...all] : all.filter(i => i === from || (truth[i] && N - crowd[0] <= FEW));
-  for (const i of named.sort((i, j) => matters(j) - matters(i))) {
-    const wide = 7 * `${i}`.length, box = k => {
-      const [h, v] = SLOTS[k], x = px(X[i]) + h * (size + pad) - (h < 0 ? wide : 0), y = py(Y[i]) + v * size;
-      return [x, y - 5, x + wide, y + 5];
+  const isFree = ([left, top, right, bottom]) => occupied.every(other => right <= other[0] || left >= other[2] || bottom <= other[1] || top >= other[3]);
+  const priority = i => 2 * (i === from) + !!truth[i];
+  const labelled = N <= MANY ? [...all] : all.filter(i => i === from || (truth[i] && N - chasersOn[0] <= FEW));
+  for (const i of labelled.sort((i, j) => priority(j) - priority(i))) {
+    const width = 7 * `${i}`.length, box = k => {
+      const [h, v] = SLOTS[k], x = px(X[i]) + h * (size + pad) - (h < 0 ? width : 0), y = py(Y[i]) + v * size;
+      return [x, y - 5, x + width, y + 5];
     };
     const free = [slot[i], ...SLOTS.keys()].find(k => isFree(box(k)));
     if (free === undefined && i !== from) continue;
     slot[i] = free ?? slot[i];
-    const place = box(slot[i]);
-    taken.push(place);
+    const position = box(slot[i]);
+    occupied.push(position);
     drawn.labels++;
-    label(c, i, place[0], place[1] + 5, truth[i] ? colour.ink : colour.soft);
+    label(c, i, position[0], position[1] + 5, truth[i] ? colour.ink : colour.soft);
   }
 }
 function label(c, text, x, y, hue) {

@@ -1,12 +1,12 @@
 const $ = id => document.getElementById(id);
 const run = JSON.parse($("run").textContent);
 const M = run.evaders, UNHEARD = M + 1, END = run.end, TICK = run.tick;
-const RELEASED = 2;  // the evader that it chased was captured
+const RELEASED = 2;  // cause of an action, as in replay_data.py: the capture of the evader
 /** The bytes of a text in base64. */
 function bytes(text) {
-  const binary = atob(text), found = new Uint8Array(binary.length);
-  for (let k = 0; k < found.length; k++) found[k] = binary.charCodeAt(k);
-  return found;
+  const binary = atob(text), content = new Uint8Array(binary.length);
+  for (let k = 0; k < content.length; k++) content[k] = binary.charCodeAt(k);
+  return content;
 }
 /** The integers of a column, as `packed_column` of replay_columns.py describes it, in a typed array. */
 function unpacked(text, Numbers) {
@@ -39,16 +39,16 @@ const actions = text => M < 255 ? u1(text) : u2(text);  // number of the chased 
 // The recorded run, in columns; times in ticks.
 
 const N = run.active.length;
-/** The times of samples, and the x, y of all pursuers, then of the evaders, `width` numbers a sample; m. */
-function unpack(given) {
-  const start = i4(given.start), width = start.length, shifts = i4(given.shifts);
+/** A path: times of samples, and the x, y of all pursuers, then of the evaders, m, as `width` numbers for each sample. */
+function unpackPath(columns) {
+  const start = i4(columns.start), width = start.length, shifts = i4(columns.shifts);
   const sums = new Float64Array(width + shifts.length);
   sums.set(start);
   for (let k = 0; k < shifts.length; k++) sums[width + k] = sums[k] + shifts[k];
-  return { t: u4(given.t), width, places: sums.map(each => each / given.per_metre) };
+  return { t: u4(columns.t), width, places: sums.map(number => number / columns.per_metre) };
 }
-const path = unpack(run.path);
-const metresOf = text => Float64Array.from(i4(text), each => each / run.path.per_metre);
+const path = unpackPath(run.path);
+const metresOf = text => Float64Array.from(i4(text), number => number / run.path.per_metre);
 const decisions = {
   t: u4(run.decisions.t), who: u2(run.decisions.who), active: actions(run.decisions.active), cause: u1(run.decisions.cause),
 };
@@ -64,17 +64,18 @@ const flow = run.flow && {
 };
 const player = evader => N + evader - 1;  // index of an evader among all players, pursuers first
 const arcs = run.arcs && (() => {  // N x N by sender and receiver
-  const found = new Uint8Array(N * N), given = u2(run.arcs);
-  for (let k = 0; k < given.length; k += 2) found[given[k] * N + given[k + 1]] = 1;
-  return found;
+  const matrix = new Uint8Array(N * N), pairs = u2(run.arcs);
+  for (let k = 0; k < pairs.length; k += 2) matrix[pairs[k] * N + pairs[k + 1]] = 1;
+  return matrix;
 })();
 const radii = run.reception.radii && (() => {
-  const found = new Float64Array(N * N), given = new Float64Array(bytes(run.reception.radii).buffer);
-  for (let i = 0, k = 0; i < N; i++) for (let j = i + 1; j < N; j++, k++) found[i * N + j] = found[j * N + i] = given[k];
-  return found;
+  const matrix = new Float64Array(N * N), pairs = new Float64Array(bytes(run.reception.radii).buffer);
+  for (let i = 0, k = 0; i < N; i++) for (let j = i + 1; j < N; j++, k++) matrix[i * N + j] = matrix[j * N + i] = pairs[k];
+  return matrix;
 })();
-const sparse = arcs !== null || radii !== null || run.reception.radius !== null || !!run.walls?.some(wall => wall.blocks.includes("radio"));
-const said = run.messages && {
+/** Whether two pursuers may be unable to hear each other. */
+const canLackLinks = arcs !== null || radii !== null || run.reception.radius !== null || !!run.walls?.some(wall => wall.blocks.includes("radio"));
+const messages = run.messages && {
   begin: u4(run.messages.begin), left: u4(run.messages.left), src: u2(run.messages.src), count: u2(run.messages.count),
   dst: u2(run.messages.dst), end: u4(run.messages.end), fate: u1(run.messages.fate), causes: run.messages.causes,
 };
@@ -96,52 +97,53 @@ function upto(times, t) {
   return low;
 }
 
-/** Offsets of the samples of a path before and after a time, and the fraction of the interval between them. */
-function moment(t, { t: times, width, places } = path, found = {}) {  // `found` spares an object for each message drawn
+/** Offsets of the samples of a path before and after a time, and the fraction of the interval between them; written to `offsets`. */
+function moment(t, { t: times, width, places } = path, offsets = {}) {  // one object serves all messages of a frame
   const after = Math.min(upto(times, t), times.length - 1), before = Math.max(after - 1, 0);
   const span = times[after] - times[before];
-  found.places = places; found.after = after; found.a = before * width; found.b = after * width;
-  found.share = span > 0 ? Math.min((t - times[before]) / span, 1) : 0;
-  return found;
+  offsets.places = places; offsets.after = after; offsets.a = before * width; offsets.b = after * width;
+  offsets.share = span > 0 ? Math.min((t - times[before]) / span, 1) : 0;
+  return offsets;
 }
+/** The k-th number of a path at a moment. */
 const between = ({ places, a, b, share }, k) => places[a + k] + share * (places[b + k] - places[a + k]);
 
-if (said) {
-  const rows = said.begin.length, losses = [];
-  said.first = new Uint32Array(rows + 1);
-  said.latest = new Uint32Array(rows);
+if (messages) {  // of each transmission: its first delivery, and the end of its last one; the longest time from begin to end
+  const rows = messages.begin.length, losses = [];
+  messages.first = new Uint32Array(rows + 1);
+  messages.latest = new Uint32Array(rows);
   for (let row = 0, m = 0; row < rows; row++) {
-    said.first[row + 1] = said.first[row] + said.count[row];
-    for (; m < said.first[row + 1]; m++) {
-      if (said.end[m] > said.latest[row]) said.latest[row] = said.end[m];
-      if (said.fate[m]) losses.push(said.end[m]);
+    messages.first[row + 1] = messages.first[row] + messages.count[row];
+    for (; m < messages.first[row + 1]; m++) {
+      if (messages.end[m] > messages.latest[row]) messages.latest[row] = messages.end[m];
+      if (messages.fate[m]) losses.push(messages.end[m]);
     }
-    said.longest = Math.max(said.longest ?? 0, Math.min(said.latest[row], END) - said.begin[row]);
+    messages.longest = Math.max(messages.longest ?? 0, Math.min(messages.latest[row], END) - messages.begin[row]);
   }
-  said.ends = said.end.slice().sort();
-  said.losses = Uint32Array.from(losses).sort();
+  messages.ends = messages.end.slice().sort();
+  messages.losses = Uint32Array.from(losses).sort();
 }
-const sentBy = t => said ? said.first[upto(said.begin, t)] : 0;
-const lostBy = t => said ? upto(said.losses, t) : 0;
-const inFlight = t => said ? sentBy(t) - upto(said.ends, t) : 0;
+const sentBy = t => messages ? messages.first[upto(messages.begin, t)] : 0;
+const lostBy = t => messages ? upto(messages.losses, t) : 0;
+const inFlight = t => messages ? sentBy(t) - upto(messages.ends, t) : 0;
 
 const changes = { t: [], who: [], active: [], cause: [], count: [] };  // `count`: the active pursuers from then on
 /** Number of pursuers on each evader: initially, and after each change. */
-const hunts = Array.from({ length: M }, (_, k) => ({ first: run.active.filter(each => each === k + 1).length, t: [], count: [] }));
+const chaserCounts = Array.from({ length: M }, (_, k) => ({ first: run.active.filter(action => action === k + 1).length, t: [], count: [] }));
 {
-  const now = Uint16Array.from(run.active), chased = hunts.map(hunt => hunt.first);
-  let count = chased.reduce((sum, each) => sum + each, 0);
+  const actionOf = Uint16Array.from(run.active), chased = chaserCounts.map(({ first }) => first);
+  let count = chased.reduce((sum, chasers) => sum + chasers, 0);
   changes.first = count;
-  const chase = (evader, by, t) => {
+  const addChasers = (evader, step, t) => {
     if (!evader) return;
-    chased[evader - 1] += by; count += by;
-    hunts[evader - 1].t.push(t); hunts[evader - 1].count.push(chased[evader - 1]);
+    chased[evader - 1] += step; count += step;
+    chaserCounts[evader - 1].t.push(t); chaserCounts[evader - 1].count.push(chased[evader - 1]);
   };
   for (let k = 0; k < decisions.t.length; k++) {
     const who = decisions.who[k], active = decisions.active[k];
-    if (now[who] === active) continue;
-    chase(now[who], -1, decisions.t[k]); chase(active, 1, decisions.t[k]);
-    now[who] = active;
+    if (actionOf[who] === active) continue;
+    addChasers(actionOf[who], -1, decisions.t[k]); addChasers(active, 1, decisions.t[k]);
+    actionOf[who] = active;
     changes.t.push(decisions.t[k]); changes.who.push(who); changes.active.push(active);
     changes.cause.push(decisions.cause[k]); changes.count.push(count);
   }
@@ -158,22 +160,22 @@ const EVENTS = {
   captures: () => run.captures.map(capture => capture.t),
   faults: () => run.faults.flatMap(fault => [fault.begin, fault.end]),
   *messages() {
-    if (!said) return;
-    yield* said.begin;
-    for (let k = 0; k < said.ends.length && said.ends[k] <= END; k++) if (said.ends[k] !== said.ends[k - 1]) yield said.ends[k];
+    if (!messages) return;
+    yield* messages.begin;
+    for (let k = 0; k < messages.ends.length && messages.ends[k] <= END; k++) if (messages.ends[k] !== messages.ends[k - 1]) yield messages.ends[k];
   },
 };
-const stops = {};
-/** The times of the events of a kind, ascending; made as they are first needed, as there may be millions of messages. */
-const stopsOf = kind => stops[kind] ??= unique(EVENTS[kind]());
-const LOOKBACK = 60;
+const timesByKind = {};
+/** The times of the events of a kind, ascending; made when first needed, because there may be millions of messages. */
+const timesOf = kind => timesByKind[kind] ??= unique(EVENTS[kind]());
+const LOOKBACK = 60;  // largest number of samples between two corners: each new sample is compared with all of these
 /**
- * By player, the samples needed to draw its path to within a distance, m: others are near the line between two of them.
- * A line of many players with few corners is drawn many times as fast.
+ * By player, the corners of its path: the other samples are within a distance, m, of the lines between corners.
+ * Lines of many players with few corners are drawn many times as fast.
  */
 const cornersOf = ({ t, width, places }, tolerance) => Array.from({ length: width / 2 }, (_, i) => {
-  const kept = [0], x = k => places[k * width + 2 * i], y = k => places[k * width + 2 * i + 1];
-  const fits = (from, to) => {  // whether the samples between two are near the line between these
+  const corners = [0], x = k => places[k * width + 2 * i], y = k => places[k * width + 2 * i + 1];
+  const isNearLine = (from, to) => {  // whether the samples between two samples are near the line that connects the two
     const dx = x(to) - x(from), dy = y(to) - y(from), length = Math.hypot(dx, dy);
     for (let k = from + 1; k < to; k++) {
       const u = x(k) - x(from), v = y(k) - y(from), along = length ? (u * dx + v * dy) / length : 0;
@@ -182,11 +184,11 @@ const cornersOf = ({ t, width, places }, tolerance) => Array.from({ length: widt
     }
     return true;
   };
-  for (let k = 2; k < t.length; k++) if (k - kept.at(-1) > LOOKBACK || !fits(kept.at(-1), k)) kept.push(k - 1);
-  if (t.length > 1) kept.push(t.length - 1);
-  return kept;
+  for (let k = 2; k < t.length; k++) if (k - corners.at(-1) > LOOKBACK || !isNearLine(corners.at(-1), k)) corners.push(k - 1);
+  if (t.length > 1) corners.push(t.length - 1);
+  return corners;
 });
 const ghost = run.ghost && (() => {  // another run, in the same ticks
-  const own = unpack(run.ghost.path), { t, count } = run.ghost.active;
-  return { path: own, pursuers: run.ghost.pursuers, end: run.ghost.end, t: u4(t), count: u4(count) };
+  const ghostPath = unpackPath(run.ghost.path), { t, count } = run.ghost.active;
+  return { path: ghostPath, pursuers: run.ghost.pursuers, end: run.ghost.end, t: u4(t), count: u4(count) };
 })();
