@@ -16,18 +16,18 @@ let count = 0;  // for the ids of controls
 /**
  * Show a scenario to play with.
  *
- * transport: `run(body, signal)`, `seeds(body, show, signal)`, `save(body)` and `cancel(body)`, promises of the answers.
- * options: `name` of the scenario; `values`, of each key before any change; `changes`, KEY=VALUE, at the beginning;
- * `hasAddress`, whether the address keeps the state.
+ * transport: the functions `run(body, signal)`, `seeds(body, show, signal)`, `save(body)` and `cancel(body)`, which return
+ * promises of the answers. options: the `name` of the scenario; the `values` of its keys before any change; the `changes`,
+ * each KEY=VALUE, at the beginning; `hasAddress`, whether the address of the page keeps the state.
  */
 export function start(root, transport, options) {
   let now = new Map(), pinned = null;  // changed keys with their values; the changes of the pinned run
-  let controls = [], rows = new Map(), layout = "";  // the controls of the last answer, their elements, and which there are
-  let running = null, comparing = null, frame = null, waiting = null, runs = 0, query = "", wrongKeys = new Set(), texts = null;
-  let lastTime = null;  // that the last run took, s
-  let instant = null;  // at which the next replay begins, if not at that of the present one, s
+  let controls = [], rows = new Map(), drawnForms = "";  // the controls of the last answer, their elements, and the forms of these
+  let running = null, comparing = null, frame = null, nextFrame = null, runs = 0, query = "", wrongKeys = new Set(), texts = null;
+  let lastTime = null;  // the time that the last run took, s
+  let startTime = null;  // the time at which the next replay begins, s; null: the time of the present replay
   const page = `${Math.random()}`;  // the name of this page, as several may share a session
-  const shown = { time: 0, playing: !matchMedia("(prefers-reduced-motion: reduce)").matches };
+  const lastShown = { time: 0, playing: !matchMedia("(prefers-reduced-motion: reduce)").matches };
 
   const split = text => [text.slice(0, text.indexOf("=")), text.slice(text.indexOf("=") + 1)];
   const joined = map => [...map].map(([key, value]) => `${key}=${value}`);
@@ -35,44 +35,44 @@ export function start(root, transport, options) {
   // The address: #set=KEY=VALUE&set=...&pin=KEY=VALUE&t=1.5
 
   function readAddress() {
-    const given = new URLSearchParams(options.hasAddress ? location.hash.slice(1) : "");
-    const isNew = !given.has("set") && !given.has("pin") && !given.has("alone");
-    now = new Map((isNew ? options.changes : given.getAll("set")).filter(Boolean).map(split));
-    pinned = isNew ? [...options.changes] : given.has("pin") ? given.getAll("pin").filter(Boolean) : null;
-    instant = given.has("t") ? parseFloat(given.get("t")) || 0 : null;
-    if (instant !== null) shown.playing = false;
+    const parameters = new URLSearchParams(options.hasAddress ? location.hash.slice(1) : "");
+    const isNew = !parameters.has("set") && !parameters.has("pin") && !parameters.has("alone");
+    now = new Map((isNew ? options.changes : parameters.getAll("set")).filter(Boolean).map(split));
+    pinned = isNew ? [...options.changes] : parameters.has("pin") ? parameters.getAll("pin").filter(Boolean) : null;
+    startTime = parameters.has("t") ? parseFloat(parameters.get("t")) || 0 : null;
+    if (startTime !== null) lastShown.playing = false;
   }
   function writeAddress(isNew) {
     if (!options.hasAddress) return;
     const parts = new URLSearchParams();
-    joined(now).forEach(each => parts.append("set", each));
+    joined(now).forEach(change => parts.append("set", change));
     if (pinned === null) parts.append("alone", "");
-    else (pinned.length ? pinned : [""]).forEach(each => parts.append("pin", each));
-    const time = instant ?? replay()?.time ?? shown.time;
+    else (pinned.length ? pinned : [""]).forEach(change => parts.append("pin", change));
+    const time = startTime ?? replay()?.time ?? lastShown.time;
     if (time) parts.append("t", +time.toFixed(4));
-    const own = `#${parts}`;
-    if (own !== location.hash) history[isNew ? "pushState" : "replaceState"](null, "", own);
+    const hash = `#${parts}`;
+    if (hash !== location.hash) history[isNew ? "pushState" : "replaceState"](null, "", hash);
   }
 
   // The frame of the page.
 
-  const button = (text, about, act) => make("button", { type: "button", title: about, onclick: act }, text);
+  const button = (text, title, onclick) => make("button", { type: "button", title, onclick }, text);
   const status = make("span", { className: "status" }), spoken = make("span", { className: "spoken", role: "status" });
   const pin = button("Pin", "Compare with this run from now on", () => {
     if (pin.reason) return tellWhy(pin.reason);
     pinned = joined(now); writeAddress(true); run();
   });
   pin.className = "primary";
-  const alone = button("Unpin", "Compare with no run", () => { pinned = null; writeAddress(true); run(); });
+  const unpin = button("Unpin", "Compare with no run", () => { pinned = null; writeAddress(true); run(); });
   const reset = button("Reset", "Undo all changes", () => { now = new Map(options.changes.map(split)); writeAddress(true); run(); });
-  const many = button("30 seeds", "Run both scenarios with 30 seeds, and compare the runs in pairs", () => { if (many.reason) tellWhy(many.reason); else compare(); });
-  /** Disable a button for a reason, which it then tells; null enables it. It stays reachable, so that the reason is, too. */
+  const overSeeds = button("30 seeds", "Run both scenarios with 30 seeds, and compare the runs in pairs", () => { if (overSeeds.reason) tellWhy(overSeeds.reason); else compare(); });
+  /** Disable a button for a reason, which a click then shows; null enables it. It can have the focus even if it is disabled. */
   function setDisabled(element, reason) {
     element.reason = reason;
     element.setAttribute("aria-disabled", reason !== null);
     element.title = reason ?? element.about;
   }
-  for (const each of [pin, many]) each.about = each.title;
+  for (const target of [pin, overSeeds]) target.about = target.title;
   const copy = button("Copy as …", "This scenario as a file, a command or a program", () => showTexts());
   const save = button("Save", "Write this run to a folder, which desim run --from repeats", () => saveRun());
   const toggle = button("Keys", "Show or hide the keys of the scenario", () => {
@@ -82,17 +82,17 @@ export function start(root, transport, options) {
   toggle.setAttribute("aria-expanded", "false");
   const theme = button("◐", "Light or dark theme", () => setTheme(isDark() ? "light" : "dark"));
   theme.setAttribute("aria-label", "Light or dark theme");
-  const numbers = make("section", { className: "numbers" }), note = make("p", { className: "note" });
-  numbers.setAttribute("aria-label", "Metrics of this run, and their differences from the pinned run");
-  const wrong = make("p", { className: "wrong", role: "alert" }), old = make("p", { className: "old" });
+  const metricsSection = make("section", { className: "numbers" }), note = make("p", { className: "note" });
+  metricsSection.setAttribute("aria-label", "Metrics of this run, and their differences from the pinned run");
+  const wrongNote = make("p", { className: "wrong", role: "alert" }), oldNote = make("p", { className: "old" });
   const seeds = make("section", { className: "seeds", hidden: true });
   seeds.setAttribute("aria-label", "Comparison over seeds");
   const stage = make("div", { className: "stage" }), keys = make("form", { className: "keys", onsubmit: event => event.preventDefault() });
   keys.setAttribute("aria-label", "Keys of the scenario");
   const dialog = make("dialog");
   const element = make("div", { className: options.hasAddress ? "play" : "play inline" },
-    make("header", {}, make("h1", {}, options.name, make("small", {}, " desim play")), status, spoken, toggle, pin, alone, many, copy, save, reset, theme),
-    keys, make("div", { className: "view" }, old, numbers, note, wrong, make("div", { className: "beside" }, stage, seeds)), dialog);
+    make("header", {}, make("h1", {}, options.name, make("small", {}, " desim play")), status, spoken, toggle, pin, unpin, overSeeds, copy, save, reset, theme),
+    keys, make("div", { className: "view" }, oldNote, metricsSection, note, wrongNote, make("div", { className: "beside" }, stage, seeds)), dialog);
   root.append(element);
 
   // Light and dark.
@@ -107,19 +107,19 @@ export function start(root, transport, options) {
   // Controls.
 
   function change(key, text) {
-    const each = controls.find(one => one.key === key);
-    if (each?.form === "kind")  // the keys of another kind no longer exist
+    const control = controls.find(candidate => candidate.key === key);
+    if (control?.form === "kind")  // the keys of another kind no longer exist
       for (const below of [...now.keys()]) if (below.startsWith(`${key}.`)) now.delete(below);
-    const own = each?.form === "kind" ? `${key}.kind` : key;
+    const changedKey = control?.form === "kind" ? `${key}.kind` : key;
     const isOfOtherKind = [...now.keys()].some(one => one.endsWith(".kind") && key.startsWith(one.slice(0, -4)));
-    if (options.values[key] === text && !isOfOtherKind) now.delete(own);
-    else now.set(own, text);
+    if (options.values[key] === text && !isOfOtherKind) now.delete(changedKey);
+    else now.set(changedKey, text);
     writeAddress(true);
     run();
   }
   const changed = key => now.has(key) || now.has(`${key}.kind`);
 
-  // The positions of a slider are 0 .. positions(slider). One step changes each value by at least its last digit.
+  // The positions of a slider are 0 .. positions(slider). One step changes a value by at least its last digit.
   const PER_DECADE = 200, STEPS = 1000;
   const positions = ({ low, high, is_log: isLog }, isInteger) => isLog ? Math.round(PER_DECADE * Math.log10(high / low)) : isInteger ? high - low : STEPS;
   function fromPosition(slider, position, isInteger) {
@@ -135,26 +135,26 @@ export function start(root, transport, options) {
     const share = isLog ? Math.log(number / low) / Math.log(high / low) : (number - low) / (high - low);
     return Math.round(positions(slider, isInteger) * Math.min(Math.max(share, 0), 1));
   }
-  function draw(each, label) {
-    const id = `desim-${count++}`, isInteger = each.form === "integer", unit = each.unit ? ` ${each.unit}` : "";
-    const commit = () => change(each.key, each.form === "flag" ? `${input.checked}` : input.value.trim());
-    const field = { id, title: each.help, onchange: commit };
+  function draw(control, label) {
+    const id = `desim-${count++}`, isInteger = control.form === "integer", unit = control.unit ? ` ${control.unit}` : "";
+    const commit = () => change(control.key, control.form === "flag" ? `${input.checked}` : input.value.trim());
+    const field = { id, title: control.help, onchange: commit };
     let input, slider = null, list = null;
-    if (each.form === "kind" || each.form === "choice") {
-      const option = one => {
-        const needsFile = each.needs_file.includes(one), made = new Option(needsFile ? `${words(one)} (needs a file)` : words(one), one);
-        made.disabled = needsFile;
-        return made;
+    if (control.form === "kind" || control.form === "choice") {
+      const optionElement = option => {
+        const needsFile = control.needs_file.includes(option), choice = new Option(needsFile ? `${words(option)} (needs a file)` : words(option), option);
+        choice.disabled = needsFile;
+        return choice;
       };
-      input = make("select", field, ...each.options.map(option));
+      input = make("select", field, ...control.options.map(optionElement));
     }
-    else if (each.form === "flag") input = make("input", { ...field, type: "checkbox" });
+    else if (control.form === "flag") input = make("input", { ...field, type: "checkbox" });
     else {
       input = make("input", { ...field, type: "text", spellcheck: false, autocomplete: "off" });
-      if (each.form !== "text") { input.className = "number"; input.inputMode = "decimal"; }
-      else if (each.example) input.placeholder = `e.g. ${each.example}`;
-      if (each.options.length) {
-        list = make("datalist", { id: `${id}-list` }, ...each.options.map(one => new Option(one)));
+      if (control.form !== "text") { input.className = "number"; input.inputMode = "decimal"; }
+      else if (control.example) input.placeholder = `e.g. ${control.example}`;
+      if (control.options.length) {
+        list = make("datalist", { id: `${id}-list` }, ...control.options.map(option => new Option(option)));
         input.setAttribute("list", list.id);
       }
       if (isInteger) input.onkeydown = event => {
@@ -165,78 +165,78 @@ export function start(root, transport, options) {
         commit();
       };
     }
-    const name = `${words(each.key.replaceAll(".", " "))}${each.unit ? `, ${each.unit}` : ""}`;
+    const name = `${words(control.key.replaceAll(".", " "))}${control.unit ? `, ${control.unit}` : ""}`;
     input.setAttribute("aria-label", name);
     input.setAttribute("aria-describedby", `${id}-error ${id}-help`);
     const tell = () => slider.setAttribute("aria-valuetext", `${input.value}${unit}`);
-    if (each.slider) {
-      const most = positions(each.slider, isInteger);
-      slider = make("input", { type: "range", min: 0, max: most, onchange: commit, oninput: () => { input.value = fromPosition(each.slider, +slider.value, isInteger); tell(); } });
+    if (control.slider) {
+      const most = positions(control.slider, isInteger);
+      slider = make("input", { type: "range", min: 0, max: most, onchange: commit, oninput: () => { input.value = fromPosition(control.slider, +slider.value, isInteger); tell(); } });
       slider.setAttribute("aria-label", `${name}: slider`);
     }
     const error = make("p", { className: "error", id: `${id}-error` });
-    const undo = button("↺", `Undo the change of ${each.key}`, () => {
-      for (const key of [...now.keys()]) if (key === each.key || (each.form === "kind" && key.startsWith(`${each.key}.`))) now.delete(key);
+    const undo = button("↺", `Undo the change of ${control.key}`, () => {
+      for (const key of [...now.keys()]) if (key === control.key || (control.form === "kind" && key.startsWith(`${control.key}.`))) now.delete(key);
       writeAddress(true);
       input.focus();
       run();
     });
     undo.className = "back";
-    undo.setAttribute("aria-label", `Undo the change of ${each.key}`);
-    const row = make("div", {}, make("label", { htmlFor: id, title: each.key }, label, each.form !== "kind" && unit ? make("small", {}, unit) : ""), input, ...(list ? [list] : []), undo);
-    const whole = make("div", { className: `key ${each.form}` }, row, ...(slider ? [slider] : []), error, make("p", { className: "help", id: `${id}-help` }, `${each.key}: ${each.help}${bounds(each)}`));
-    whole.dataset.key = each.key;
-    let last;  // the value that was shown last: what differs from it is being edited
+    undo.setAttribute("aria-label", `Undo the change of ${control.key}`);
+    const row = make("div", {}, make("label", { htmlFor: id, title: control.key }, label, control.form !== "kind" && unit ? make("small", {}, unit) : ""), input, ...(list ? [list] : []), undo);
+    const group = make("div", { className: `key ${control.form}` }, row, ...(slider ? [slider] : []), error, make("p", { className: "help", id: `${id}-help` }, `${control.key}: ${control.help}${bounds(control)}`));
+    group.dataset.key = control.key;
+    let shownValue;  // the value that was shown last: what differs from it is being edited
     function update(value) {
-      const isEdited = input === document.activeElement && each.form !== "flag" && input.value !== last && last !== undefined;
-      undo.hidden = !changed(each.key);
-      whole.classList.toggle("changed", changed(each.key));
+      const isEdited = input === document.activeElement && control.form !== "flag" && input.value !== shownValue && shownValue !== undefined;
+      undo.hidden = !changed(control.key);
+      group.classList.toggle("changed", changed(control.key));
       if (isEdited || (slider && slider.matches(":active"))) return;
-      last = value;
-      if (each.form === "flag") input.checked = value === "true";
+      shownValue = value;
+      if (control.form === "flag") input.checked = value === "true";
       else {
-        if (input.options && ![...input.options].some(one => one.value === value)) input.prepend(new Option(value || "none", value));
+        if (input.options && ![...input.options].some(option => option.value === value)) input.prepend(new Option(value || "none", value));
         input.value = value;
       }
-      if (slider) { slider.value = toPosition(each.slider, value, isInteger); tell(); }
+      if (slider) { slider.value = toPosition(control.slider, value, isInteger); tell(); }
     }
-    update(each.value);
-    return { whole, update, error, inputs: slider ? [input, slider] : [input] };
+    update(control.value);
+    return { group, update, error, inputs: slider ? [input, slider] : [input] };
   }
-  const bounds = each => {
-    const ends = [each.low, each.high].map(one => one === null || Math.abs(one) >= 1e6 ? null : `${one}`);
-    return ends[0] !== null && ends[1] !== null ? ` From ${ends[0]} to ${ends[1]}.` : ends[0] !== null && each.low !== 0 ? ` At least ${ends[0]}.` : "";
+  const bounds = control => {
+    const ends = [control.low, control.high].map(end => end === null || Math.abs(end) >= 1e6 ? null : `${end}`);
+    return ends[0] !== null && ends[1] !== null ? ` From ${ends[0]} to ${ends[1]}.` : ends[0] !== null && control.low !== 0 ? ` At least ${ends[0]}.` : "";
   };
-  function label(each) {
-    const parts = each.key.split(".").filter(part => !/^\d+$/.test(part)), above = controls.find(one => one.form === "kind" && each.key.startsWith(`${one.key}.`) && one.key !== "protocol");
-    return words(each.first === null ? each.key : above ? parts.at(-1) : parts.slice(-2).join(" "));
+  function label(control) {
+    const parts = control.key.split(".").filter(part => !/^\d+$/.test(part)), above = controls.find(kind => kind.form === "kind" && control.key.startsWith(`${kind.key}.`) && kind.key !== "protocol");
+    return words(control.first === null ? control.key : above ? parts.at(-1) : parts.slice(-2).join(" "));
   }
   const search = make("input", { type: "search", className: "search", oninput: () => { query = search.value; drawControls(); } });
-  const first = make("div"), found = make("div", { className: "found" });
-  keys.append(search, found, first);
-  /** Show a control for each key that comes first, is changed, is wrong or is searched; those that stay are updated. */
+  const first = make("div"), otherKeys = make("div", { className: "found" });
+  keys.append(search, otherKeys, first);
+  /** Show a control for each key that comes first, is changed, wrong or matches the search; controls shown before are kept. */
   function drawControls() {
-    const wanted = query.toLowerCase().split(/\s+/).filter(Boolean), rest = controls.filter(each => each.first === null);
-    const matches = each => wanted.length && wanted.every(word => `${each.key} ${words(each.key)} ${each.help}`.toLowerCase().includes(word));
-    const isOpen = each => changed(each.key) || wrongKeys.has(each.key) || [...now.keys()].some(key => key.endsWith(".kind") && each.key.startsWith(key.slice(0, -4)));
-    const drawn = controls.filter(each => each.first !== null || isOpen(each) || matches(each));
-    search.placeholder = `Search ${rest.length} more keys`;
-    found.hidden = !drawn.some(each => each.first === null);
+    const searched = query.toLowerCase().split(/\s+/).filter(Boolean), hidden = controls.filter(control => control.first === null);
+    const matches = control => searched.length && searched.every(word => `${control.key} ${words(control.key)} ${control.help}`.toLowerCase().includes(word));
+    const isOpen = control => changed(control.key) || wrongKeys.has(control.key) || [...now.keys()].some(key => key.endsWith(".kind") && control.key.startsWith(key.slice(0, -4)));
+    const drawn = controls.filter(control => control.first !== null || isOpen(control) || matches(control));
+    search.placeholder = `Search ${hidden.length} more keys`;
+    otherKeys.hidden = !drawn.some(control => control.first === null);
     search.setAttribute("aria-label", search.placeholder);
     const form = ({ key, form, options: kinds, needs_file: needsFile, slider }) => JSON.stringify([key, form, kinds, needsFile, slider]);
-    const own = drawn.map(form).join();
-    if (own !== layout) {
-      const before = rows, kept = each => before.get(each.key)?.form === form(each) ? before.get(each.key) : null;
-      layout = own;
-      rows = new Map(drawn.map(each => [each.key, kept(each) ?? { ...draw(each, label(each)), form: form(each) }]));
-      const place = keys.contains(document.activeElement) ? document.activeElement.closest("[data-key]")?.dataset.key : null;
-      const isAt = document.activeElement;
-      first.replaceChildren(...drawn.filter(each => each.first !== null).map(each => rows.get(each.key).whole));
-      found.replaceChildren(...drawn.filter(each => each.first === null).map(each => rows.get(each.key).whole));
-      if (place !== null && isAt !== document.activeElement) (keys.contains(isAt) ? isAt : rows.get(place)?.inputs[0])?.focus({ preventScroll: true });
+    const newLayout = drawn.map(form).join();
+    if (newLayout !== drawnForms) {
+      const oldRows = rows, kept = control => oldRows.get(control.key)?.form === form(control) ? oldRows.get(control.key) : null;
+      drawnForms = newLayout;
+      rows = new Map(drawn.map(control => [control.key, kept(control) ?? { ...draw(control, label(control)), form: form(control) }]));
+      const focusedKey = keys.contains(document.activeElement) ? document.activeElement.closest("[data-key]")?.dataset.key : null;
+      const focused = document.activeElement;
+      first.replaceChildren(...drawn.filter(control => control.first !== null).map(control => rows.get(control.key).group));
+      otherKeys.replaceChildren(...drawn.filter(control => control.first === null).map(control => rows.get(control.key).group));
+      if (focusedKey !== null && focused !== document.activeElement) (keys.contains(focused) ? focused : rows.get(focusedKey)?.inputs[0])?.focus({ preventScroll: true });
     }
-    // What was typed stays as it was typed while it is wrong.
-    for (const each of drawn) rows.get(each.key).update(wrongKeys.has(each.key) ? now.get(each.key) ?? each.value : each.value);
+    // A wrong value stays as the user typed it.
+    for (const control of drawn) rows.get(control.key).update(wrongKeys.has(control.key) ? now.get(control.key) ?? control.value : control.value);
   }
   function showErrors(errors) {
     for (const { error, inputs } of rows.values()) {
@@ -245,15 +245,15 @@ export function start(root, transport, options) {
     }
     const others = [];
     for (const [key, text] of Object.entries(errors)) {
-      const own = rows.get(key) ?? rows.get(key.replace(/\.kind$/, ""));
-      if (own) {
-        own.error.textContent = text;
-        own.inputs.forEach(one => one.setAttribute("aria-invalid", "true"));
-        own.whole.scrollIntoView({ block: "nearest" });
+      const row = rows.get(key) ?? rows.get(key.replace(/\.kind$/, ""));
+      if (row) {
+        row.error.textContent = text;
+        row.inputs.forEach(one => one.setAttribute("aria-invalid", "true"));
+        row.group.scrollIntoView({ block: "nearest" });
         spoken.textContent = `${key}: ${text}`;
       } else others.push(key ? `${key}: ${text}` : text);
     }
-    wrong.textContent = others.join("\n");
+    wrongNote.textContent = others.join("\n");
   }
 
   // Runs.
@@ -261,18 +261,18 @@ export function start(root, transport, options) {
   async function run() {
     running?.abort();
     endComparison();
-    const own = running = new AbortController(), begun = performance.now();
-    const late = setTimeout(() => { status.textContent = "running …"; }, 250);
-    alone.disabled = pinned === null;
-    for (const each of [pin, many]) setDisabled(each, "Wait for the run.");
+    const controller = running = new AbortController(), begun = performance.now();
+    const timer = setTimeout(() => { status.textContent = "running …"; }, 250);
+    unpin.disabled = pinned === null;
+    for (const target of [pin, overSeeds]) setDisabled(target, "Wait for the run.");
     let answer;
     try {
-      answer = await transport.run({ now: joined(now), pinned, page }, own.signal);
+      answer = await transport.run({ now: joined(now), pinned, page }, controller.signal);
     } catch (error) {
-      if (own === running) { wrong.textContent = `No answer: ${error.message}`; status.textContent = ""; }
+      if (controller === running) { wrongNote.textContent = `No answer: ${error.message}`; status.textContent = ""; }
       return;
-    } finally { clearTimeout(late); }
-    if (own !== running) return;
+    } finally { clearTimeout(timer); }
+    if (controller !== running) return;
     controls = answer.controls;
     wrongKeys = new Set(Object.keys(answer.errors ?? {}));
     texts = answer.texts ?? null;
@@ -284,15 +284,15 @@ export function start(root, transport, options) {
     if (isInvalid) {
       markWanted();
       status.textContent = "not run";
-      old.textContent = runs ? "Not run: the metrics and the replay are those of the last valid run." : "Not run.";
-      for (const each of [pin, many]) setDisabled(each, "Correct the values that are marked first.");
+      oldNote.textContent = runs ? "Not run: the metrics and the replay are those of the last valid run." : "Not run.";
+      for (const target of [pin, overSeeds]) setDisabled(target, "Correct the values that are marked first.");
       return;
     }
     setDisabled(pin, null);
     lastTime = (performance.now() - begun) / 1000;
     drawNumbers(answer);
-    await showReplay(answer.page, own);
-    if (own !== running) return;
+    await showReplay(answer.page, controller);
+    if (controller !== running) return;
     runs++;
     status.textContent = `${((performance.now() - begun) / 1000).toFixed(2)} s`;
     spoken.textContent = answer.metrics.filter(row => row.first).slice(0, 2).map(inWords).join("; ");
@@ -304,18 +304,18 @@ export function start(root, transport, options) {
       const difference = row.difference === undefined ? [] : [" ", make("small", { className: judged(row), title: `Difference from the pinned run: ${judged(row) || "neither better nor worse"}` }, row.difference)];
       return make("p", {}, make("span", {}, row.name), " ", make("strong", {}, row.value, row.unit ? ` ${row.unit}` : "", ...difference));
     };
-    numbers.replaceChildren(...answer.metrics.filter(row => row.first).map(figure));
-    const [own, other] = answer.seeds;
-    setDisabled(many, other === null ? "Pin a run first: 30 seeds compare this run with the pinned one." : isPinned() ? "This run is the pinned one: change a key first." : null);
+    metricsSection.replaceChildren(...answer.metrics.filter(row => row.first).map(figure));
+    const [seed, other] = answer.seeds;
+    setDisabled(overSeeds, other === null ? "Pin a run first: 30 seeds compare this run with the pinned one." : isPinned() ? "This run is the pinned one: change a key first." : null);
     note.replaceChildren(button("All metrics", "All metrics of this run", () => showMetrics(answer.metrics)), " ", [
       other === null ? "No run is pinned." : isPinned() ? "This run is the pinned one: change a key, and the next run is compared with it."
-        : own === other ? `Differences are from the pinned run, drawn faint. Both have seed ${own} and so the same random numbers: they are effects of the changed keys.`
-          : `Differences are from the pinned run, drawn faint. The seeds ${own} and ${other} differ, so they are also due to chance: compare over 30 seeds.`,
+        : seed === other ? `Differences are from the pinned run, drawn faint. Both have seed ${seed} and so the same random numbers: they are effects of the changed keys.`
+          : `Differences are from the pinned run, drawn faint. The seeds ${seed} and ${other} differ, so they are also due to chance: compare over 30 seeds.`,
       ...(hasWalls() ? ["Walls can be dragged."] : []),
-      ...answer.warnings.map(each => `Warning: ${each}.`),
+      ...answer.warnings.map(warning => `Warning: ${warning}.`),
     ].join(" "));
   }
-  const hasWalls = () => controls.some(each => each.key.startsWith("wall."));
+  const hasWalls = () => controls.some(control => control.key.startsWith("wall."));
   const judged = row => !row.more_is || !row.sign ? "" : (row.sign > 0) === (row.more_is === "better") ? "better" : "worse";
 
   // The replay: a new page is loaded behind the present one, which it replaces at the same instant.
@@ -323,39 +323,39 @@ export function start(root, transport, options) {
   const replay = () => frame?.contentWindow?.replay;
   const BOXES = ["links", "trails", "other", "sight"];
   function remember() {
-    const last = replay();
-    if (!last) return;
-    const wall = element.getRootNode().activeElement === frame ? last.markedWall : -1;
-    Object.assign(shown, { time: last.time, playing: last.playing, speed: last.speed, chosen: last.chosen, wall });
-    shown.boxes = BOXES.filter(id => frame.contentDocument.getElementById(id)?.checked === false);
+    const current = replay();
+    if (!current) return;
+    const wall = element.getRootNode().activeElement === frame ? current.markedWall : -1;
+    Object.assign(lastShown, { time: current.time, playing: current.playing, speed: current.speed, chosen: current.chosen, wall });
+    lastShown.boxes = BOXES.filter(id => frame.contentDocument.getElementById(id)?.checked === false);
   }
-  function showReplay(page, own) {
-    waiting?.remove();
-    const next = waiting = make("iframe", { title: "Replay of this run", className: "waiting", srcdoc: page });
+  function showReplay(page, controller) {
+    nextFrame?.remove();
+    const next = nextFrame = make("iframe", { title: "Replay of this run", className: "waiting", srcdoc: page });
     stage.append(next);
     return new Promise(done => {
       next.onload = async () => {
         await replay()?.whenReleased();  // the frame in which a wall is held stays
-        if (own !== running) { next.remove(); return done(); }
-        const made = next.contentWindow.replay;
+        if (controller !== running) { next.remove(); return done(); }
+        const newReplay = next.contentWindow.replay;
         remember();
         next.contentDocument.documentElement.classList.add("embedded");
-        next.contentDocument.querySelectorAll("h1, #theme").forEach(each => { each.style.display = "none"; });  // the page has its own
-        made.setTheme(isDark() ? "dark" : "light");
-        if (shown.speed) made.speed = shown.speed;
-        if (shown.chosen >= 0 && shown.chosen < made.truth.length) made.choose(shown.chosen);
-        for (const id of shown.boxes ?? []) next.contentDocument.getElementById(id)?.click();
-        made.seek(instant ?? Math.min(shown.time, made.end));
-        if (shown.playing) made.play(); else made.pause();
-        instant = null;
+        next.contentDocument.querySelectorAll("h1, #theme").forEach(node => { node.style.display = "none"; });  // this page has both
+        newReplay.setTheme(isDark() ? "dark" : "light");
+        if (lastShown.speed) newReplay.speed = lastShown.speed;
+        if (lastShown.chosen >= 0 && lastShown.chosen < newReplay.truth.length) newReplay.choose(lastShown.chosen);
+        for (const id of lastShown.boxes ?? []) next.contentDocument.getElementById(id)?.click();
+        newReplay.seek(startTime ?? Math.min(lastShown.time, newReplay.end));
+        if (lastShown.playing) newReplay.play(); else newReplay.pause();
+        startTime = null;
         frame?.remove();
         frame = next;
-        waiting = null;
-        made.moveWalls((k, offset) => change(offsetKey(k), inFile(offset)));
-        if (shown.wall >= 0) { next.contentWindow.focus(); made.markWall(shown.wall); }
+        nextFrame = null;
+        newReplay.moveWalls((k, offset) => change(offsetKey(k), inFile(offset)));
+        if (lastShown.wall >= 0) { next.contentWindow.focus(); newReplay.markWall(lastShown.wall); }
         frame.classList.remove("waiting");
-        new ResizeObserver(fit).observe(next.contentDocument.body);
-        fit();
+        new ResizeObserver(fitHeight).observe(next.contentDocument.body);
+        fitHeight();
         requestAnimationFrame(() => done());
       };
     });
@@ -364,8 +364,8 @@ export function start(root, transport, options) {
   // Walls: moved in the replay, as a change of their offset.
 
   const offsetKey = k => `wall.${k}.offset`;
-  const inFile = offset => `[${offset.map(each => Number.isInteger(each) ? each.toFixed(1) : `${each}`).join(", ")}]`;
-  /** Show in the last valid run where the walls are asked for. */
+  const inFile = offset => `[${offset.map(coordinate => Number.isInteger(coordinate) ? coordinate.toFixed(1) : `${coordinate}`).join(", ")}]`;
+  /** Show in the replay of the last valid run the wanted offsets of the walls. */
   function markWanted() {
     const shownRun = replay();
     shownRun?.wantedWalls.forEach((_, k) => {
@@ -376,11 +376,11 @@ export function start(root, transport, options) {
 
   const isNarrow = matchMedia("(max-width: 860px)");
   /** On a narrow screen the replay is as high as its content, so that only the page scrolls. */
-  function fit() {
+  function fitHeight() {
     const body = frame?.contentDocument?.body;
     stage.style.height = isNarrow.matches && options.hasAddress && body ? `${body.scrollHeight}px` : "";
   }
-  isNarrow.addEventListener("change", fit);
+  isNarrow.addEventListener("change", fitHeight);
 
   // Over seeds.
 
@@ -394,7 +394,7 @@ export function start(root, transport, options) {
     comparing?.abort();
     comparing = null;
   }
-  function endComparison() {  // what is shown is of a scenario that has changed
+  function endComparison() {  // the scenario has changed, so the table is out of date
     stopComparing();
     const title = seeds.querySelector("h2"), cancel = seeds.querySelector(".cancel");
     if (title && !title.textContent.startsWith(BEFORE)) title.textContent = BEFORE + title.textContent.replace(LEFT, "");
@@ -402,7 +402,7 @@ export function start(root, transport, options) {
   }
   async function compare() {
     stopComparing();
-    const own = comparing = new AbortController(), body = { now: joined(now), pinned, count: 30, page };
+    const controller = comparing = new AbortController(), body = { now: joined(now), pinned, count: 30, page };
     const title = make("h2", {}, "30 seeds"), bar = make("progress", { max: 30, value: 0 }), table = make("table");
     bar.setAttribute("aria-label", "Pairs of runs that are done");
     const cancel = button("Cancel", "Stop the runs", () => { stopComparing(); title.textContent = `${title.textContent.replace(LEFT, "")}, cancelled`; cancel.hidden = true; });
@@ -412,24 +412,24 @@ export function start(root, transport, options) {
     seeds.replaceChildren(make("div", {}, title, cancel, button("Close", "Close the comparison", () => { stopComparing(); seeds.hidden = true; })), bar, make("p", {}, "Differences from the pinned run in pairs of equal seeds, with 95 % intervals. At the end those in bold are told apart from 0 at a level of 5 % for all together; a colour says whether they are better or worse."), make("div", { className: "scroll" }, table));
     seeds.hidden = false;
     try {
-      await transport.seeds(body, found => { if (own === comparing) showPairs(found, title, bar, table); }, own.signal);
-      if (own === comparing) { cancel.hidden = true; comparing = null; spoken.textContent = title.textContent; }
+      await transport.seeds(body, answer => { if (controller === comparing) showPairs(answer, title, bar, table); }, controller.signal);
+      if (controller === comparing) { cancel.hidden = true; comparing = null; spoken.textContent = title.textContent; }
     } catch (error) {
-      if (own === comparing) { title.textContent = `No answer: ${error.message}`; cancel.hidden = true; }
+      if (controller === comparing) { title.textContent = `No answer: ${error.message}`; cancel.hidden = true; }
     }
   }
   let begunAt = 0;  // when the comparison began, ms
   const duration = seconds => seconds < 90 ? `${Math.max(Math.ceil(seconds), 1)} s` : `${Math.ceil(seconds / 60)} min`;
-  function showPairs(found, title, bar, table) {
-    if (found.error) { title.textContent = found.error; return; }
-    bar.value = found.done;
-    const left = (performance.now() - begunAt) / 1000 * (found.of - found.done) / Math.max(found.done, 1);
-    title.textContent = `${found.done} of ${found.of} seeds${found.done < found.of ? `, about ${duration(left)} left` : ""}`
-      + (found.failed ? `; ${found.failed} failed: ${found.failure[0]}` : "");
-    const row = (each, cell = "td") => make("tr", {}, ...each.map(one => one instanceof Node ? one : make(cell, {}, one)));
-    const rows = found.metrics.filter(each => each.first).map(each => row([
-      `${each.name}${each.unit ? `, ${each.unit}` : ""}`, each.now, each.pinned,
-      make("td", { className: each.differs ? `apart ${judged(each)}` : "", title: `${each.count} pairs` }, each.difference.replace("+-", "±"))]));
+  function showPairs(answer, title, bar, table) {
+    if (answer.error) { title.textContent = answer.error; return; }
+    bar.value = answer.done;
+    const left = (performance.now() - begunAt) / 1000 * (answer.of - answer.done) / Math.max(answer.done, 1);
+    title.textContent = `${answer.done} of ${answer.of} seeds${answer.done < answer.of ? `, about ${duration(left)} left` : ""}`
+      + (answer.failed ? `; ${answer.failed} failed: ${answer.failure[0]}` : "");
+    const row = (cells, cell = "td") => make("tr", {}, ...cells.map(content => content instanceof Node ? content : make(cell, {}, content)));
+    const rows = answer.metrics.filter(metric => metric.first).map(metric => row([
+      `${metric.name}${metric.unit ? `, ${metric.unit}` : ""}`, metric.now, metric.pinned,
+      make("td", { className: metric.differs ? `apart ${judged(metric)}` : "", title: `${metric.count} pairs` }, metric.difference.replace("+-", "±"))]));
     table.replaceChildren(make("thead", {}, row(["metric", "mean", "pinned", "difference"], "th")), make("tbody", {}, ...rows));
   }
 
@@ -457,19 +457,19 @@ export function start(root, transport, options) {
     try {
       const { folder, error } = await transport.save({ now: joined(now) });
       open(make("p", {}, error ?? `Saved in ${folder}. Repeat it, watch it:`), ...(error ? [] : [make("pre", { tabIndex: 0 }, `desim run --from ${folder}/run.json${texts?.command.includes("--allow-import") ? " --allow-import" : ""}\ndesim replay ${folder}`)]));
-    } catch (error) { wrong.textContent = `Not saved: ${error.message}`; } finally { save.disabled = texts === null; }
+    } catch (error) { wrongNote.textContent = `Not saved: ${error.message}`; } finally { save.disabled = texts === null; }
   }
 
   followTheme();
   readAddress();
   if (options.hasAddress) {
     window.addEventListener("popstate", () => { readAddress(); run(); });
-    setInterval(() => { if (!running?.signal.aborted && instant === null && replay() && !replay().playing && replay().time !== shown.time) { shown.time = replay().time; writeAddress(false); } }, 500);
+    setInterval(() => { if (!running?.signal.aborted && startTime === null && replay() && !replay().playing && replay().time !== lastShown.time) { lastShown.time = replay().time; writeAddress(false); } }, 500);
   }
   run();
 
   return {
-    stop() { status.textContent = "ended"; wrong.textContent = "The program that served this page has ended: run desim play again."; for (const each of element.querySelectorAll("header button, .keys input, .keys select")) if (each !== theme) each.disabled = true; },
+    stop() { status.textContent = "ended"; wrongNote.textContent = "The program that served this page has ended: run desim play again."; for (const each of element.querySelectorAll("header button, .keys input, .keys select")) if (each !== theme) each.disabled = true; },
     remove() { running?.abort(); stopComparing(); darkness.removeEventListener("change", followTheme); element.remove(); },
     change, get replay() { return replay(); }, get runs() { return runs; }, get changes() { return joined(now); }, get pinned() { return pinned; }, page,
   };

@@ -1,5 +1,5 @@
 // The one connection that all pages of a session share: as long as it is open, the server runs. A browser opens only six
-// connections to a host, so with one each, the seventh page would wait for ever.
+// connections to a host, so if each page had its own, the seventh page would wait for ever.
 
 const pages = [];
 const life = new EventSource("alive");
