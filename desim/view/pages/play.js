@@ -111,7 +111,7 @@ export function start(root, transport, options) {
     if (control?.form === "kind")  // the keys of another kind no longer exist
       for (const below of [...now.keys()]) if (below.startsWith(`${key}.`)) now.delete(below);
     const changedKey = control?.form === "kind" ? `${key}.kind` : key;
-    const isOfOtherKind = [...now.keys()].some(one => one.endsWith(".kind") && key.startsWith(one.slice(0, -4)));
+    const isOfOtherKind = [...now.keys()].some(changed => changed.endsWith(".kind") && key.startsWith(changed.slice(0, -4)));
     if (options.values[key] === text && !isOfOtherKind) now.delete(changedKey);
     else now.set(changedKey, text);
     writeAddress(true);
@@ -241,14 +241,14 @@ export function start(root, transport, options) {
   function showErrors(errors) {
     for (const { error, inputs } of rows.values()) {
       error.textContent = "";
-      inputs.forEach(one => one.removeAttribute("aria-invalid"));
+      inputs.forEach(input => input.removeAttribute("aria-invalid"));
     }
     const others = [];
     for (const [key, text] of Object.entries(errors)) {
       const row = rows.get(key) ?? rows.get(key.replace(/\.kind$/, ""));
       if (row) {
         row.error.textContent = text;
-        row.inputs.forEach(one => one.setAttribute("aria-invalid", "true"));
+        row.inputs.forEach(input => input.setAttribute("aria-invalid", "true"));
         row.group.scrollIntoView({ block: "nearest" });
         spoken.textContent = `${key}: ${text}`;
       } else others.push(key ? `${key}: ${text}` : text);
@@ -469,7 +469,7 @@ export function start(root, transport, options) {
   run();
 
   return {
-    stop() { status.textContent = "ended"; wrongNote.textContent = "The program that served this page has ended: run desim play again."; for (const each of element.querySelectorAll("header button, .keys input, .keys select")) if (each !== theme) each.disabled = true; },
+    stop() { status.textContent = "ended"; wrongNote.textContent = "The program that served this page has ended: run desim play again."; for (const row of element.querySelectorAll("header button, .keys input, .keys select")) if (row !== theme) row.disabled = true; },
     remove() { running?.abort(); stopComparing(); darkness.removeEventListener("change", followTheme); element.remove(); },
     change, get replay() { return replay(); }, get runs() { return runs; }, get changes() { return joined(now); }, get pinned() { return pinned; }, page,
   };

@@ -50,7 +50,7 @@ function drawBackdrop() {
   }
   // Active pursuers. The scale reaches at least two, so that one does not look like all. With several evaders, their lanes show who is alone.
   const ghostSteps = $("other")?.checked ? [...ghost.t].map((t, k) => [t, ghost.count[k]]).filter(([t]) => t <= END) : [];
-  const maxCount = [...changes.count, ...ghostSteps.map(each => each[1])].reduce((most, each) => Math.max(most, each), Math.max(changes.first, Math.min(N, 2)));
+  const maxCount = [...changes.count, ...ghostSteps.map(entry => entry[1])].reduce((most, entry) => Math.max(most, entry), Math.max(changes.first, Math.min(N, 2)));
   const level = n => 3 + upper - (upper - 6) * n / maxCount;
   const steps = [[0, changes.first], ...changes.t.map((t, k) => [t, changes.count[k]]), [END, 0]];
   for (let k = 0; k + 1 < steps.length; k++) {
@@ -144,8 +144,8 @@ function drawScale(c, gutter, level, marks) {
 function drawChaserCounts(c, top) {
   const height = count => (LANE - 3) * Math.min(count, 3) / 3;
   chaserCounts.forEach((hunt, k) => {
-    const floor = top + LANE * (k + 1) - 1, over = run.captures.find(each => each.evader === k + 1)?.t ?? END;
-    const steps = [[0, hunt.first], ...hunt.t.map((t, n) => [t, hunt.count[n]]).filter(each => each[0] < over), [over, 0]];
+    const floor = top + LANE * (k + 1) - 1, over = run.captures.find(capture => capture.evader === k + 1)?.t ?? END;
+    const steps = [[0, hunt.first], ...hunt.t.map((t, n) => [t, hunt.count[n]]).filter(entry => entry[0] < over), [over, 0]];
     c.globalAlpha = .8;
     for (let n = 0; n + 1 < steps.length; n++) {
       const [[from, count], [to]] = [steps[n], steps[n + 1]];

@@ -134,9 +134,9 @@ function draw() { update(); drawArena(); drawMatrix(); drawAxis(); writeTexts();
 // Controls.
 
 const SPEEDS = [.005, .01, .02, .05, .1, .2, .5, 1, 2, 5, 10];
-$("speed").append(...SPEEDS.map(each => new Option(`\u00d7 ${each}`, each)));
+$("speed").append(...SPEEDS.map(rate => new Option(`\u00d7 ${rate}`, rate)));
 function setSpeed(value) { speed = value; $("speed").value = value; stale = true; }
-const nearestSpeed = value => SPEEDS.reduce((best, each) => Math.abs(each - value) < Math.abs(best - value) ? each : best);
+const nearestSpeed = value => SPEEDS.reduce((best, rate) => Math.abs(rate - value) < Math.abs(best - value) ? rate : best);
 const changeSpeed = direction => setSpeed(SPEEDS[Math.min(Math.max(SPEEDS.indexOf(speed) + direction, 0), SPEEDS.length - 1)]);
 $("speed").onchange = () => setSpeed(+$("speed").value);
 {
@@ -147,7 +147,7 @@ $("speed").onchange = () => setSpeed(+$("speed").value);
   flights.sort((a, b) => a - b);
   const typical = flights.length ? flights[flights.length >> 1] * TICK : Infinity;
   const targetSpeed = Math.max(Math.min(typical / .25 || 1, 1), END * TICK / 60);
-  setSpeed(SPEEDS.filter(each => each <= 1).find(each => each >= targetSpeed) || 1);
+  setSpeed(SPEEDS.filter(rate => rate <= 1).find(rate => rate >= targetSpeed) || 1);
 }
 $("play").onclick = () => setPlaying(!playing);
 $("back").onclick = () => step(-1);
@@ -202,7 +202,7 @@ $("arena").onpointermove = event => { const i = event.pointerType === "mouse" ? 
 $("arena").onpointerleave = () => { hovered = -1; stale = true; };
 const cellAt = event => {
   const box = $("matrix").getBoundingClientRect(), cell = (side() - GUTTER) / N;
-  const [i, j] = [event.clientY - box.top, event.clientX - box.left].map(each => Math.floor((each - GUTTER) / cell));
+  const [i, j] = [event.clientY - box.top, event.clientX - box.left].map(coordinate => Math.floor((coordinate - GUTTER) / cell));
   return i >= 0 && j >= 0 && i < N && j < N ? [i, j] : null;
 };
 $("matrix").onpointermove = $("matrix").onpointerdown = event => { pointedCell = cellAt(event); stale = true; };
@@ -230,8 +230,8 @@ document.addEventListener("keyup", event => { if (event.key === " " && !event.ta
 document.querySelector(".options").addEventListener("keydown", event => { if (event.key === "Enter") event.target.click(); });
 $("slider").onpointermove = event => {  // names the faults at the pointer
   const box = $("axis").getBoundingClientRect(), t = (event.clientX - box.left - axisLeft()) / axisWidth() * END;
-  const near = 3 / axisWidth() * END, faults = run.faults.filter(each => each.begin - near <= t && t <= each.end + near);
-  $("slider").title = faults.map(each => faultText(each, false)).join("; ");
+  const near = 3 / axisWidth() * END, faults = run.faults.filter(fault => fault.begin - near <= t && t <= fault.end + near);
+  $("slider").title = faults.map(fault => faultText(fault, false)).join("; ");
 };
 if (!belief) $("belief").hidden = true;
 $("clock").append("", Object.assign(document.createElement("small"), { textContent: ` / ${clock(END)} s` }));

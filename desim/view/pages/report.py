@@ -57,7 +57,7 @@ class Study:
     result: SweepResult
     fixed: Mapping[str, str]
     """The parameters common to all configurations: JSON text by dotted key."""
-    made: provenance.Document | None
+    document: provenance.Document | None
     """The provenance; None if the folder has no run.json."""
     explanation: Explanation | None = None
     """The cost of each imperfection, if `desim explain` computed it."""
@@ -80,14 +80,14 @@ class Study:
             result, base = SweepResult.of(store), store.read_property("scenario", dict[str, Any])
             commands, versions = store.commands, store.versions
         path = folder / provenance.FILE
-        made = provenance.read(path) if path.exists() else None
-        scenario = (made and made["scenario"]) or base
+        document = provenance.read(path) if path.exists() else None
+        scenario = (document and document["scenario"]) or base
         excluded = tuple(f"{key}." for key in (*result.keys, "sweep", "seed", "name"))
         settings = flat(scenario, _has_keys).items()
         fixed = {
             key: json.dumps(value, ensure_ascii=False) for key, value in settings if not f"{key}.".startswith(excluded)
         }
-        return cls(result, fixed, made, _explanation(folder), commands, versions)
+        return cls(result, fixed, document, _explanation(folder), commands, versions)
 
     @property
     def runs(self) -> int:
@@ -135,7 +135,7 @@ def report(study: Study) -> str:
     environment.filters |= {"signs": lambda cell: cell.replace("+-", "±"), "counted": counted}
     environment.filters["unit"] = lambda key: unit_of_key(key, Scenario)
     failures = list(_failures(result))
-    made = study.made
+    document = study.document
     key = legend(result) if panels and not drawn else None
     return environment.from_string(template).render(
         study=study,
@@ -149,8 +149,8 @@ def report(study: Study) -> str:
         more_failures=len(failures) - MAX_FAILURES,
         findings=list(findings(study)),
         commands=shell_lines(study.commands),
-        asked=None if made is None else wanted(made, study.commands),
-        origin=({} if made is None else _origin(made)) | _computed_by(study.versions),
+        asked=None if document is None else wanted(document, study.commands),
+        origin=({} if document is None else _origin(document)) | _computed_by(study.versions),
         panels=[
             _inline(
                 scatter(result, panel) if drawn else multiples(result, [panel], has_legend=False),
@@ -184,7 +184,7 @@ def findings(study: Study) -> Iterator[str]:
     """
     if study.explanation:
         yield from _greatest_cost(study.explanation)
-    if study.made is None or study.made["what"] != "explain":
+    if study.document is None or study.document["what"] != "explain":
         yield from _greatest_difference(study)
 
 
@@ -306,20 +306,20 @@ def _computed_by(versions: Sequence[Mapping[str, str]]) -> dict[str, str]:
     return {"runs computed by": "; and by ".join(texts)} if len(texts) > 1 else {}
 
 
-def _origin(made: provenance.Document) -> dict[str, str]:
+def _origin(document: provenance.Document) -> dict[str, str]:
     """Return the provenance as labels and texts."""
-    state = "" if made["dirty"] is None else ", with uncommitted changes" if made["dirty"] else ", unchanged"
+    state = "" if document["dirty"] is None else ", with uncommitted changes" if document["dirty"] else ", unchanged"
     rows = {
-        "first seed": str(made["seed"]),
-        "commit": f"{made['commit']}{state}" if made["commit"] else "unknown",
-        "hash of the source code": made["code"],
-        **{f"version of {name}": version or "unknown" for name, version in made["versions"].items()},
-        **{str(name): value for name, value in made["platform"].items()},
+        "first seed": str(document["seed"]),
+        "commit": f"{document['commit']}{state}" if document["commit"] else "unknown",
+        "hash of the source code": document["code"],
+        **{f"version of {name}": version or "unknown" for name, version in document["versions"].items()},
+        **{str(name): value for name, value in document["platform"].items()},
     }
-    if made["folder"] is None:
+    if document["folder"] is None:
         rows["scenario"] = "built by a script"
-    if made["unrecorded"]:
-        rows["parameters not recorded"] = ", ".join(map(str, made["unrecorded"]))
+    if document["unrecorded"]:
+        rows["parameters not recorded"] = ", ".join(map(str, document["unrecorded"]))
     return {name: str(value) for name, value in rows.items()}
 
 
