@@ -24,7 +24,7 @@ from desim.analysis.metrics import METRICS, Summary
 from desim.cli.description import default_of, summary
 from desim.config.choice import choices_of
 from desim.config.field_docs import docs_of, fields_of
-from desim.config.model import models_in
+from desim.config.model_parts import models_in
 from desim.results.run_folder import EVENTS
 from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.view.formats.trace_table import COLUMNS, KINDS, columns_of

@@ -12,7 +12,7 @@ import pytest
 from pydantic import BaseModel
 
 from desim.config.choice import OneOf
-from desim.config.model import markers_of
+from desim.config.model_parts import markers_of
 from desim.config.traits import is_ours
 from tests.test_architecture import nodes_of
 

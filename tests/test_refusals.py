@@ -19,7 +19,8 @@ from pydantic.fields import FieldInfo
 
 from desim.config.choice import choices_of
 from desim.config.field_docs import fields_of
-from desim.config.model import Value, models_in
+from desim.config.model import Value
+from desim.config.model_parts import models_in
 from desim.kernel.models.graphs import Edges
 from desim.kernel.models.latency import Empirical
 from desim.kernel.models.latency_by_link import LatencyMatrix

@@ -24,7 +24,7 @@ from desim.config.answers import name_and_place
 from desim.config.arguments import value_text
 from desim.config.calls import check_at_once, check_call, check_method
 from desim.config.error_texts import text_of
-from desim.config.model import markers_of
+from desim.config.model_parts import markers_of
 from desim.config.named_code import (
     IMPORTED,
     entry_points_of,

@@ -21,7 +21,8 @@ from desim.config.errors import KeyedError, KeyPath, Problem
 from desim.config.field_docs import fields_of
 from desim.config.key_index import unit_in
 from desim.config.key_suggestions import other_key, suggestion
-from desim.config.model import Value, markers_of, models_in
+from desim.config.model import Value
+from desim.config.model_parts import markers_of, models_in
 from desim.config.number_texts import counted, number_instead_of
 from desim.config.python_numbers import as_python
 from desim.config.tables import holds, value_at

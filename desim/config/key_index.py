@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 
 from desim.config.choice import choices_of
 from desim.config.field_docs import fields_of
-from desim.config.model import models_in
+from desim.config.model_parts import models_in
 from desim.config.suggestion import close_to
 
 

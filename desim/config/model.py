@@ -1,143 +1,58 @@
 """`Value`, the base class of all models, which are immutable and validated; the types of fields: lengths, times, ..."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set, Sized
+from collections.abc import Iterator, Mapping, Sequence, Set
 from functools import cache, cached_property
-from operator import attrgetter
 from pathlib import PurePath
 from types import FunctionType, MappingProxyType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_args, get_origin
 
 from pydantic import (
-    AfterValidator,
     BaseModel,
-    BeforeValidator,
     ConfigDict,
-    Discriminator,
-    FailFast,
-    Field,
-    GetCoreSchemaHandler,
     GetJsonSchemaHandler,
     ModelWrapValidatorHandler,
     PydanticUserError,
     ValidationError,
     model_validator,
 )
-from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
 from desim.config.arguments import missing_attribute, with_article
-from desim.config.errors import WORDINGS, KeyedError, KeyPath, Problem, cause_in
+from desim.config.errors import WORDINGS, KeyedError, Problem, cause_in
 from desim.config.field_docs import annotated, fields_of
+from desim.config.field_types import MAX_COORDINATE as MAX_COORDINATE
+from desim.config.field_types import MAX_TIME as MAX_TIME
+from desim.config.field_types import MIN_PERIOD as MIN_PERIOD
+from desim.config.field_types import RESOLUTION as RESOLUTION
+from desim.config.field_types import Box as Box
+from desim.config.field_types import Coordinate as Coordinate
+from desim.config.field_types import Counted as Counted
+from desim.config.field_types import Duration as Duration
+from desim.config.field_types import Extent as Extent
+from desim.config.field_types import FirstError as FirstError
+from desim.config.field_types import Flag as Flag
+from desim.config.field_types import Horizon as Horizon
+from desim.config.field_types import Length as Length
+from desim.config.field_types import Limit as Limit
+from desim.config.field_types import NotEmpty as NotEmpty
+from desim.config.field_types import Period as Period
+from desim.config.field_types import Positive as Positive
+from desim.config.field_types import Probability as Probability
+from desim.config.field_types import Rate as Rate
+from desim.config.field_types import Recurring as Recurring
+from desim.config.field_types import Speed as Speed
+from desim.config.field_types import Time as Time
+from desim.config.field_types import Timeout as Timeout
+from desim.config.field_types import Unsigned as Unsigned
+from desim.config.field_types import in_forms as in_forms
 from desim.config.interrupts import deferred
-from desim.config.json_numbers import from_json
 from desim.config.parameters import are_equal, in_json
 from desim.config.python_numbers import NUMBERS, as_python, why_no_text
 from desim.config.suggestion import did_you_mean
 
 Model = TypeVar("Model", bound=BaseModel)
-
-# Numbers and booleans are strict: the string "60" is not 60, and true is not 1.
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
-MAX_COORDINATE = 1e9
-"""Largest length or absolute coordinate, m; also the largest speed, m/s."""
-Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)]
-"""m"""
-
-
-def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
-    if bounds[0] > bounds[1]:
-        raise ValueError(f"should be [lower, upper] (got {bounds[0]:g} and {bounds[1]:g})")
-    return bounds[0] + 0.0, bounds[1] + 0.0  # numpy draws none between 0 and -0
-
-
-Box = Annotated[tuple[Coordinate, Coordinate], AfterValidator(_ordered)]
-"""Lower and upper bound of both coordinates, m."""
-Length = Annotated[float, Field(gt=0, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)]
-"""m"""
-Speed = Annotated[float, Field(ge=0, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)]
-"""m/s"""
-Probability = Annotated[float, Field(ge=0, le=1, strict=True)]
-
-
-Extent = Annotated[float, Field(gt=0, strict=True), BeforeValidator(from_json)]
-"""A positive number or infinity; in JSON, infinity is the string "Infinity"."""
-Limit = Annotated[float, Field(ge=0, strict=True), BeforeValidator(from_json)]
-"""An upper bound >= 0, possibly infinite; in JSON, infinity is the string "Infinity"."""
-MAX_TIME = 1e9
-"""Longest time, s: about thirty years."""
-RESOLUTION = 1e-9
-"""Resolution of the clock, s. Times up to half of it are rounded to 0."""
-MIN_PERIOD = 1e-6
-"""Shortest period of recurring events, s. With a shorter one a run would take too long."""
-Unsigned = AfterValidator(lambda number: number + 0.0)
-"""Replaces -0 by 0, because numpy rejects -0 as a negative scale."""
-
-
-def in_forms(*forms: str) -> Discriminator:
-    """Return the discriminator of a union whose members have the forms of their values as tags.
-
-    Args:
-        forms: the tags, such as "list", "table", "number". "text", "list" and "table" are recognised; a value that has
-            none of the forms before the last has the last one.
-    """
-    types: dict[str, Any] = {"text": str, "list": list | tuple, "table": dict | BaseModel}
-
-    def form_of(value: Any) -> str:
-        value = from_json(value) if isinstance(value, str) else value  # in JSON, infinity is a text
-        return next((form for form in forms[:-1] if isinstance(value, types[form])), forms[-1])
-
-    return Discriminator(form_of)
-
-
-class FirstError(FailFast):
-    """Marks a list of numbers: of the items that are wrong, only the first is reported."""
-
-    def __hash__(self) -> int:  # a type in a union has to have one
-        return hash(type(self))
-
-
-class NotEmpty:
-    """Marks a list that has at least one item; `min_length` counts valid items only, and so reports a second error."""
-
-    min_length = 1
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_after_validator_function(_not_empty, handler(source))
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        return handler(schema) | {"minItems": 1}
-
-
-def _not_empty(items: Sized) -> Sized:
-    if not items:
-        context = {"min_length": 1, "actual_length": 0}
-        raise PydanticCustomError("too_short", "should have at least 1 item, has none", context)
-    return items
-
-
-class Counted:
-    """Marks a field that is a time, which the clock rounds to whole nanoseconds."""
-
-
-class Recurring:
-    """Marks a field that is the time between successive events."""
-
-
-Time = Annotated[float, Field(ge=0, le=MAX_TIME, allow_inf_nan=False, strict=True), Unsigned, Counted]
-"""A time or a delay, s."""
-Horizon = Annotated[float, Field(gt=0, le=MAX_TIME, allow_inf_nan=False, strict=True)]
-"""An end time, s."""
-Timeout = Annotated[Extent, Counted]
-"""A time-out, s; inf = never."""
-Duration = Annotated[float, Field(ge=MIN_PERIOD, le=MAX_TIME, allow_inf_nan=False, strict=True)]
-"""A duration of at least `MIN_PERIOD`, s."""
-Period = Annotated[Duration, Recurring]
-"""Time between successive events, s."""
-Rate = Annotated[float, Field(ge=1 / MAX_TIME, le=1 / MIN_PERIOD, allow_inf_nan=False, strict=True)]
-"""Events per second, 1/s."""
-Flag = Annotated[bool, Field(strict=True)]
 
 
 DEPRECATED = frozenset(
@@ -483,46 +398,3 @@ def _is_plain(annotation: Any) -> bool:
 PLAIN_TYPES = frozenset({int, float, bool, str, tuple, list, dict, set, frozenset, Sequence, Mapping, Literal})
 """The types of fields whose values are converted to Python numbers and lists."""
 SET_TYPES = (set, frozenset)
-
-
-def markers_of(field: FieldInfo) -> list[Any]:
-    """Return the metadata of a field and of all types inside its annotation, including the bounds in a `Field(...)`."""
-    return [*field.metadata, *_metadata(field.annotation)]
-
-
-def _metadata(annotation: Any) -> Iterator[Any]:
-    if get_origin(annotation) is Annotated:
-        for part in annotation.__metadata__:
-            yield part
-            yield from part.metadata if isinstance(part, FieldInfo) else ()
-    for inner in get_args(annotation):
-        yield from _metadata(inner)
-
-
-def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield the models inside an annotation."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for inner in get_args(annotation):
-        yield from models_in(inner)
-
-
-def models_within(
-    model: BaseModel,
-    place: KeyPath = (),
-    fields: Callable[[type[BaseModel]], Iterable[str]] = attrgetter("model_fields"),
-) -> Iterator[tuple[KeyPath, BaseModel]]:
-    """Yield a model and all models in its fields, or in those that a function names, with the place of each."""
-    yield place, model
-    for name in fields(type(model)):
-        for inner, part in indexed_parts(getattr(model, name)):
-            if isinstance(part, BaseModel):
-                yield from models_within(part, (*place, name, *inner), fields)
-
-
-def indexed_parts(value: Any) -> Iterator[tuple[KeyPath, Any]]:
-    """Yield the value of a field or, if it is a list, each item with its index."""
-    if isinstance(value, tuple):
-        yield from (((index,), item) for index, item in enumerate(value))
-    else:
-        yield (), value

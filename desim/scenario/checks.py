@@ -13,7 +13,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from desim.config.model import RESOLUTION, Counted, Recurring, Value, indexed_parts, markers_of, models_within
+from desim.config.model import RESOLUTION, Counted, Recurring, Value
+from desim.config.model_parts import indexed_parts, markers_of, models_within
 from desim.kernel.clock_sync import Unsynchronised
 from desim.scenario.assumptions import violations
 from desim.scenario.latency_warnings import latency_warnings

@@ -13,7 +13,8 @@ from pydantic import BaseModel
 from desim.config.choice import choices_of
 from desim.config.errors import KeyedError
 from desim.config.field_docs import annotated
-from desim.config.model import Value, models_in, models_within
+from desim.config.model import Value
+from desim.config.model_parts import models_in, models_within
 from desim.config.traits import is_ours
 from desim.kernel.clock_sync import TwoWay
 from desim.kernel.core.units import nanoseconds, seconds

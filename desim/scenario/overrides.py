@@ -16,7 +16,8 @@ from desim.config.choice import OneOf, choices_of
 from desim.config.errors import KeyedError, KeyPath, Problem, problems_of
 from desim.config.field_docs import fields_of
 from desim.config.key_errors import model_of
-from desim.config.model import Value, markers_of
+from desim.config.model import Value
+from desim.config.model_parts import markers_of
 from desim.config.parameters import not_kept, parameters_of
 from desim.config.python_numbers import as_python
 from desim.config.suggestion import did_you_mean

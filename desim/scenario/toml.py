@@ -17,7 +17,7 @@ import tomli_w
 from desim.config.arguments import Argument, naming_arguments, value_text
 from desim.config.choice import choices_of
 from desim.config.errors import Problem
-from desim.config.model import models_in
+from desim.config.model_parts import models_in
 from desim.config.own_modules import CodeName
 from desim.config.parameters import as_jsonable
 from desim.config.suggestion import close_to

@@ -7,7 +7,8 @@ import pytest
 from desim import Scenario, load, summary
 from desim.config.choice import choices_of
 from desim.config.field_docs import fields_of
-from desim.config.model import Value, models_in
+from desim.config.model import Value
+from desim.config.model_parts import models_in
 from desim.scenario.checks import warnings
 from desim.scenario.toml import dump
 from desim.study.sweeps.sweep_plan import SweepPlan
