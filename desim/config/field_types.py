@@ -29,7 +29,7 @@ Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow
 def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
     if bounds[0] > bounds[1]:
         raise ValueError(f"should be [lower, upper] (got {bounds[0]:g} and {bounds[1]:g})")
-    return bounds[0] + 0.0, bounds[1] + 0.0  # numpy draws none between 0 and -0
+    return bounds[0] + 0.0, bounds[1] + 0.0  # -0 becomes 0: numpy refuses to draw from 0 to -0
 
 
 Box = Annotated[tuple[Coordinate, Coordinate], AfterValidator(_ordered)]
@@ -56,11 +56,11 @@ Unsigned = AfterValidator(lambda number: number + 0.0)
 
 
 def in_forms(*forms: str) -> Discriminator:
-    """Return the discriminator of a union whose members have the forms of their values as tags.
+    """Return the discriminator of a union that selects a member by the form of a value: a list, a table, a number, ...
 
     Args:
-        forms: the tags, such as "list", "table", "number". "text", "list" and "table" are recognised; a value that has
-            none of the forms before the last has the last one.
+        forms: the tags of the members. All but the last are "text", "list" or "table"; the last stands for any other
+            form, whatever its name.
     """
     types: dict[str, Any] = {"text": str, "list": list | tuple, "table": dict | BaseModel}
 
@@ -74,14 +74,17 @@ def in_forms(*forms: str) -> Discriminator:
 class FirstError(FailFast):
     """Marks a list of numbers: of the items that are wrong, only the first is reported."""
 
-    def __hash__(self) -> int:  # a type in a union has to have one
+    def __hash__(self) -> int:  # `typing` hashes the members of a union
         return hash(type(self))
 
 
 class NotEmpty:
-    """Marks a list that has at least one item; `min_length` counts valid items only, and so reports a second error."""
+    """Marks a list that has at least one item.
 
-    min_length = 1
+    pydantic's own `min_length` counts valid items only, so it would report a second error beside that of an item.
+    """
+
+    min_length = 1  # the name of pydantic's bound, for readers of markers
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_after_validator_function(_not_empty, handler(source))

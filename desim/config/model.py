@@ -1,4 +1,7 @@
-"""`Value`, the base class of all models, which are immutable and validated; the types of fields: lengths, times, ..."""
+"""`Value`, the base class of all models: immutable, validated, and with errors that name the key and what is allowed.
+
+Models import the types of their fields from here, too; `desim.config.field_types` defines these types.
+"""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence, Set
@@ -58,23 +61,23 @@ Model = TypeVar("Model", bound=BaseModel)
 DEPRECATED = frozenset(
     name for name, method in vars(BaseModel).items() if hasattr(getattr(method, "__func__", method), "__deprecated__")
 )
-"""The methods of pydantic that it keeps for programs of its first version, and that warn."""
+"""The methods that pydantic keeps for programs of its first version; each gives a warning."""
 
 MAX_KEYS_IN_CALL = 3
-"""The largest number of keys with which a message shows a call of a model; of more it lists the names."""
+"""Number of keys up to which a message shows all of them in the call of a model; of more keys, it shows the first."""
 
 
-def _by_name(model: type[BaseModel], args: Sequence[Any]) -> str:
-    """Return the message for a call of a model by position."""
+def _how_to_call(model: type[BaseModel], args: Sequence[Any]) -> str:
+    """Return the message for a call of a model with values by position: the call with keys by name."""
     names = [name for name in model.model_fields if name != "kind"]
     if not names:
         return f"{model.__name__} has no keys: {model.__name__}()"
     shown = names if len(names) <= MAX_KEYS_IN_CALL else names[:1]
     call = ", ".join(f"{name}=..." for name in shown)
-    keys = f"{model.__name__} takes its keys by name: {model.__name__}({call})"
-    other_names = f"; others: {', '.join(names[1:])}" if shown != names else ""
+    others = f"; others: {', '.join(names[1:])}" if shown != names else ""
     is_file = isinstance(args[0], str | PurePath) and str(args[0]).endswith(".toml")
-    return keys + other_names + (f"; a scenario file is read by load({str(args[0])!r})" if is_file else "")
+    load = f"; a scenario file is read by load({str(args[0])!r})" if is_file else ""
+    return f"{model.__name__} takes its keys by name: {model.__name__}({call}){others}{load}"
 
 
 if TYPE_CHECKING:
@@ -82,16 +85,16 @@ if TYPE_CHECKING:
 else:
 
     class _ValueType(type(BaseModel)):
-        """The type of the classes of values: a call of one raises the errors of a scenario file, not pydantic's.
+        """The metaclass of `Value`: a call of a class raises KeyedError in place of pydantic's ValidationError.
 
-        Only a call goes this way. Validation inside of pydantic, of a table in a table, does not come here, and so is
-        as fast as it is.
+        Only calls from Python pass through here. pydantic validates the tables inside a table itself, without this
+        class, so files are read as fast as with plain models of pydantic.
         """
 
         def __call__(cls, *args: Any, **values: Any) -> Any:
-            """Return a value with the given fields; raise KeyedError if there is no such field, or it is not valid."""
-            if args and cls.__init__ is BaseModel.__init__:
-                raise TypeError(_by_name(cls, args))
+            """Return a value with the given fields; raise KeyedError if a field does not exist or is not valid."""
+            if args and cls.__init__ is BaseModel.__init__:  # an __init__ of a user may take values by position
+                raise TypeError(_how_to_call(cls, args))
             try:
                 return super().__call__(*args, **values)
             except ValidationError as error:
@@ -99,7 +102,7 @@ else:
             raise KeyedError(*problems) from cause
 
         def __setattr__(cls, name: str, value: Any) -> None:
-            """Raise KeyedError for a key: its default is part of the schema, and a new one would have no effect."""
+            """Raise KeyedError for a key: pydantic reads its default in the schema, so setting it has no effect."""
             if name[:1] != "_" and name in cls.__dict__.get("__pydantic_fields__", ()):
                 call = f"{cls.__name__}({name}=...)"
                 raise KeyedError(Problem(f"the default of a key cannot be set: give the value, {call}", name))
@@ -130,24 +133,24 @@ class Value(BaseModel, metaclass=_ValueType):
 
     @property
     def unused_fields(self) -> Mapping[str, str]:
-        """By name of each field without effect: the value of another field because of which it has none."""
+        """The fields without effect, by name, each with the value of another field that disables it, as a text."""
         return MappingProxyType({})
 
     @classmethod
     def __pydantic_init_subclass__(cls, **options: Any) -> None:
         """Raise PydanticUserError if a class defines a method or property in the place of a field.
 
-        pydantic takes it for the default of the field.
+        pydantic would take the method or property for the default of the field.
         """
         super().__pydantic_init_subclass__(**options)
-        if _is_built_in(cls):  # hundreds, at each import
+        if _is_built_in(cls):  # desim has hundreds of models, and its import should be fast
             return
         for name in cls.model_fields.keys() - annotated(cls):
-            kind: type = type(cls.model_fields[name].default)
-            if issubclass(kind, ACCESSORS) and cls.model_fields[name].default is not _inherited_default(cls, name):
+            default = cls.model_fields[name].default
+            if isinstance(default, ACCESSORS) and default is not _inherited_default(cls, name):
                 raise PydanticUserError(
-                    f"{cls.__name__}.{name} is a {kind.__name__} in the place of a key: give the key another default"
-                    f" ({name}: ... = value), or override the method that reads it",
+                    f"{cls.__name__}.{name} is a {type(default).__name__} in the place of a key: give the key another"
+                    f" default ({name}: ... = value), or override the method that reads it",
                     code="model-field-overridden",
                 )
 
@@ -157,21 +160,20 @@ class Value(BaseModel, metaclass=_ValueType):
         """Convert the numbers and lists given for fields, see `as_python`."""
         if not isinstance(fields, dict):
             return make(fields)
-        plain, converted = _plain_fields(cls), dict(fields)
-        for name in plain & fields.keys():
-            if type(fields[name]) in NUMBERS:
+        converted = dict(fields)
+        for name in _plain_fields(cls) & fields.keys():
+            value = fields[name]
+            if type(value) in NUMBERS:
                 continue
-            why = _why_no_list(cls, name, fields[name])
+            why = _why_no_list(cls, name, value)
+            is_set_for_set = isinstance(value, SET_TYPES) and get_origin(cls.model_fields[name].annotation) in SET_TYPES
             try:
-                is_set = isinstance(fields[name], SET_TYPES)
-                takes_set = is_set and get_origin(cls.model_fields[name].annotation) in SET_TYPES
-                converted[name] = as_python([*fields[name]] if takes_set else fields[name])
+                converted[name] = as_python([*value] if is_set_for_set else value)  # which refuses a set
             except UnicodeEncodeError as error:
                 why = why_no_text(error)
             if why:
-                detail = InitErrorDetails(
-                    type=PydanticCustomError("text", "{why}", {"why": why}), loc=(name,), input=fields[name]
-                )
+                problem = PydanticCustomError("text", "{why}", {"why": why})
+                detail = InitErrorDetails(type=problem, loc=(name,), input=value)
                 raise ValidationError.from_exception_data(cls.__name__, [detail])
         return make(converted)
 
@@ -188,7 +190,7 @@ class Value(BaseModel, metaclass=_ValueType):
         return repr(self)
 
     def __eq__(self, other: object) -> bool:
-        """Return whether the other object is of this class and has equal fields; a user's may be arrays."""
+        """Return whether the other object is of this class and has equal fields; those of a user may be arrays."""
         try:
             return super().__eq__(other)
         except (TypeError, ValueError):
@@ -200,12 +202,12 @@ class Value(BaseModel, metaclass=_ValueType):
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Return a copy with other values of some fields, validated like a new model; `copy.replace` does the same.
 
-        A field whose value followed from another one, for instance from a preset, follows anew. To change a key deep
-        inside a scenario use `Scenario.with_`.
+        A field whose value was derived from another field, for instance from a preset, is derived anew. To change a key
+        deep inside a scenario use `Scenario.with_`.
 
         Args:
             update: the new values by field; a table replaces a whole table, it is not merged.
-            deep: whether the values that stay are copied deeply.
+            deep: whether values that are not updated are copied deeply.
 
         Raises:
             KeyedError: if there is no such field, or the values are not valid together.
@@ -229,17 +231,17 @@ class Value(BaseModel, metaclass=_ValueType):
         return self.model_copy(**options)
 
     def __getstate__(self) -> dict[Any, Any]:
-        """Return what a pickle holds: the fields, and attributes that a user's class has set besides."""
+        """Return what a pickle holds: all attributes, and the names of those that a user's class has beside fields."""
         state = super().__getstate__()
         if len(self.__dict__) > len(type(self).model_fields) and not _is_built_in(type(self)):
             state["beside"] = [*(self.__dict__.keys() - type(self).model_fields.keys())]
         return state
 
     def __setstate__(self, state: dict[Any, Any]) -> None:
-        """Restore a pickled value; keys that another version did not have get their defaults.
+        """Restore a pickled value; keys that the pickle of another version lacks get their defaults.
 
         Raises:
-            ValueError: if that version had a key that does not exist.
+            ValueError: if the pickle has a key that this version lacks.
         """
         super().__setstate__(state)
         fields, values = type(self).model_fields, self.__dict__
@@ -259,18 +261,19 @@ class Value(BaseModel, metaclass=_ValueType):
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Raise KeyedError, because a value is immutable; private attributes can be set."""
+        fields = type(self).model_fields
         try:
             super().__setattr__(name, value)
         except ValidationError:
-            is_key = name in type(self).model_fields
+            if name not in fields:
+                hint = f"it has no such key{did_you_mean(name, fields)}"
+            elif hasattr(type(self), "with_"):
+                hint = f"with_({{{name!r}: ...}}) returns a changed copy"
+            else:
+                hint = f"model_copy(update={{{name!r}: ...}}) returns a changed copy; to change a scenario, write"
+                hint += f" scenario.with_({{'...{name}': ...}}) with the dotted key, network.latency.value for instance"
         else:
             return
-        how = f"with_({{{name!r}: ...}}) returns a changed copy"
-        if not hasattr(type(self), "with_"):
-            how = f"model_copy(update={{{name!r}: ...}}) returns a changed copy; to change a scenario, write"
-            how += f" scenario.with_({{'...{name}': ...}}) with the dotted key, network.latency.value for instance"
-        hint = how if is_key else "it has no such key"
-        hint += "" if is_key else did_you_mean(name, type(self).model_fields)
         raise KeyedError(Problem(f"cannot be set: {with_article(type(self).__name__)} is immutable; {hint}", name))
 
     def _instead_of(self, name: str) -> str:
@@ -294,11 +297,11 @@ class Value(BaseModel, metaclass=_ValueType):
         return [name for name in super().__dir__() if name not in DEPRECATED]
 
     def own_fields(self) -> Set[str]:
-        """Return the names of the fields that were given, without those whose values follow from others."""
+        """Return the names of the fields that were given, without those whose values follow from other fields."""
         return self.model_fields_set - self._derived()
 
     def _derived(self) -> Set[str]:
-        """Return the names of the fields that were not given, but follow from others."""
+        """Return the names of fields that pydantic takes for given, although their values follow from other fields."""
         return frozenset()
 
     def given(self) -> dict[str, Any]:
@@ -313,7 +316,7 @@ class Value(BaseModel, metaclass=_ValueType):
         """Yield the fields that `repr` shows; see `given`."""
         yield from self.given().items()
 
-    # pydantic swallows or wraps an exception that a signal raises in a serializer written in Python.
+    # Both dumps defer interrupts: pydantic swallows or wraps what a signal raises in a serializer written in Python.
 
     def model_dump(self, **options: Any) -> dict[str, Any]:
         """Return the fields, see `pydantic.BaseModel.model_dump`; interrupts are deferred."""
@@ -341,13 +344,13 @@ def _made_by_own_init(model: type[Model], values: Mapping[str, Any], updated: Se
     """Return a value of a class with an `__init__` of its own, which should take the values of its keys as they are.
 
     Raises:
-        KeyedError: about an updated key, if it does not.
+        KeyedError: about the first updated key, if `__init__` takes other arguments or changes a value.
     """
     try:
         made = model.model_validate(values, by_name=True)
     except TypeError as error:
         why = f"takes other arguments ({error})"
-    else:
+    else:  # of updated values only numbers are compared, because a list becomes a tuple, and a table a model
         changed = [
             name
             for name, value in values.items()
@@ -361,13 +364,13 @@ def _made_by_own_init(model: type[Model], values: Mapping[str, Any], updated: Se
 
 
 def _why_no_list(model: type[Value], name: str, value: Any) -> str:
-    """Return the message for a model in place of a list of models, which pydantic reads as a list of fields; or ""."""
+    """Return the message for one model in place of a list of models, else ""; pydantic would list its fields."""
     is_lone = isinstance(value, BaseModel) and get_origin(model.model_fields[name].annotation) is tuple
     return f"should be a list: [{type(value).__name__}(...)]" if is_lone else ""
 
 
 def _inherited_default(model: type[BaseModel], name: str) -> Any:
-    """Return the default of a field in the first base class that has it."""
+    """Return the default of a field in the first base class with this field; None if no base class has it."""
     bases = (base for base in model.__mro__[1:] if issubclass(base, BaseModel) and name in base.model_fields)
     return next((base.model_fields[name].default for base in bases), None)
 
@@ -385,7 +388,7 @@ def _plain_fields(model: type[Value]) -> frozenset[str]:
 def _is_plain(annotation: Any) -> bool:
     """Return whether an annotation takes a number, a text, a list or a table.
 
-    A field that takes anything, for example an array of a user's model, keeps what it is given.
+    A field of any type (`Any`), for example an array of a user's model, is not plain, and keeps the value unconverted.
     """
     origin = get_origin(annotation)
     if origin is Annotated:

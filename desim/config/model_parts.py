@@ -37,7 +37,13 @@ def models_within(
     place: KeyPath = (),
     fields: Callable[[type[BaseModel]], Iterable[str]] = attrgetter("model_fields"),
 ) -> Iterator[tuple[KeyPath, BaseModel]]:
-    """Yield a model and all models in its fields, or in those that a function names, with the place of each."""
+    """Yield the place and the model of a model and of all models within it.
+
+    Args:
+        model: the outer model.
+        place: its place.
+        fields: returns the names of the fields of a class that are searched; by default, all.
+    """
     yield place, model
     for name in fields(type(model)):
         for inner, part in indexed_parts(getattr(model, name)):
