@@ -1,4 +1,4 @@
-"""Arguments of functions, and attributes of objects: what does not exist is refused with what to write instead."""
+"""Errors about wrong arguments of functions and missing attributes of objects, which say what to write instead."""
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -15,15 +15,15 @@ Returned = TypeVar("Returned")
 
 
 class Argument(NamedTuple):
-    """What a function takes, and what to write for objects that users give in its place."""
+    """An argument of a function: its type, and the code to write for objects of other types that users give."""
 
     noun: str
-    """What it is, for example "a scenario"."""
+    """What the argument is, for example "a scenario"."""
     kind: type | tuple[type, ...]
-    """The class of the objects, or several."""
+    """The class of the accepted objects, or several."""
     instead: Mapping[str, str]
-    """By name of a class of other objects, the code to write; "path" stands for a path or a text. `{function}` and
-    `{value}` stand for the name of the function and for the object."""
+    """The code to write, by name of the class of a wrong object; "path" stands for a path or a text. In the code,
+    `{function}` and `{value}` stand for the name of the function and for the object."""
 
     def check(self, value: Any, function: str) -> None:
         """Raise TypeError if a value is not what a function takes; the message says what to write instead."""
@@ -31,7 +31,7 @@ class Argument(NamedTuple):
             raise TypeError(f"{function} takes {self.noun}, {self._advice(value, function)}")
 
     def _advice(self, value: Any, function: str) -> str:
-        """Return what the value is, and what to write instead."""
+        """Return the end of the message: what a wrong value is, and what to write instead."""
         if isinstance(value, type):
             call = f": {function}({value.__name__}(...))" if issubclass(value, self.kind) else ""
             return f"not the class {value.__name__}{call}"
@@ -100,7 +100,8 @@ def with_article(noun: str) -> str:
 
 
 NUMBER_OF_RUNS = ("reps", "runs", "most")
-WORDS = MappingProxyType(
+"""The names that the number of runs has in the functions of desim."""
+SYNONYMS = MappingProxyType(
     {
         "cores": ("executor", "jobs"),
         "filename": ("path",),
@@ -124,7 +125,7 @@ WORDS = MappingProxyType(
         "workers": ("executor", "jobs"),
     }
 )
-"""Names that other packages have for an argument, and the names that it has here; the first that a function has."""
+"""Names of arguments in other packages, each with names in desim, of which the first that a function has is meant."""
 EXAMPLES = MappingProxyType(
     {
         "Scenario.with_": ", for instance scenario.with_({'network.latency.value': 0.5})",
@@ -138,18 +139,18 @@ EXAMPLES = MappingProxyType(
 
 
 def naming_arguments(function: Callable[Taken, Returned]) -> Callable[Taken, Returned]:
-    """Let a call with wrong arguments name those that the function takes; a decorator.
+    """Decorate a function, so that the error about a wrong argument lists the arguments that the function takes.
 
-    Python's message names only the wrong one. A flag, a table or a function of another type is refused, too: the text
-    "no" would be true.
+    Python's message names only the wrong argument. The types of arguments that are flags, functions, tables or lists of
+    texts are checked, too: as a flag, the text "no" would count as true.
     """
     kinds = _kinds_of_arguments(function)
     names = list(signature(function).parameters)
 
     @wraps(function)
-    def called(*args: Taken.args, **named: Taken.kwargs) -> Returned:
+    def checked(*args: Taken.args, **named: Taken.kwargs) -> Returned:
         for name, value in (*zip(names, args, strict=False), *named.items()):
-            if name in kinds and not kinds[name].has(value):
+            if name in kinds and not kinds[name].accepts(value):
                 raise ValueError(f"{name} should be {kinds[name].text} (got {abridged(repr(value))})")
         try:
             return function(*args, **named)
@@ -157,34 +158,34 @@ def naming_arguments(function: Callable[Taken, Returned]) -> Callable[Taken, Ret
             if error.__traceback__ is None or error.__traceback__.tb_next is not None:  # raised inside of the function
                 raise
             name = function.__qualname__.removesuffix(".__init__").rpartition(".")[2]
-            message = f"{error}{_meant(function, named)}; it is {name}{arguments_of(function)}"
+            message = f"{error}{_suggested_name(function, named)}; it is {name}{arguments_of(function)}"
             message += EXAMPLES.get(function.__qualname__, "")
         raise TypeError(message)
 
-    return called
+    return checked
 
 
 class _Kind(NamedTuple):
     """A kind of argument: its name in messages, and the test of a value."""
 
     text: str
-    has: Callable[[Any], bool]
+    accepts: Callable[[Any], bool]
 
 
 def _is_of_texts(value: Any) -> bool:
-    """Return whether a value is a collection of texts; an iterator is let through, as it can be read once."""
+    """Return whether a value is a collection of texts; an iterator is accepted, because it can be read only once."""
     return isinstance(value, Iterable) and (isinstance(value, Iterator) or all(isinstance(text, str) for text in value))
 
 
 _A_DICT = "a dict, {'network.latency.value': 0.5} for instance"
-# The names of the types are those of numpy.
+# The booleans of numpy are recognised by the names of their types, without an import of numpy.
 FLAG = _Kind("True or False", lambda value: isinstance(value, bool) or type(value).__name__ in {"bool", "bool_"})
 FUNCTION = _Kind("a function", callable)
 TABLE = _Kind(_A_DICT, lambda value: isinstance(value, Mapping))
 TABLE_OR_NONE = _Kind(_A_DICT, lambda value: value is None or isinstance(value, Mapping))
 TEXTS = _Kind("a list of texts", _is_of_texts)
-CHECKED_THERE = frozenset({"changes", "grid", "links", "metrics", "vary"})
-"""The tables that each function checks itself, with an example of its own."""
+CHECKED_BY_FUNCTION = frozenset({"changes", "grid", "links", "metrics", "vary"})
+"""The arguments that each function checks itself, with an example of its own in the error."""
 
 
 def _kinds_of_arguments(function: Callable[..., object]) -> Mapping[str, _Kind]:
@@ -194,23 +195,23 @@ def _kinds_of_arguments(function: Callable[..., object]) -> Mapping[str, _Kind]:
         origins = {get_origin(kind) for kind in (parameter.annotation, *get_args(parameter.annotation))}
         if parameter.annotation is bool:
             kinds[name] = FLAG
-        elif Mapping in origins and name not in CHECKED_THERE:
+        elif Mapping in origins and name not in CHECKED_BY_FUNCTION:
             kinds[name] = TABLE_OR_NONE if NoneType in get_args(parameter.annotation) else TABLE
-        elif parameter.annotation == Sequence[str] and name not in CHECKED_THERE:
+        elif parameter.annotation == Sequence[str] and name not in CHECKED_BY_FUNCTION:
             kinds[name] = TEXTS
         elif get_origin(parameter.annotation) is Callable and parameter.kind is not Parameter.VAR_POSITIONAL:
             kinds[name] = FUNCTION
     return MappingProxyType(kinds)
 
 
-def _meant(function: Callable[..., object], named: Mapping[str, object]) -> str:
+def _suggested_name(function: Callable[..., object], named: Mapping[str, object]) -> str:
     """Return the end of a message that suggests the name of an argument; "" if no name is wrong, or none is similar."""
     names = [name for name in signature(function).parameters if name != "self"]
     wrong = next((name for name in named if name not in names), None)
     if wrong is None:
         return ""
-    renamed = next((name for name in WORDS.get(wrong.lower(), ()) if name in names), None)
-    return did_you_mean(wrong, names) if renamed is None else f", did you mean {renamed!r}?"
+    synonym = next((name for name in SYNONYMS.get(wrong.lower(), ()) if name in names), None)
+    return did_you_mean(wrong, names) if synonym is None else f", did you mean {synonym!r}?"
 
 
 def arguments_of(function: Callable[..., object]) -> str:
@@ -218,26 +219,26 @@ def arguments_of(function: Callable[..., object]) -> str:
 
     A default that is a function is shown as "...".
     """
-    of_function = signature(function)
+    complete = signature(function)
     plain = [
         item.replace(annotation=Parameter.empty, default=_Ellipsis() if callable(item.default) else item.default)
         if item.default is not Parameter.empty
         else item.replace(annotation=Parameter.empty)
-        for name, item in of_function.parameters.items()
+        for name, item in complete.parameters.items()
         if name != "self"
     ]
-    return str(of_function.replace(parameters=plain, return_annotation=of_function.empty))
+    return str(complete.replace(parameters=plain, return_annotation=complete.empty))
 
 
 class _Ellipsis:
-    """The text for a default that has none of its own."""
+    """A default that is shown as "..."."""
 
     def __repr__(self) -> str:
         return "..."
 
 
 class HintedItems:
-    """A class that says what to write in place of an index, which it does not have."""
+    """Base of classes without items: the error about an index says what to write instead."""
 
     def _instead_of(self, name: str) -> str:
         """Return what to write instead of an attribute or an index, as the end of a message."""
@@ -251,7 +252,7 @@ class HintedItems:
 
 
 class HintedAttributes(HintedItems):
-    """A class that says what to write in place of an attribute or an index that it does not have.
+    """Base of classes without items: the error about an index or a missing attribute says what to write instead.
 
     Each look-up of an attribute takes several times as long as without `__getattr__`.
     """

@@ -89,11 +89,10 @@ class OneOf:
     ):
         self.models = models
         self.group = group
-        self.needs = tuple(name.partition("(")[0] for name in needs)
+        parts = [name.partition("(") for name in needs]
+        self.needs = tuple(name for name, _, _ in parts)
         self.needed_calls = {
-            name.partition("(")[0]: tuple(name.partition("(")[2].rstrip(")").split(", "))
-            for name in needs
-            if "(" in name
+            name: tuple(arguments.rstrip(")").split(", ")) for name, bracket, arguments in parts if bracket
         }
         self.takes = takes
         self.traits = traits
@@ -134,18 +133,18 @@ class OneOf:
         return {point.name: point for point in sorted(points, key=lambda point: point.name)}
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        writes = core_schema.wrap_serializer_function_ser_schema(
+        serialization = core_schema.wrap_serializer_function_ser_schema(
             self._serialize, schema=core_schema.any_schema(), info_arg=True
         )
-        return core_schema.with_info_plain_validator_function(self._accept, serialization=writes)
+        return core_schema.with_info_plain_validator_function(self._accept, serialization=serialization)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         named = {"type": "string", "pattern": IMPORTED}
-        object_schema = {"type": "object", "properties": {"kind": named}, "required": ["kind"]}
-        bare: list[JsonSchemaValue] = [{"type": "string", "enum": list(self.choices())}, named, object_schema]
+        of_named_code = {"type": "object", "properties": {"kind": named}, "required": ["kind"]}
+        other_forms: list[JsonSchemaValue] = [{"type": "string", "enum": list(self.choices())}, named, of_named_code]
         if self.number is not None:
-            bare.append({"type": "number"})
-        return {"anyOf": [handler(_union(self.choices())), *bare]}
+            other_forms.append({"type": "number"})
+        return {"anyOf": [handler(_union(self.choices())), *other_forms]}
 
     def _serialize(self, value: Any, write: Callable[[Any], Any], info: SerializationInfo) -> Any:
         if self.holds(value):
@@ -163,7 +162,7 @@ class OneOf:
             raise PydanticCustomError("union_tag_not_found", text)
         kind = table.get("kind") if isinstance(table, dict) else None
         model = self.choice(kind) if isinstance(kind, str) else None
-        if model is None:  # the error names all kinds, or the table is a model
+        if model is None:  # a model in place of a table, or an unknown kind, whose error lists all kinds
             made = SchemaValidator(_union(self.choices())).validate_python(table, context=info.context)
         else:
             made = model.model_validate(table, context=info.context)
@@ -171,6 +170,7 @@ class OneOf:
         return made
 
     def _accept(self, value: Any, info: ValidationInfo) -> Any:
+        """Return the model, or the callable object, that a value in any accepted form stands for."""
         if isinstance(value, type):
             raise ValueError(f"should be an instance: {value.__name__}() instead of {value.__name__}")
         if self.number is not None and isinstance(value, str) and (reason := number_instead_of(str(value))):
@@ -213,7 +213,7 @@ class OneOf:
                 check_method(value, name, methods[name])
 
     def _function(self, value: Any) -> Any:
-        """Return what is called of a model: the model itself, or a method of it; None if it has none."""
+        """Return what a run calls: the model itself, or its method named by `called`; None if it lacks the method."""
         return value if self.called == "__call__" else getattr(value, self.called, None)
 
     def _check_base(self, value: Any) -> None:
@@ -275,15 +275,14 @@ class OneOf:
             if parameters:
                 raise ValueError(f"{kind!r} is not a class and takes no parameters, got {', '.join(parameters)}")
             return model
-        calls = next((vars(base)[self.called] for base in model.__mro__ if self.called in vars(base)), None)
-        if calls is None:
+        method = next((vars(base)[self.called] for base in model.__mro__ if self.called in vars(base)), None)
+        if method is None and not self.is_closed:
             what = "be callable" if self.called == "__call__" else f"have a method {self.called}"
-            if self.is_closed and not issubclass(model, self.models):
-                raise ValueError(f"{kind!r} should be derived from {_or(self.models)}")
-            if not self.is_closed:
-                raise ValueError(f"{kind!r} is not a model: its instances should {what}")
-        if isinstance(calls, FunctionType):
-            self._check_called(calls, model, None)
+            raise ValueError(f"{kind!r} is not a model: its instances should {what}")
+        if method is None and not issubclass(model, self.models):
+            raise ValueError(f"{kind!r} should be derived from {_or(self.models)}")
+        if isinstance(method, FunctionType):
+            self._check_called(method, model, None)  # None stands for self
         return _constructed(model, kind, parameters, info.context)
 
 
@@ -296,7 +295,7 @@ def _or(models: Sequence[type]) -> str:
 def _union(models: Mapping[Any, type[BaseModel]]) -> CoreSchema:
     """Return the schema of a table that is one of several models, selected by `kind`."""
     for model in models.values():
-        model.model_rebuild()
+        model.model_rebuild()  # the schema of a `Value` is built at its first use
     schemas = {kind: model.__pydantic_core_schema__ for kind, model in models.items()}
     return core_schema.tagged_union_schema(schemas, discriminator="kind")
 

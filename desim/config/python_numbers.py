@@ -1,13 +1,13 @@
-"""Conversion of the numbers and lists that people have to those of Python: of numpy, pandas, fractions, ranges, ...
+"""Conversion of numbers and lists of any origin to those of Python: of numpy, pandas, fractions, ranges, ...
 
 A number is an `int` if it counts (`operator.index`), and a `float` if it measures. A float that is whole stays a float,
 a boolean stays a boolean, and a text stays a text, so strict types refuse the same values as before the conversion. A
 value that is neither a number nor a list is returned unchanged, for the field that receives it to judge.
 
-A set is refused by any field that is a list, and so is an iterator without an end, such as `itertools.cycle`. Columns
-and fields with the names of coordinates (`desim.config.column_names`) are brought into the order t, x, y. A text that
-no file can hold is refused, with UnicodeEncodeError: one with half of a surrogate pair, such as names with undecodable
-bytes on a command line have.
+A field that is a list refuses a set, which has no order, and an iterator without an end, such as `itertools.cycle`.
+Columns and fields with the names of coordinates (`desim.config.column_names`) are brought into the order t, x, y. A
+text with half of a surrogate pair raises UnicodeEncodeError, because no file can hold it; a name with undecodable bytes
+on a command line is such a text.
 """
 
 from collections.abc import ItemsView, Iterator, KeysView, Sequence, Set, Sized, ValuesView
@@ -31,11 +31,11 @@ TEXTS = (str, bytes, bytearray)
 MAX_ITEMS = 10_000_000
 """Largest number of items of a list; an iterator may have no end, and a range more than the memory holds."""
 DATES = frozenset("mM")
-"""The `kind` of the dtypes of times and dates, which numpy takes for integers of an arbitrary unit."""
+"""The kinds of numpy's dtypes of durations and dates, which would become integers of an arbitrary unit."""
 
 
 def as_python(value: Any) -> Any:
-    """Return a value with all numbers in it as `int` or `float`, and what is in order, such as an array, as a list.
+    """Return a value in which all numbers are `int` or `float`, and all ordered collections, such as arrays, are lists.
 
     The values of dicts and the items of lists are converted, too; lists of Python's numbers are not copied.
 
@@ -70,7 +70,10 @@ def as_python(value: Any) -> Any:
 
 
 class _Refused:
-    """Stands for a value that is refused although a field would take it, for example without its unit or its order."""
+    """Stands for a value that every field should refuse, although it could be converted without its unit or its order.
+
+    The text of this object is shown in the error message as the value.
+    """
 
     def __init__(self, text: str):
         self._text = text
@@ -112,9 +115,9 @@ def real(value: Any, name: str) -> float:
 
 
 def as_real(value: Any) -> float:
-    """Return a number of any kind as a `float`; nan if it is none, or too large.
+    """Return a number of any kind as a `float`; nan if the value is no number, or too large.
 
-    For what functions of users return: see `real` for the numbers of a caller, who is told what should be given.
+    Use it for what functions of users return. For arguments of a caller use `real`, whose error says what to give.
     """
     try:
         return value if type(value) is float else real(value, "")
@@ -123,7 +126,7 @@ def as_real(value: Any) -> float:
 
 
 def as_complex(value: Any) -> complex:
-    """Return a number of any kind as a `complex`; nan if it is none, as `as_real` does."""
+    """Return a number of any kind as a `complex`; nan if the value is no number, as `as_real` does."""
     number = value if type(value) is complex else as_python(value)
     return number if type(number) is complex else complex(as_real(number))
 
@@ -135,7 +138,7 @@ def _is_plain(values: list[Any] | tuple[Any, ...]) -> bool:
 
 
 def _items(values: Any) -> Any:
-    """Return the converted items of values in order as a list, or as a tuple if they are one."""
+    """Return the converted items of an ordered collection as a list; those of a tuple as a tuple."""
     if isinstance(values, Sized) and _length(values) > MAX_ITEMS:
         return _Refused(f"a list of more than {MAX_ITEMS:,} items")
     if isinstance(values, Iterator):
@@ -151,7 +154,7 @@ def _items(values: Any) -> Any:
 
 
 def _length(values: Sized) -> int:
-    """Return the number of items; that of a long range is no index, and counts as one above all lists."""
+    """Return the number of items; if it is too large for `len`, as that of a long range, return `MAX_ITEMS` + 1."""
     try:
         return len(values)
     except OverflowError:
@@ -174,17 +177,17 @@ def _number(value: Any) -> Any:
         if isinstance(value, Integral):
             return index(value)
         if not isinstance(value, Real | Decimal):
-            return complex(value)  # numpy's would become a real number
+            return complex(value)  # `float` drops the imaginary part of a complex number of numpy
         number = float(value)
     except (TypeError, ValueError, OverflowError):
         return value
-    return value if isinf(number) and value != number else number  # too large: not infinite
+    return value if isinf(number) and value != number else number  # a number that is too large is not infinite
 
 
 def _of_array(value: Any) -> Any:
     """Return an array as nested lists, and one without dimensions as a number.
 
-    A masked number, and a quantity with a unit, which cannot be converted without it, are returned unchanged.
+    A masked number is returned unchanged, and so is a quantity whose unit would be lost.
     """
     try:
         value = _in_order(value)
@@ -198,12 +201,14 @@ def _of_array(value: Any) -> Any:
 
 
 def _in_order(value: Any) -> Any:
-    """Return a table with its named columns in the order t, x, y, or in that of its rows of the same names.
+    """Return a table with the columns t, x and y in this order.
 
-    A series, and a table of places without times, have one row for each player, and perhaps its number as label.
+    A series, and a table of places without times, have one row for each player. If the labels of their rows are the
+    numbers of the players, the rows are sorted by them. If rows and columns have the same labels, as those of a matrix
+    of distances, the rows are sorted as the columns are.
 
     Raises:
-        ValueError: if they are in another unit than those of desim.
+        ValueError: if a column is in another unit than that of desim.
     """
     if hasattr(value, "data_vars"):
         raise ValueError("a dataset of xarray has several arrays: give one")
@@ -224,7 +229,9 @@ def _in_order(value: Any) -> Any:
         return columns if len(order) > 2 else _by_number(columns)
     rows = list(value.index) if hasattr(value, "index") and labels else []
     is_permuted = len(set(labels)) == len(labels) == len(rows) and set(labels) == set(rows) and labels != rows
-    return value[rows] if is_permuted else value if labels else _by_number(value)
+    if is_permuted:
+        return value[rows]
+    return value if labels else _by_number(value)
 
 
 def _with_times(value: Any) -> Any:
@@ -237,19 +244,19 @@ def _with_times(value: Any) -> Any:
         names, value = ["t"], value.rename_axis("t").reset_index()
     for name in names[:1]:
         if (kind := getattr(getattr(value[name], "dtype", None), "kind", "")) in {"M", "m"}:
-            since = value[name] - value[name].min() if kind == "M" else value[name]
-            value = value.assign(**{name: since.dt.total_seconds()})
+            durations = value[name] - value[name].min() if kind == "M" else value[name]
+            value = value.assign(**{name: durations.dt.total_seconds()})
     return value
 
 
 def _columns(value: Any) -> list[Any]:
-    """Return the labels of the columns of a table; none if it has no such labels.
+    """Return the labels of the columns of a table; an empty list if it has none.
 
     Raises:
-        ValueError: if a column has a unit.
+        ValueError: if the table or a column has a unit.
     """
-    about = getattr(value, "attrs", None)
-    if isinstance(about, dict) and (unit := about.get("units") or about.get("unit")):
+    attributes = getattr(value, "attrs", None)
+    if isinstance(attributes, dict) and (unit := attributes.get("units") or attributes.get("unit")):
         raise ValueError(f"its attributes say that it is in {unit}: give numbers without a unit")
     if hasattr(value, "colnames"):  # of astropy
         units = {name: str(value[name].unit) for name in value.colnames if value[name].unit is not None}
@@ -262,7 +269,7 @@ def _columns(value: Any) -> list[Any]:
 
 
 def _labels(value: Any, dimension: int) -> list[Any]:
-    """Return the labels along a dimension of an array of xarray; none if it has none."""
+    """Return the labels along a dimension of an array of xarray; an empty list if it has none."""
     coordinates, dims = getattr(value, "coords", {}), value.dims
     return coordinates[dims[dimension]].values.tolist() if dims and dims[dimension] in coordinates else []
 
@@ -279,9 +286,9 @@ def _by_number(value: Any) -> Any:
 
 
 def _by_player(labels: list[Any]) -> list[int] | None:
-    """Return the order of rows in which their labels are the numbers 0 .. n - 1, or 1 .. n; None if they are others.
+    """Return the order of rows in which their labels are the numbers 0 .. n - 1, or 1 .. n.
 
-    The labels may be texts, as of rows that come from JSON.
+    Return None if the labels are others, or in this order already. They may be texts, as those of rows from JSON are.
     """
     try:
         numbers = [int(label) for label in labels]

@@ -9,11 +9,10 @@ no effect. `Traits.check` therefore raises an error if the value of the attribut
 the function or class with the attribute also has the trait. Only attributes of functions and classes are checked.
 Private attributes, and attributes set in `__init__` or on a `functools.partial`, are not.
 
-A trait may follow from other methods of a model, as a fast way to do the same does, or a bound. A class that overrides
-such a method, but not the trait, then lacks the trait, because the inherited one still follows the overridden method:
-see `Follows`. The other way round, a class that overrides only a fast way is refused: see `Traits.twins`. An object
-that wraps a model, and passes on its attributes by `__getattr__`, lacks such traits for the same reason: see
-`is_passed_on`.
+A trait may follow from other methods of a model: a faster way to compute the same, for example, or a bound. If a class
+overrides such a method but not the trait, the inherited trait would still follow from the overridden method, so it does
+not count: see `Follows`. Nor do such traits count for an object that wraps a model and passes on its attributes by
+`__getattr__`: see `is_passed_on`. Conversely, a class that overrides only a fast way is refused: see `Traits.twins`.
 """
 
 import re
@@ -56,16 +55,17 @@ class Parameter(BeforeValidator):
 
 
 class Follows:
-    """Marks a trait that follows from other methods; it counts unless a user's class overrides one of them below it.
+    """Marks a trait that follows from other methods: it does not count if a class derived later overrides one of these.
 
     A class overrides a method if a base class has it, too. The trait counts if it is defined in the class that
-    overrides the method or below it. It also counts if it is defined above all overridden methods: these then override
-    what it calls, as `quantile` of `desim.kernel.models.latency.Uniform` overrides a method that the inherited `draw`
-    calls.
+    overrides the method, or in a class derived from it. The trait also counts if neither its class nor a base of it has
+    the method. It then calls a method that subclasses add: the inherited `draw` of
+    `desim.kernel.models.latency.Uniform`, for example, calls `quantile`.
 
     Args:
         methods: the names of the methods.
-        not_above: a method above whose class the trait never counts, whether the class overrides the method or not.
+        not_above: the name of a method; a trait from a base of the class that defines this method never counts, whether
+            or not the definition overrides another one.
     """
 
     def __init__(self, *methods: str, not_above: str | None = None):
@@ -73,21 +73,22 @@ class Follows:
         self.not_above = not_above
 
     def is_outdated(self, trait: str, model: type) -> bool:
-        """Return whether the trait of a class of models does not follow from its methods."""
-        defined = positions(model, trait)
-        if not defined or is_ours(model):
+        """Return whether the trait that a class of models has or inherits does not follow from its methods."""
+        trait_positions = positions(model, trait)
+        if not trait_positions or is_ours(model):  # in a built-in class, traits and methods agree
             return False
-        if self.not_above is not None and min(positions(model, self.not_above), default=defined[0]) < defined[0]:
+        position = trait_positions[0]
+        if self.not_above is not None and min(positions(model, self.not_above), default=position) < position:
             return True
-        return any(overrides(model, method, defined[0]) for method in self.methods)
+        return any(overrides(model, method, position) for method in self.methods)
 
 
 class Traits(Value):
     """Base of the classes of traits. Each field is a trait; its default holds for objects without this attribute."""
 
     twins: ClassVar[Mapping[str, tuple[str, ...]]] = MappingProxyType({})
-    """Methods of built-in models that compute, faster, what other ones do, by name. A user's class that overrides such
-    a method should also override one of the others, which are called where there is no fast way."""
+    """The fast methods of built-in models by name, each with the plain methods that compute the same. A user's class
+    that overrides a fast method should also override a plain one, which is called where there is no fast way."""
     kind: Annotated[str | None, Parameter(str)] = None
     """The name that is shown; if absent, the name of the class or function is shown."""
     depends_on: tuple[str | Path, ...] | Callable[[], Any] = ()
@@ -126,12 +127,12 @@ class Traits(Value):
                 f"{name} of {name_of(value)} has been replaced in the class, and a run need not call it: derive a class"
                 f" from {name_of(value)} that has its own {name}"
             )
-        for twin, methods in () if is_ours(model) else cls.twins.items():
-            places = [place[0] for name in methods if (place := positions(model, name))]
-            if places and overrides(model, twin, min(places)):
+        for fast_method, plain_methods in () if is_ours(model) else cls.twins.items():
+            plain_positions = [defined[0] for name in plain_methods if (defined := positions(model, name))]
+            if plain_positions and overrides(model, fast_method, min(plain_positions)):
                 raise ValueError(
-                    f"{name_of(value)} has its own {twin}, which only computes faster what {methods[0]} does: it should"
-                    f" have its own {methods[0]}, too"
+                    f"{name_of(value)} has its own {fast_method}, which only computes faster what {plain_methods[0]}"
+                    f" does: it should have its own {plain_methods[0]}, too"
                 )
         is_function = isinstance(value, FunctionType)
         for name, trait in _misspelt(names, vars(value)) if is_function else _misspelt_in(names, value.__class__):
@@ -150,9 +151,9 @@ class Traits(Value):
 
     @classmethod
     def passed_on(cls, value: Any) -> frozenset[str]:
-        """Return the names of the traits that a model passes on from another one, and that follow from its methods.
+        """Return the names of the traits that an object passes on from a model, and that follow from its methods.
 
-        So does `kind`, which names the class that has them.
+        `kind` counts among these, because it names the class with the methods.
         """
         if isinstance(value, BaseModel) or not hasattr(type(value), "__getattr__"):
             return frozenset()
@@ -168,11 +169,11 @@ class Traits(Value):
     @classmethod
     @lru_cache(maxsize=64)
     def calls(cls) -> Mapping[str, Sequence[str]]:
-        """Return the names of the arguments of each trait that is a method, as its description begins with them."""
-        begun = {
+        """Return the names of the arguments of each trait that is a method: its description begins with the call."""
+        matches = {
             name: re.match(rf"`{name}\(([\w, ]*)\)`", field.description or "") for name, field in fields_of(cls).items()
         }
-        return {name: tuple(filter(None, match[1].split(", "))) for name, match in begun.items() if match}
+        return {name: tuple(filter(None, match[1].split(", "))) for name, match in matches.items() if match}
 
     @classmethod
     def names(cls) -> Iterator[str]:
@@ -192,7 +193,7 @@ class Traits(Value):
 
 
 def is_passed_on(value: Any, name: str) -> bool:
-    """Return whether an attribute is neither of an object nor of its class: `__getattr__` returns that of another one.
+    """Return whether an object has an attribute only because its `__getattr__` returns that of another object.
 
     A class of a user that wraps a model in this way has methods of its own, such as `__call__`. A trait of the model
     that follows from the model's method does not follow from that of the wrapper.
@@ -200,30 +201,28 @@ def is_passed_on(value: Any, name: str) -> bool:
     kind: type = type(value)
     if not hasattr(kind, "__getattr__") or isinstance(value, BaseModel):
         return False
-    namespace = object.__getattribute__(value, "__dict__") if kind.__dictoffset__ else {}
+    namespace = object.__getattribute__(value, "__dict__") if kind.__dictoffset__ else {}  # none with __slots__
     return not positions(kind, name) and name not in namespace
 
 
 def check_inherited_flag(value: Any, flag: str, methods: Iterable[str], effect: str) -> None:
-    """Raise ValueError if a user's class has methods that are not called, because it inherits a flag that is set.
-
-    Or because it passes on the flag of another object.
+    """Raise ValueError if methods of a user's class are never called, because it inherits or passes on a set flag.
 
     Args:
         value: the model.
         flag: the name of the flag.
         methods: the names of the methods.
-        effect: what the flag says, as a clause.
+        effect: what the flag says, as a clause of the message.
     """
     kind: type = type(value)
-    is_theirs = is_passed_on(value, flag)
-    overridden = [
-        name for name in methods if (positions(kind, name) if is_theirs else Follows(name).is_outdated(flag, kind))
+    passes_on = is_passed_on(value, flag)
+    uncalled = [
+        name for name in methods if (positions(kind, name) if passes_on else Follows(name).is_outdated(flag, kind))
     ]
-    if overridden and getattr(value, flag):
+    if uncalled and getattr(value, flag):
         raise ValueError(
-            f"{name_of(value)} {'passes on' if is_theirs else 'inherits'} {flag} = True, so that {effect}, and its own"
-            f" {', '.join(overridden)} would have no effect: it should have {flag}: ClassVar[bool] = False, too"
+            f"{name_of(value)} {'passes on' if passes_on else 'inherits'} {flag} = True, so that {effect}, and its own"
+            f" {', '.join(uncalled)} would have no effect: it should have {flag}: ClassVar[bool] = False, too"
         )
 
 
@@ -232,7 +231,7 @@ OURS = frozenset({"desim", "protocols"})
 
 
 def _replaced(model: type, names: tuple[str, ...]) -> str | None:
-    """Return the first of some methods that is not as the built-in class has defined it; None: all are."""
+    """Return the first of some methods that a user has replaced in a built-in class; None if there is none."""
     for name in _methods_in(model, names):
         function = getattr(model, name)
         owner = function if isinstance(function, FunctionType) else type(function)
@@ -255,7 +254,7 @@ def is_ours(model: type) -> bool:
 
 
 def module_of(definition: Any) -> str:
-    """Return the module of a function or class; "" if that is no text, as of some classes that are not of Python."""
+    """Return the module of a function or class; "" if it is no text, as for some classes of extensions in C."""
     module = definition.__module__
     return module if isinstance(module, str) else ""
 
@@ -276,12 +275,12 @@ def _defines(base: type, name: str) -> bool:
 
 
 def overrides(model: type, method: str, position: int) -> bool:
-    """Return whether a class before `position`, in the method resolution order, overrides a method from there on.
+    """Return whether a class before `position` in the method resolution order overrides a method of a class after it.
 
-    An attribute that is defined at the position then follows from the overridden method.
+    The class at the position counts as after it: an attribute that it defines follows from the overridden method.
     """
-    defined = positions(model, method)
-    return bool(defined) and defined[0] < position <= defined[-1]
+    method_positions = positions(model, method)
+    return bool(method_positions) and method_positions[0] < position <= method_positions[-1]
 
 
 def inherits(value: Any, base: type[Model], method: str = "__call__") -> TypeGuard[Model]:
@@ -333,8 +332,10 @@ def _misspelt_in(traits: tuple[str, ...], model: type) -> tuple[tuple[str, str],
 
 def is_one_letter_off(word: str, other: str) -> bool:
     """Return whether two words differ by one inserted, deleted or replaced letter, or by two adjacent ones swapped."""
-    begin = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(word, other, strict=False)))
-    shorter, longer = sorted((word[begin:], other[begin:]), key=len)
+    common = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(word, other, strict=False)))
+    shorter, longer = sorted((word[common:], other[common:]), key=len)
     if len(shorter) < len(longer):
         return shorter == longer[1:]
-    return bool(longer) and (shorter[1:] == longer[1:] or (shorter[1::-1] == longer[:2] and shorter[2:] == longer[2:]))
+    is_replaced = shorter[1:] == longer[1:]
+    are_swapped = shorter[1::-1] == longer[:2] and shorter[2:] == longer[2:]
+    return bool(longer) and (is_replaced or are_swapped)
