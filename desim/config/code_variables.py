@@ -1,4 +1,7 @@
-"""The variables outside of a function or class that code of a user may change: found by reading its instructions."""
+"""The code of users that a run reaches, and the variables outside of functions that this code may change.
+
+The code is not run: its instructions are read, and the names in them are looked up.
+"""
 
 import re
 import sys
@@ -20,28 +23,28 @@ COLLECTIONS = (list, set, dict, deque, np.ndarray)
 ADDING = {"append", "extend", "add", "update", "put", "put_nowait"}
 """The methods that add to a collection and return nothing."""
 Read = Callable[[], Any]
-"""Reads a variable; None if it has no value."""
+"""Returns the value of a variable; None if it has no value."""
 BY_TEXT = {"globals", "vars", "getattr", "setattr", "delattr", "__dict__", "__globals__", "modules", "import_module"}
-"""What finds a variable of a module by a text."""
+"""The names in code that finds variables by texts, as in `globals()["calls"]`."""
 CACHED = type(lru_cache(int))
 """The type of functions with a cache."""
 CODE = (
     *(FunctionType, MethodType, staticmethod, classmethod, property),
     *(cached_property, partialmethod, singledispatchmethod, CACHED),
 )
-"""The objects of Python that are functions or have some inside."""
+"""The types of functions and of Python's wrappers around functions."""
 INNER = ("__func__", "__self__", "__wrapped__", "fget", "fset", "fdel", "func", "dispatcher")
-"""The attributes in which they have functions and objects."""
-TABLE = 100
-"""Number of items up to which a table is searched for functions."""
-DEPTH = 8
-"""Number of wrappers inside each other through which functions are looked for; a table counts as half of them."""
+"""The attributes in which objects of these types hold functions and other objects."""
+MAX_SEARCHED = 100
+"""Number of items up to which a list, a dict or a cache is searched."""
+MAX_DEPTH = 8
+"""Depth of nested wrappers to which functions are looked for; a list or a dict counts as half of it."""
 _FOREIGN = {*sys.stdlib_module_names, "desim", "protocols", "numpy", "pydantic", "networkx"}
-"""The packages whose classes and functions are not looked at."""
+"""The packages whose classes and functions are not searched."""
 
 
 def shared_variables(objects: Iterable[Any]) -> Iterator[tuple[Any, str, Read]]:
-    """Yield function or class, name and a function that reads it of each variable that code of a user may change."""
+    """Yield each variable that code of a user may change: its function or class, its name, and what reads its value."""
     for item in objects:
         if isinstance(item, FunctionType | CACHED):
             yield from ((item, *variable) for variable in _items(item.__qualname__, vars(item)))
@@ -56,18 +59,18 @@ def shared_variables(objects: Iterable[Any]) -> Iterator[tuple[Any, str, Read]]:
 def is_foreign(definition: Any) -> bool:
     """Return whether a function or class is one of desim, of Python or of a package that desim needs.
 
-    A function that `functools` makes of a user's has the module of the latter, and the variables of `functools`.
+    A wrapper that `functools` makes of a user's function has the `__module__` of the user, so its globals decide.
     """
-    places = definition.__globals__ if isinstance(definition, FunctionType) else {}
-    return str(places.get("__name__") or module_of(definition)).partition(".")[0] in _FOREIGN
+    variables = definition.__globals__ if isinstance(definition, FunctionType) else {}
+    return str(variables.get("__name__") or module_of(definition)).partition(".")[0] in _FOREIGN
 
 
-def _items(owner: str, place: Any) -> Iterator[tuple[str, Read]]:
+def _items(owner: str, namespace: Any) -> Iterator[tuple[str, Read]]:
     """Yield the attributes in the namespace of a class or function, without methods and descriptors of Python."""
-    for name, value in tuple(place.items()):  # pydantic may still complete the class
+    for name, value in tuple(namespace.items()):  # a copy, because pydantic may still complete the class
         is_method = hasattr(type(value), "__get__") and is_foreign(type(value))
         if not (name.startswith("__") or name == "_abc_impl" or is_method):
-            yield f"{owner}.{name}", partial(place.get, name)
+            yield f"{owner}.{name}", partial(namespace.get, name)
 
 
 def _variables(function: FunctionType) -> Iterator[tuple[str, Read]]:
@@ -77,17 +80,18 @@ def _variables(function: FunctionType) -> Iterator[tuple[str, Read]]:
     code = function.__code__
     arguments = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
     defaults = function.__defaults__ or ()
-    pairs = zip(arguments[code.co_argcount - len(defaults) :], defaults, strict=False)
+    named_defaults = dict(zip(arguments[code.co_argcount - len(defaults) :], defaults, strict=False))
+    named_defaults |= function.__kwdefaults__ or {}
     cells = zip(code.co_freevars, function.__closure__ or (), strict=True)
-    variables = {name: partial(_itself, value) for name, value in (*pairs, *(function.__kwdefaults__ or {}).items())}
+    variables = {name: partial(_itself, value) for name, value in named_defaults.items()}
     variables |= {name: partial(_contents, cell) for name, cell in cells}
     for name, read in variables.items():
         if not only_adds(code, name):
             yield f"{name} of {function.__qualname__}", read
-    for module, place, names in _modules_of(function):
+    for module, namespace, names in _modules_of(function):
         for name in names:
-            if name in place and not (name in _words_of(code).names and only_adds(code, name)):
-                yield f"{plain_name(module)}.{name}", partial(place.get, name)
+            if name in namespace and not (name in _words_of(code).names and only_adds(code, name)):
+                yield f"{plain_name(module)}.{name}", partial(namespace.get, name)
 
 
 def _modules_of(function: FunctionType) -> Iterator[tuple[str, dict[str, Any], Collection[str]]]:
@@ -95,13 +99,13 @@ def _modules_of(function: FunctionType) -> Iterator[tuple[str, dict[str, Any], C
 
     A function that finds variables by texts, as in `globals()["calls"]`, uses the names that are among its constants.
     """
-    code, place = function.__code__, function.__globals__
+    code, namespace = function.__code__, function.__globals__
     names, texts, imports, globals_ = _words_of(code)
     by_text = texts | names if names & BY_TEXT else frozenset()
     if names & {"exec", "eval"}:
         by_text |= {word for text in texts for word in re.findall(r"\w+", text)}
-    yield module_of(function), place, globals_ | (by_text & place.keys())
-    values = [place.get(name) for name in globals_] + [_contents(cell) for cell in function.__closure__ or ()]
+    yield module_of(function), namespace, globals_ | (by_text & namespace.keys())
+    values = [namespace.get(name) for name in globals_] + [_contents(cell) for cell in function.__closure__ or ()]
     values += [sys.modules.get(name) for name in imports | by_text]
     modules = {id(value): value for value in values if isinstance(value, ModuleType) and not _is_installed(value)}
     for module in modules.values():
@@ -109,13 +113,13 @@ def _modules_of(function: FunctionType) -> Iterator[tuple[str, dict[str, Any], C
 
 
 def reached_code(objects: Iterable[Any]) -> list[Any]:
-    """Return the functions and classes of users among some objects, and those that their code calls or reads by name.
+    """Return the functions and classes of users among some objects, and those that their code reaches, each once.
 
-    Each is there once.
+    The code of a function reaches what it calls or reads by name.
     """
     reached: dict[int, Any] = {}
     values = list(objects)
-    for value in values:
+    for value in values:  # the list grows meanwhile
         for definition in _definitions_of(value):
             if id(definition) in reached or _is_of_package(definition):
                 continue
@@ -125,16 +129,16 @@ def reached_code(objects: Iterable[Any]) -> list[Any]:
             if isinstance(definition, FunctionType):
                 values += [_contents(cell) for cell in definition.__closure__ or ()]
                 values += [*defaults_of(definition), *vars(definition).values()]
-                for _, place, names in _modules_of(definition):
-                    values += [place[name] for name in names if name in place]
+                for _, namespace, names in _modules_of(definition):
+                    values += [namespace[name] for name in names if name in namespace]
             else:
-                values += vars(definition).values()  # pydantic may still complete the class
+                values += vars(definition).values()
     return [*reached.values()]
 
 
 def _definitions_of(value: Any, depth: int = 0) -> Iterator[Any]:
     """Yield the functions, classes and caches that an object is, wraps, is an instance of, or has as items."""
-    if depth > DEPTH:
+    if depth > MAX_DEPTH:
         return
     if isinstance(value, type):
         metaclass: type = type(value)
@@ -145,10 +149,10 @@ def _definitions_of(value: Any, depth: int = 0) -> Iterator[Any]:
         for name in INNER:
             yield from _definitions_of(getattr(value, name, None), depth + 1)
     elif isinstance(value, dict) and "__builtins__" in value:
-        return  # the variables of a module, of which code reads some by name
+        return  # the variables of a module; `_modules_of` yields those that code reads
     elif isinstance(value, list | tuple | dict):
-        for item in (value.values() if isinstance(value, dict) else value) if len(value) <= TABLE else ():
-            yield from _definitions_of(item, depth + DEPTH // 2)
+        for item in (value.values() if isinstance(value, dict) else value) if len(value) <= MAX_SEARCHED else ():
+            yield from _definitions_of(item, depth + MAX_DEPTH // 2)
     elif isinstance(value, partial):
         yield from _definitions_of(value.func, depth + 1)
         yield from _definitions_of((*value.args, *value.keywords.values()), depth + 1)
@@ -158,7 +162,7 @@ def _definitions_of(value: Any, depth: int = 0) -> Iterator[Any]:
 
 def _functions_in(values: Iterable[Any]) -> Iterator[FunctionType]:
     """Yield the functions among the attributes of a class."""
-    for value in tuple(values):  # pydantic may still complete the class
+    for value in tuple(values):  # a copy, because pydantic may still complete the class
         if isinstance(value, CODE):
             yield from (item for item in _definitions_of(value) if isinstance(item, FunctionType))
 
@@ -177,7 +181,7 @@ def _is_installed(module: ModuleType) -> bool:
 
 
 def _is_of_package(definition: Any) -> bool:
-    """Return whether a function or class is defined in such a module; what it remembers is a matter of its authors."""
+    """Return whether a function or class is of desim, of Python or of an installed package, not of a user."""
     module = sys.modules.get(module_of(definition))
     return is_foreign(definition) or (module is not None and _is_installed(module))
 
@@ -186,13 +190,13 @@ class CodeWords(NamedTuple):
     """The words in the instructions of a function and of the functions inside it."""
 
     names: frozenset[str]
-    """The names of the global variables and attributes that they use."""
+    """The names of global variables and attributes."""
     texts: frozenset[str]
     """The texts that are constants."""
     imports: frozenset[str]
-    """The names of the modules that they import."""
+    """The names of imported modules."""
     globals: frozenset[str]
-    """The names of the global variables."""
+    """The names of global variables alone."""
 
 
 @lru_cache(maxsize=256)
@@ -232,9 +236,9 @@ def only_adds(code: CodeType, name: str) -> bool:
 
     In all versions of Python, the method is loaded by the instruction after the one that loads the variable.
     """
-    for instruction, after in pairwise(get_instructions(code)):
+    for instruction, next_instruction in pairwise(get_instructions(code)):
         names = instruction.argval if isinstance(instruction.argval, tuple) else (instruction.argval,)
         is_used = name in names and instruction.opname.startswith(("LOAD_", "STORE_", "DELETE_"))
-        if is_used and "CLOSURE" not in instruction.opname and after.argval not in ADDING:
+        if is_used and "CLOSURE" not in instruction.opname and next_instruction.argval not in ADDING:
             return False
     return all(only_adds(inner, name) for inner in inner_code(code) if name in (*inner.co_freevars, *inner.co_names))

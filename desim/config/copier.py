@@ -1,6 +1,6 @@
-"""How an object with state is copied, or described to tell whether it has changed: by pickling it in this process.
+"""Copies of objects with state, and descriptions that tell whether an object has changed; pickle makes both.
 
-A copy refers to what it shares with the original: what has no state, code, and what the caller may read after a run.
+A copy shares with the original what has no state, code, and the collections that the caller may read after a run.
 """
 
 import pickle
@@ -26,17 +26,21 @@ FUNCTION_STATE = ("__kwdefaults__", "__module__", "__qualname__", "__doc__")
 
 
 class _Kept:
-    """Stands for an object to which a copy refers."""
+    """Wraps an object that the copy shares with the original."""
 
     def __init__(self, value: Any):
         self.value = value
 
 
 class Copier(pickle.Pickler):
-    """Pickles a model for this process, where the copy can refer to what is not copied.
+    """Pickles a model for this process, where the copy can refer to objects that it shares with the original.
+
+    Args:
+        content: the stream for the pickle.
+        alone: whether nobody reads collections after the run, so that they are copied, too.
 
     Attributes:
-        kept: the objects to which the copy refers, by their number.
+        kept: the shared objects; the pickle has their indices.
         functions: the functions in the model.
     """
 
@@ -47,7 +51,7 @@ class Copier(pickle.Pickler):
         self.functions: list[FunctionType] = []
 
     def persistent_id(self, value: Any) -> int | None:
-        """Return the number of an object to which the copy refers; None for an object that is copied."""
+        """Return the index of an object that the copy shares; None for an object that is copied."""
         kind = type(value)
         if kind in CONSTANTS:
             return None
@@ -94,19 +98,19 @@ class Copier(pickle.Pickler):
             raise TypeError(f"cannot pickle {kind.__qualname__!r} object of itertools")
         return NotImplemented
 
-    def _shared(self, held: Any) -> Any:
-        """Return what stands for a default or variable of a function; it is copied unless its caller may read it."""
-        return _Kept(held) if is_collection(held) and not self._alone else held
+    def _shared(self, variable: Any) -> Any:
+        """Return a default or a variable of a function, wrapped if the copy shares it: the caller may read it."""
+        return _Kept(variable) if is_collection(variable) and not self._alone else variable
 
 
 class Describer(Copier):
     """Pickles what a value consists of, also if it cannot be copied, to tell whether it has changed.
 
-    An iterator whose state cannot be read counts as changed when it is described again: code uses it to advance it.
+    An iterator whose state cannot be read counts as changed when it is described again: whoever uses it advances it.
     """
 
     def persistent_id(self, value: Any) -> int | None:
-        """Return a number also for a function of Python, and None for objects that copies share but that change."""
+        """Return an index also for a function of Python, and None for objects that copies share but that change."""
         if isinstance(value, SHARED):
             return None
         is_of_python = isinstance(value, FunctionType) and is_foreign(value)
@@ -125,23 +129,23 @@ class Describer(Copier):
         if isinstance(value, GeneratorType):
             frame = value.gi_frame
             return list, ([id(value), frame and frame.f_lasti, repr(frame and frame.f_locals)],)
-        if type(value) in {count, repeat}:  # their texts have what they return next
+        if type(value) in {count, repeat}:  # their texts show the next item
             return str, (repr(value),)
         try:
             reduced = super().reducer_override(value)
             if reduced is NotImplemented:
                 value.__reduce_ex__(5)
         except Exception:  # code of an object may raise anything
-            is_again = not isinstance(value, Iterator) or id(value) in _described
+            is_first = isinstance(value, Iterator) and id(value) not in _described
             _described.add(id(value))
-            return list, ([id(value), is_again],)
+            return list, ([id(value), is_first],)
         return reduced
 
 
 SHARED = (threading.local, ContextVar, queue.Queue, queue.SimpleQueue)
-"""The types of objects that copies share, although they hold something."""
+"""The types of objects that copies share, although what they hold changes."""
 _described: set[int] = set()
-"""The numbers of the iterators that were described."""
+"""The `id` of each iterator that was described."""
 
 
 class CopyReader(pickle.Unpickler):
@@ -153,14 +157,14 @@ class CopyReader(pickle.Unpickler):
         self._kept = kept
 
     def persistent_load(self, number: int) -> Any:
-        """Return the object of a number."""
+        """Return the shared object of an index."""
         return self._kept[number]
 
 
 def passes_on_attributes(kind: Any) -> bool:
-    """Return whether objects of a class would look for `__setstate__` in an object that they wrap, and do not have yet.
+    """Return whether objects of a class look for `__setstate__` in an object that they wrap, by `__getattr__`.
 
-    This is so if they pass on what they lack by `__getattr__`; the look-up then never ends.
+    While such an object is unpickled, it does not have the wrapped object yet, and the look-up never ends.
     """
     if not hasattr(kind, "__getattr__") or hasattr(kind, "__setstate__") or issubclass(kind, type):
         return False
@@ -168,7 +172,7 @@ def passes_on_attributes(kind: Any) -> bool:
 
 
 def with_state_setter(reduced: Any) -> Any:
-    """Return how to make an object again, with a function that sets its state as pickle does by default."""
+    """Return a result of `__reduce_ex__` with a function that sets the state, so `__setstate__` is not looked up."""
     if not isinstance(reduced, tuple) or len(reduced) < 3 or reduced[2] is None:
         return reduced
     parts = (*reduced, None, None, None)[:6]

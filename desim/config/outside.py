@@ -28,24 +28,24 @@ CLOCKS = {
     **{getattr(datetime, name): f"datetime.{name}" for name in ("now", "utcnow", "today")},
     date.today: "date.today",
 }
-"""The names of the functions by which a simulated process does not wait, and that do not tell its time.
+"""The names of the functions that wait for the clock of the computer, or read it, in place of simulated time.
 
-To measure how long a computation takes is another matter, so that `time.perf_counter` is not among them.
+`time.perf_counter` is not among them, because a model may measure how long a computation takes.
 """
 NOW = {getattr(time, name): f"time.{name}()" for name in ("localtime", "gmtime", "ctime", "asctime")}
-"""The names of the functions that tell the time if they are called without one."""
+"""The names of the functions that read this clock if they are called without a time."""
 ENTROPY = {
     **{getattr(secrets, name): f"secrets.{name}" for name in secrets.__all__ if name != "compare_digest"},
     **{uuid.uuid1: "uuid.uuid1", uuid.uuid4: "uuid.uuid4", os.urandom: "os.urandom"},
     random.SystemRandom: "random.SystemRandom",
 }
-"""The names of the functions that return other random numbers in each run."""
+"""The names of the functions that return different random numbers in each run."""
 SEEDED = {
     np.random.default_rng: "numpy.random.default_rng()",
     np.random.RandomState: "numpy.random.RandomState()",
     random.Random: "random.Random()",
 }
-"""The names of the generators that do so if they are created without a seed."""
+"""The names of the generators of random numbers that differ in each run if they are created without a seed."""
 PROCESS = {
     **{getattr(os, name): f"os.{name}" for name in ("getenv", "getlogin")},
     **{socket.gethostname: "socket.gethostname", platform.node: "platform.node"},
@@ -57,7 +57,7 @@ GENERATORS = ((random.random.__self__, "random"), (np.random.random.__self__, "n
 VARIABLES = ((os.environ, "os.environ"), (sys.argv, "sys.argv"))
 """The variables of a process, with their names."""
 BETWEEN = frozenset({"PUSH_NULL", "PRECALL", "RESUME", "NOP", "EXTENDED_ARG"})
-"""Instructions that may be between a name and its call."""
+"""The instructions that may lie between the one that reads a name and the one that calls it."""
 
 
 class Use(NamedTuple):
@@ -67,7 +67,7 @@ class Use(NamedTuple):
     module: str
     """The module that the first name denotes, if the function imports it; else ""."""
     is_called_alone: bool
-    """Whether it is called without arguments."""
+    """Whether the name is called without arguments."""
 
 
 class Outside(NamedTuple):
@@ -91,12 +91,13 @@ class Outside(NamedTuple):
 def outside_sources(function: FunctionType) -> Outside:
     """Return the names of what a function takes from outside of a run."""
     clocks, entropy, process, generators = set[str](), set[str](), set[str](), set[str]()
-    around = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-    places = ChainMap({name: cell.cell_contents for name, cell in around if cell != CellType()}, function.__globals__)
+    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+    enclosing = {name: cell.cell_contents for name, cell in cells if cell != CellType()}  # an empty one has no value
+    namespace = ChainMap(enclosing, function.__globals__)
     for use in _uses(function.__code__):
-        source = _denoted(use, places)
-        variables = [_denoted(use._replace(names=use.names[:k]), places) for k in range(1, len(use.names) + 1)]
-        process |= {name for variable, name in VARIABLES if any(read is variable for read in variables)}
+        source = _denoted(use, namespace)
+        prefixes = [_denoted(use._replace(names=use.names[:k]), namespace) for k in range(1, len(use.names) + 1)]
+        process |= {name for variable, name in VARIABLES if any(prefix is variable for prefix in prefixes)}
         generators |= {name for generator, name in GENERATORS if getattr(source, "__self__", None) is generator}
         try:
             is_own_hash = source is hash and function.__name__ == "__hash__"
@@ -105,15 +106,15 @@ def outside_sources(function: FunctionType) -> Outside:
             clocks |= {NOW[source]} if use.is_called_alone and source in NOW else set()
             entropy |= {ENTROPY[source]} if source in ENTROPY else set()
             entropy |= {SEEDED[source]} if use.is_called_alone and source in SEEDED else set()
-        except TypeError:  # it has no hash, and is none of them
+        except TypeError:  # an object without a hash is in none of the tables
             continue
     return Outside(clocks, entropy, process, generators)
 
 
-def _denoted(use: Use, places: Mapping[str, Any]) -> Any:
-    """Return what a dotted name denotes; None if that is not known without running code of a user."""
+def _denoted(use: Use, namespace: Mapping[str, Any]) -> Any:
+    """Return what a dotted name denotes; None if only running code of a user would tell."""
     first, *others = use.names
-    denoted = sys.modules.get(use.module) if use.module else places.get(first, vars(builtins).get(first))
+    denoted = sys.modules.get(use.module) if use.module else namespace.get(first, vars(builtins).get(first))
     for name in others:
         if not isinstance(denoted, ModuleType | type):
             return None
@@ -129,7 +130,7 @@ def _uses(code: CodeType) -> frozenset[Use]:
     uses = set()
     for k, (operation, name) in enumerate(steps):
         if operation != "LOAD" or (name in {*code.co_varnames, *code.co_cellvars} and name not in imported):
-            continue  # a local variable denotes none of them
+            continue  # a local variable that is no import
         module, *inner = imported.get(name, "").split(":")
         names, end = [name, *inner], k + 1
         while steps[end][0] == "ATTRIBUTE":
@@ -142,7 +143,7 @@ def _uses(code: CodeType) -> frozenset[Use]:
 def _steps(code: CodeType) -> Iterator[tuple[str, Any]]:
     """Yield the instructions of a function, in a form that all versions of Python have in common.
 
-    Names are loaded ("LOAD") and stored ("STORE"), alone or two by one instruction; "ATTRIBUTE" reads one of an object.
+    Names are loaded ("LOAD") and stored ("STORE"), by some instructions two at once; "ATTRIBUTE" reads an attribute.
     """
     for item in get_instructions(code):
         if item.opname in {"LOAD_ATTR", "LOAD_METHOD"}:
@@ -164,7 +165,7 @@ def _imports(steps: list[tuple[str, Any]]) -> Iterator[tuple[str, str]]:
             inner = f":{name}"
         elif operation == "STORE" and module:
             yield name, module + inner
-            module = module if inner else ""
+            module = module if inner else ""  # `from module import a, b` stores several names
 
 
 def inner_code(code: CodeType) -> list[CodeType]:

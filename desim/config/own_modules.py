@@ -69,14 +69,14 @@ def module_beside(name: str, folder: Path) -> str:
     top, _, submodule = name.partition(".")
     folder = folder.resolve()
     beside = None if top in NOT_OWN or "@" in name else PathFinder.find_spec(top, [str(folder)])
-    if beside is None or not _is_needed(top, beside):
+    if beside is None or not _is_hidden(top, beside):
         return name
     place = str(folder).replace("%", "%25").replace(".", "%2E").replace("@", "%40")
     return ".".join(filter(None, [f"{top}@{place}", submodule]))
 
 
-def _is_needed(top: str, beside: ModuleSpec) -> bool:
-    """Return whether a plain import of a module finds anything but the module beside a file."""
+def _is_hidden(top: str, beside: ModuleSpec) -> bool:
+    """Return whether a plain import does not find the module beside a file, but another one or none."""
     imported = sys.modules.get(top)
     try:
         plain = find_spec(top) if imported is None else imported.__spec__
@@ -115,7 +115,7 @@ class _Finder:
             namespace = ModuleSpec(name, None, is_package=True)
             namespace.submodule_search_locations = list(places or ())
             return namespace
-        if not isinstance(spec.loader, SourceFileLoader):  # the name of compiled code is part of it
+        if not isinstance(spec.loader, SourceFileLoader):  # compiled code loads under the name that is built into it
             return spec
         loader = _Loader(name, spec.origin)
         return spec_from_file_location(name, spec.origin, loader=loader, submodule_search_locations=places)

@@ -15,17 +15,17 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from desim.config.caller_warnings import warn_caller
-from desim.config.code_variables import CACHED, TABLE, Read, is_foreign, reached_code, shared_variables
+from desim.config.code_variables import CACHED, MAX_SEARCHED, Read, is_foreign, reached_code, shared_variables
 from desim.config.outside import Outside, outside_sources
 from desim.config.own_modules import plain_name
 from desim.config.traits import module_of
 
 
 class StateWarning(UserWarning):
-    """Warns of state in a class, a function, a module or a collection that an earlier run has left.
+    """Warns that a run depends on something outside of it, so that another run may give other results.
 
-    The clock of the computer is such state, too, and so are random numbers without a seed, and variables of the
-    process.
+    This is state that an earlier run has left in a class, a function, a module or a collection, the clock of the
+    computer, random numbers without a seed, or variables of the process.
     """
 
 
@@ -35,7 +35,7 @@ _collected: ContextVar[list[str] | None] = ContextVar("collected", default=None)
 
 @contextmanager
 def collected_warnings() -> Iterator[list[str]]:
-    """Yield a list to which the texts of `StateWarning`s are added: nobody reads what is warned of in a worker."""
+    """Yield a list that collects the texts of `StateWarning`s in their place: nobody reads the warnings of a worker."""
     texts: list[str] = []
     token = _collected.set(texts)
     try:
@@ -58,13 +58,14 @@ _runs: WeakKeyDictionary[Any, dict[str, tuple[Any, Any]]] = WeakKeyDictionary()
 
 @contextmanager
 def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> Iterator[None]:
-    """Warn of each variable that an earlier block has changed, and that this block finds as it was left there.
+    """Warn of each variable that an earlier block has changed, and that this block finds as that block left it.
 
-    These are the attributes of classes and functions, and the defaults, the variables of enclosing functions and the
-    global variables that code of a user reads or writes. A collection to which the code only adds may change: it
-    reports to the caller. A first run is never warned of, nor one before which the caller has reset the variable. But
-    even a first run is warned of if the global generators of `random` and `numpy.random` have advanced; beside other
-    threads, only if its code names functions of theirs.
+    The variables are the attributes of classes and functions, and the defaults, the variables of enclosing functions
+    and the global variables that code of a user reads or writes. A collection to which the code only adds may change:
+    it reports to the caller. There is no warning in a first run, nor if the caller has reset the variable since.
+
+    A run that draws from the global generators of `random` or `numpy.random` gives a warning, even if it is the first.
+    While other threads run, which may draw, too, it does so only if its code names functions of these generators.
 
     Args:
         objects: the classes and functions, perhaps among other objects.
@@ -93,9 +94,8 @@ def shared_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> It
             _runs.setdefault(owner, {})[name] = first, snapshot(read())
         new_modules = {plain_name(module) for module in sys.modules.keys() - imported}
         for owner, name, read in shared_variables(objects):
-            if name.rpartition(".")[0] not in new_modules and name not in _runs.get(
-                owner, {}
-            ):  # the run has created it
+            is_created = name not in _runs.get(owner, {})
+            if is_created and name.rpartition(".")[0] not in new_modules:  # an import creates variables, too
                 _runs.setdefault(owner, {})[name] = (), snapshot(read())
     for text in (*_cache_warnings(caches, cached, snapshot), *_generator_warnings(generators, outside)):
         _warn(text)
@@ -128,17 +128,17 @@ def followed_changes(objects: Iterable[Any], snapshot: Callable[[Any], Any]) -> 
     finally:
         for (owner, name, read), state in zip(reads, before, strict=True):
             first, last = _runs[owner][name]
-            if last == state is not None:
+            if state is not None and state == last:
                 _runs[owner][name] = first, snapshot(read())
 
 
 def _cache_warnings(
     caches: Sequence[Any], cached: Sequence[Mapping[int, Any]], snapshot: Callable[[Any], Any]
 ) -> Iterator[str]:
-    """Yield a warning of each cache of which a run has changed a value; `cached` is what they had before."""
-    for item, values in zip(caches, cached, strict=True):
-        now_cached = _cached(item, snapshot) if values else {}
-        if any(now_cached.get(number, state) != state for number, state in values.items()):
+    """Yield a warning of each cache in which a run has changed a value; `cached` are the snapshots before the run."""
+    for item, before in zip(caches, cached, strict=True):
+        after = _cached(item, snapshot) if before else {}
+        if any(after.get(identity, state) != state for identity, state in before.items()):
             yield (
                 f"{plain_name(module_of(item))}.{item.__qualname__}: the run has changed what its cache has from an"
                 " earlier one, so another run starts from another state; what a model remembers should be in its"
@@ -147,16 +147,13 @@ def _cache_warnings(
 
 
 def _cached(function: Any, snapshot: Callable[[Any], Any]) -> dict[int, Any]:
-    """Return what differs if a value in the cache of a function has changed, by the number of the object.
-
-    All are left out if there are many.
-    """
-    if not 0 < function.cache_info().currsize <= TABLE:
+    """Return a snapshot of each value in the cache of a function, by its `id`; none if there are too many values."""
+    if not 0 < function.cache_info().currsize <= MAX_SEARCHED:
         return {}
     values = [item for item in get_referents(function) if item is not vars(function) and not callable(item)]
-    if function.cache_parameters()["maxsize"] is None:  # then the dict of the cache has the values
+    if function.cache_parameters()["maxsize"] is None:  # the function refers to a dict of the values
         values = [value for item in values if type(item) is dict for value in item.values()]
-    else:  # the dict of the cache has the links of a list, whose items the function lists, too
+    else:  # it refers to the values, and to a dict of the links of the list that keeps them in order
         values = [item for item in values if not (type(item) is dict and item and all(map(_is_link, item.values())))]
     return {id(item): snapshot(item) for item in values}
 
@@ -172,7 +169,7 @@ def _global_generators() -> dict[str, Any]:
 
 def _generator_warnings(before: Mapping[str, Any], outside: Outside) -> Iterator[str]:
     """Yield a warning if a run has drawn from global generators; `before` are their states at its beginning."""
-    is_alone = threading.active_count() == 1  # else another thread may have drawn, one of a cluster for instance
+    is_alone = threading.active_count() == 1  # otherwise another thread may have drawn, of a cluster for instance
     drawn = [name for name, state in _global_generators().items() if state != before[name]]
     if drawn_from := [name for name in drawn if is_alone or name in outside.generators]:
         yield (

@@ -20,10 +20,7 @@ threads, such as locks."""
 
 
 def never_changes(name: str) -> bool:
-    """Return whether the objects of a module, given its name, are shared; a similar name is that of another module.
-
-    A graph of networkx is not.
-    """
+    """Return whether copies share the objects of the classes of a module, given its name; graphs of networkx change."""
     return name.partition(".")[0] in NEVER_CHANGED and not name.startswith("networkx.classes.")
 
 
@@ -57,7 +54,7 @@ def users_objects(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
         inner = enumerate(value) if form == "items" else (vars(value) if form == "model" else value).items()
         for name, item in inner:
             inner_kind: type = type(item)
-            if _form(inner_kind) != "constant":  # most are; a call for each takes half as long again
+            if _form(inner_kind) != "constant":  # most items are, and calls for them would add half to the time
                 yield from users_objects(item, f"{key}.{name}" if key else str(name))
 
 
@@ -80,9 +77,9 @@ def _is_constant(value: Any) -> bool:
 
 
 def is_collection(held: Any) -> bool:
-    """Return whether a default, or a variable of an enclosing function, is a collection that its caller may read.
+    """Return whether a default, or a variable of an enclosing function, is a collection that the caller may read.
 
-    Or a method of one, such as `seen.append`.
+    A method of a collection, such as `calls.append`, counts as the collection.
     """
     try:
         value = held.cell_contents if type(held) is CellType else held
