@@ -22,7 +22,7 @@ def wrong_answer(expected: str, answer: object, model: object) -> AnswerError:
     """Return the error about what a model returned.
 
     Args:
-        expected: what should be returned by what, for example "a heading should be a complex number".
+        expected: what the model should return, as a clause, for example "a heading should be a complex number".
         answer: what was returned.
         model: the model or the function that returned it.
     """

@@ -1,4 +1,4 @@
-"""The types of numpy arrays, and arrays of what others give."""
+"""The types of numpy's arrays, and the conversion of what users give to arrays."""
 
 from typing import Any
 
@@ -19,13 +19,13 @@ Points = NDArray[np.complex128]
 def array_of(value: Any) -> "NDArray[Any]":
     """Return what a function of a user has returned, or a caller has given, as an array of numbers or booleans.
 
-    The dtype of the array is object if something in it is neither, such as a masked number or one with a unit, which
-    `np.asarray` would take; also if the labels of a series of pandas are not in order.
+    The dtype of the array is object if an item is neither, such as a masked number or one with a unit, whose mask or
+    unit `np.asarray` would drop. It is object, too, if the labels of a series of pandas are not in order.
     """
     if type(value) in PLAIN or (type(value) is np.ndarray and value.dtype.kind in "biufc"):
         return np.asarray(value)
     if hasattr(value, "iloc") and hasattr(value, "index") and not value.index.is_monotonic_increasing:
-        return np.array(None)  # values are taken in their order, and labels may say another one
+        return np.array(None)  # the labels may say another order than that of the values
     converted = as_python(value)
     try:
         return np.array(None) if isinstance(converted, np.ma.MaskedArray) else np.asarray(converted)
@@ -34,7 +34,7 @@ def array_of(value: Any) -> "NDArray[Any]":
 
 
 def array_text(array: "NDArray[Any]") -> str:
-    """Return what an array of a caller is, for the end of an error message, with an item that is no number."""
+    """Return the end of an error message about an array: its shape and dtype, and the first item that is no number."""
     text = f"shape {array.shape}, dtype {array.dtype}"
     if array.dtype != object:
         return text

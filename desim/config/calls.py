@@ -24,12 +24,13 @@ def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *
 
     The message names `value`: the function, object or class that the user gave. It begins with `whose`.
     """
-    if any(map(iscoroutinefunction, _codes(function))) or any(map(isasyncgenfunction, _codes(function))):
+    functions = _called_functions(function)
+    if any(map(iscoroutinefunction, functions)) or any(map(isasyncgenfunction, functions)):
         advice = "should have `def` in place of `async def`, and `yield` to wait"
         raise AnswerError(f"{whose}{advice}: {name_and_place(value)}")
     called: Any = function
     if isinstance(getattr_static(type(function), "__call__", None), staticmethod | classmethod):
-        called = called.__call__  # else `signature` takes an argument for self
+        called = called.__call__  # otherwise `signature` leaves out the first argument, as if it were self
     try:
         parameters = own_signature(called)
     except (TypeError, ValueError):  # some functions in C have no signature
@@ -42,7 +43,7 @@ def check_call(function: Callable[..., Any], takes: Sequence[str], value: Any, *
 
 
 def own_signature(function: Callable[..., Any]) -> Signature:
-    """Return the arguments that a function takes itself: a decorator may give some to the function that it wraps.
+    """Return the arguments that a function takes itself, which may be fewer than those of the function that it wraps.
 
     A function without a signature, such as one of `functools.cache`, takes the arguments of what it wraps.
 
@@ -64,12 +65,12 @@ def check_argument(function: Any, takes: Sequence[str], name: str) -> None:
 
 def check_at_once(function: Callable[..., Any], whose: str = "") -> None:
     """Raise AnswerError if a function would do nothing when it is called, because it is a generator."""
-    if any(map(isgeneratorfunction, _codes(function))):
+    if any(map(isgeneratorfunction, _called_functions(function))):
         raise AnswerError(f"{whose}should do its work when it is called, without yield: {name_and_place(function)}")
 
 
-def _codes(function: Any) -> tuple[Any, Any]:
-    """Return a function without the arguments that it has already, and the method by which an object is called."""
+def _called_functions(function: Any) -> tuple[Any, Any]:
+    """Return the function inside of partial functions, and the `__call__` of its class; for a class, None instead."""
     while isinstance(function, partial):
         function = function.func
     return function, None if isinstance(function, type) else getattr(type(function), "__call__", None)  # noqa: B004

@@ -1,4 +1,4 @@
-"""The names that the columns of tables of positions have: of files, of data frames, and of fields of rows."""
+"""The names of the columns in tables of positions, which may be files, data frames, or rows with named fields."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,7 +22,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     "node": (
         *("node", "name", "id", "mac"),
         *("vehicle", "agent", "robot", "uav", "drone", "track", "pedestrian", "person", "device", "car"),
-        *(f"{one}{end}" for one in IDENTIFIED for end in ("_id", "id")),
+        *(f"{noun}{ending}" for noun in IDENTIFIED for ending in ("_id", "id")),
     ),
 }
 """The names that a column of a table may have, in lower case; the first that a table has is read."""
@@ -43,9 +43,9 @@ OTHER_UNITS = {
     "s": "|".join([TIME_UNITS["ms"], TIME_UNITS["us"], TIME_UNITS["ns"], "minutes|hours"]),
     "m": "(?:m|c|k)m|(?:milli|centi|kilo)met(?:er|re)s?|ft|feet|inch(?:es)?|px|pixels?|deg(?:rees)?",
 }
-"""Expressions for units that people use instead of a unit."""
+"""Expressions for the units that people use in place of s or m."""
 SAME_UNIT = {"s": TIME_UNITS["s"], "m": "m|met(?:er|re)s?"}
-"""Expressions for the names of a unit."""
+"""Expressions for the names of s and of m."""
 NAMES_OF_UNITS = {unit: f"{SAME_UNIT[unit]}|{OTHER_UNITS[unit]}" for unit in SAME_UNIT}
 LABEL = re.compile(
     rf"""
@@ -76,7 +76,7 @@ ENDS = {
     "y": {"y", "py", "north", "northing"},
     "z": {"z", "pz", "height", "altitude"},
 }
-"""The words that end the label of a column among others, as in `pose.position.x`."""
+"""The last words of labels that have several words, as in `pose.position.x`."""
 OF_POSITIONS = frozenset(
     {"p", "pos", "pose", "position", "positions", "translation", "location", "point", "coord", "coordinate"}
 )
@@ -106,18 +106,18 @@ class Header(NamedTuple):
     def columns(self, key: str) -> list[int]:
         """Return the indices of the columns that may be t, x, y, z or node; several if it cannot be told which is.
 
-        A column that has one of the `COLUMNS` as its name is preferred to one whose words end like it, and of these one
-        of positions to others.
+        A column whose name is in `COLUMNS` is preferred to those whose last word is in `ENDS`. Among the latter, a
+        column with a word of positions is preferred.
         """
         for name in COLUMNS[key]:
             if columns := [k for k, other in enumerate(self.names) if joined(other) == name]:
                 return columns
-        alike = [
+        with_ending = [
             k
             for k, words in enumerate(self.words)
             if words and words[-1] in ENDS.get(key, ()) and OF_OTHERS.isdisjoint(words)
         ]
-        return [k for k in alike if not OF_POSITIONS.isdisjoint(self.words[k])] or alike
+        return [k for k in with_ending if not OF_POSITIONS.isdisjoint(self.words[k])] or with_ending
 
 
 def joined(name: str) -> str:
@@ -144,9 +144,8 @@ def coordinate_columns(labels: Sequence[object]) -> list[int] | None:
     texts = [" ".join(label) if isinstance(label, tuple) and all(map(_is_text, label)) else label for label in labels]
     if not all(map(_is_text, texts)):
         return None
-    words = [_words(str(text)) for text in texts]
-    named = frozenset(chain.from_iterable(words))
-    if LATITUDES & named and LONGITUDES & named:
+    words = frozenset(chain.from_iterable(_words(str(text)) for text in texts))
+    if LATITUDES & words and LONGITUDES & words:
         raise ValueError("positions are in degrees: project them to m")
     index: dict[str, int] = {}
     for k, text in enumerate(texts):
@@ -154,9 +153,9 @@ def coordinate_columns(labels: Sequence[object]) -> list[int] | None:
         role = None if match is None else _role(match["name"])
         if match is None or role is None or role in index:
             return None
-        unit, right = match["bracketed"] or match["unit"], UNITS[role]
-        if unit and not re.fullmatch(SAME_UNIT[right], unit, re.IGNORECASE):
-            raise ValueError(f"column {labels[k]!r} is in {unit}, and should be in {right}")
+        unit, expected_unit = match["bracketed"] or match["unit"], UNITS[role]
+        if unit and not re.fullmatch(SAME_UNIT[expected_unit], unit, re.IGNORECASE):
+            raise ValueError(f"column {labels[k]!r} is in {unit}, and should be in {expected_unit}")
         index[role] = k
     return [index[role] for role in "txy" if role in index] if {"x", "y"} <= index.keys() else None
 

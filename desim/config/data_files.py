@@ -21,6 +21,7 @@ from desim.config.trust import regular_or_missing
 OPENED = "__opened_data__"
 """The name of the global variable in which a module keeps the content hash of each file that it has opened, by path."""
 _identified: ContextVar[bool] = ContextVar("identified", default=False)
+"""Whether the code is part of a run whose identity is determined; see `identified_run`."""
 
 
 class DataFileError(ValueError):
@@ -40,7 +41,7 @@ def open_data(path: str | Path) -> BytesIO:
     tuple of paths, or a method that returns such a tuple.
 
     Raises:
-        TypeError: if it is no path.
+        TypeError: if `path` is no path.
         OSError: if the file cannot be read.
         DataFileError: if it is called during a run of a sweep, an explanation or `run_many`, because the identity of a
             run is determined before the run starts.

@@ -22,7 +22,7 @@ class Problem(NamedTuple):
 
     def __str__(self) -> str:
         text = ": ".join(part for part in (self.where, self.key, self.reason) if part)
-        return without_addresses(text).replace("\n", "\\n")  # such as that of a file's name
+        return without_addresses(text).replace("\n", "\\n")  # the name of a file may have a line end
 
     def below(self, above: str) -> "Problem":
         """Return the problem with its key relative to the table that contains the model at the key `above`."""
@@ -33,7 +33,7 @@ WordingOf = Callable[[Any, type, Mapping[str, Any]], tuple[Problem, ...]]
 WORDINGS: dict[str, WordingOf] = {}
 """By what is constructed, the function that returns the problems, given an error of pydantic, the class and the values.
 
-`desim` hands it in, because what words an error is above the models, whose kinds it lists."""
+`desim` hands it in: the module that words errors lists the kinds of models, so the base of models cannot import it."""
 
 
 class KeyedError(ValueError):
@@ -73,7 +73,7 @@ def problems_of(error: ValueError) -> tuple[Problem, ...]:
 
 
 class ArgumentError(ValueError):
-    """A wrong argument of a function: its name, and what is wrong with it, in which names of others have backticks."""
+    """A wrong argument of a function: its name, and what is wrong, with the names of other arguments in backticks."""
 
     def __init__(self, name: str, reason: str):
         super().__init__(name, reason)

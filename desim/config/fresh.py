@@ -54,8 +54,8 @@ def fresh_copy(model: Model, *, alone: bool = False, is_run: bool = False) -> It
         copier, content = _written(model, users, alone=alone)
         reader = CopyReader(content, copier.kept)
         copied, kept, functions = reader.load(), copier.kept, copier.functions
-    watched = shared_changes if is_run else followed_changes
-    with watched([*kept, *functions, *users.values()], _snapshot):
+    watch = shared_changes if is_run else followed_changes
+    with watch([*kept, *functions, *users.values()], _snapshot):
         yield copied
 
 
@@ -66,7 +66,7 @@ def _written(model: Any, users: Mapping[str, Any], *, alone: bool) -> "tuple[Cop
     try:
         copier.dump(model)
     except Exception as error:  # code of an object may raise anything
-        if alone:  # perhaps what a function has reported to its caller: it is shared then
+        if alone:  # perhaps a collection of the caller cannot be copied: it is shared if `alone` is false
             return _written(model, users, alone=False)
         raise _refusal(users, error) from error
     return copier, content
@@ -97,7 +97,7 @@ def _snapshot(value: Any) -> Any:
     """
     if isinstance(value, COLLECTIONS) and (value.size if isinstance(value, np.ndarray) else len(value)) >= LARGE:
         return None
-    if type(value) is BuiltinFunctionType and value.__name__ in ADDING:  # its collection cannot be read by it
+    if type(value) is BuiltinFunctionType and value.__name__ in ADDING:  # code that has only it cannot read anything
         return None
     if is_stateless(value) and not isinstance(value, np.ndarray):
         return [value]
@@ -113,7 +113,7 @@ def _snapshot(value: Any) -> Any:
 class Remembered:
     """Tells, at the second use of an object, whether it has changed since the first.
 
-    It is for an object of the caller that is not copied, because the caller may read it, or want it to learn.
+    Use it for an object of the caller that is not copied, because the caller may read it, or want it to learn.
     """
 
     def __init__(self) -> None:

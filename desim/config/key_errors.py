@@ -131,10 +131,8 @@ class Wording:
         if error_type == "tuple_type" and isinstance(file := error["input"], str) and FILE_NAME.search(file):
             return f"should be a list{_with_file(file, place, owner, info)}"
         if error_type in {"too_long", "too_short"}:
-            most = error_type == "too_long"
-            limit = context["max_length" if most else "min_length"]
-            number = f"{counted(limit, 'item')}, has {context['actual_length'] or 'none'}"
-            return f"should have at {'most' if most else 'least'} {number}"
+            bound, key = ("most", "max_length") if error_type == "too_long" else ("least", "min_length")
+            return f"should have at {bound} {counted(context[key], 'item')}, has {context['actual_length'] or 'none'}"
         return (_no_number(error["input"], info) if error_type in NUMBERS else None) or text_of(error)
 
     def _unknown_key(self, place: KeyPath, owner: type[BaseModel] | None, allowed: Sequence[str] | None) -> str:
@@ -145,8 +143,8 @@ class Wording:
             return f"a call has nested tables, {outer}={{{inner!r}: ...}}, and Scenario.with_ takes dotted keys"
         more = self.more(place) if self.more and owner is self.whole else ()
         allowed = allowed or (sorted([*owner.model_fields, *more]) if owner else [])
-        replaced = owner._replaced.get(key) if owner and issubclass(owner, Value) else None
-        return f"unknown key{replaced or other_key(place, allowed, self.whole)}; allowed: {', '.join(allowed)}"
+        hint = owner._replaced.get(key) if owner and issubclass(owner, Value) else None
+        return f"unknown key{hint or other_key(place, allowed, self.whole)}; allowed: {', '.join(allowed)}"
 
     def _no_table(self, error: ErrorDetails, place: KeyPath, info: FieldInfo | None) -> str:
         """Return the text about a value in place of a table."""
@@ -173,7 +171,7 @@ NUMBERS = {"float_type", "int_type"}
 INFINITE = re.compile(r"\+?inf(inite|inity)?", re.IGNORECASE)
 """Matches a text that stands for an infinite number."""
 RANGE = re.compile(r"[\d.]*\d(\.\.+|-)\d[\d.]*")
-"""Matches what other programs take for a range."""
+"""Matches a range as other programs write it, 0..1 or 0-1 for instance."""
 NOT_A_TABLE = {"model_type", "model_attributes_type"}
 SAYS_ENOUGH = OF_EXCEPTIONS | {"union_tag_invalid", "import_refused"}
 """Types of errors whose texts say what the key is for, or list what is allowed."""
@@ -203,7 +201,7 @@ def _with_file(file: str, place: KeyPath, owner: type[BaseModel] | None, info: F
 
 def _holds_models(info: FieldInfo) -> bool:
     """Return whether the items of a field are tables of models."""
-    return any(True for _ in choices_of(info)) or any(True for _ in models_in(info.annotation))
+    return bool([*choices_of(info), *models_in(info.annotation)])
 
 
 def _wrapped(value: Any, info: FieldInfo | None) -> str:

@@ -93,8 +93,8 @@ def unit_in(field: FieldInfo) -> str | None:
 def unit_of_key(key: str, whole: type[BaseModel]) -> str | None:
     """Return the unit of a dotted key of the files of a model.
 
-    It is None if the key has none, or if its unit depends on the kind of its table.
-    The kinds of which the key is a text do not count.
+    Return None if the key has no unit, or if its unit depends on the kind of its table. A kind of the table for which
+    the key is a text does not count.
     """
     fields: list[FieldInfo] = []
     models: list[type[BaseModel]] = [whole]
@@ -106,6 +106,6 @@ def unit_of_key(key: str, whole: type[BaseModel]) -> str | None:
 
 
 def _models_of(field: FieldInfo) -> list[tuple[str | None, type[BaseModel]]]:
-    """Return the models that a field may hold, each with its kind; None if it is selected by none."""
+    """Return the models that a field may hold, each with its kind; a model without a kind has None."""
     choices = [item for choice in choices_of(field) for item in choice.choices().items()]
     return [*choices] or [(None, model) for model in models_in(field.annotation)]

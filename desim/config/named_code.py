@@ -85,23 +85,24 @@ def load_named(kind: str, folder: Path | None) -> Any:
     if point is None and folder is not None:
         where = f"; also searched in the folder of the file, {folder.absolute()}"
         package = module_beside(module, folder)
-    place = package.removeprefix(module.partition(".")[0]).partition(".")[0]
+    at_folder = package.removeprefix(module.partition(".")[0]).partition(".")[0]
     look_up = (lambda: reduce(getattr, name.split("."), import_module(package))) if point is None else point.load
-    return imported(kind, look_up, place, where)
+    return imported(kind, look_up, at_folder, where)
 
 
-def imported(kind: str, look_up: Callable[[], Any], place: str = "", where: str = "") -> Any:
+def imported(kind: str, look_up: Callable[[], Any], at_folder: str = "", where: str = "") -> Any:
     """Return the object "module:name" that a function imports.
 
     Args:
         kind: "module:name".
         look_up: the function, whose import runs the code of the module.
-        place: the part of the name of the module that has a folder; "" if none has.
-        where: what the error says about where the module was looked for.
+        at_folder: the part "@FOLDER" of the name under which the module is imported, which errors leave out; "" if the
+            name has none.
+        where: the end of an error, which says where the module was looked for.
 
     Raises:
-        ValueError: if the object cannot be imported, with the file and the line of the user that raised, and from what
-            was raised.
+        ValueError: if the object cannot be imported; it names the line of the user's code that raised, and has what was
+            raised as its cause.
         HiddenPackageError: if another package hides one of desim.
     """
     try:
@@ -110,16 +111,16 @@ def imported(kind: str, look_up: Callable[[], Any], place: str = "", where: str 
         raise
     except AttributeError as error:
         hint = did_you_mean(error.name, dir(error.obj)) if error.name else ""
-        raise _import_error(kind, f"{_without(place, error)}{hint}", error, where) from error
+        raise _import_error(kind, f"{_without(at_folder, error)}{hint}", error, where) from error
     except (ImportError, SyntaxError, ValueError) as error:
-        raise _import_error(kind, _without(place, error), error, where) from error
+        raise _import_error(kind, _without(at_folder, error), error, where) from error
     except PydanticUserError as error:  # an invalid definition of a model, such as a field without a type
         raise _import_error(kind, str(error.message), error) from error
     except SystemExit as error:
         text = f"{kind.partition(':')[0]} calls exit({error.code!r})"
         raise _import_error(kind, text, error) from error
     except Exception as error:
-        text = f"{type(error).__name__}: {_without(place, error)}".removesuffix(": ")
+        text = f"{type(error).__name__}: {_without(at_folder, error)}".removesuffix(": ")
         raise _import_error(kind, text, error) from error
 
 
@@ -139,7 +140,7 @@ def _import_error(kind: str, text: str, error: BaseException, where: str = "") -
 
     A SyntaxError has them in its text already.
     """
-    module = kind.partition(":")[0].partition(".")[0]  # it may be installed, and is the user's all the same
+    module = kind.partition(":")[0].partition(".")[0]  # the user's, even if it is installed
     calls = [] if isinstance(error, SyntaxError) else walk_tb(error.__traceback__)
     places = [
         f" ({frame.f_code.co_filename}, line {line})"
@@ -149,6 +150,6 @@ def _import_error(kind: str, text: str, error: BaseException, where: str = "") -
     return ValueError(f"{kind!r} cannot be imported: {text}{''.join(places[-1:])}{where}")
 
 
-def _without(place: str, error: Exception) -> str:
+def _without(at_folder: str, error: Exception) -> str:
     """Return the text of an error with plain names of modules."""
-    return str(error).replace(place, "") if "@" in place else str(error)
+    return str(error).replace(at_folder, "") if "@" in at_folder else str(error)

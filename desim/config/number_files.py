@@ -53,10 +53,10 @@ def is_number_text(text: str) -> bool:
 
 
 def converted(convert: Callable[[str], Number], text: str, place: str) -> Number:
-    """Return the number in a text by one of the functions that convert it; an error begins with the place of the text.
+    """Return the number that a function, such as `number_of`, reads in a text.
 
     Raises:
-        ValueError: if the function does.
+        ValueError: if the function raises one; the message begins with the place of the text.
     """
     try:
         return convert(text)
@@ -83,7 +83,7 @@ def _converted(text: str, convert: Callable[[str], Number], expected: str) -> Nu
 
 
 def is_plain(text: str) -> bool:
-    """Return whether a text lacks what Python takes for parts of numbers, and people do not write."""
+    """Return whether a text has neither underscores nor digits of other scripts, which Python would read in numbers."""
     return text.isascii() and "_" not in text
 
 
@@ -107,8 +107,8 @@ def hint_of(text: str) -> str:
 def check_comments(text: str, file: Path, unit: str) -> None:
     """Check that the comments at the head of a file, or beside its first numbers, do not name another unit.
 
-    The units of a table are those of its columns, but a file of numbers has no other place to say them. Comments that
-    also name the right unit may be about several columns, or about a conversion.
+    A table names units in the labels of its columns; a file of numbers alone can name them in comments only. Comments
+    that also name the right unit are accepted: they may be about several columns, or about a conversion.
 
     Args:
         text: the content of the file.
@@ -116,28 +116,31 @@ def check_comments(text: str, file: Path, unit: str) -> None:
         unit: the unit in which the numbers are read, "s" or "m".
 
     Raises:
-        ValueError: if they say so, with the line.
+        ValueError: if a comment names another unit; the message has its line.
     """
-    rows = text.split("\n")
-    lines = list(takewhile(lambda line: not line.strip() or line.lstrip().startswith("#"), rows))
-    numbers, sign, comment = "".join(rows[len(lines) : len(lines) + 1]).partition("#")
-    if sign and re.search(r"\d", numbers) and not re.search(r"\d", comment):  # with a number, it may say how to convert
-        lines.append(f"#{comment}")
-    if any(_names_unit(line, SAME_UNIT[unit]) for line in lines):
+    lines = text.split("\n")
+    comments = list(takewhile(lambda line: not line.strip() or line.lstrip().startswith("#"), lines))
+    numbers, sign, comment = "".join(lines[len(comments) : len(comments) + 1]).partition("#")
+    if sign and re.search(r"\d", numbers) and not re.search(r"\d", comment):  # a number may belong to a conversion
+        comments.append(f"#{comment}")
+    if any(_unit_named(line, SAME_UNIT[unit]) for line in comments):
         return
-    for number, line in enumerate(lines, 1):
-        if other := _names_unit(line, OTHER_UNITS[unit]):
+    for number, line in enumerate(comments, 1):
+        if other := _unit_named(line, OTHER_UNITS[unit]):
             raise ValueError(
                 f"{file}, line {number}: the comment says {other!r}, and numbers are read in {unit}: convert them, or"
                 " leave the unit out of the comment"
             )
 
 
-def _names_unit(line: str, unit: str) -> str | None:
-    """Return the unit that a comment names as that of numbers, such as `[ms]`, `_ms`, `in ms` or `latency ms`."""
+def _unit_named(comment: str, units: str) -> str | None:
+    """Return the unit that a comment names as that of numbers, such as `[ms]`, `_ms`, `in ms` or `latency ms`.
+
+    Only units that match the expression `units` count; None if the comment names none of these.
+    """
     before = r"[\[(_]\s*|\bin |\bunits?\s*[:=]?\s*"
-    form = rf"(?:{before})({unit})(?=[\])\s,;:./]|$)|^#+\s*(?:\w+[ :]+)?({unit})$"
-    match = re.search(form, line.strip())
+    pattern = rf"(?:{before})({units})(?=[\])\s,;:./]|$)|^#+\s*(?:\w+[ :]+)?({units})$"
+    match = re.search(pattern, comment.strip())
     return match and (match[1] or match[2])
 
 

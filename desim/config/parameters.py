@@ -23,20 +23,20 @@ CONVERTED = frozenset({bool, int, float, complex, str, list, tuple})
 
 
 def parameters_of(value: Any) -> dict[str, Any] | None:
-    """Return what an object of a dataclass or of an attrs class was made from, by name; None: it is of neither."""
+    """Return the arguments that made an object of a dataclass or an attrs class, by name; None for any other object."""
     if is_dataclass(value) and not isinstance(value, type):
         return {field.name: getattr(value, field.name) for field in fields(value) if field.init}
-    made: Any = getattr(type(value), "__attrs_attrs__", None)
-    return None if made is None else {field.alias: getattr(value, field.name) for field in made if field.init}
+    of_attrs: Any = getattr(type(value), "__attrs_attrs__", None)
+    return None if of_attrs is None else {field.alias: getattr(value, field.name) for field in of_attrs if field.init}
 
 
 def not_kept(value: Any) -> list[str]:
-    """Return the names of what an object of a dataclass was made from and does not keep (`InitVar`)."""
+    """Return the names of the arguments that made an object of a dataclass and that it does not keep (`InitVar`)."""
     if not is_dataclass(value) or isinstance(value, type):
         return []
     kept = {field.name for field in fields(value)}
-    declared = value.__dataclass_fields__.keys() - kept  # also class variables, from which nothing is made
-    return sorted(declared & signature(type(value)).parameters.keys())
+    others = value.__dataclass_fields__.keys() - kept  # class variables, too, which are no arguments
+    return sorted(others & signature(type(value)).parameters.keys())
 
 
 def table_columns(value: Any) -> list[tuple[Any, Any]] | None:
@@ -65,7 +65,7 @@ def in_json(value: Any) -> Any:
 
 
 def _content_in_json(value: Any) -> Any:
-    """Return what stands for the content of an object; None if nothing does."""
+    """Return what stands in JSON for the content of an object; None if only its name can stand there."""
     if isinstance(value, Mapping):
         return dict(sorted_sets(value))
     if hasattr(value, "iloc") and hasattr(value, "index") and list(value.index) != list(range(len(value))):
@@ -73,8 +73,8 @@ def _content_in_json(value: Any) -> Any:
     names = getattr(getattr(value, "dtype", None), "names", None)  # of a structured array
     columns = [(name, value[name]) for name in names] if names else table_columns(value)
     if columns is not None:
-        named = {as_key(name): column for name, column in columns}
-        return named if len(named) == len(columns) else columns
+        by_name = {as_key(name): column for name, column in columns}
+        return by_name if len(by_name) == len(columns) else columns
     if isinstance(value, PurePath):
         return value.as_posix()
     if getattr(getattr(value, "dtype", None), "kind", "") in DATES and not getattr(value, "ndim", 0):
@@ -91,12 +91,12 @@ def dumped(model: BaseModel, *, exclude_none: bool = False) -> dict[str, Any]:
     """Return the fields of a model of pydantic by name, as its serializers have them."""
     try:
         return model.model_dump(exclude_none=exclude_none)
-    except TypeError:  # it has dataclasses as keys or in sets: pydantic makes dicts of them, which cannot be there
+    except TypeError:  # pydantic makes dicts of dataclasses, which cannot be keys or members of sets
         return {name: member for name, member in model if not (exclude_none and member is None)}
 
 
 def table_of(model: Any, *, exclude_none: bool = False) -> dict[str, Any]:
-    """Return the table that selects a model of a user or a function: what it was made from, and "module:name"."""
+    """Return the table that selects a model of a user or a function: its parameters, and its kind "module:name"."""
     if isinstance(model, BaseModel):
         parameters = dumped(model, exclude_none=exclude_none)
     else:
@@ -108,8 +108,8 @@ def table_of(model: Any, *, exclude_none: bool = False) -> dict[str, Any]:
 def sorted_sets(value: Any) -> Any:
     """Return a value in which sets are sorted lists: their own order differs from process to process.
 
-    Keys of dicts are as `as_key` says. An object, such as one of a dataclass, is returned unchanged if it holds no set,
-    else a dict of what it holds.
+    Keys of dicts are converted by `as_key`. An object, such as one of a dataclass, is returned unchanged if it holds no
+    set, else as a dict of what it holds.
     """
     return _sorted_sets(value, in_json)
 
@@ -130,25 +130,25 @@ def _sorted_sets(value: Any, fallback: Callable[[Any], Any]) -> Any:
         is_same = all(map(is_, entries, value)) and all(map(is_, entries.values(), value.values()))
         return value if is_same else entries
     if isinstance(value, BaseModel):
-        held = dumped(value)
+        content = dumped(value)
     elif is_dataclass(value):
-        held = {field.name: getattr(value, field.name) for field in fields(value) if hasattr(value, field.name)}
+        content = {field.name: getattr(value, field.name) for field in fields(value) if hasattr(value, field.name)}
     elif isinstance(value, Enum):
-        held = value.value
+        content = value.value
     elif isinstance(value, Iterator):
         return fallback(value)
-    elif isinstance(value, datetime) and value != value:  # of pandas; the serialiser of pydantic fails
+    elif isinstance(value, datetime) and value != value:  # NaT of pandas, at which the serialiser of pydantic fails
         return str(value)
     elif isinstance(value, deque | UserList) and not callable(value):
         return [*map(inner, value)]
     else:
         return value
-    plain = inner(held)
-    return value if plain is held else plain
+    plain = inner(content)
+    return value if plain is content else plain
 
 
 def as_key(key: Any, fallback: Callable[[Any], Any] = in_json) -> Any:
-    """Return the key of a dict, or its JSON as a text if it is no number, text or tuple of these."""
+    """Return the key of a dict unchanged if it is a number, a text or a tuple of these, else its JSON as a text."""
     return key if _is_key(key, fallback) else json.dumps(as_jsonable(key, fallback), sort_keys=True)
 
 
@@ -181,13 +181,13 @@ def is_named_only(value: Any) -> bool:
 
 
 def are_equal(value: Any, other: Any) -> bool:
-    """Return whether two values are equal; those that cannot tell, such as arrays, if JSON has their content alike."""
+    """Return whether two values are equal; if `==` cannot tell, as for arrays, their content in JSON decides."""
     try:
         return bool(value == other)
     except (TypeError, ValueError):
-        held, others = parameters_of(value), parameters_of(other)
-        if type(value) is type(other) and held and others:
-            return all(are_equal(held[name], others[name]) for name in held)
+        parameters, others = parameters_of(value), parameters_of(other)
+        if type(value) is type(other) and parameters and others:
+            return all(are_equal(parameters[name], others[name]) for name in parameters)
         if value is other or type(value) is not type(other) or is_named_only([value, other]):
             return value is other
         return bool(as_jsonable(value) == as_jsonable(other))

@@ -1,4 +1,4 @@
-"""Files written whole or not at all, and none that would be overwritten, or through a symbolic link."""
+"""Writing of files: whole or not at all, and never through a symbolic link."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -27,17 +27,17 @@ def write_new(files: Mapping[Path, bytes]) -> None:
 
 
 def open_no_link(path: str, flags: int) -> int:
-    """Open a file that is no symbolic link, as an `opener` of `open`; Windows cannot tell."""
+    """Open a file that is no symbolic link, as an `opener` of `open`; Windows, which lacks the flag, follows links."""
     return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield the path PATH.*.part of a file to be written, which replaces `path` at the end; after an error, remove it.
+    """Yield the path of a part, PATH.*.part, which the block writes; at its end, the part replaces the file at `path`.
 
-    The middle of its name is random, so that two programs which write one file at once do not write into one another's.
-    It is created here, so no file is written through a symbolic link of that name. A device or a pipe, such as
-    /dev/stdout, cannot be replaced: its own path is yielded.
+    After an error, the part is removed. The middle of its name is random, so that two programs that write the same file
+    at once have different parts. The part is created here, so no file is written through a symbolic link of its name. A
+    device or a pipe, such as /dev/stdout, cannot be replaced: its own path is yielded.
 
     Raises:
         OSError: if the file cannot be replaced.
