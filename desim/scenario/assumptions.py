@@ -67,13 +67,14 @@ def component_heard(scenario: "Scenario") -> str | None:
     graph = initial_graph(scenario)
     if is_complete(graph):
         return None
-    # All that a pursuer can reach should hear it directly. Those that reach each other can reach the same ones.
+    # All that a pursuer can reach should hear it directly. Pursuers that can reach each other can reach the same set,
+    # which is computed once for each strongly connected component, from those that it leads to.
     condensed = nx.condensation(graph)
     reached: dict[int, set[int]] = {}
-    for part in reversed([*nx.topological_sort(condensed)]):
-        members: set[int] = condensed.nodes[part]["members"]
-        reached[part] = members.union(*(reached[later] for later in condensed[part]))
-        if any(graph.out_degree(pursuer) < len(reached[part]) - 1 for pursuer in members):
+    for component in reversed([*nx.topological_sort(condensed)]):
+        members: set[int] = condensed.nodes[component]["members"]
+        reached[component] = members.union(*(reached[successor] for successor in condensed[component]))
+        if any(graph.out_degree(pursuer) < len(reached[component]) - 1 for pursuer in members):
             return f"some pursuers are several hops apart at the start, and {NOT_FORWARDED}"
     return None
 
@@ -89,14 +90,16 @@ def messages_get_through(scenario: "Scenario") -> str | None:
     if network.range < inf and not scenario.motion.static:
         return "a pursuer that comes into range does not receive earlier announcements (`announce.trigger`)"
     if DisseminationTraits.of(scenario.announce.dissemination).retransmits:
-        crashes = no_crashes(scenario) is not None
-        return "a pursuer that crashes may forget what it has acknowledged" if crashes else None
-    changes = network.fading == "message" or (network.fading == "correlated" and network.coherence.doppler is not None)
-    by_chance = network.range < inf and changes and network.reception != Disk()
+        has_crashes = no_crashes(scenario) is not None
+        return "a pursuer that crashes may forget what it has acknowledged" if has_crashes else None
+    is_fading = network.fading == "message" or (
+        network.fading == "correlated" and network.coherence.doppler is not None
+    )
+    is_by_chance = network.range < inf and is_fading and network.reception != Disk()
     medium = network.medium
-    drops = medium.half_duplex or medium.queue_limit < inf or _loses_frames(medium)
+    may_drop = medium.half_duplex or medium.queue_limit < inf or _loses_frames(medium)
     sampler = LinkSampler(network, network.make_graph(scenario.team.count), scenario.seed, None)
-    if by_chance or drops or scenario.fault or not sampler.lossless:
+    if is_by_chance or may_drop or scenario.fault or not sampler.lossless:
         return "lost announcements are never repeated (`announce.trigger`)"
     return None
 
@@ -218,14 +221,14 @@ def violations(scenario: "Scenario") -> Iterator[tuple[str, str]]:
 
 
 def _is_broken(scenario: "Scenario", assumption: str) -> bool:
-    """Return whether a fault breaks an assumption, or a plan may draw one that does."""
+    """Return whether a fault breaks an assumption, or a plan of random faults may draw a fault that breaks it."""
     return any(assumption in FaultTraits.of(fault).breaks for fault in scenario.fault)
 
 
 def _loses_frames(medium: Medium) -> bool:
     """Return whether nodes contend, and frames may overlap or be lost to noise.
 
-    Frames of a TDMA overlap only if clocks differ, which is a fault of the scenario.
+    Under TDMA, frames overlap only if clocks differ, which is a fault of the scenario and counts as such.
     """
     if not contends(medium):
         return False

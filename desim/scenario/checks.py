@@ -1,9 +1,9 @@
 """Warnings about scenarios that can be simulated and are probably not meant, such as keys without effect.
 
-What belongs to one subject is in a module of it (`motion_warnings`, `link_warnings`, `latency_warnings`,
-`liar_warnings`, `simultaneous`); here they are collected, with what concerns all keys alike. A kind of a user's takes
-part by itself: its numbers carry their units (`Counted`, `Recurring`), `unused_fields` names its keys without effect,
-and a schedule has a method `warnings`. Violated assumptions of protocols are warnings, too
+Each subject has a module (`motion_warnings`, `link_warnings`, `latency_warnings`, `liar_warnings`, `simultaneous`);
+this one collects their warnings, and adds those that concern all keys alike. Kinds of users are checked, too: markers
+(`Counted`, `Recurring`) say which of their numbers are times, `unused_fields` names their keys without effect, and a
+schedule has a method `warnings`. Violated assumptions of protocols are warnings, too
 (`desim.scenario.assumptions`); values that cannot be simulated are errors (`desim.scenario.misfits`).
 """
 
@@ -80,13 +80,13 @@ def sweep_warnings(base: Scenario, keys: Sequence[str], scenarios: Sequence[Scen
     """
     of_base = dict(latency_warnings([base]))
     yield from ((key, why) for key, why in latency_warnings(scenarios) if key not in of_base)
-    reported = any(not scenario.sight_is_perfect for scenario in scenarios)  # limited sensing: sightings are sent
-    tables = ("announce.",) if reported else ("network.", "announce.")
-    unread = [key for key in keys if key.startswith(tables) and key != "announce.payload"]
-    if unread and all(map(_senses_instead, scenarios)):
+    sends_sightings = any(not scenario.sight_is_perfect for scenario in scenarios)
+    tables = ("announce.",) if sends_sightings else ("network.", "announce.")
+    unused = [key for key in keys if key.startswith(tables) and key != "announce.payload"]
+    if unused and all(map(_senses_instead, scenarios)):
         names = ", ".join(dict.fromkeys(scenario.protocol_name for scenario in scenarios))
-        silent = f"positions are sensed, so nothing is announced (`announce.payload`) under {names}"
-        yield from ((key, f"it probably has no effect: {silent}") for key in unread)
+        reason = f"positions are sensed, so nothing is announced (`announce.payload`) under {names}"
+        yield from ((key, f"it probably has no effect: {reason}") for key in unused)
 
 
 def _senses_instead(scenario: Scenario) -> bool:
@@ -110,7 +110,7 @@ def _time_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _unused_warnings(model: BaseModel, above: str) -> Iterator[tuple[str, str]]:
-    """Yield a warning for each field that is given and has no effect beside other values of its model."""
+    """Yield a warning for each field that is given, and that another field of its model disables."""
     unused, fields = model.unused_fields if isinstance(model, Value) else {}, dict(model)
     for name, why in sorted(unused.items()):
         if fields[name] != type(model).model_fields[name].get_default(call_default_factory=True):

@@ -115,12 +115,13 @@ class QuantityComparison:
         return signed if (signed >= 0.0) == holds else JUST_BELOW_0
 
     def can(self, scenario: AnyScenario, *, hold: bool) -> bool:
-        """Return whether some value of the quantity in a scenario satisfies it or, with `hold` = False, does not.
+        """Return whether some value of the quantity in a scenario satisfies the comparison; if not `hold`, violates it.
 
-        The ends of the values, the number, and those beside it decide: a comparison changes at its number only.
+        A comparison changes at its number only, so five values suffice: the least and the greatest, the number, and one
+        on each side of it.
         """
         most = QUANTITIES[self.quantity].most(scenario) if self.of is None else inf
-        if self.evader is not None and self.quantity != "active":
+        if self.evader is not None and self.quantity != "active":  # a property of one evader, 0 or 1
             most = 1.0
         least = 0.0 if self.of is None else -inf
         near = (value for value in (self.number - 1.0, self.number, self.number + 1.0) if least <= value <= most)
@@ -138,7 +139,7 @@ class Condition:
         return self.text
 
     def can(self, scenario: AnyScenario, *, hold: bool) -> bool:
-        """Return whether it may be satisfied or, with `hold` = False, violated in a scenario."""
+        """Return whether the condition may be satisfied or, if not `hold`, violated in a scenario."""
         return (all if hold else any)(comparison.can(scenario, hold=hold) for comparison in self.comparisons)
 
 
@@ -150,7 +151,7 @@ def _condition(value: Any, info: ValidationInfo) -> Condition:
     """
     if isinstance(value, Condition):
         return value
-    if isinstance(value, FunctionType):  # in Python, a function alone: it is positive
+    if isinstance(value, FunctionType):  # a function of Python stands for the comparison "it is positive"
         name = import_name(value)
         check_argument(value, ("result",), repr(name))
         return Condition(name, (QuantityComparison(name, None, ">", 0.0, value),))

@@ -53,5 +53,5 @@ def _mean_latencies(scenario: Scenario) -> Iterator[tuple[str, float]]:
     edges = [edge for edge in edge_attributes(scenario) if "latency" in edge]
     means = [mean_latency(as_model("latency", edge["latency"])) for edge in edges]
     yield "network.graph", max((mean for mean in means if mean is not None), default=0.0)
-    if (before := mean_latency(network.processing.sender)) is not None:
-        yield "network.processing", before + network.processing.receiver
+    if (at_sender := mean_latency(network.processing.sender)) is not None:
+        yield "network.processing", at_sender + network.processing.receiver

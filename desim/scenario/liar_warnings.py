@@ -21,26 +21,26 @@ from desim.scenario.telling import is_built_in, tells_nothing
 def lie_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about Byzantine faults without an effect."""
     payload = None if scenario.protocol_traits.claim_size else scenario.announce.payload
-    reports = scenario.protocol_traits.reckons and not scenario.announces
-    forwards = DisseminationTraits.of(scenario.announce.dissemination).relays
-    token = scenario.schedule_traits.spreads_to is not None
-    accuses = scenario.announce.trust.period is not None
+    has_reports = scenario.protocol_traits.reckons and not scenario.announces
+    is_forwarded = DisseminationTraits.of(scenario.announce.dissemination).relays
+    has_token = scenario.schedule_traits.spreads_to is not None
+    has_accusations = scenario.announce.trust.period is not None
     for k, fault in enumerate(scenario.fault):
         if not isinstance(fault, ByzantineFault):
             continue
-        acts = fault.acts == "stay"
-        if isinstance(fault, Slander) and not (accuses or acts):
+        stays = fault.acts == "stay"  # an effect of its own
+        if isinstance(fault, Slander) and not (has_accusations or stays):
             yield f"fault.{k}", "it has no effect, because `announce.trust` reads no accusations"
-        elif not (isinstance(fault, Slander | Silent) or acts) and tells_nothing(scenario):
+        elif not (isinstance(fault, Slander | Silent) or stays) and tells_nothing(scenario):
             yield f"fault.{k}", f"it has no effect, because pursuers announce nothing under {scenario.protocol_name!r}"
-        elif isinstance(fault, Selective) and not (forwards or token or acts) and is_built_in(scenario):
+        elif isinstance(fault, Selective) and not (is_forwarded or has_token or stays) and is_built_in(scenario):
             yield f"fault.{k}", "it has no effect, because pursuers forward nothing"
         elif isinstance(fault, FalseAnnouncements) and is_built_in(scenario):
             contained = {
-                "phi": payload in {"time", None} and not reports,
-                "position": payload in {"state", "course"} or reports,
+                "phi": payload in {"time", None} and not has_reports,
+                "position": payload in {"state", "course"} or has_reports,
             }
-            unused = [key for key, is_said in contained.items() if dict(fault)[key] is not None and not is_said]
+            unused = [key for key, is_sent in contained.items() if dict(fault)[key] is not None and not is_sent]
             yield from ((f"fault.{k}.{key}", "it has no effect: announcements do not contain it") for key in unused)
         if isinstance(fault, Liar) and (fault.action, fault.phi, fault.position) == ("truth", None, None):
             yield f"fault.{k}.action", "the announcements are true"
@@ -51,9 +51,9 @@ def trust_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     trust, count = scenario.announce.trust, scenario.team.count
     if not may_distrust(trust):
         return
-    slander = any(isinstance(fault, Slander | RandomLies) for fault in scenario.fault)
-    is_accused = slander and trust.period is not None
-    if tells_nothing(scenario) and TRUSTS.holds(trust) and not is_accused:
+    has_slander = any(isinstance(fault, Slander | RandomLies) for fault in scenario.fault)
+    reads_slander = has_slander and trust.period is not None
+    if tells_nothing(scenario) and TRUSTS.holds(trust) and not reads_slander:
         yield "announce.trust", "it has no effect, because pursuers announce nothing"
     if isinstance(trust, Trimmed):
         if scenario.protocol_traits.claim_size:
@@ -67,17 +67,17 @@ def trust_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             yield from _sparse_warnings(scenario, trust.liars)
         return
     is_slow_to_trust = isinstance(trust, Reputation) and trust.threshold > INITIAL_REPUTATION
-    if scenario.motion.static and TRUSTS.holds(trust) and not (is_accused or is_slow_to_trust):
+    if scenario.motion.static and TRUSTS.holds(trust) and not (reads_slander or is_slow_to_trust):
         yield "announce.trust", "it has no effect: no pursuer moves, so no motion refutes an announcement"
 
 
 def _sparse_warnings(scenario: Scenario, liars: int) -> Iterator[tuple[str, str]]:
     """Yield a warning if a pursuer has too few neighbours for F liars among them.
 
-    The rule needs a (2F + 1)-robust graph (LeBlanc et al. 2013, theorem 2). Of a single node and all others, one set
-    has a node with 2F + 1 neighbours outside of its set. It is the single node, because all others have one neighbour
-    there. So each has at least 2F + 1 neighbours. This is necessary and not sufficient; whether a graph is robust takes
-    a time that is exponential in its size.
+    The rule needs a (2F + 1)-robust graph (LeBlanc et al. 2013, theorem 2): of any two disjoint sets of nodes, one has
+    a node with 2F + 1 neighbours outside of its set. Take a single node and the set of all others. Each of these has at
+    most one neighbour outside of its set, so the single node has 2F + 1. This condition on each node is necessary and
+    not sufficient; a full test of robustness takes a time that is exponential in the size of the graph.
     """
     neighbours = dict(initial_graph(scenario).in_degree())
     pursuer = min(neighbours, key=lambda node: (neighbours[node], node), default=0)

@@ -36,17 +36,17 @@ from desim.scenario.telling import announces_start, has_heartbeats, is_built_in,
 LARGEST_EXPONENT = 4.0
 """Largest path loss exponent that is usual without walls."""
 LEAST_ROWS = 10
-"""Least number of rows of a table of which it is asked whether its times are in ms."""
+"""Number of rows below which a table is too short to guess the unit of its times."""
 ROWS_PER_COUNTED = 10
-"""Number of rows for each row before the horizon from which on the times may be in ms."""
+"""Number of rows per row before the horizon, from which on the times are probably in ms."""
 SPARSE = 5.0
-"""Mean time between two rows, s, from which on the times may be in ms."""
+"""Mean time between two rows, s, from which on the times are probably in ms."""
 REPORT = size_of(Forwarded((Record(0, 0, 0, LocatedAssignment(0, 0.0, 0.0, 0.0)),)))
 """Least size of a report to a server (`protocols.server`), bytes."""
 SIGHTED = Sighted(1, Measurement(0, 0, 0.0, 0.0, Covariance(0.0, 0.0, 0.0)))
 """What a pursuer reports of an evader that it sees, if sightings are processed by their stamps."""
 TRACKED = Tracked(1, 0, (0.0,) * 4, (0.0,) * 10)
-"""What it reports if tracks are fused."""
+"""What a pursuer reports of an evader if tracks are fused."""
 ROUNDS_TO_0 = "rounds to 0, because time is counted in nanoseconds"
 
 
@@ -83,7 +83,7 @@ def network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     if protocol.host is not None and protocol.period is not None and is_built_in(scenario):
         yield from _load_warnings(scenario, "protocol.period", "reports", REPORT, protocol.period, host=1)
     sensing = scenario.sensing
-    if sensing.is_noisy and not scenario.sight_is_limited and not protocol.omniscient:  # all report all evaders
+    if sensing.is_noisy and not scenario.sight_is_limited and not protocol.omniscient:  # each reports all evaders
         size = size_of((SIGHTED if sensing.fusion == "by_stamp" else TRACKED,) * len(scenario.evaders))
         yield from _load_warnings(scenario, "sensing.period", "reports of sightings", size, sensing.period)
 
@@ -91,9 +91,15 @@ def network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 def _load_warnings(
     scenario: Scenario, key: str, messages: str, size: int, period: float, *, host: int = 0
 ) -> Iterator[tuple[str, str]]:
-    """Yield the warnings if the messages of a size (bytes) that pursuers send each period (s) overload the channel.
+    """Yield the warnings if messages that pursuers send periodically overload the channel.
 
-    `host`: 1 if one pursuer does not send them, to which all others do; else 0.
+    Args:
+        scenario: the scenario.
+        key: the key that the warnings name.
+        messages: a noun for the messages.
+        size: the size of a message, bytes.
+        period: the period, s.
+        host: 1 if all pursuers but one send, and that one receives; else 0.
     """
     network, count = scenario.network, scenario.team.count
     medium = network.medium
@@ -120,7 +126,7 @@ def _load_warnings(
 
 
 def _coherence_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield a warning about correlated fading with which each message meets the same channel, or of which none asks."""
+    """Yield a warning if correlated fading has no effect: no power varies, or the channel never changes."""
     network = scenario.network
     if network.fading != "correlated":
         return
@@ -155,9 +161,9 @@ def _transport_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
                 f"{key}.window",
                 f"no more than depth = {model.depth} messages are kept, so a window of {model.window} is never full",
             )
-    sends = scenario.schedule_traits.spreads_to is not None or not scenario.sight_is_perfect
-    sends = sends or announce.trust.period is not None  # accusations
-    if transport != BestEffort() and scenario.announces and not sends and is_built_in(scenario):
+    sends_others = scenario.schedule_traits.spreads_to is not None or not scenario.sight_is_perfect
+    sends_others = sends_others or announce.trust.period is not None  # accusations
+    if transport != BestEffort() and scenario.announces and not sends_others and is_built_in(scenario):
         if DisseminationTraits.of(announce.dissemination).transport is not None:
             yield "network.transport", "it has no effect: announcements have their own (`announce.dissemination`)"
         elif not sends_announcements(scenario):
@@ -175,7 +181,7 @@ def late_rows(noun: str, times: Sequence[float], horizon: float, late: float = 1
         noun: a row of the table.
         times: the times of the rows since the start of the run, s, ascending.
         horizon: the horizon, s.
-        late: the time of the second row, in horizons, beyond which the first one alone counts.
+        late: the time of the second row, in horizons, beyond which only the first row counts.
     """
     if len(times) > 1 and times[1] > late * horizon:
         which = f"only the first {noun} counts: the second is at {times[1]:g} s"
@@ -193,7 +199,7 @@ def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the warnings about traces of links: those that end before the run, doubtful ones, and numbers of nodes."""
     owners = [("network", dict(scenario.network)), *(("network.graph", edge) for edge in edge_attributes(scenario))]
     owners += [(f"network.link.{k}", dict(link)) for k, link in enumerate(scenario.network.link)]
-    notes: dict[tuple[str, str], None] = {}  # a set in order: one note for both ways of an edge
+    notes: dict[tuple[str, str], None] = {}  # an ordered set: both directions of an edge give one note
     spans: dict[str, float] = {}
     for key, owner in owners:
         for name in ("latency", "loss", "duplicate"):
@@ -224,9 +230,9 @@ def _trace_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _wall_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield the warnings about walls that weaken radio, and about exponents for walls that are not there."""
+    """Yield the warnings about walls that weaken radio, and about path loss exponents that allow for walls."""
     network, exponent = scenario.network, ReceptionTraits.of(scenario.network.reception).exponent
-    by_power = isinstance(network.medium, Radio) and network.medium.reception.needs_positions
+    is_by_power = isinstance(network.medium, Radio) and network.medium.reception.needs_positions
     lossy = [(k, wall) for k, wall in enumerate(scenario.wall) if 0.0 < wall.decibels < inf]
     if isinstance(network.reception, Disk | QuasiUnitDisk) and exponent != Disk().exponent and not lossy:
         yield "network.reception.exponent", "it has no effect: no wall weakens radio without blocking it"
@@ -237,7 +243,7 @@ def _wall_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             " they count twice",
         )
     for k, wall in lossy:
-        if network.range == inf and not by_power:
+        if network.range == inf and not is_by_power:
             yield f"wall.{k}", "its loss has no effect while network.range is inf: only an opaque wall (loss = inf) has"
         if wall.material is not None and wall.frequency < MATERIALS[wall.material].low:
             low = MATERIALS[wall.material].low / 1e9

@@ -61,10 +61,10 @@ def misfits(scenario: AnyScenario) -> Iterator[Misfit]:
 
 
 def _derived_tables(scenario: AnyScenario) -> Iterator[Misfit]:
-    """Yield the key and the text of each table whose class is derived by a user, and overrides something.
+    """Yield the key and the text of each table whose class a user has derived, with a key or method of its own.
 
-    A table is written and read again with its keys, for a file as for a changed scenario, and then has its own class.
-    A model with a kind may be derived: it is named by its class.
+    A scenario that is written, or changed, is read again from the keys of its tables, which then have the built-in
+    classes. A model with a kind may have a derived class, because its kind names the class.
     """
     for place, table in models_within(scenario, fields=_fields_of_tables):
         if not is_ours(type(table)):
@@ -79,7 +79,7 @@ def _fields_of_tables(kind: type[BaseModel]) -> tuple[str, ...]:
 
 
 def _overridden(kind: type[BaseModel]) -> Iterator[str]:
-    """Yield why a class that a user derives from a table is refused, if it has a key or a method of the table anew."""
+    """Yield why a class that a user derives from a table is refused, if it redefines a key or method of the table."""
     base = next(ancestor for ancestor in kind.__mro__ if is_ours(ancestor))
     derived = kind.__mro__[: kind.__mro__.index(base)]
     theirs = dict.fromkeys(name for child in derived for name in (*annotated(child), *vars(child)) if name[0] != "_")
@@ -92,7 +92,7 @@ def _overridden(kind: type[BaseModel]) -> Iterator[str]:
 
 
 def _is_of_table(base: type[BaseModel], name: str) -> bool:
-    """Return whether a table has a key, a method or a property of a name, but no other value has it."""
+    """Return whether a table has a key, a method or a property of a name, which not every `Value` has."""
     return name in base.model_fields or (hasattr(base, name) and not hasattr(Value, name))
 
 
@@ -117,7 +117,7 @@ def _graph_misfits(scenario: AnyScenario, no_pursuer: str) -> Iterator[Misfit]:
 
 
 def _name_misfits(scenario: AnyScenario) -> Iterator[Misfit]:
-    """Yield the key and the text of positions whose nodes have other names than those of the graph."""
+    """Yield the key and the text of an error if the positions are of nodes with other names than those of the graph."""
     names = names_of(scenario.network.graph)
     if names and scenario.team.names and names != scenario.team.names:
         yield (
@@ -198,7 +198,7 @@ def _channel_misfits(scenario: AnyScenario) -> Iterator[Misfit]:
     airtime, guard = nanoseconds(airtime_of(medium, size, count)), nanoseconds(access.guard)
     free = nanoseconds(access.slot) - guard
     if airtime > free:
-        least = -(-(airtime + guard) // 1000) / 1e6
+        least = -(-(airtime + guard) // 1000) / 1e6  # s, rounded up to whole microseconds
         yield (
             ("network", "medium", "access", "slot"),
             f"{message} of {size} bytes takes {seconds(airtime):g} s on the air, but a slot without its guard time"

@@ -26,7 +26,7 @@ SHORT = 10.0
 TINY = 0.5
 """The width and height of all walls together, m, below which their coordinates probably have another unit."""
 RARE_TURNS = 10.0
-"""The time between two turns of an evader, s, beyond which a filter that expects it gives a warning.
+"""The time between two turns of an evader for which a filter is tuned, s, beyond which a warning is given.
 
 Turns in random directions at a rate 1 / T change each component of a velocity v as a diffusion v / sqrt(T) does. In
 scenarios/noisy.toml with the fusion by_stamp, the mean normalised squared error of positions, 2 if the filter is as
@@ -135,27 +135,29 @@ def _flow_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _place_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield the warnings about walls and evaders that are where nobody comes, as if they had other coordinates.
+    """Yield the warnings about walls and evaders that no player can come near: their coordinates may be wrong.
 
     No player leaves the box around the starts by more than its speed times the horizon, and the line between two
-    players stays in this box. A horizon below `SHORT` is one to try something out, and tells nothing about distances.
+    players stays in the box with this margin. A horizon below `SHORT` probably only tries something out, and tells
+    nothing about distances.
     """
     environment, evaders = scenario.environment, scenario.evaders
     pursuers = complex_points(scenario.team.start(scenario.seed, scenario.space))
     starts = [complex(*evader.start(scenario.seed, k, scenario.space)) for k, evader in enumerate(evaders)]
     top_speed = max(scenario.team.top_speed, *(evader.speed for evader in evaders)) + environment.top_speed
-    way = 0.0 if scenario.motion.static else top_speed * max(scenario.horizon, SHORT)
-    box = _box([*pursuers, *starts], way)
+    distance = 0.0 if scenario.motion.static else top_speed * max(scenario.horizon, SHORT)
+    left, right, bottom, top = _box([*pursuers, *starts], distance)
     hint = "are its coordinates in another unit, in degrees, or from another origin?"
     if scenario.wall:
         walls = _box([complex(*corner) for wall in scenario.wall for shape in wall.shapes for corner in shape.corners])
-        if max(walls[1] - walls[0], walls[3] - walls[2]) < TINY:
-            yield "wall", f"it lies within {max(walls[1] - walls[0], walls[3] - walls[2]):.2g} m: {hint} (`scale`)"
-        elif walls[1] < box[0] or walls[0] > box[1] or walls[3] < box[2] or walls[2] > box[3]:
+        size = max(walls[1] - walls[0], walls[3] - walls[2])
+        if size < TINY:
+            yield "wall", f"it lies within {size:.2g} m: {hint} (`scale`)"
+        elif walls[1] < left or walls[0] > right or walls[3] < bottom or walls[2] > top:
             yield "wall", f"it is where no player can come within the horizon: {hint} (`scale`, `offset`)"
     keys = [_dotted(place) for place, table in scenario.evader_tables for _ in range(table.count)]
     for key, start in zip(keys, starts, strict=True):
-        if np.abs(pursuers - start).min() > 2.0 * SLOW * way > 0.0:
+        if np.abs(pursuers - start).min() > 2.0 * SLOW * distance > 0.0:
             yield key, f"it starts so far away that no pursuer could reach it in {SLOW:g} horizons: {hint}"
 
 
@@ -170,7 +172,7 @@ def _box(points: Iterable[complex], margin: float = 0.0) -> tuple[float, float, 
 
 
 def _estimates_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield the warnings about estimates that are to be recorded and cannot be."""
+    """Yield the warnings about estimates that should be recorded (`record.estimates`) and cannot be."""
     if not scenario.record.estimates:
         return
     if not scenario.sensing.has_covariances or scenario.protocol_traits.omniscient:
@@ -217,15 +219,15 @@ def _stamp_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
         hypot(skew.offset, skew.drift * t, skew.offset_walk * sqrt(t), skew.drift_walk * sqrt(t**3 / 3.0))
         for skew in skews
     )
-    way = error * max(evader.speed for evader in scenario.evaders)
+    displacement = error * max(evader.speed for evader in scenario.evaders)
     try:  # along the line of sight of an evader that is close to its capture
         deviation = sqrt(covariance_of(scenario.sensing.noise, complex(scenario.capture.radius)).xx)
-    except Exception:  # a run may never ask a user's noise for this vector
+    except Exception:  # noise of a user may fail for this vector, which a run may never have
         return
-    if way > DISPLACED * deviation:
+    if displacement > DISPLACED * deviation:
         yield (
             "sensing.estimator",
-            f"clocks are wrong by {error:.2g} s at the end, in which an evader moves {way:.2g} m, and a sighting has an"
-            f" error of {deviation:.2g} m: a filter takes time stamps for exact, and is too sure of itself"
-            " (`clocks.sync`)",
+            f"clocks are wrong by {error:.2g} s at the end, in which an evader moves {displacement:.2g} m, and a"
+            f" sighting has an error of {deviation:.2g} m: a filter takes time stamps for exact, and is too sure of"
+            " itself (`clocks.sync`)",
         )

@@ -81,15 +81,15 @@ class Source:
         places = lines.keys() | self.origins.keys()
         if place not in places and dotted in places:  # TOML reads an unquoted dotted key as nested tables
             place = dotted
-        within = [place[:end] for end in range(len(place), 0, -1)]
-        set_by = [text for key, text in self.origins.items() if key in within]
-        if not set_by and place not in lines:  # an override may have made the table
+        around = [place[:end] for end in range(len(place), 0, -1)]  # the place and those that contain it
+        set_by = [text for key, text in self.origins.items() if key in around]
+        if not set_by and place not in lines:  # the override of an inner key has created the table
             set_by = [text for key, text in self.origins.items() if key[: len(place)] == place]
         if set_by:
             return set_by[-1], 0
         if self.lines is None:
             return self.name, 0
-        nearest = next((outer for outer in within if outer in lines), ())
+        nearest = next((outer for outer in around if outer in lines), ())
         return self.files.get(nearest, self.name), lines.get(nearest, 1)
 
     def copy(self) -> Self:
@@ -99,38 +99,38 @@ class Source:
     def over(self, base: Self) -> Self:
         """Return this source with the keys that it lacks taken from a base; neither may have overrides.
 
-        Tables are merged key by key, also if a bare text or number stands for that of the base; any other value
-        replaces the value of the base. When the kind of a table changes, the keys of the base that the new kind does
-        not have are left out.
+        Tables are merged key by key, also if the base has a bare text or number that stands for a table; any other
+        value replaces the value of the base. When the kind of a table changes, the keys of the base that the new kind
+        does not have are left out.
         """
         lines, files = dict(base.lines or {}), dict.fromkeys(base.lines or {}, base.name) | base.files
         merged = replace(self, tables=_copied(base.tables), lines=lines, files=files)
-        for place in merged._lay(self.tables, ()):
+        for place in merged._merge(self.tables, ()):
             for inner in [key for key in lines if key[: len(place)] == place]:
-                del lines[inner]
+                del lines[inner]  # a line of the base, whose value is replaced
         for place, line in (self.lines or {}).items():
             lines[place] = line
             files.pop(place, None)
         return merged
 
-    def _lay(self, tables: dict[str, Any], above: KeyPath) -> Iterator[KeyPath]:
+    def _merge(self, tables: dict[str, Any], above: KeyPath) -> Iterator[KeyPath]:
         """Merge tables into the table of this source at `above`, and yield the place of every value that is set."""
-        present = value_at(self.tables, above)
+        table = value_at(self.tables, above)
         lines, files = cast("dict[KeyPath, int]", self.lines), self.files
-        if "kind" in tables and tables["kind"] != present.get("kind"):
+        if "kind" in tables and tables["kind"] != table.get("kind"):
             self._remove_misfits(above, tables["kind"])
-            present["kind"] = tables["kind"]  # first, because it determines the models of nested tables
+            table["kind"] = tables["kind"]  # first, because it determines the models of nested tables
         for key, value in tables.items():
             place = *above, key
-            if isinstance(value, dict) and isinstance(present.get(key), str | int | float):
+            if isinstance(value, dict) and isinstance(table.get(key), str | int | float):
                 with suppress(ValueError):  # a text that stands for no table is replaced
-                    present[key] = self._as_table(place)
-                for inner in present[key] if isinstance(present[key], dict) else ():  # set where the bare value was
+                    table[key] = self._as_table(place)
+                for inner in table[key] if isinstance(table[key], dict) else ():  # keys on the line of the bare value
                     lines[*place, inner], files[*place, inner] = lines[place], files[place]
-            if isinstance(value, dict) and isinstance(present.get(key), dict):
-                yield from self._lay(value, place)
+            if isinstance(value, dict) and isinstance(table.get(key), dict):
+                yield from self._merge(value, place)
             else:
-                present[key] = _copied(value)
+                table[key] = _copied(value)
                 yield place
 
     def at(self, parts: Sequence[str]) -> Any:
@@ -174,7 +174,7 @@ class Source:
         self._set_read("with_", read)
 
     def _set_read(self, origin: str, read: Callable[[], tuple[str, Any]], above: str = "") -> None:
-        """Set the key that a function returns, put after `above`, to the value that it returns with it."""
+        """Set a key to a value, which `read` returns; the text `above` is put before the key."""
         try:
             name, value = read()
             self.set(above + name, value, origin)
@@ -200,13 +200,13 @@ class Source:
         for depth, part in enumerate(parents, start=1):
             key = _key(part, node)
             default = default.get(key) if isinstance(default, dict) else None
-            if isinstance(default, tuple) and not holds(node, key):
+            if isinstance(default, tuple) and not holds(node, key):  # the name leads into a list that is not given
                 if not default or not isinstance(node, dict):
                     raise ScenarioError(Problem(_empty_list(".".join(map(str, (*place, key)))), name))
                 node[key] = [*default]
             if isinstance(node, dict) and key not in node:
                 node[key] = {"kind": default["kind"]} if isinstance(default, dict) and "kind" in default else {}
-            if holds(node, key) and (isinstance(node[key], Value) or callable(node[key])):
+            if holds(node, key) and (isinstance(node[key], Value) or callable(node[key])):  # a model made in Python
                 try:
                     node[key] = _replaced(node[key], parts[depth:], value)
                 except ScenarioError as error:
@@ -236,7 +236,7 @@ class Source:
             ValueError: if a text is no short form of a table.
         """
         info, value = _field_at(self.model, self.tables, place), value_at(self.tables, place)
-        for marker in reversed(markers_of(info)) if info else ():  # the last one reads a value first
+        for marker in reversed(markers_of(info)) if info else ():  # pydantic applies the last marker first
             if isinstance(marker, OneOf):
                 value = marker.as_table(value)
             elif isinstance(marker, BeforeValidator) and isinstance(value, str):  # of a property or a design
@@ -252,21 +252,19 @@ class Source:
         for model in filter(None, models):
             table = value_at(self.tables, place)
             for key in table.keys() - model.model_fields.keys():
-                if not any(set_since[: len(place) + 1] == (*place, key) for set_since in self.origins):
+                if not any(overridden[: len(place) + 1] == (*place, key) for overridden in self.origins):
                     del table[key]
 
     def _parts(self, name: str) -> list[str]:
-        """Return the parts of a dotted name; a part in quotes, as TOML allows it, is what they enclose.
+        """Return the parts of a dotted name, without the quotes that TOML allows around a part.
 
-        The rest after `sweep.grid` is one key, such as "team.count", unless the source has nested tables for it.
+        What follows `sweep.grid` is one part, such as "team.count", unless the source has nested tables for it.
         """
         name = _QUOTED.sub(r"\2", name)
         parts = name.split(".")
-        within, key = parts[:2], name.removeprefix("sweep.grid.")
-        nested = [*within, *key.split(".")]
-        if within != ["sweep", "grid"] or not parts[2:]:
+        if parts[:2] != ["sweep", "grid"] or not parts[2:] or self.at(parts) is not None:
             return parts
-        return [*within, key] if self.at(nested) is None else nested
+        return ["sweep", "grid", name.removeprefix("sweep.grid.")]
 
 
 def _field_at(whole: type[BaseModel], tables: dict[str, Any], place: KeyPath) -> FieldInfo | None:
@@ -306,9 +304,9 @@ def _replaced(model: Any, parts: list[str], value: Any) -> Any:
     """
     name, *rest = parts
     parameters = dict(model) if isinstance(model, BaseModel) else parameters_of(model)
-    kind = type(model).__name__
+    class_name = type(model).__name__
     if parameters is None:
-        text = f"{kind} has no key {name!r}"
+        text = f"{class_name} has no key {name!r}"
         raise ScenarioError(f"{text}: give another one, or make it a dataclass" if callable(model) else text)
     try:
         if rest and name in parameters:
@@ -322,14 +320,15 @@ def _replaced(model: Any, parts: list[str], value: Any) -> Any:
             hint = did_you_mean(name, parameters)
             raise ScenarioError(Problem(f"unknown key{hint}; allowed: {', '.join(sorted(parameters))}", name))
         if missing := not_kept(model):
-            raise ScenarioError(Problem(f"cannot be set: {kind} does not keep {', '.join(missing)} (InitVar)", name))
+            text = f"cannot be set: {class_name} does not keep {', '.join(missing)} (InitVar)"
+            raise ScenarioError(Problem(text, name))
         return type(model)(**parameters | {name: value})
     except KeyedError as error:
         raise ScenarioError(*(problem._replace(where="") for problem in error.problems)) from None
     except ScenarioError:
         raise
     except (TypeError, ValueError) as error:
-        raise ScenarioError(Problem(f"cannot be set: {kind}: {error}", name)) from error
+        raise ScenarioError(Problem(f"cannot be set: {class_name}: {error}", name)) from error
 
 
 def _copied(tables: Any) -> Any:
@@ -356,9 +355,9 @@ def _tables_of_defaults(model: type[Value]) -> dict[str, Any]:
 
 
 def _empty_list(name: str) -> str:
-    """Return the message about an item of a list that has none."""
-    whole = f"'{name}=[{{ kind = \"crash\", node = 3, start = 1.0 }}]'" if name == "fault" else f"{name}=[...]"
-    return f"the list {name} is empty: set it as a whole, {whole}"
+    """Return the message about an item of an empty list."""
+    example = f"'{name}=[{{ kind = \"crash\", node = 3, start = 1.0 }}]'" if name == "fault" else f"{name}=[...]"
+    return f"the list {name} is empty: set it as a whole, {example}"
 
 
 def _key(part: str, node: Any) -> str | int:

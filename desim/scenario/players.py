@@ -88,6 +88,7 @@ class Team(Value):
     @model_validator(mode="wrap")
     @classmethod
     def _count_positions(cls, data: Any, make: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
+        """Set `count` to the number of positions if it is absent, and keep the record that the positions are from."""
         starts = positions = None
         if isinstance(data, dict) and "positions" in data:
             positions = as_python(data["positions"])
@@ -96,16 +97,16 @@ class Team(Value):
             try:
                 starts = RecordedPositions.read(positions, info)
             except ValueError:
-                pass  # the validator of the field raises it, with its place
+                pass  # `_of_record` raises the same error, with the place of the field
             else:
                 positions = starts.positions
                 data = data | {"positions": positions}
         if isinstance(positions, list | tuple) and positions and "count" not in data:
             data = data | {"count": len(positions)}
-        made = make(data)
-        if starts is not None:  # no part of its identity
-            made.__dict__["record"] = starts
-        return made
+        team = make(data)
+        if starts is not None:
+            team.__dict__["record"] = starts  # no field, because the record is no part of the team's identity
+        return team
 
     @field_validator("positions", mode="before")
     @classmethod
@@ -114,7 +115,7 @@ class Team(Value):
 
     @cached_property
     def record(self) -> Starts | None:
-        """The starts in the file of the positions; None if the positions are not from a file."""
+        """The starts in the file of the positions, set by `_count_positions`; None if the positions have no file."""
         return None
 
     @property
@@ -130,13 +131,13 @@ class Team(Value):
         record = self.record
         if record is None or not record.is_in_file_order or self.names == names or set(self.names) != set(names):
             return self
-        at = dict(zip(self.names, cast("tuple[Point, ...]", self.positions), strict=True))
+        by_name = dict(zip(self.names, cast("tuple[Point, ...]", self.positions), strict=True))
         copy = self.model_copy()
-        copy.__dict__.update(positions=tuple(at[name] for name in names), record=record._replace(names=names))
+        copy.__dict__.update(positions=tuple(by_name[name] for name in names), record=record._replace(names=names))
         return copy
 
     def _derived(self) -> Set[str]:
-        """Return the number of pursuers, if it is the number of their positions."""
+        """Return `count` if it follows from the positions."""
         return super()._derived() if self.positions is None else {"count"}
 
     @field_validator("relay")
@@ -182,7 +183,7 @@ class Team(Value):
         return {relay.pursuer: relay.motion for relay in self.relay}
 
     def all_speeds(self) -> list[float]:
-        """Return the (N,) speeds while they chase, m/s; 0 for relays."""
+        """Return the (N,) speeds of pursuers that chase, m/s; 0 for relays."""
         if isinstance(self.speeds, Speeds):
             speeds = [self.speeds.default] * (self.count - 1) + [self.speeds.last]
         else:
@@ -347,8 +348,8 @@ def random_places(rng: np.random.Generator, box: tuple[float, float], count: int
     """
     places = rng.uniform(*box, size=(count, 2))
     for _ in range(MAX_DRAWS):
-        taken = ~space.may_start(complex_points(places))
-        if not taken.any():
+        blocked = ~space.may_start(complex_points(places))
+        if not blocked.any():
             return places
-        places[taken] = rng.uniform(*box, size=(np.count_nonzero(taken), 2))
+        places[blocked] = rng.uniform(*box, size=(np.count_nonzero(blocked), 2))
     raise ValueError(f"the walls leave no place in the box from {box[0]:g} to {box[1]:g} m")

@@ -1,4 +1,4 @@
-"""Properties of a run: what a protocol should keep, over time, as formulas on step functions.
+"""Properties that runs should keep, such as "no evader is idle for longer than 2 s": formulas on step functions.
 
 A property compares quantities of the trace (`QUANTITIES`) with numbers and says when these comparisons should hold. It
 is written as a text or as a table:
@@ -53,12 +53,12 @@ class PropertyPiece(NamedTuple):
 
 
 class Worst(NamedTuple):
-    """The worst that a property has seen of a run."""
+    """The worst part of a run so far, as a property sees it."""
 
     measure: float
     """What the property bounds: smaller is better; see `Property.bound`."""
     at: int
-    """When it began, ns."""
+    """The time at which this part began, ns."""
 
 
 class Property(Value):
@@ -99,7 +99,7 @@ class Property(Value):
         raise NotImplementedError
 
     def margin(self, measure: float, reference: float | None = None) -> float:
-        """Return the margin of a run, given its measure and, for a property against a reference, that of this."""
+        """Return the margin of a run, given its measure and, for a property against a reference, the reference's."""
         return self.bound - measure if reference is None else self.bound + reference - measure
 
     def can_fail(self, scenario: AnyScenario) -> bool:
@@ -108,7 +108,7 @@ class Property(Value):
 
     @property
     def text(self) -> str:
-        """The property as a text, without its name; `Property` objects are made from such texts."""
+        """The property as a text without its name; `property_of` reads such texts."""
         parts = {key: exact_text(part, 6) if isinstance(part, float) else part for key, part in self}
         return self.form.format(**parts) + (f" against {self.against}" if self.against else "")
 
@@ -141,7 +141,10 @@ class Always(Property):
             yield worst
 
     def margin(self, measure: float, reference: float | None = None) -> float:
-        """Return the margin; if the reference violates the property, it is that by which the reference does."""
+        """Return the margin of the run or, if that is larger, the amount by which the reference violates the property.
+
+        This is the robustness of "if the reference keeps the property, the run does".
+        """
         return -measure if reference is None else max(-measure, reference)
 
     def can_fail(self, scenario: AnyScenario) -> bool:
@@ -186,7 +189,7 @@ class Eventually(LimitedTime):
 
 
 class LeadsTo(LimitedTime):
-    """Whenever a condition holds, another one holds then or within a limit; the end of the run counts as such."""
+    """Whenever a condition holds, a second one holds then or within a limit; the end of the run counts, too."""
 
     kind: Literal["leads_to"] = "leads_to"
     then: ConditionText
@@ -341,13 +344,9 @@ def property_of(value: Any, *, folder: Any = None) -> Property:
 
 def recording(scenario: AnyScenario, properties: Iterable[Property]) -> AnyScenario:
     """Return a scenario that records what some properties need: messages, and positions every 0.05 s or as given."""
-    named = {
-        comparison.quantity
-        for prop in properties
-        for condition in prop.conditions
-        for comparison in condition.comparisons
-    }
-    needs = {QUANTITIES[name].needs for name in named & QUANTITIES.keys()}
+    conditions = (condition for prop in properties for condition in prop.conditions)
+    quantities = {comparison.quantity for condition in conditions for comparison in condition.comparisons}
+    needs = {QUANTITIES[name].needs for name in quantities & QUANTITIES.keys()}
     record = scenario.record
     changes: dict[str, Any] = {"messages": True} if "messages" in needs and record.messages is not True else {}
     if "trajectory" in needs and not record.trajectory:

@@ -11,9 +11,9 @@ from desim.scenario.properties import Property, recording
 
 def property_misfits(scenario: AnyScenario) -> Iterator[tuple[tuple[str | int, ...], str]]:
     """Yield the key and the text of each error of the properties of a scenario, and of metrics that are margins."""
-    labelled: dict[str, int] = {}
+    index_of: dict[str, int] = {}  # by label
     for k, prop in enumerate(scenario.properties):
-        if (first := labelled.setdefault(prop.label, k)) != k:
+        if (first := index_of.setdefault(prop.label, k)) != k:
             yield (
                 ("properties", k, "name"),
                 f"properties.{first} has the name {prop.label!r}, too: give one of them another",
@@ -22,10 +22,10 @@ def property_misfits(scenario: AnyScenario) -> Iterator[tuple[tuple[str | int, .
     for k, metric in enumerate(scenario.record.metrics):
         if not isinstance(metric.of, PropertyMargin):
             continue
-        if (name := metric.of.name) not in labelled:
-            hint, names = did_you_mean(name, labelled), ", ".join(labelled) or "none"
+        if (name := metric.of.name) not in index_of:
+            hint, names = did_you_mean(name, index_of), ", ".join(index_of) or "none"
             yield ("record", "metrics", k), f"the scenario has no property {name!r}{hint}; it has {names}"
-        elif recording(scenario, [scenario.properties[labelled[name]]]) is not scenario:
+        elif recording(scenario, [scenario.properties[index_of[name]]]) is not scenario:
             yield (
                 ("record", "metrics", k),
                 "the property needs positions or messages: set record.trajectory or .messages",

@@ -231,12 +231,11 @@ class Scenario(Value):
     @property
     def evaders(self) -> tuple[Evader, ...]:
         """The parameters of each of the M evaders; evader j has index j - 1."""
-        kinds = self.evader if isinstance(self.evader, tuple) else (self.evader,)
-        return tuple(kind for kind in kinds for _ in range(kind.count))
+        return tuple(table for _, table in self.evader_tables for _ in range(table.count))
 
     @property
     def evader_tables(self) -> list[tuple[tuple[str | int, ...], Evader]]:
-        """The place and the parameters of each table of evaders, which may be one of several alike."""
+        """The place and the parameters of each table of evaders; one table may stand for several evaders."""
         if isinstance(self.evader, tuple):
             return [(("evader", k), table) for k, table in enumerate(self.evader)]
         return [(("evader",), self.evader)]
@@ -296,8 +295,7 @@ class Scenario(Value):
     def announcement_size(self) -> int:
         """Size of an announcement, bytes."""
         claim_size = self.protocol_traits.claim_size
-        size = self.team.count, len(self.evaders)
-        return size_by(claim_size, *size) if claim_size else self.announce.payload_size
+        return size_by(claim_size, self.team.count, len(self.evaders)) if claim_size else self.announce.payload_size
 
     @property
     def announcement_airtime(self) -> float:
@@ -314,9 +312,8 @@ class Scenario(Value):
         return self
 
     def _number_by_names(self) -> None:
-        """Give named nodes one number everywhere: that in the graph, else in the positions, else in the first table."""
-        names = names_of(self.network.graph)
-        names = names or self.team.names or self.network.node_names
+        """Give a named node one number in all tables: that of the graph, else of the positions, else of a trace."""
+        names = names_of(self.network.graph) or self.team.names or self.network.node_names
         self.__dict__["network"] = self.network.numbered(names)
         self.__dict__["team"] = self.team.numbered(names)
 
@@ -324,8 +321,8 @@ class Scenario(Value):
 def _given(model: Value, above: str = "") -> Iterator[tuple[str, Any]]:
     """Yield the dotted key and the value of each field that differs from its default, also within tables."""
     for name, value in model.given().items():
-        usual = type(model).model_fields[name].get_default(call_default_factory=True)
-        if isinstance(value, Value) and type(value) is type(usual):
+        default = type(model).model_fields[name].get_default(call_default_factory=True)
+        if isinstance(value, Value) and type(value) is type(default):
             yield from _given(value, f"{above}{name}.")
         else:
             yield f"{above}{name}", value

@@ -61,30 +61,30 @@ def _instants(scenario: Scenario) -> Iterator[tuple[str, str, int, _Spread]]:
     """Yield the key, the text, the number of senders and the spread of frames that pursuers create at one instant."""
     announce, count, protocol = scenario.announce, scenario.team.count, scenario.protocol_traits
     by_clock = _Spread(clocks=True)
-    speaks = scenario.announces and announce.trigger in {"change", "both", "revision"}
-    if scenario.schedule_traits.at_once and speaks:
+    announces_decisions = scenario.announces and announce.trigger in {"change", "both", "revision"}
+    if scenario.schedule_traits.at_once and announces_decisions:
         yield "protocol.schedule", "pursuers announce their decisions", count, by_clock
-    elif protocol.at_once and speaks:
+    elif protocol.at_once and announces_decisions:
         yield "protocol", "pursuers announce their decisions", count, by_clock
     if scenario.announces and announce.start == "announced" and not announce.jitter:
         yield "announce.start", "pursuers announce their first actions", count, _Spread()
     if protocol.host is not None:
         yield "protocol", "pursuers send their first reports", count - 1, by_clock
-    for key, sender in (("announce.dissemination", announce.dissemination), ("network.transport", None)):
-        carries = scenario.announces if sender is not None else _broadcasts(scenario)
-        model = scenario.network.transport if sender is None else sender
-        if isinstance(model, Reliable) and carries:
-            yield key, "the receivers of a broadcast acknowledge it", count - 1, _Spread(latency=True)
-        elif (
-            sender is not None and carries and (jitter := DisseminationTraits.of(sender).forwarding_jitter) is not None
-        ):
-            yield f"{key}.jitter", "the receivers of a broadcast forward it", count - 1, _Spread(jitter, latency=True)
+    acknowledge = "the receivers of a broadcast acknowledge it"
+    jitter = DisseminationTraits.of(announce.dissemination).forwarding_jitter
+    if scenario.announces and isinstance(announce.dissemination, Reliable):
+        yield "announce.dissemination", acknowledge, count - 1, _Spread(latency=True)
+    elif scenario.announces and jitter is not None:
+        spread = _Spread(jitter, latency=True)
+        yield "announce.dissemination.jitter", "the receivers of a broadcast forward it", count - 1, spread
+    if isinstance(scenario.network.transport, Reliable) and _broadcasts(scenario):
+        yield "network.transport", acknowledge, count - 1, _Spread(latency=True)
     ends: dict[float, set[int]] = {}
     for fault in scenario.fault:
         if isinstance(fault, Crash) and fault.scope == "robot" and fault.end < scenario.horizon:
             ends.setdefault(fault.end, set()).add(fault.node)
     for end, nodes in ends.items():
-        if speaks:
+        if announces_decisions:
             yield "fault", f"pursuers that recover at {end:g} s may announce their decisions", len(nodes), _Spread()
 
 
@@ -94,20 +94,20 @@ def _broadcasts(scenario: Scenario) -> bool:
 
 
 def _periodic_warnings(scenario: Scenario, channel: Channel) -> Iterator[tuple[str, str]]:
-    """Yield the warnings about strictly periodic messages: those of two pursuers that overlap once always do."""
+    """Yield the warnings about strictly periodic messages: if those of two pursuers overlap once, they always do."""
     network, announce = scenario.network, scenario.announce
-    is_hearing = network.range == inf and inherits(network.graph, Complete)
+    all_hear_all = network.range == inf and inherits(network.graph, Complete)
     access: Any = network.medium.access  # type: ignore[attr-defined]  # a channel has one
-    senses = isinstance(access, CarrierSensing)
-    if senses and (is_hearing or access.sensing_range is not None or channel.chance < 1.0):
+    senses_carrier = isinstance(access, CarrierSensing)
+    if senses_carrier and (all_hear_all or access.sensing_range is not None or channel.chance < 1.0):
         return
-    which = "two pursuers out of hearing" if senses else "two pursuers"
+    which = "two pursuers out of hearing" if senses_carrier else "two pursuers"
     if channel.chance < MANY or _share_within(scenario, channel.hidden, _Spread()) < MANY:
         return
-    beats = scenario.announces and announce.has_heartbeats and not announce.jitter
+    has_heartbeats = scenario.announces and announce.has_heartbeats and not announce.jitter
     delay = "give `network.processing.sender` a random delay"
     for key, messages, is_sent, advice in (
-        ("announce.jitter", "heartbeats", beats, "give it some jitter"),
+        ("announce.jitter", "heartbeats", has_heartbeats, "give it some jitter"),
         ("sensing.period", "reports", not scenario.sight_is_perfect, delay),
         ("announce.trust.period", "accusations", announce.trust.period is not None, delay),
         ("clocks.sync.interval", "requests", scenario.clocks.sync != Unsynchronised(), delay),
@@ -120,14 +120,14 @@ def _periodic_warnings(scenario: Scenario, channel: Channel) -> Iterator[tuple[s
 
 
 def _share_within(scenario: Scenario, time: float, spread: _Spread) -> float:
-    """Return the estimated probability that two frames of one instant start within a time, s, of each other."""
+    """Return the estimated probability that two frames created at one instant start within a time, s, of each other."""
     rng = np.random.default_rng(0)
-    sender = _drawn(scenario.network.processing.sender, rng) + spread.uniform * rng.random(2 * DRAWS)
+    delays = _drawn(scenario.network.processing.sender, rng) + spread.uniform * rng.random(2 * DRAWS)
     if spread.latency:
-        sender = sender + _drawn(scenario.network.latency, rng)
+        delays = delays + _drawn(scenario.network.latency, rng)
     if spread.clocks and scenario.clocks.sync == Unsynchronised():
-        sender = sender + _clock_error(scenario) * rng.standard_normal(2 * DRAWS)
-    first, second = sender.reshape(2, DRAWS)
+        delays = delays + _clock_error(scenario) * rng.standard_normal(2 * DRAWS)
+    first, second = delays.reshape(2, DRAWS)
     return float(np.mean(np.abs(first - second) <= time))
 
 

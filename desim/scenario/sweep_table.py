@@ -44,7 +44,8 @@ def _flat(grid: Any, above: str = "") -> Any:
     return flat
 
 
-def _in_order(values: Any) -> Any:
+def _values_of(values: Any) -> Any:
+    """Return the values that the text of a range, or a `KeyRange`, stands for; return other values unchanged."""
     if isinstance(values, str) and ":" in values:
         interval = interval_of(values)
         return (interval,) if interval is not None else range_of(values) or values
@@ -58,7 +59,7 @@ class _OrText:
         return {"anyOf": [handler(schema), {"type": "string"}]}
 
 
-Values = Annotated[tuple[Any, ...], Field(min_length=1), BeforeValidator(_in_order), _OrText()]
+Values = Annotated[tuple[Any, ...], Field(min_length=1), BeforeValidator(_values_of), _OrText()]
 """The values of one key of a grid; of a range without steps, one `KeyRange`."""
 
 
@@ -116,7 +117,7 @@ def _grid_in_tables(grid: dict[str, tuple[Any, ...]], info: SerializationInfo) -
 
 
 def _with_tables(value: Any, *, exclude_none: bool) -> Any:
-    """Return a value of a key with tables in place of models and functions, also of those inside."""
+    """Return a value of a key with tables in place of models and functions, also inside of tables and lists."""
     if isinstance(value, Value) and is_ours(type(value)):
         return value.model_dump(exclude_none=exclude_none)
     if isinstance(value, BaseModel) or callable(value):

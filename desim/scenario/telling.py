@@ -1,4 +1,4 @@
-"""What pursuers tell each other in a scenario, as far as that is known before a run; warnings ask for it."""
+"""What pursuers tell each other in a scenario, as far as that is known before a run; the warnings depend on it."""
 
 from typing import Any
 
@@ -19,8 +19,8 @@ def is_built_in(scenario: Scenario) -> bool:
 
 def tells_nothing(scenario: Scenario) -> bool:
     """Return whether no message has the action or the state of a pursuer: no announcement, report or token."""
-    tells = scenario.announces or scenario.protocol_traits.reckons or scenario.schedule_traits.spreads_to is not None
-    return is_built_in(scenario) and not tells
+    has_token = scenario.schedule_traits.spreads_to is not None
+    return is_built_in(scenario) and not (scenario.announces or scenario.protocol_traits.reckons or has_token)
 
 
 def announces_start(scenario: Scenario) -> bool:

@@ -218,7 +218,7 @@ def dump(scenario: Scenario) -> str:
     """Return a scenario as TOML, defaults included; keys with the value None are left out, because TOML has no null."""
     tables = _in_toml(scenario.model_dump(exclude_none=True))
     text = tomli_w.dumps(tables)
-    # A reader of TOML changes the line ends \r\n of a text that is written in several lines.
+    # A text with the line ends \r\n stays on one line: in a text of several lines, a reader of TOML may change them.
     return text if "\\r" in text else tomli_w.dumps(tables, multiline_strings=True)
 
 
@@ -227,8 +227,8 @@ def brief(scenario: Scenario, folder: Path | None = None, **texts: Any) -> str:
 
     Args:
         scenario: the scenario.
-        folder: where the code that it names was found; None: nowhere.
-        texts: values of keys, which replace those of the scenario.
+        folder: the folder in which the code that it names is looked up; None: no code is looked up.
+        texts: values of keys that replace those of the scenario.
     """
     tables = _differing(scenario.model_dump(exclude_none=True), Scenario().model_dump(exclude_none=True))
     if scenario.fault:
@@ -238,14 +238,14 @@ def brief(scenario: Scenario, folder: Path | None = None, **texts: Any) -> str:
         ]
     tables |= texts
     try:
-        same = validate(Source("", tables, Scenario, folder=folder, allow_import=folder is not None)) == scenario
+        is_complete = validate(Source("", tables, Scenario, folder=folder, allow_import=folder is not None)) == scenario
     except ScenarioError:  # files or code of the scenario are looked up elsewhere
-        same = False
-    return tomli_w.dumps(_in_toml(tables)) if same else dump(scenario)
+        is_complete = False
+    return tomli_w.dumps(_in_toml(tables)) if is_complete else dump(scenario)
 
 
 def _in_toml(value: Any) -> Any:
-    """Return a value with what JSON has in place of objects that TOML lacks; a parameter of a model may be any."""
+    """Return a value in which the types that TOML lacks are as in JSON; a model's parameter may have any type."""
     if isinstance(value, dict):
         return {str(key): _in_toml(member) for key, member in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""The errors of a scenario file: where each is, and the sentence of it (`desim.config.key_errors`)."""
+"""The errors of a scenario file: the line of each, and its sentence, which `desim.config.key_errors` words."""
 
 import re
 from pathlib import Path
@@ -30,7 +30,7 @@ def _problems(error: ValidationError, source: Source, model: type[Value]) -> lis
     """Return the problems that an error of pydantic describes."""
 
     def more(place: KeyPath) -> list[str]:
-        return [BASE] if source.line(place) else []
+        return [BASE] if source.line(place) else []  # only a key that is in a file has a line
 
     wording = Wording(source.tables, model, _as_toml, more)
     return [

@@ -59,7 +59,8 @@ def _instead_of(key: str, value: str) -> str | None:
     if re.fullmatch(r"[+-]?[\d._]+(?:[eE][+-]?\d+)?", value):
         return None
     for unit in UNITS:
-        if (text := number_instead_of(value, {unit})) and "without" not in text:
+        text = number_instead_of(value, {unit})
+        if text and "without a unit" not in text:  # which is said if the unit of the value is another one
             return f"{key} {text.replace('the text ', '')}"
     if re.fullmatch(r"[A-Za-z][\w:-]*(?: [\w:-]+)*", value) and value not in {"true", "false", "inf", "nan"}:
         return f'a text is in quotes: {key} = "{value}"'

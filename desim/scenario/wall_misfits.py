@@ -1,6 +1,6 @@
-"""What does not fit walls that block motion: errors about models that assume the plane, and about places inside walls.
+"""Errors about models and places that do not fit walls that block motion, and the warning that walls enclose an evader.
 
-Beside them, the warning that walls enclose an evader.
+Some models take straight lines for shortest paths; a place does not fit if it is inside a wall.
 """
 
 from collections.abc import Callable, Iterator
@@ -19,7 +19,7 @@ from desim.scenario.conditions import AnyScenario
 Misfit = tuple[tuple[str | int, ...], str]
 """The key of a value, in parts, and why it does not fit."""
 INSTEAD = "let the walls not block it (`blocks` of each `wall` without motion), or choose"
-"""How the sentence ends that says what to do."""
+"""What to do, before the name of another kind, in the messages."""
 MAX_COMPARED = 1_000
 """Number of pursuers of which the paths to an evader are compared before a run."""
 
