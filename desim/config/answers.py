@@ -13,7 +13,7 @@ from desim.config.errors import AnswerError
 from desim.config.traits import OURS, is_ours
 
 MAX_ITEMS = 8
-"""Maximum number of items of an array whose shape is not named."""
+"""Number of items up to which an error shows an array without its shape."""
 LONGEST = 300
 """Maximum length of a returned value in an error message, characters."""
 
@@ -34,7 +34,7 @@ def wrong_answer(expected: str, answer: object, model: object) -> AnswerError:
 
 
 def name_and_place(model: object) -> str:
-    """Return the name of a model: of a frozen model with its parameters, of a user's model with its file and line."""
+    """Return the name of a model, with its parameters if its `repr` has them, and with the place of a user's code."""
     while isinstance(model, partial):
         model = model.func
     if isinstance(model, FunctionType | MethodType | type):

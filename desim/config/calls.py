@@ -11,11 +11,11 @@ from desim.config.errors import AnswerError
 
 
 def check_method(value: Any, name: str, takes: Sequence[str]) -> None:
-    """Raise ValueError if a model has no method with a name and these arguments."""
+    """Raise ValueError if a model has no method of this name that can be called with these arguments."""
     method: Any = getattr(value, name, None)
     if not callable(method):
-        answer = f"{value_text(method)} of {name_and_place(value)}"
-        raise ValueError(f"{name} should be a method {name}({', '.join(takes)}) (got {answer})")
+        shown = f"{value_text(method)} of {name_and_place(value)}"
+        raise ValueError(f"{name} should be a method {name}({', '.join(takes)}) (got {shown})")
     check_call(method, takes, value, whose=f"{name} ")
 
 

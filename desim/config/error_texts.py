@@ -1,4 +1,7 @@
-"""The errors of pydantic in words; only the beginnings of messages are replaced, what a user wrote stays as it is."""
+"""The errors of pydantic in words of this package.
+
+Only the beginnings of messages are replaced, so that what a user wrote stays as it is.
+"""
 
 from collections.abc import Mapping
 from typing import Any

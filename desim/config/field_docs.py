@@ -34,9 +34,12 @@ Docs = Mapping[str, str]
 """The descriptions of the fields of a class, by name; fields without a string below them are absent."""
 
 
-@cache  # an error names the fields of the models around it
+@cache  # one error asks for the fields of all models around its key
 def docs_of(model: type) -> Docs:
-    """Return the string below each field of a class and of its base classes, by name."""
+    """Return the string below each field of a class and of its base classes, by name.
+
+    A class that annotates a field anew, without a string, drops the inherited string.
+    """
     docs: dict[str, str] = {}
     for base in reversed(model.__mro__):
         own_docs = _docs(base.__module__).get(base.__qualname__, {})
@@ -61,15 +64,15 @@ def _docs(module: str) -> Mapping[str, Docs]:
     return MappingProxyType(dict(_classes(tree, "")))
 
 
-def _classes(node: ast.AST, above: str) -> Iterator[tuple[str, Docs]]:
+def _classes(node: ast.AST, prefix: str) -> Iterator[tuple[str, Docs]]:
     """Yield the qualified name of each class within a syntax tree node, and the strings below its fields."""
     for inner in ast.iter_child_nodes(node):
         if isinstance(inner, ast.ClassDef):
-            yield above + inner.name, dict(_strings(inner))
-            yield from _classes(inner, f"{above}{inner.name}.")
+            yield prefix + inner.name, dict(_strings(inner))
+            yield from _classes(inner, f"{prefix}{inner.name}.")
         else:
-            within = f"{above}{inner.name}.<locals>." if isinstance(inner, ast.FunctionDef) else above
-            yield from _classes(inner, within)
+            is_function = isinstance(inner, ast.FunctionDef)
+            yield from _classes(inner, f"{prefix}{inner.name}.<locals>." if is_function else prefix)
 
 
 def _strings(node: ast.ClassDef) -> Iterator[tuple[str, str]]:

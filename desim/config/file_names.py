@@ -23,7 +23,7 @@ RUN_FILES = (
 )
 """All files that `desim run`, `live`, `replay` and `plot` write into a run folder by default.
 
-They are removed in this order: a folder that has a run.json is complete."""
+They are removed in this order, run.json first, because a folder with a run.json counts as complete."""
 SUFFIX = re.compile(r"\.[A-Za-z]\w*")
 """A suffix that can denote a file type; the ".2" of "v1.2" does not match."""
 

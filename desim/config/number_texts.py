@@ -23,7 +23,7 @@ UNITS = MappingProxyType(
         "%": ("1", 100.0),
     }
 )
-"""By unit in a text, the unit of the number to write instead, and how many of the first make one of the second."""
+"""By unit in a text: the unit in which desim takes the number, and how many units of the text make one of these."""
 
 
 def exact_text(number: float, digits: int) -> str:

@@ -8,7 +8,7 @@ MAX_WORD = 200
 
 
 def close_to(word: str, allowed: Iterable[str], cutoff: float = 0.6) -> list[str]:
-    """Return the allowed name that is most similar to a word, in a list; an empty list if none is, or it is long."""
+    """Return a list with the allowed name most similar to a word; empty if none is similar or the word is too long."""
     return get_close_matches(word, list(allowed), n=1, cutoff=cutoff) if len(word) <= MAX_WORD else []
 
 

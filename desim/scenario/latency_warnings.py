@@ -11,10 +11,9 @@ LONG_LATENCY = 0.1
 """The share of the horizon above which a mean latency gives a warning.
 
 With a longer latency, a chain of messages, each sent on arrival of the one before, has fewer than ten messages in a
-run, so the pursuers can hardly negotiate.
-Latencies in seconds are usually far below it: in the files of `scenarios`, outside of grids, at most 1.5 % of the
-horizon. Latencies given in milliseconds by mistake are above it: even the 5 ms of a fast radio become 5 s, a sixth of
-the default horizon.
+run, so the pursuers can hardly negotiate. Latencies in seconds are usually a far smaller share: in the files of
+`scenarios`, outside of grids, at most 1.5 % of the horizon. Latencies given in milliseconds by mistake are a greater
+share: even the 5 ms of a fast radio become 5 s, a sixth of the default horizon.
 """
 
 

@@ -38,7 +38,7 @@ def misfits(scenario: AnyScenario) -> Iterator[Misfit]:
         return
     no_pursuer = f"there is no pursuer {{}}: they are 0 .. {scenario.team.count - 1}"
     yield from _graph_misfits(scenario, no_pursuer)
-    place: tuple[str, ...] = ("protocol",)
+    place: tuple[str, ...] = ("protocol",)  # the key of the step that raises
     try:
         size = scenario.announcement_size
         place = "network", "medium"
@@ -102,7 +102,7 @@ def _graph_misfits(scenario: AnyScenario, no_pursuer: str) -> Iterator[Misfit]:
     graph = None
     try:
         made = scenario.network.make_graph(count)
-        Topology(made)
+        Topology(made)  # refuses some graphs, whose links are then not checked
         graph = made
     except (ValueError, TypeError, AttributeError) as error:
         yield ("network", "graph"), str(error)

@@ -19,7 +19,7 @@ GROUP = "desim.metrics"
 
 
 MARGIN = "margin:"
-"""What the name of the margin of a property begins with."""
+"""The beginning of the name of a metric that is the margin of a property."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ def tables_of(text: str) -> dict[str, Any]:
         RecursionError: if tables are nested too deeply.
     """
     tables = tomllib.loads(text)
-    repr(tables)  # raises the error
+    repr(tables)  # raises ValueError for such a number
     return tables
 
 
