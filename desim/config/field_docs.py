@@ -71,8 +71,8 @@ def _classes(node: ast.AST, prefix: str) -> Iterator[tuple[str, Docs]]:
             yield prefix + inner.name, dict(_strings(inner))
             yield from _classes(inner, f"{prefix}{inner.name}.")
         else:
-            is_function = isinstance(inner, ast.FunctionDef)
-            yield from _classes(inner, f"{prefix}{inner.name}.<locals>." if is_function else prefix)
+            within = f"{prefix}{inner.name}.<locals>." if isinstance(inner, ast.FunctionDef) else prefix
+            yield from _classes(inner, within)
 
 
 def _strings(node: ast.ClassDef) -> Iterator[tuple[str, str]]:

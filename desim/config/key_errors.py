@@ -47,7 +47,7 @@ class Wording:
     whole: type[BaseModel]
     """The model of the table."""
     written: Callable[[Any], str] = repr
-    """Returns a value as it is written."""
+    """Returns a value as the user writes it."""
     more: Callable[[KeyPath], Sequence[str]] | None = None
     """Returns the keys that are allowed beside an unknown key at the top, in addition to the fields of the model."""
     is_call: bool = False
@@ -98,7 +98,7 @@ class Wording:
             inner = model_of(info, node) if info else None
             if info is not None and path and path[0] in _tags(info):
                 path.pop(0)
-        if error["type"] in {"union_tag_invalid", "import_refused"}:
+        if error["type"] in {"union_tag_invalid", "import_refused"}:  # pydantic reports these at the table
             place += ("kind",)
         return place, owner, info
 

@@ -85,7 +85,7 @@ def _plain(word: str) -> str:
 
 
 def _siblings_with(key: str, model: type[BaseModel]) -> list[str]:
-    """Return the names of the models with a key among the other kinds of a model."""
+    """Return the names of the models with a key among the models whose kinds a table of a model may have instead."""
     families = [family for family in OneOf.families if "kind" in model.model_fields and family.has(model)]
     siblings = [sibling for family in families for sibling in family.choices().values()]
     return list(dict.fromkeys(sibling.__name__ for sibling in siblings if key in sibling.model_fields))
@@ -111,12 +111,12 @@ def other_key(place: KeyPath, allowed: Sequence[str], whole: type[BaseModel]) ->
         elsewhere = []
     elif close:
         elsewhere = [key for key in elsewhere if key.place[-1] == word]
-    names = [part for part in place[:-1] if isinstance(part, str)] + [word]
-    of_other_kinds = [key for key in elsewhere if [part for part in key.place if part != "0"] == names]
+    same_place = [part for part in place[:-1] if isinstance(part, str)] + [word]
+    of_other_kinds = [key for key in elsewhere if [part for part in key.place if part != "0"] == same_place]
     if kinds := list(dict.fromkeys(key.owner for key in of_other_kinds if key.owner)):
         return f", it is one of the kind {' or '.join(kinds)}"
     if not elsewhere and (siblings := _siblings_with(word, whole)):
         return f", it is a key of {' and '.join(siblings)}"
     places = dict.fromkeys(key.dotted if len(key.place) > 1 else f"{key.dotted} at the top" for key in elsewhere)
-    meant = [*map(repr, close), *list(places)[:MAX_ELSEWHERE]]
-    return f", did you mean {' or '.join(meant)}?" if meant else ""
+    suggestions = [*map(repr, close), *list(places)[:MAX_ELSEWHERE]]
+    return f", did you mean {' or '.join(suggestions)}?" if suggestions else ""
