@@ -28,7 +28,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
 """The names that a column of a table may have, in lower case; the first that a table has is read."""
 WHOLE_SECONDS = frozenset({"sec", "seconds", "timestamp"})
 FRACTIONS = frozenset({"nanosec", "nanosecs", "nanoseconds", "nsec", "nsecs", "usec", "usecs", "microseconds", "msec"})
-"""The names of columns that have the rest of a time whose whole seconds are in one of `WHOLE_SECONDS`, as of ROS."""
+"""The names of columns with fractions of seconds, beside a column of `WHOLE_SECONDS`, as in messages of ROS."""
 LATITUDES, LONGITUDES = frozenset({"lat", "latitude"}), frozenset({"lon", "lng", "long", "longitude"})
 DEGREES = LATITUDES | LONGITUDES
 UNITS = {"t": "s", "x": "m", "y": "m", "z": "m"}
@@ -69,14 +69,14 @@ LABEL = re.compile(
 WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?(?:(?![A-Z])[^\W\d_])+|\d+")
 """Matches a word in a label, as in `pose.position.x`, `posX` or `utm_north`."""
 AXES = {"x": re.compile(r"[a-z]?x|east|easting"), "y": re.compile(r"[a-z]?y|north|northing")}
-"""Match the word that ends the label of a coordinate."""
+"""Match the last word of the label of a coordinate in a data frame or a row; see `_role`."""
 ENDS = {
     "t": {"t", "time", "timestamp", "stamp"},
     "x": {"x", "px", "east", "easting"},
     "y": {"y", "py", "north", "northing"},
     "z": {"z", "pz", "height", "altitude"},
 }
-"""The last words of labels that have several words, as in `pose.position.x`."""
+"""The last words of labels in the header of a file, as in `pose.position.x`; see `Header.columns`."""
 OF_POSITIONS = frozenset(
     {"p", "pos", "pose", "position", "positions", "translation", "location", "point", "coord", "coordinate"}
 )
@@ -86,7 +86,7 @@ OF_OTHERS = frozenset(
         *("q", "quat", "quaternion", "rotation", "rot", "gyro", "cov", "covariance", "std", "error", "goal", "target"),
     }
 )
-"""Words in the labels of vectors that are positions, and of others."""
+"""Words in the labels of positions, and in those of other vectors."""
 
 
 class Header(NamedTuple):
@@ -136,7 +136,7 @@ def header_of(cells: Iterable[str]) -> Header:
 def coordinate_columns(labels: Sequence[object]) -> list[int] | None:
     """Return the indices of the columns t, x and y of a table, in this order; t may be absent.
 
-    Return None if the columns have other names, by which they cannot be told.
+    Return None if a column has another name, which does not tell what it is.
 
     Raises:
         ValueError: if they are in degrees, or in another unit than m and s.

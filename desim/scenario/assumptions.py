@@ -38,8 +38,8 @@ def undivided(scenario: "Scenario") -> str | None:
 
 def connected(scenario: "Scenario") -> str | None:
     """Every pursuer is connected to every other in both directions, over any number of hops."""
-    if parted := undivided(scenario):
-        return parted
+    if reason := undivided(scenario):
+        return reason
     graph = initial_graph(scenario)
     if not is_complete(graph) and not nx.is_strongly_connected(graph):
         return "some pursuers cannot reach all others at the start"
@@ -146,8 +146,8 @@ def equal_speeds(scenario: "Scenario") -> str | None:
 def host_in_range(scenario: "Scenario") -> str | None:
     """The pursuer that hosts the server is linked to every other in one hop, in both directions."""
     host, size = scenario.protocol_traits.host or 0, scenario.team.count
-    if parted := undivided(scenario):
-        return parted
+    if reason := undivided(scenario):
+        return reason
     graph = initial_graph(scenario)
     far = [j for j in range(size) if j != host and not (graph.has_edge(j, host) and graph.has_edge(host, j))]
     return f"{len(far)} of {size - 1} are out of reach of pursuer {host} at the start" if far else None

@@ -22,7 +22,7 @@ def latency_warnings(scenarios: Collection[Scenario]) -> Iterator[tuple[str, str
 
     The scenarios are the configurations of a sweep, or a single scenario. A sweep may vary a latency from short to long
     on purpose. With several scenarios, a latency therefore gives a warning only if its mean is long (`LONG_LATENCY`) in
-    all scenarios where it is positive, or reaches the horizon in one.
+    all scenarios where it is positive, or reaches the horizon in one of them.
     """
     by_key: dict[str, list[tuple[float, float]]] = {}
     for scenario in scenarios:

@@ -51,7 +51,7 @@ class Source:
     allow_import: bool = False
     """Whether the scenario may name code to be run, and files outside of `folder`."""
     files: dict[KeyPath, str] = field(default_factory=dict)
-    """For each key that is set only in a base (a file that the key `base` names), the path of this base."""
+    """For each key whose value is from a base (a file that the key `base` names), the path of this base."""
 
     @classmethod
     def of(cls, scenario: Value) -> Self:
@@ -79,7 +79,7 @@ class Source:
         lines = self.lines or {}
         dotted = tuple(part for key in place for part in (key.split(".") if isinstance(key, str) else [key]))
         places = lines.keys() | self.origins.keys()
-        if place not in places and dotted in places:  # TOML reads an unquoted dotted key as nested tables
+        if place not in places and dotted in places:  # an unquoted dotted key of the grid, which TOML reads as tables
             place = dotted
         around = [place[:end] for end in range(len(place), 0, -1)]  # the place and those that contain it
         set_by = [text for key, text in self.origins.items() if key in around]

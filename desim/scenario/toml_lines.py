@@ -70,8 +70,8 @@ def deep_key(text: str) -> int | None:
 
 
 # The four kinds of strings, and comments. They are matched as a whole, because a dot, a bracket or a line end within
-# them has no meaning. `tomllib` stops at a string without an end, so every pattern except that of '...' matches such a
-# string up to the end of the text; otherwise the rest of the text would be searched again from every quotation mark.
+# them has no meaning. A string without an end is matched up to the end of the text, because `tomllib` stops at it:
+# otherwise the rest of the text would be searched again from every quotation mark. A '...' never leaves its line.
 _QUOTED = (
     r'"""(?:(?:\\.|[^\\])*?"{3,5}(?!")|.*)|\'\'\'(?:.*?\'{3,5}(?!\')|.*)'
     r'|"(?:\\.|[^"\\\n])*(?:"|.*)|\'[^\'\n]*\'|#[^\n]*'
@@ -98,7 +98,7 @@ def _statements(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _header(tables: dict[str, Any], is_array: bool, lengths: dict[KeyPath, int]) -> KeyPath:
-    """Return the place that a table header names, given the header as parsed by `tomllib`.
+    """Return the place that a table header names; `tables` is what `tomllib` makes of the header alone.
 
     In the place, the key of an array of tables is followed by the index of the last table of the array so far. A header
     [[...]] adds a table to its array and updates `lengths`, the number of tables in each array.
