@@ -25,7 +25,7 @@ FUNCTION_STATE = ("__kwdefaults__", "__module__", "__qualname__", "__doc__")
 """The attributes of a function that a copy takes over, besides those that its users set."""
 
 
-class _Kept:
+class _Shared:
     """Wraps an object that the copy shares with the original."""
 
     def __init__(self, value: Any):
@@ -40,14 +40,14 @@ class Copier(pickle.Pickler):
         alone: whether nobody reads collections after the run, so that they are copied, too.
 
     Attributes:
-        kept: the shared objects; the pickle has their indices.
+        shared: the shared objects; the pickle has their indices.
         functions: the functions in the model.
     """
 
     def __init__(self, content: BytesIO, *, alone: bool = False):
         super().__init__(content, 5)
         self._alone = alone
-        self.kept: list[Any] = []
+        self.shared: list[Any] = []
         self.functions: list[FunctionType] = []
 
     def persistent_id(self, value: Any) -> int | None:
@@ -57,29 +57,29 @@ class Copier(pickle.Pickler):
             return None
         if kind is FunctionType:
             self.functions.append(value)
-        if kind is _Kept:
+        if kind is _Shared:
             value = value.value
         elif kind is np.ndarray:
             if value.flags.writeable:
                 return None
-        elif never_changes(module_of(kind)):
+        elif never_changes(module_of(kind)):  # a built-in model, for example, which may hold objects of users
             if not all(is_stateless(item, alone=self._alone) for _, item in users_objects(value)):
                 return None
         elif not is_stateless(value, alone=self._alone):
             return None
-        self.kept.append(value)
-        return len(self.kept) - 1
+        self.shared.append(value)
+        return len(self.shared) - 1
 
     def reducer_override(self, value: Any) -> Any:
         """Return how to copy functions, methods, their variables and caches; NotImplemented for any other object."""
         kind = type(value)
         if kind is FunctionType:
-            cells = tuple(map(self._shared, value.__closure__ or ()))
-            parts = _Kept(value.__code__), _Kept(value.__globals__), value.__name__, None, cells
+            cells = tuple(map(self._variable, value.__closure__ or ()))
+            parts = _Shared(value.__code__), _Shared(value.__globals__), value.__name__, None, cells
             state = {name: getattr(value, name) for name in FUNCTION_STATE}
-            state["__defaults__"] = value.__defaults__ and tuple(map(self._shared, value.__defaults__))
+            state["__defaults__"] = value.__defaults__ and tuple(map(self._variable, value.__defaults__))
             if keywords := value.__kwdefaults__:
-                state["__kwdefaults__"] = {name: self._shared(item) for name, item in keywords.items()}
+                state["__kwdefaults__"] = {name: self._variable(item) for name, item in keywords.items()}
             return FunctionType, parts, (state, vars(value)), None, None, _complete
         if kind is CellType:
             try:
@@ -87,20 +87,20 @@ class Copier(pickle.Pickler):
             except ValueError:  # it is empty
                 return CellType, ()
         if kind is MethodType:
-            return MethodType, (_Kept(value.__func__), value.__self__)
+            return MethodType, (_Shared(value.__func__), value.__self__)
         if kind in {MappingProxyType, WeakKeyDictionary, WeakValueDictionary}:
             return kind, (dict(value),)
         if kind is CACHED:
             return _cached, (value.__wrapped__, value.cache_parameters())
         if passes_on_attributes(kind):
             return with_state_setter(value.__reduce_ex__(5))
-        if kind.__module__ == "itertools":  # Python 3.14 cannot copy them, and 3.12 warns of it
+        if kind.__module__ == "itertools":  # Python 3.14 cannot copy such iterators, and 3.12 warns of it
             raise TypeError(f"cannot pickle {kind.__qualname__!r} object of itertools")
         return NotImplemented
 
-    def _shared(self, variable: Any) -> Any:
+    def _variable(self, variable: Any) -> Any:
         """Return a default or a variable of a function, wrapped if the copy shares it: the caller may read it."""
-        return _Kept(variable) if is_collection(variable) and not self._alone else variable
+        return _Shared(variable) if is_collection(variable) and not self._alone else variable
 
 
 class Describer(Copier):
@@ -110,11 +110,11 @@ class Describer(Copier):
     """
 
     def persistent_id(self, value: Any) -> int | None:
-        """Return an index also for a function of Python, and None for objects that copies share but that change."""
-        if isinstance(value, SHARED):
+        """Return an index also for a function of Python, which never changes; None for shared objects that change."""
+        if isinstance(value, SHARED_TYPES):
             return None
         is_of_python = isinstance(value, FunctionType) and is_foreign(value)
-        return super().persistent_id(_Kept(value) if is_of_python else value)
+        return super().persistent_id(_Shared(value) if is_of_python else value)
 
     def reducer_override(self, value: Any) -> Any:
         """Return what describes an object."""
@@ -134,7 +134,7 @@ class Describer(Copier):
         try:
             reduced = super().reducer_override(value)
             if reduced is NotImplemented:
-                value.__reduce_ex__(5)
+                value.__reduce_ex__(5)  # raises if the object cannot be copied
         except Exception:  # code of an object may raise anything
             is_first = isinstance(value, Iterator) and id(value) not in _described
             _described.add(id(value))
@@ -142,7 +142,7 @@ class Describer(Copier):
         return reduced
 
 
-SHARED = (threading.local, ContextVar, queue.Queue, queue.SimpleQueue)
+SHARED_TYPES = (threading.local, ContextVar, queue.Queue, queue.SimpleQueue)
 """The types of objects that copies share, although what they hold changes."""
 _described: set[int] = set()
 """The `id` of each iterator that was described."""
@@ -151,14 +151,14 @@ _described: set[int] = set()
 class CopyReader(pickle.Unpickler):
     """Reads what a `Copier` has written."""
 
-    def __init__(self, content: BytesIO, kept: list[Any]):
+    def __init__(self, content: BytesIO, shared: list[Any]):
         content.seek(0)
         super().__init__(content)
-        self._kept = kept
+        self._shared = shared
 
     def persistent_load(self, number: int) -> Any:
         """Return the shared object of an index."""
-        return self._kept[number]
+        return self._shared[number]
 
 
 def passes_on_attributes(kind: Any) -> bool:

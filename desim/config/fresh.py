@@ -49,13 +49,13 @@ def fresh_copy(model: Model, *, alone: bool = False, is_run: bool = False) -> It
     if not users:  # as a rule
         yield model
         return
-    copied, kept, functions = model, [], []
+    copied, shared, functions = model, [], []
     if not all(is_stateless(value, alone=alone) for value in users.values()):
         copier, content = _written(model, users, alone=alone)
-        reader = CopyReader(content, copier.kept)
-        copied, kept, functions = reader.load(), copier.kept, copier.functions
+        reader = CopyReader(content, copier.shared)
+        copied, shared, functions = reader.load(), copier.shared, copier.functions
     watch = shared_changes if is_run else followed_changes
-    with watch([*kept, *functions, *users.values()], _snapshot):
+    with watch([*shared, *functions, *users.values()], _snapshot):
         yield copied
 
 
@@ -107,7 +107,7 @@ def _snapshot(value: Any) -> Any:
         copier.dump(value)
     except Exception:  # code of an object may raise anything
         return None
-    return sha256(content.getvalue()).digest(), [id(item) for item in copier.kept]
+    return sha256(content.getvalue()).digest(), [id(item) for item in copier.shared]
 
 
 class Remembered:

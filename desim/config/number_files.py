@@ -120,7 +120,8 @@ def check_comments(text: str, file: Path, unit: str) -> None:
     """
     lines = text.split("\n")
     comments = list(takewhile(lambda line: not line.strip() or line.lstrip().startswith("#"), lines))
-    numbers, sign, comment = "".join(lines[len(comments) : len(comments) + 1]).partition("#")
+    first_line = next(iter(lines[len(comments) :]), "")
+    numbers, sign, comment = first_line.partition("#")
     if sign and re.search(r"\d", numbers) and not re.search(r"\d", comment):  # a number may belong to a conversion
         comments.append(f"#{comment}")
     if any(_unit_named(line, SAME_UNIT[unit]) for line in comments):

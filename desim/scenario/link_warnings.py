@@ -35,12 +35,9 @@ from desim.scenario.telling import announces_start, has_heartbeats, is_built_in,
 
 LARGEST_EXPONENT = 4.0
 """Largest path loss exponent that is usual without walls."""
-LEAST_ROWS = 10
-"""Number of rows below which a table is too short to guess the unit of its times."""
-ROWS_PER_COUNTED = 10
-"""Number of rows per row before the horizon, from which on the times are probably in ms."""
-SPARSE = 5.0
-"""Mean time between two rows, s, from which on the times are probably in ms."""
+LEAST_ROWS, ROWS_PER_COUNTED, SPARSE = 10, 10, 5.0
+"""The times of a table are probably in ms if it has at least so many rows, so many times as many rows as there are
+before the horizon, and a mean time of so many s between two rows."""
 REPORT = size_of(Forwarded((Record(0, 0, 0, LocatedAssignment(0, 0.0, 0.0, 0.0)),)))
 """Least size of a report to a server (`protocols.server`), bytes."""
 SIGHTED = Sighted(1, Measurement(0, 0, 0.0, 0.0, Covariance(0.0, 0.0, 0.0)))
@@ -116,7 +113,7 @@ def _load_warnings(
     all_hear_all = network.range == inf and inherits(network.graph, Complete)
     is_one_channel = medium.shared or (radio is not None and all_hear_all)
     occupancy = airtime_of(medium, size, count) if radio is None else radio.occupancy(size, count, to_one=host > 0)
-    load = occupancy / period * (count - host if is_one_channel else 1)
+    load = occupancy / period * (count - host if is_one_channel else 1)  # the frames of all share one channel
     if load > 1.0:
         yield (
             key,
