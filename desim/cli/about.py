@@ -11,6 +11,7 @@ from desim.cli.options import ALLOW_IMPORT, FILE, limited, out_to, overriding
 from desim.cli.output import echo, fail, making
 from desim.cli.plot import picture_paths, write_picture
 from desim.cli.sources import protocol_of, source_of
+from desim.cli.usage import is_file
 
 
 @click.command()
@@ -82,7 +83,7 @@ def keys(key: str | None) -> None:
     except ValueError as error:
         from desim.config.key_index import homes_of
 
-        if Path(str(key)).is_file():
+        if is_file(str(key)):
             fail(
                 f"{key}: is a file: `desim check {key}` prints it with all keys; a KEY is network.latency for instance"
             )

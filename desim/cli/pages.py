@@ -99,9 +99,9 @@ def report(folder: Path, out: Path | None, against: tuple[tuple[str, str], ...])
         file = shlex.quote(str(folder))
         fail(f"{folder}: is a scenario file; make a sweep first: desim sweep {file} -o DIR, then desim report DIR")
     path = page_at(out, folder / "report.html")
-    _check_sweep(folder)
     with making("report"):
         with storing(folder):
+            _check_sweep(folder)
             study = replace(Study.read(folder), against=dict(against) or None)
         for key, value in against:
             with of_option("against", f"{key}={value}"):

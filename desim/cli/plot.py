@@ -242,8 +242,8 @@ def write_picture(make: Callable[[], object], paths: Sequence[Path], *, err: boo
         paths: the paths of the files; they have the same folder, which is created if missing.
         err: whether to print to stderr.
     """
-    replaced = [path for path in paths if path.exists()]
     try:
+        replaced = [path for path in paths if path.exists()]
         paths[0].parent.mkdir(parents=True, exist_ok=True)
         make()
     except OSError as error:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from desim.cli.options import is_import_allowed
 from desim.cli.output import echo, fail
-from desim.cli.usage import metric_option
+from desim.cli.usage import is_file, metric_option
 from desim.config.file_names import STORE, TRACE
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def _instead_of(file: Path) -> str:
         scenarios = sorted(file.glob("*.toml"))
         return f"; a file in it is {scenarios[0]}" if scenarios else "; a scenario is one file, NAME.toml"
     with_suffix = file.with_suffix(".toml")
-    if with_suffix != file and with_suffix.is_file():
+    if with_suffix != file and is_file(with_suffix):
         return f", did you mean {with_suffix}?"
     if file.stem in examples() and file.parent == Path():
         return f"; an example: `desim examples {file.stem}` writes {file.stem}.toml, which then can be run"

@@ -112,8 +112,8 @@ def submit(
     if parts > plan.runs:
         fail(f"--array {parts}: there are only {counted(plan.runs, 'run')}: give a part at least one")
     folder = folder_for(scenario, out).absolute()
-    job = _job(folder, plan, parts, claim)
     with storing(folder):
+        job = _job(folder, plan, parts, claim)
         _check_stores(job, plan, folder, mix_versions=mix_versions)
         missing = _missing(job, plan, folder, shown_metrics(scenario, metrics, SHOWN))
         states = array_job.states(job.jobs)

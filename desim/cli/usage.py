@@ -61,9 +61,17 @@ def no_command(word: str) -> str | None:
         return f"No such command {word!r}. Did you mean 'desim {COMMANDS[word]}'?"
     if word.endswith(".py"):
         return f"No such command {word!r}. A script is run by Python: python {word}"
-    if word.endswith(".toml") or Path(word).is_file():
+    if word.endswith(".toml") or is_file(word):
         return f"No such command {word!r}. To run a scenario file, type: desim run {word}"
     return None
+
+
+def is_file(word: str | Path) -> bool:
+    """Return whether a word of the command line is the path of a file."""
+    try:
+        return Path(word).is_file()
+    except OSError:  # a name of more than 255 bytes, or a folder without permission
+        return False
 
 
 def advised(

@@ -7,6 +7,7 @@ import pytest
 
 import desim
 from desim.results.run_folder import write
+from desim.scenario.examples import examples
 from tests.command import desim as command
 from tests.command import refused
 from tests.golden import golden
@@ -107,3 +108,21 @@ def test_what_commands_say_of_wrong_paths_is_golden(folder, monkeypatch):
 def test_a_path_of_which_the_system_says_nothing_is_refused(words):
     """As it does of a path in a folder that is closed to the user."""
     assert "a" * 300 in refused(*words.split(), "a" * 300)
+
+
+@pytest.mark.parametrize("words", ["LONG", "keys LONG", "keys network.LONG", "run MID", "report PATH", "plot FILE"])
+def test_a_word_that_is_too_long_for_a_path_is_refused(words, tmp_path, monkeypatch):
+    """FILE exists, and the pictures that are named after it cannot; PATH is as long as a path may be without a file."""
+    monkeypatch.chdir(tmp_path)
+    long = {"LONG": "a" * 300, "MID": "b" * 252, "PATH": "/".join(["c" * 200] * 20) + "/" + "d" * 72}
+    long["FILE"] = "e" * 250 + ".toml"
+    Path(long["FILE"]).write_text("horizon = 0.01\nteam.count = 2\n", encoding="utf-8")
+    typed = [long.get(word, word.replace("LONG", long["LONG"])) for word in words.split()]
+    assert typed[-1].removesuffix(".toml")[-50:] in refused(*typed)
+
+
+def test_a_folder_that_is_too_deep_for_the_scripts_of_a_sweep_is_refused():
+    deep = "/".join(["c" * 200] * 20) + "/" + "d" * 60
+    assert "too long" in refused(
+        "submit", examples()["relay"], "--array", "1", "-g", "team.count=3", "-n", "1", "-o", deep
+    )
