@@ -98,9 +98,11 @@ def export(
 def _is_run(source: Path) -> bool:
     """Return whether a source is a run or a scenario file; end the program if it has a run and a sweep."""
     if source.is_dir():
-        if (source / TRACE).exists() and (source / STORE).exists():
+        with storing():  # the folder may be closed to the user
+            has_run, has_sweep = (source / TRACE).exists(), (source / STORE).exists()
+        if has_run and has_sweep:
             fail(f"{source}: has a run and a sweep: give {source / TRACE} or {source / STORE}")
-        return (source / TRACE).exists()
+        return has_run
     return source.name == TRACE or (not is_recorded(source) and (source.exists() or source.suffix == ".toml"))
 
 

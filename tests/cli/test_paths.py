@@ -126,3 +126,13 @@ def test_a_folder_that_is_too_deep_for_the_scripts_of_a_sweep_is_refused():
     assert "too long" in refused(
         "submit", examples()["relay"], "--array", "1", "-g", "team.count=3", "-n", "1", "-o", deep
     )
+
+
+def test_a_folder_that_is_closed_to_the_user_is_not_exported(tmp_path, monkeypatch):
+    def exists(path):
+        if path.parent == tmp_path:
+            raise PermissionError(13, "Permission denied", str(path))
+        return True
+
+    monkeypatch.setattr(Path, "exists", exists)
+    assert refused("export", tmp_path, "x.csv") == f"{tmp_path / 'trace.jsonl'}: Permission denied\n"
