@@ -18,10 +18,13 @@ from desim.config.file_names import PICTURE_SUFFIXES
 from desim.config.whole_files import write_whole
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from desim.scenario.overrides import Source
     from desim.scenario.properties import Property
     from desim.scenario.scenario import Scenario
-    from desim.study.breaking.loss_table import FatalLosses, LossTable, MessageFate
-    from desim.study.breaking.search import Search, Violation
+    from desim.study.breaking.loss_table import FatalLosses, MessageFate
+    from desim.study.breaking.search import Violation
 
 VIOLATED = 4
 """Exit code if a violation was found."""
@@ -111,107 +114,97 @@ def break_(
     Faults and other imperfections are added to the scenario at random; -g adds further keys. After an interruption the
     same command goes on where it stopped (not with --losses).
     """
-    from desim.study.breaking.case_log import FILE as CASES
-    from desim.study.breaking.case_log import CaseLog
-    from desim.study.breaking.losses import fatal_losses
-    from desim.study.breaking.search import checked_property, find_violation
-    from desim.study.workers.batch import seeds_from
+    from desim.study.breaking.search import checked_property
 
-    for option in options_given(OF_LOSSES if losses is None else OF_CASES).values():
-        raise click.UsageError(f"{option} is only used {'with' if losses is None else 'without'} --losses")
+    _check_options(losses)
     source, scenario = source_of(file, overrides, grid=grid)
-    added = [f"--grid {setting}" for setting in grid]  # not the keys of [sweep.grid] in the file
-    vary = {key: values for key, values in scenario.sweep.grid.items() if source.where(("sweep", "grid", key)) in added}
     folder = folder_for(scenario, None) / "break" if out is None else out
     make_folder(folder)
     root = scenario.seed if seed is None else seed
     try:
         if protocol is not None:
             scenario = scenario.with_({"protocol": protocol_of(protocol, "--protocol")})
-        prop = checked_property(_stated(text, scenario, file.parent), scenario)
-        results = _Results(prop, file, folder, keep, jobs, timeout, as_json)
+        prop = checked_property(_chosen_property(text, scenario, file.parent), scenario)
+        search = _Search(scenario, prop, root, file, folder, keep, jobs, timeout, as_json)
         with storing(folder):
-            if keep is not None:
-                results.run_kept(keep, scenario.protocol_name)
-            if losses is not None:
-                table = fatal_losses(
-                    scenario,
-                    prop,
-                    most=losses,
-                    seeds=[root] if seeds == 1 else seeds_from(root, seeds),
-                    fates=fates,
-                    delay=inf if delay is None else delay,
-                    jobs=jobs,
-                    timeout=timeout,
-                )
-                results.end_losses(table, scenario)
-            search = find_violation(
-                scenario,
-                prop,
-                runs=runs,
-                seed=root,
-                vary=vary,
-                features=list(features) or None,
-                guided=guided,
-                jobs=jobs,
-                timeout=timeout,
-                budget=inf if budget is None else budget,
-                log=CaseLog(folder / CASES, prop),
-            )
-            results.end_search(search)
+            search.run_kept()
+            if losses is None:
+                vary = _varied_keys(source, scenario, grid)
+                search.try_cases(runs, vary, features, inf if budget is None else budget, guided=guided)
+            else:
+                search.try_losses(losses, seeds, fates, inf if delay is None else delay)
     except ValueError as error:
+        # Without --property, a property that is wrong is one of the file.
         fail(problem(error, vary="grid", **({} if text is None else {"property": "text"})))
 
 
-def _stated(text: str | None, scenario: "Scenario", folder: Path) -> "Property":
-    """Return the property that is meant: one of the scenario, by its name or the first, or that of a text.
+def _check_options(losses: int | None) -> None:
+    """Raise a usage error if the command line has an option of the search that is not performed."""
+    for option in options_given(OF_LOSSES if losses is None else OF_CASES).values():
+        raise click.UsageError(f"{option} is only used {'with' if losses is None else 'without'} --losses")
+
+
+def _varied_keys(source: "Source", scenario: "Scenario", grid: tuple[str, ...]) -> "dict[str, Sequence[Any]]":
+    """Return the keys of --grid with their values, without those of [sweep.grid] in the file."""
+    options = [f"--grid {setting}" for setting in grid]
+    keys = scenario.sweep.grid
+    return {key: values for key, values in keys.items() if source.where(("sweep", "grid", key)) in options}
+
+
+def _chosen_property(text: str | None, scenario: "Scenario", folder: Path) -> "Property":
+    """Return the property of the scenario that a text names, or that the text states; without a text, the first one.
 
     Functions that the text names are looked up in a folder, as those of the file are.
 
     Raises:
-        ValueError: if none is given, or the text states none.
+        ValueError: if there is no text, and the scenario has no properties; or if the text states no property.
     """
     from desim.scenario.properties import property_of
 
-    named = {prop.label: prop for prop in scenario.properties}
-    if text is None and not named:
+    by_label = {prop.label: prop for prop in scenario.properties}
+    if text is None and not by_label:
         example = '--property "idle at most 2 in total against centralised"'
         raise ValueError(f"the scenario has no properties: give one, for instance {example}")
-    return scenario.properties[0] if text is None else named.get(text) or property_of(text, folder=folder)
+    return scenario.properties[0] if text is None else by_label.get(text) or property_of(text, folder=folder)
 
 
 @dataclass(frozen=True)
-class _Results:
-    """Tells what a search has found: prints it, and writes it to a folder."""
+class _Search:
+    """A search for what breaks a protocol; prints what it has found, writes it to a folder, and ends the program."""
 
+    scenario: "Scenario"
     prop: "Property"
+    root: int
+    """The root seed."""
     file: Path
     """The file of the scenario, beside which the code that it names is found."""
     folder: Path
+    """The folder of the results."""
     keep: Path | None
-    """The folder of kept cases."""
+    """The folder of kept cases; None: no case is kept."""
     jobs: int
     timeout: float | None
     as_json: bool
 
     @property
     def smallest(self) -> Path:
-        """The scenario of the smallest violation; its replay and its picture have the same name."""
+        """The file of the smallest violation; its replay and its picture differ in the suffix."""
         return self.folder / "smallest.toml"
 
-    def run_kept(self, keep: Path, protocol: str) -> None:
-        """Run the kept cases of a protocol and of the property, and end the program if one still violates it.
+    def run_kept(self) -> None:
+        """Run the kept cases of the protocol and of the property, and end the program if one still violates it.
 
-        With several jobs, they run in worker processes, so that a case that ends its process does not end the program.
+        With several jobs, cases run in worker processes: a case that ends its process then does not end the program.
         """
         from desim.study.breaking.found import told_text
         from desim.study.breaking.judging import CaseJudge
         from desim.study.workers.executors import workers_for
 
         lines: list[str] = []
-        for file in sorted(keep.glob("*.toml")):
+        for file in [] if self.keep is None else sorted(self.keep.glob("*.toml")):
             _, case = source_of(file, (), folder=self.file.parent)
-            if case.protocol_name != protocol or self.prop.text not in [prop.text for prop in case.properties]:
+            is_of_protocol = case.protocol_name == self.scenario.protocol_name
+            if not is_of_protocol or self.prop.text not in [prop.text for prop in case.properties]:
                 continue
             with workers_for(self.jobs, timeout=self.timeout) as workers:
                 case_run = CaseJudge(self.prop, workers)(case, case.seed)
@@ -223,26 +216,51 @@ class _Results:
                 lines.append("nothing else was searched: mend it, or move the file away")
                 echo(lines[-1], err=self.as_json)
                 violation = {"seed": case.seed, "verdict": verdict._asdict(), "failure": failure, "file": str(file)}
-                if not (self.smallest.is_file() and _case_in(self.smallest) == _case_in(file)):
+                # The smallest violation stays if it is this case, which an earlier search has found.
+                if not (self.smallest.is_file() and _without_comment(self.smallest) == _without_comment(file)):
                     self._remove_earlier()
                 as_text = self._write({"runs": 0, "violation": violation}, lines)
                 if self.as_json:
                     echo(as_text)
                 sys.exit(VIOLATED)
 
-    def end_search(self, search: "Search") -> NoReturn:
-        """Tell what a search among random cases has found, and end the program."""
+    def try_cases(
+        self,
+        runs: int,
+        vary: "Mapping[str, Sequence[Any]]",
+        features: "Sequence[str]",
+        budget: float,
+        *,
+        guided: bool,
+    ) -> NoReturn:
+        """Search among random cases, report what was found, and end the program."""
+        from desim.study.breaking.case_log import FILE as CASES
+        from desim.study.breaking.case_log import CaseLog
         from desim.study.breaking.found import protocols_text, scenario_text, search_text
+        from desim.study.breaking.search import find_violation
 
-        texts = [search_text(search, self.prop)]
-        document: dict[str, Any] = {"runs": search.runs, "seen": search.seen, "violation": None}
+        outcome = find_violation(
+            self.scenario,
+            self.prop,
+            runs=runs,
+            seed=self.root,
+            vary=vary,
+            features=list(features) or None,
+            guided=guided,
+            jobs=self.jobs,
+            timeout=self.timeout,
+            budget=budget,
+            log=CaseLog(self.folder / CASES, self.prop),
+        )
+        texts = [search_text(outcome, self.prop)]
+        document: dict[str, Any] = {"runs": outcome.runs, "seen": outcome.seen, "violation": None}
         self._remove_earlier()
-        if (violation := search.violation) is not None:
+        if (violation := outcome.violation) is not None:
             command = shlex.join(["desim", *sys.argv[1:]])
             text = scenario_text(violation, str(self.smallest), command, self.file.parent.absolute())
             self._write_smallest(text, violation.scenario.protocol_name, violation.seed)
             verdicts = violation.protocols(self.jobs, timeout=self.timeout)
-            texts += ["", protocols_text(verdicts, self.prop), "", self._drawn(violation.scenario, violation)]
+            texts += ["", protocols_text(verdicts, self.prop), "", self._draw(violation.scenario, violation)]
             document["violation"] = {
                 "seed": violation.seed,
                 "case": violation.case,
@@ -256,10 +274,23 @@ class _Results:
             }
         self._end(document, texts, is_violated=violation is not None)
 
-    def end_losses(self, table: "LossTable", scenario: "Scenario") -> NoReturn:
-        """Tell which lost, late or repeated messages are fatal, and end the program."""
+    def try_losses(self, most: int, seeds: int, fates: "tuple[MessageFate, ...]", delay: float) -> NoReturn:
+        """Try all choices of lost, late or repeated messages, report the fatal ones, and end the program."""
         from desim.study.breaking.found import told_text, with_comment
+        from desim.study.breaking.losses import fatal_losses
+        from desim.study.workers.batch import seeds_from
 
+        scenario = self.scenario
+        table = fatal_losses(
+            scenario,
+            self.prop,
+            most=most,
+            seeds=[self.root] if seeds == 1 else seeds_from(self.root, seeds),
+            fates=fates,
+            delay=delay,
+            jobs=self.jobs,
+            timeout=self.timeout,
+        )
         texts = [table.text()]
         self._remove_earlier()
         if table.fatal:
@@ -272,7 +303,7 @@ class _Results:
             ]
             text = with_comment(broken, self.prop, worst.seed, lines, self.file.parent.absolute())
             self._write_smallest(text, broken.protocol_name, worst.seed)
-            texts += ["", self._drawn(broken, worst)]
+            texts += ["", self._draw(broken, worst)]
         document = {
             "most": table.most,
             "fates": table.fates,
@@ -298,23 +329,23 @@ class _Results:
         self._end(document, texts, is_violated=bool(table.fatal or table.broken))
 
     def _remove_earlier(self) -> None:
-        """Remove the smallest violation of an earlier search, unless it is the scenario of this one, or a kept case."""
+        """Remove the smallest violation of an earlier search, unless this search has read it."""
         is_kept = self.keep is not None and self.keep.resolve() == self.folder.resolve()
         if not is_kept and self.smallest.resolve() != self.file.resolve():
             for suffix in (".toml", ".html", *PICTURE_SUFFIXES):
                 self.smallest.with_suffix(suffix).unlink(missing_ok=True)
 
     def _write_smallest(self, text: str, protocol: str, seed: int) -> None:
-        """Write the scenario of the smallest violation, and add it to the kept cases under a name of its own."""
+        """Write the scenario of the smallest violation, and add it to the kept cases under a unique name."""
         from desim.config.data_files import content_hash
 
         write(text.encode(), self.smallest)
         if self.keep is not None:
-            name = f"{protocol}-{self.prop.label[:40]}-{seed}-{content_hash(_case_in(self.smallest))[:8]}.toml"
+            name = f"{protocol}-{self.prop.label[:40]}-{seed}-{content_hash(_without_comment(self.smallest))[:8]}.toml"
             write(text.encode(), self.keep / name.replace(":", "-"))
 
-    def _drawn(self, scenario: "Scenario", violation: "Violation | FatalLosses") -> str:
-        """Write the replay and the space-time diagram of a violation in a scenario; return where all is, as text."""
+    def _draw(self, scenario: "Scenario", violation: "Violation | FatalLosses") -> str:
+        """Write the replay and the space-time diagram of a violation in a scenario; return their paths as text."""
         from desim.study.breaking.found import command_for
 
         where = f"scenario: {self.smallest}"
@@ -354,6 +385,6 @@ class _Results:
         return as_text
 
 
-def _case_in(file: Path) -> bytes:
+def _without_comment(file: Path) -> bytes:
     """Return the text of a file of a violation without its comment, which names the command that found it."""
     return file.read_bytes().partition(b"\n\n")[2]

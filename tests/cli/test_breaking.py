@@ -101,9 +101,10 @@ def test_a_violation_is_written_and_kept_with_all_that_repeats_it(folder):
 def test_a_kept_case_takes_the_place_of_no_other(tmp_path):
     """A case that is found again, by another command, is kept once."""
     prop = property_of("idle at most 2 in total")
-    results = breaking._Results(prop, Path("game.toml"), tmp_path / "found", tmp_path / "kept", 1, None, as_json=False)
+    folders = tmp_path / "found", tmp_path / "kept"
+    search = breaking._Search(Scenario(), prop, 1, Path("game.toml"), *folders, 1, None, as_json=False)
     for command, horizon in (("a", 1.0), ("b", 1.0), ("a", 2.0)):
-        results._write_smallest(with_comment(Scenario(horizon=horizon), prop, 7, [command]), "cbaa", 7)
+        search._write_smallest(with_comment(Scenario(horizon=horizon), prop, 7, [command]), "cbaa", 7)
     assert sorted(load(path).horizon for path in (tmp_path / "kept").iterdir()) == [1.0, 2.0]
 
 
