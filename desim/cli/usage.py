@@ -12,16 +12,16 @@ from click.core import ParameterSource
 from desim.config.errors import ArgumentError, KeyedError, NoMetricError
 from desim.config.suggestion import close_to
 
-_OTHERS = {
+_FOREIGN_OPTIONS = {
     "--jobs": "cores cpus parallel processes threads workers",
     "--metric": "y",
     "--out": "dir folder outdir output",
     "--runs": "count n-runs num-runs repetitions reps seeds",
     "--y": "metric",
 }
-OPTIONS: Mapping[str, str] = {word: option for option, words in _OTHERS.items() for word in words.split()}
-"""Options that other programs have, without their hyphens, and the option of desim."""
-_TRIED = {
+OPTIONS: Mapping[str, str] = {word: option for option, words in _FOREIGN_OPTIONS.items() for word in words.split()}
+"""Options of other programs, without their hyphens, each with the option of desim that it means."""
+_FOREIGN_COMMANDS = {
     "check": "validate",
     "compare": "diff",
     "ls": "list",
@@ -33,8 +33,8 @@ _TRIED = {
     "--help": "help",
     "--version": "version",
 }
-COMMANDS: Mapping[str, str] = {word: command for command, words in _TRIED.items() for word in words.split()}
-"""Names that users try, each with the command that they mean."""
+COMMANDS: Mapping[str, str] = {word: command for command, words in _FOREIGN_COMMANDS.items() for word in words.split()}
+"""Commands of other programs, each with the command of desim that it means."""
 NEEDED: Mapping[str, str] = MappingProxyType(
     {
         "a": "the folder of a sweep, which `desim sweep FILE -o DIR` writes",
@@ -75,16 +75,16 @@ def is_file(word: str | Path) -> bool:
 
 
 def advised(
-    error: click.UsageError, words: Sequence[str] = (), of_program: click.Context | None = None
+    error: click.UsageError, words: Sequence[str] = (), program: click.Context | None = None
 ) -> click.UsageError:
     """Return an error whose message says what to type instead; the error itself if that is not known.
 
     Args:
         error: the error.
         words: the words after the name of the command.
-        of_program: the context of the program, for an error without one.
+        program: the context of the program, for an error that has no context.
     """
-    context = error.ctx or _context_of(words, of_program)
+    context = error.ctx or _context_of(words, program)
     if isinstance(error, click.NoSuchOption):
         return _about_option(error, words)
     if isinstance(error, click.MissingParameter) and error.param is not None and context is not None:
@@ -96,17 +96,17 @@ def advised(
         message = _about_value(error.message, error.param)
         return click.BadParameter(message, error.ctx, error.param, error.param_hint)
     if type(error) is click.UsageError and context is not None and error.message.startswith("Got unexpected extra"):
-        return click.UsageError(f"{error.message}: {_taken(context, error.message)}", context)
+        return click.UsageError(f"{error.message}: {_accepted_arguments(context, error.message)}", context)
     return error
 
 
-def _context_of(words: Sequence[str], of_program: click.Context | None) -> click.Context | None:
-    """Return a context of the command that is typed after the name of a program; None if there is none."""
-    group = of_program and of_program.command
+def _context_of(words: Sequence[str], program: click.Context | None) -> click.Context | None:
+    """Return a context of the command that is typed after the name of a program; the program's if no command is."""
+    group = program and program.command
     name = next((word for word in words if isinstance(group, click.Group) and word in group.commands), None)
     if name is None or not isinstance(group, click.Group):
-        return of_program
-    return click.Context(group.commands[name], of_program, info_name=name)
+        return program
+    return click.Context(group.commands[name], program, info_name=name)
 
 
 def check_hyphens(words: Iterable[str], context: click.Context) -> None:
@@ -122,11 +122,12 @@ def check_hyphens(words: Iterable[str], context: click.Context) -> None:
             return
         if isinstance(command, click.Group) and word in command.commands:
             command = command.commands[word]
-        options |= {name for param in command.params for name in param.opts if len(name) > len("--n")}
+        # An option such as --y is left out: with one hyphen it is the short option -y.
+        options |= {name for param in command.params for name in param.opts if len(name) > len("--y")}
         name = word.partition("=")[0]
         if f"-{name}" in options and not name.startswith("--"):
-            typed = context if command is context.command else click.Context(command, context, info_name=command.name)
-            raise click.UsageError(f"No such option {name!r}. Did you mean '-{name}'?", typed)
+            inner = context if command is context.command else click.Context(command, context, info_name=command.name)
+            raise click.UsageError(f"No such option {name!r}. Did you mean '-{name}'?", inner)
 
 
 def check_empty(words: Sequence[str], context: click.Context) -> None:
@@ -143,7 +144,7 @@ def check_empty(words: Sequence[str], context: click.Context) -> None:
 
 
 def _described(param: click.Parameter, context: click.Context) -> str:
-    """Return a parameter as the usage of a command has it, and what it is."""
+    """Return a parameter as the usage of its command spells it, and its meaning."""
     form = param.make_metavar(context)
     if isinstance(param, click.Option):
         return f"{min(param.opts, key=len)} {form}: {_purpose(param)}."
@@ -152,7 +153,7 @@ def _described(param: click.Parameter, context: click.Context) -> str:
     meaning = NEEDED.get(form.replace("...", "").replace("|", " ").split()[-1].lower().strip("[]{}"))
     if form == "DIR|FILE" or form.startswith("DIR|FILE "):
         meaning = f"{NEEDED['dir']}, or a scenario file"
-    return f"{form}: {meaning or NEEDED['a']}"
+    return f"{form}: {meaning or NEEDED['a']}"  # B of `desim compare` is a folder like A
 
 
 def _purpose(param: click.Parameter) -> str:
@@ -160,33 +161,36 @@ def _purpose(param: click.Parameter) -> str:
     return re.split(r"\. (?=[A-Z])", getattr(param, "help", None) or "")[0].rstrip(".")
 
 
-def _taken(context: click.Context, message: str) -> str:
-    """Return what a command takes, for a message about arguments that it does not take."""
+def _accepted_arguments(context: click.Context, message: str) -> str:
+    """Return the arguments that a command takes, for a message about others; the message may quote a KEY=VALUE."""
     forms = [param.make_metavar(context) for param in context.command.params if isinstance(param, click.Argument)]
-    taken = f"{context.command_path} takes {' '.join(forms) or 'options only'}"
+    text = f"{context.command_path} takes {' '.join(forms) or 'options only'}"
     if "=" not in message:
-        return taken
-    return f"{taken}; a value with spaces, braces or brackets is in quotes: --set 'fault=[{{kind = \"crash\", ...}}]'"
+        return text
+    return f"{text}; a value with spaces, braces or brackets is in quotes: --set 'fault=[{{kind = \"crash\", ...}}]'"
 
 
 def _about_option(error: click.NoSuchOption, words: Sequence[str]) -> click.NoSuchOption:
-    """Return the error with the option, or the key of a scenario, that a wrong option means."""
+    """Return the error about a wrong option, with the option, or the key of a scenario, that the user may mean.
+
+    The surest advice comes first: a synonym, a typing error, a key, an option of another command, a similar name.
+    """
     context = error.ctx
     params = [] if context is None else context.command.params
     options = {name: param.opts for param in params if isinstance(param, click.Option) for name in param.opts}
     name, long_forms = error.option_name.lstrip("-"), [option for option in options if option.startswith("--")]
-    close, meant = close_to(f"--{name}", long_forms, cutoff=0.7), OPTIONS.get(name)
-    others = [] if context is None else _having(error.option_name, context)
-    if meant in options:
-        advice = f"Did you mean {min(options[meant], key=len)!r}?"
+    close, synonym = close_to(f"--{name}", long_forms, cutoff=0.7), OPTIONS.get(name)
+    others = [] if context is None else _commands_with(error.option_name, context)
+    if synonym in options:
+        advice = f"Did you mean {min(options[synonym], key=len)!r}?"
     elif close_to(f"--{name}", close, cutoff=0.9):
         advice = f"Did you mean {close[0]!r}?"
     elif keys := _keys(name, bool(others)) if "--set" in options else []:
         alternatives = f", or {' or '.join(keys[1:])}" if keys[1:] else ""
         advice = f"A key of the scenario is set by --set {keys[0]}=VALUE{alternatives}."
     elif others and context is not None and isinstance(context.command, click.Group):
-        typed = next((word for word in words if word in context.command.commands), others[0])
-        advice = f"Options follow the command: desim {typed} ... {error.option_name}"
+        command = next((word for word in words if word in context.command.commands), others[0])
+        advice = f"Options follow the command: desim {command} ... {error.option_name}"
     elif others:
         advice = f"It is an option of {', '.join(others)}."
     else:
@@ -194,7 +198,7 @@ def _about_option(error: click.NoSuchOption, words: Sequence[str]) -> click.NoSu
     return click.NoSuchOption(error.option_name, f"No such option {error.option_name!r}. {advice}", ctx=context)
 
 
-def _having(option: str, context: click.Context) -> list[str]:
+def _commands_with(option: str, context: click.Context) -> list[str]:
     """Return the names of the other commands that have an option, in the order of the help."""
     group = context.find_root().command
     if not isinstance(group, click.Group):
@@ -203,24 +207,28 @@ def _having(option: str, context: click.Context) -> list[str]:
     return [str(command.name) for command in others if any(option in param.opts for param in command.params)]
 
 
-def _keys(option: str, is_of_others: bool) -> list[str]:
-    """Return the outermost keys of scenarios, at most three, whose last part is the name of an option.
+def _keys(name: str, is_option_elsewhere: bool) -> list[str]:
+    """Return the outermost keys of scenarios, at most three, whose last part is a name without hyphens.
 
-    The keys of properties and sweeps are left out if the option is one of other commands.
+    If another command has an option of this name, the keys of properties and sweeps are left out: it is likelier.
     """
     from desim.config.key_index import homes_of
     from desim.config.key_suggestions import WORDS_FOR_KEYS
     from desim.scenario.scenario import Scenario
 
-    word = option.replace("-", "_")
-    names = dict.fromkeys([WORDS_FOR_KEYS.get(word, word), word])
-    homes = [key for name in names for key in homes_of(name, Scenario) if key.place[-1] == name]
-    keys = list(dict.fromkeys(key.dotted for key in homes))[:3]
-    return [key for key in keys if not (is_of_others and key.startswith(("properties.", "sweep.")))]
+    word = name.replace("-", "_")
+    synonyms = dict.fromkeys([WORDS_FOR_KEYS.get(word, word), word])
+    # `homes_of` returns keys of a similar name if there is none of the name itself.
+    matches = [key for last in synonyms for key in homes_of(last, Scenario) if key.place[-1] == last]
+    keys = list(dict.fromkeys(key.dotted for key in matches))[:3]
+    return [key for key in keys if not (is_option_elsewhere and key.startswith(("properties.", "sweep.")))]
 
 
 def _about_value(message: str, param: click.Parameter) -> str:
-    """Return the message about a value that an option does not take, with what it takes."""
+    """Return the message about a value that an option does not take, with what it takes.
+
+    The message of click is "'x' is not a valid float.", "'x' is not in the range ..." or "'x' is not one of ...".
+    """
     value, _, wrong = message.partition(" is not ")
     from desim.config.number_texts import number_instead_of
 
@@ -229,7 +237,7 @@ def _about_value(message: str, param: click.Parameter) -> str:
         and wrong.startswith("a valid float")
         and (reason := number_instead_of(value.strip("'"), {"s"}))
     ):
-        return f"{value} {reason.partition(' instead of')[0]}."
+        return f"{value} {reason.partition(' instead of')[0]}."  # without "instead of the text 'x'"
     if wrong.startswith(("a valid int", "a valid float", "in the range")):
         number = "a whole number" if isinstance(param.type, click.types.IntParamType) else "a number"
         return "; ".join(filter(None, [f"{value} should be {number}{_limits(param.type)}", _purpose(param)])) + "."
@@ -240,26 +248,26 @@ def _about_value(message: str, param: click.Parameter) -> str:
     return message
 
 
-def _limits(of_type: click.ParamType[Any]) -> str:
+def _limits(number_type: click.ParamType[Any]) -> str:
     """Return the range of a type of numbers, " from 1 to 50" for instance; "" without a range."""
-    low, high = getattr(of_type, "min", None), getattr(of_type, "max", None)
+    low, high = getattr(number_type, "min", None), getattr(number_type, "max", None)
     if low is None and high is None:
         return ""
     if high is None:
-        return f" above {low:,g}" if getattr(of_type, "min_open", False) else f" of at least {low:,}"
+        return f" above {low:,g}" if getattr(number_type, "min_open", False) else f" of at least {low:,}"
     return f" from {low:,} to {high:,}"
 
 
 def options_given(names: Collection[str]) -> dict[str, str]:
-    """Return those of some parameters that the command line has, and how it writes each, such as {"runs": "-n"}."""
+    """Return the parameters with these names that the user has typed, each as typed: {"runs": "-n"}, for instance."""
     context = click.get_current_context()
-    there = [parameter.name for parameter in context.command.params]
+    parameters = [parameter.name for parameter in context.command.params]
     typed = (name for name in names if context.get_parameter_source(name) is ParameterSource.COMMANDLINE)
-    return {name: spelled(name) for name in typed if name in there}
+    return {name: spelled(name) for name in typed if name in parameters}
 
 
 def spelled(name: str) -> str:
-    """Return an option of the current command as the command line writes it, "-n" for instance, or its long form.
+    """Return an option of the current command as the user has typed it, "-n" for instance; else its long form.
 
     Args:
         name: the name of the parameter.
@@ -268,25 +276,26 @@ def spelled(name: str) -> str:
     option = next(parameter for parameter in context.command.params if parameter.name == name)
     for word in reversed(context.meta.get(WORDS, ())):
         for form in (*option.opts, *option.secondary_opts):
-            if word.partition("=")[0] == form or (word.startswith(form) and not form.startswith("--")):
+            is_short = not form.startswith("--")  # which a value may follow without a space, as in -n20
+            if word.partition("=")[0] == form or (is_short and word.startswith(form)):
                 return form
     return " or ".join((max(option.opts, key=len), *option.secondary_opts))
 
 
 def metric_option() -> str:
-    """Return the option of the current command that names a metric, as the command line writes it."""
+    """Return the option of the current command that names a metric, as the user has typed it."""
     names = {parameter.name for parameter in click.get_current_context().command.params}
     return spelled(next(name for name in ("metric", "metrics", "y") if name in names))
 
 
 def problem(error: ValueError, **parameters: str) -> str:
-    """Return the message of an error with options of the current command in place of the arguments that it names.
+    """Return the message of an error, in which options of the current command replace the arguments of a function.
 
-    They are the argument of an `ArgumentError`, the place of a `Problem`, and names between backticks.
+    An argument is the name of an `ArgumentError`, the place of a `Problem`, or a word between backticks.
 
     Args:
         error: the error.
-        parameters: the parameters of the command by argument where the names differ.
+        parameters: the parameter of the command for each argument whose name is another one.
     """
     if isinstance(error, NoMetricError):
         return f"{metric_option()} {error.name}: {error}"
@@ -300,5 +309,5 @@ def problem(error: ValueError, **parameters: str) -> str:
     if isinstance(error, ArgumentError):
         text = str(ArgumentError(typed(error.name) or error.name, error.reason))
     elif isinstance(error, KeyedError):
-        text = "\n".join(str(one._replace(where=typed(one.where) or one.where)) for one in error.problems)
+        text = "\n".join(str(entry._replace(where=typed(entry.where) or entry.where)) for entry in error.problems)
     return ARGUMENT.sub(lambda match: typed(match[1]) or match[0], text)
