@@ -123,7 +123,7 @@ def plot(
         if kind in OF_SWEEPS:
             fail(f"--kind {kind} draws a sweep, which {source} is not: make one with `desim sweep {source} -o DIR`")
         kind = kind or next(iter(OF_RUNS))
-    if kind is not None:  # a wrong option is refused before the scenario is run
+    if kind is not None:  # `_draw` calls both functions, too; here they refuse a wrong option before the run
         _check_options(kind)
         picture_paths(source, out, kind, "")
     with making("picture"):
@@ -143,11 +143,11 @@ def _draw(
 
     kinds = OF_RUNS if isinstance(result, Result) else OF_SWEEPS
     if kind is not None and kind not in kinds:
-        one, other = ("run", "sweep") if kinds is OF_RUNS else ("sweep", "run")
-        fail(f"--kind {kind} draws a {other}, and {source} is a {one}: choose {' or '.join(kinds)}")
-    of_means = bool(options_given(OF_MEANS))
-    usual = next(iter(kinds)) if isinstance(result, Result) or of_means else result.usual_kind
-    chosen = kind or usual
+        noun, other = ("run", "sweep") if kinds is OF_RUNS else ("sweep", "run")
+        fail(f"--kind {kind} draws a {other}, and {source} is a {noun}: choose {' or '.join(kinds)}")
+    selects_means = bool(options_given(OF_MEANS))  # means are the first kind of a sweep
+    default = next(iter(kinds)) if isinstance(result, Result) or selects_means else result.usual_kind
+    chosen = kind or default
     _check_options(chosen)
     chosen_options = {name: options[name] for name in kinds[chosen] if options[name] not in (None, ())}
     if isinstance(result, Result):
@@ -219,17 +219,17 @@ def _check_options(kind: str) -> None:
 def picture_paths(source: Path, out: Path | None, kind: str, name: str) -> Sequence[Path]:
     """Return the paths of a picture; by default in the folder of the results or, for a scenario, the working directory.
 
-    End the program if the suffix of `out` is wrong.
+    `name` is the name of the files by default, without suffix. End the program if the suffix of `out` is wrong.
     """
     allowed = SUFFIXES.get(kind, PICTURE_SUFFIXES)
-    usual = allowed[:1] if kind == "film" else allowed[:2]
+    default = allowed[:1] if kind == "film" else allowed[:2]  # a GIF; of a diagram, SVG and PNG
     if out is None:
         if not is_recorded(source):
-            return [Path(f"{source.stem}.{name}{suffix}") for suffix in usual]
+            return [Path(f"{source.stem}.{name}{suffix}") for suffix in default]
         folder = source if source.is_dir() else source.parent
-        return [folder / f"{name}{suffix}" for suffix in usual]
+        return [folder / f"{name}{suffix}" for suffix in default]
     try:
-        return files(out, allowed, usual)
+        return files(out, allowed, default)
     except ValueError as error:
         fail(f"--out {error}")
 
@@ -249,5 +249,5 @@ def write_picture(make: Callable[[], object], paths: Sequence[Path], *, err: boo
     except OSError as error:
         fail(f"{error.filename or paths[0]}: cannot be written: {error.strerror}")
     for path in paths:
-        how = " (replaced)" if path in replaced else ""
-        echo(f"wrote {path}: {path.stat().st_size / 1000:,.0f} kB{how}", err=err)
+        note = " (replaced)" if path in replaced else ""
+        echo(f"wrote {path}: {path.stat().st_size / 1000:,.0f} kB{note}", err=err)

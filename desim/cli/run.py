@@ -67,18 +67,18 @@ def run(
     from desim.analysis.tables import batch_table, run_table
     from desim.simulation.watchdog import within
 
-    whole_command = click.get_current_context().with_resource(ExitStack())
+    command_limit = click.get_current_context().with_resource(ExitStack())
     if timeout is not None and runs in {None, 1}:  # the limit includes reading the file and writing results
-        whole_command.enter_context(within(timeout))
-    scenario, folder, recorded = _scenario_to_run(file, repeated, overrides, metrics)
+        command_limit.enter_context(within(timeout))
+    scenario, folder, default_count = _scenario_to_run(file, repeated, overrides, metrics)
     shown = shown_metrics(scenario, metrics)
     if seed is not None:
         scenario = scenario.model_copy(update={"seed": seed})
-    count = runs or recorded
+    count = runs or default_count
     if count > 1:  # each run has its own limit
-        whole_command.close()
-    is_repeated = repeated is not None and seed is None and not overrides
-    before = _recorded_results(repeated) if is_repeated and repeated is not None else {}
+        command_limit.close()
+    is_repeated = repeated is not None and seed is None and not overrides  # so that results should be equal
+    recorded = _recorded_results(repeated) if is_repeated and repeated is not None else {}
     into = None if out is None else _make_output(out, scenario, count, folder)
     start = time.perf_counter()
     try:
@@ -95,7 +95,7 @@ def run(
             raise
         fail(f"--out {error.filename or out}: cannot be written: {error.strerror}")
     for result in results:
-        _compare(repeated, before.get(result.seed, {}), plain(result))
+        _warn_of_changes(repeated, recorded.get(result.seed, {}), plain(result))
     if as_json:
         table = json.dumps(
             {"scenario": scenario.plain(), "runs": [plain(metrics_of_run) for metrics_of_run in results]}, indent=2
@@ -111,9 +111,9 @@ def _make_output(out: Path, scenario: "Scenario", count: int, folder: Path) -> "
 
     make_folder(out)
     with suppress(OSError, provenance.ProvenanceError):  # the folder may be new
-        before = provenance.read(out / provenance.FILE)["scenario"]
-        if before != (now := scenario.plain()):
-            keys = [key for key in now if before is None or before.get(key) != now[key]]
+        recorded = provenance.read(out / provenance.FILE)["scenario"]
+        if recorded != (plain := scenario.plain()):
+            keys = [key for key in plain if recorded is None or recorded.get(key) != plain[key]]
             echo(
                 f"warning: --out {out}: replaces the results of another scenario; it differs in {', '.join(keys)}",
                 err=True,
@@ -132,10 +132,10 @@ def _run_once(scenario: "Scenario", into: "tuple[Path, Document] | None") -> "tu
         return summary(result), time.perf_counter() - start
     from desim.results import run_folder
 
-    out, made = into
+    out, document = into
     result = run_folder.simulate(out, scenario, scenario.seed)
     wall_time = time.perf_counter() - start
-    return run_folder.write(result, out, made, simulated_there=True), wall_time
+    return run_folder.write(result, out, document, simulated_there=True), wall_time
 
 
 def _run_several(
@@ -148,7 +148,7 @@ def _run_several(
 ) -> "list[Summary]":
     """Run a scenario with several seeds, and return the metrics; write the runs if there is an output folder.
 
-    If it is interrupted, print the table of the runs that have ended.
+    An interrupt prints the table of the runs that have ended, and receives a note about them.
     """
     from functools import partial
 
@@ -162,8 +162,8 @@ def _run_several(
     tasks = [(scenario, seed) for seed in seeds_from(scenario.seed, count)]
     simulate, measure = run_scenario, summary
     if into is not None:
-        out, made = into
-        measure = partial(run_folder.write_below, out, made=made, simulated_there=True)
+        out, document = into
+        measure = partial(run_folder.write_below, out, made=document, simulated_there=True)
         simulate = partial(run_folder.simulate_below, out)
     start, finished = time.perf_counter(), dict[int, Summary]()
     try:
@@ -174,17 +174,17 @@ def _run_several(
         where = f", in {into[0]}/seed-*" if into and finished else ""
         note = f"{len(finished)} of {count} runs have ended{where}{_how_to_keep(file, scenario, count)}"
         notes = getattr(error, "__notes__", [])
-        error.__notes__ = [note, *notes]  # before the line at which the simulation was, which matters if it hangs
+        error.__notes__ = [note, *notes]  # the note of the simulation, at which line it was, stays the last
         raise
     if into is not None:
         run_folder.clear(out)
         with run_folder.writing():
-            provenance.write(out, made)
+            provenance.write(out, document)
     return results
 
 
 def _how_to_keep(file: Path | None, scenario: "Scenario", count: int) -> str:
-    """Return how to run so that an interrupted command can be resumed, as the end of a message."""
+    """Return the sweep that performs the same runs and can be resumed, as the end of a message; "" without a file."""
     if file is None:
         return ""
     typed = click.get_current_context().params
@@ -208,7 +208,7 @@ def _scenario_to_run(
     if file is not None and repeated is None:
         return source_of(file, overrides, metrics)[1], file.parent, 1
     if file is None and repeated is not None:
-        return _recorded(repeated, overrides, metrics)
+        return _recorded_scenario(repeated, overrides, metrics)
     if file is not None:
         raise click.UsageError("needs a FILE or --from RUN.JSON, not both")
     raise click.UsageError(
@@ -216,7 +216,9 @@ def _scenario_to_run(
     )
 
 
-def _recorded(path: Path, overrides: tuple[str, ...], metrics: tuple[str, ...]) -> "tuple[Scenario, Path, int]":
+def _recorded_scenario(
+    path: Path, overrides: tuple[str, ...], metrics: tuple[str, ...]
+) -> "tuple[Scenario, Path, int]":
     """Return the scenario, the folder of its file, and the number of runs, as recorded in a run.json.
 
     Print a warning if the results may differ from the recorded ones. End the program if the file is invalid.
@@ -227,26 +229,26 @@ def _recorded(path: Path, overrides: tuple[str, ...], metrics: tuple[str, ...]) 
     from desim.scenario.overrides import ScenarioError
 
     try:
-        made = provenance.read(path)
-        source = provenance.source(path, made, overrides, allow_import=is_import_allowed())
+        document = provenance.read(path)
+        source = provenance.source(path, document, overrides, allow_import=is_import_allowed())
         add_metrics(source, metrics)
     except (provenance.ProvenanceError, ScenarioError) as error:
         fail(str(error))
     except OSError as error:
         fail(f"{path}: cannot be read: {error.strerror}")
     scenario = valid(source)
-    if differing := provenance.differences(made, environment()):
-        echo(f"warning: {path}: results may differ: {'; '.join(differing)}{_how_to_repeat(made)}", err=True)
+    if differing := provenance.differences(document, environment()):
+        echo(f"warning: {path}: results may differ: {'; '.join(differing)}{_how_to_install(document)}", err=True)
     if path.with_name(LIVE).exists():
         echo(f"warning: {path}: was recorded live, by desim live: this repeats it in simulation", err=True)
-    return scenario, provenance.home(path, made), made["runs"]
+    return scenario, provenance.home(path, document), document["runs"]
 
 
 def _recorded_results(path: Path) -> dict[int, dict[str, Any]]:
-    """Return the metrics that are recorded beside a run.json, by seed; without those that cannot be read."""
+    """Return the metrics that are recorded beside a run.json, by seed, without files that cannot be read."""
     from desim.config.file_names import LIVE
 
-    if path.with_name(LIVE).exists():  # a simulation is another run
+    if path.with_name(LIVE).exists():  # the simulation of a live run has other metrics
         return {}
     recorded = {}
     for file in (path.with_name("summary.json"), *path.parent.glob("seed-*/summary.json")):
@@ -256,23 +258,24 @@ def _recorded_results(path: Path) -> dict[int, dict[str, Any]]:
     return recorded
 
 
-def _compare(path: Path | None, before: dict[str, Any], now: dict[str, Any]) -> None:
+def _warn_of_changes(path: Path | None, recorded: dict[str, Any], repeated: dict[str, Any]) -> None:
     """Print a warning if a repeated run has other metrics than the recorded one."""
-    now = json.loads(json.dumps(now))
-    if changed := [name for name in before if name in now and before[name] != now[name]]:
+    repeated = json.loads(json.dumps(repeated))  # with the types of a file, such as lists for tuples
+    if changed := [name for name in recorded if name in repeated and recorded[name] != repeated[name]]:
         name = changed[0]
         text = (
-            f"warning: {path}: the run with seed {now['seed']} has other results than recorded: {name} was"
-            f" {before[name]} and is {now[name]}; code of the scenario may depend on the process, as by the order of a"
-            " set, hash(), id() or a file that it changes"
+            f"warning: {path}: the run with seed {repeated['seed']} has other results than recorded: {name} was"
+            f" {recorded[name]} and is {repeated[name]}; code of the scenario may depend on the process, as by the"
+            " order of a set, hash(), id() or a file that it changes"
         )
         echo(text, err=True)
 
 
-def _how_to_repeat(made: "Mapping[str, Any]") -> str:
-    """Return how to get the packages of a recorded environment, as the end of a message; "" if they are the same."""
+def _how_to_install(document: "Mapping[str, Any]") -> str:
+    """Return how to install the recorded versions of packages, as the end of a message; "" if they are the present."""
     from desim.results.environment import NUMERICS, environment
 
-    now, then = environment()["versions"], made["versions"]
-    changed = [f"{name}=={then[name]}" for name in NUMERICS if then.get(name) and then[name] != now.get(name)]
+    present, recorded = environment()["versions"], document["versions"]
+    differing = [name for name in NUMERICS if recorded.get(name) and recorded[name] != present.get(name)]
+    changed = [f"{name}=={recorded[name]}" for name in differing]
     return f"; for those packages: pip install {shlex.join(changed)}" if changed else ""

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 
 PRECISION = "METRIC:HALFWIDTH, active_time:0.1 for instance"
+"""The form of --until."""
 
 
 def _part(text: str) -> tuple[int, int]:
@@ -119,14 +120,14 @@ def sweep(
     from desim.study.sweeps.claims import carry_out_claimed
     from desim.study.sweeps.sweep import carry_out
 
-    if until and ":" in until[0]:
-        chosen_metric, width = until
-        metrics, until = tuple(dict.fromkeys((*metrics, chosen_metric))), (chosen_metric.rpartition(":")[2], width)
+    if until and ":" in until[0]:  # MODULE:FUNCTION, which the runs then have to measure
+        function, width = until
+        metrics, until = tuple(dict.fromkeys((*metrics, function))), (function.rpartition(":")[2], width)
     source, scenario = source_of(file, overrides, metrics, grid, design)
     shown = shown_metrics(scenario, metrics, SHOWN)
     _check_parts(until, shard, claim)
     reference = dict(against) or None
-    plan = _planned(source, runs, seed, until, reference)
+    plan = _plan_of(source, runs, seed, until, reference)
     control_plan = _control_plan(plan, control, control_runs, is_partial=bool(until or shard))
     folder = folder_for(scenario, out)
     path = folder / (f"sweep.{shard[0]}-of-{shard[1]}.sqlite" if shard else STORE)
@@ -135,51 +136,51 @@ def sweep(
         return
     start = time.perf_counter()
     with storing(folder), Store(path) as store:
-        before = len(store)
+        stored_before = len(store)
         plan.register(store, mix_versions=execution.mix_versions)
-        about: dict[str, Any] = {"seed": plan.root, "runs": plan.runs, "folder": file.parent}
+        origin: dict[str, Any] = {"seed": plan.root, "runs": plan.runs, "folder": file.parent}
         keys = [configuration.key for configuration in plan.configurations]
-        note = partial(
-            record_command, store, folder, "sweep", scenario, **about, **planned.entries(keys, plan.reps, until)
+        record = partial(
+            record_command, store, folder, "sweep", scenario, **origin, **planned.entries(keys, plan.reps, until)
         )
-        common: dict[str, Any] = {"fail_fast": fail_fast, "metrics": shown}
+        common: dict[str, Any] = {"fail_fast": fail_fast, "metrics": shown, "on_start": record}
         with execution.workers(store, plan.runs) as workers:
             if claim:
-                result = carry_out_claimed(plan, store, workers, claim, **common, on_start=note)
+                result = carry_out_claimed(plan, store, workers, claim, **common)
             else:
-                result = carry_out(plan, store, workers, until=until, shard=shard or (1, 1), **common, on_start=note)
-        done = store.added
-        if until and done:  # how many runs it took is known now
-            ended = about | {"runs": sum(len(group.rows) for group in result.groups)}
+                result = carry_out(plan, store, workers, until=until, shard=shard or (1, 1), **common)
+        performed = store.added
+        if until and performed:  # `record` has written the largest number of runs: write how many were needed
+            needed = origin | {"runs": sum(len(group.rows) for group in result.groups)}
             provenance.write(
-                folder, provenance.document("sweep", scenario, **ended, **planned.entries(keys, None, None))
+                folder, provenance.document("sweep", scenario, **needed, **planned.entries(keys, None, None))
             )
-        everything = None
+        all_stored = None
         if not (shard or claim):
             has_all = len(store.configurations()) == len(result.groups)
-            everything = result if has_all else SweepResult.of(store)
+            all_stored = result if has_all else SweepResult.of(store)
     controlled = None if control_plan is None else _controlled(control_plan, result, folder, execution, metrics)
     _print_result(result, controlled, shown, reference, as_json=as_json)
-    took = time.perf_counter() - start
-    speed = f"{counted(done, 'run')} in {took:.1f} s ({done / took:.1f}/s)"
-    echo(f"{speed}, {before} already stored; store: {path}", err=True)
+    duration = time.perf_counter() - start
+    speed = f"{counted(performed, 'run')} in {duration:.1f} s ({performed / duration:.1f}/s)"
+    echo(f"{speed}, {stored_before} already stored; store: {path}", err=True)
     with storing(folder):
         if controlled is not None:
             write_whole(folder / "control.txt", f"{controlled.table()}\n".encode())
-        if everything is not None:
-            _write_summary(result, everything, shown, reference, folder)
+        if all_stored is not None:
+            _write_summary(result, all_stored, shown, reference, folder)
     _end_if_failed(result, folder)
 
 
 def _check_parts(until: tuple[str, float] | None, shard: tuple[int, int] | None, claim: Path | None) -> None:
-    """End the program if options exclude each other, each of which says which runs are performed."""
+    """End the program if two of the options that select the runs to perform exclude each other."""
     if until and shard:
         fail("--until needs all runs, and --shard performs a part of them only: they exclude each other")
     if claim and (shard or until):
         fail(f"--claim shares the runs with other commands: it excludes --{'shard' if shard else 'until'}")
 
 
-def _planned(
+def _plan_of(
     source: "Source",
     runs: int | None,
     seed: int | None,
@@ -283,15 +284,14 @@ def _print_plan(
 
     with storing(path.parent), Store(path if path.exists() else None, read_only=path.exists()) as store:
         plan.check(store, mix_versions=mix_versions)
-        there = plan.done(store, metrics)
+        stored = plan.done(store, metrics)
     wanted = [(configuration.key, k) for configuration, k in plan.shard(*(shard or (1, 1)))]
-    done = [run_of_grid for run_of_grid in wanted if run_of_grid in there]
-    counts = [Counter(key for key, _ in keys_of) for keys_of in (wanted, done)]
+    done = [run for run in wanted if run in stored]
+    wanted_counts, done_counts = (Counter(key for key, _ in runs) for runs in (wanted, done))
     rows = [("runs", "stored", *plan.configurations[0].settings)]
-    rows += [
-        (*(str(counts_of[configuration.key]) for counts_of in counts), *map(text, configuration.columns.values()))
-        for configuration in plan.configurations
-    ]
+    for configuration in plan.configurations:
+        numbers = str(wanted_counts[configuration.key]), str(done_counts[configuration.key])
+        rows.append((*numbers, *map(text, configuration.columns.values())))
     rule = ""
     if until:
         metric, width = until
@@ -303,32 +303,32 @@ def _print_plan(
 
 def _write_summary(
     result: "SweepResult",
-    everything: "SweepResult",
+    all_stored: "SweepResult",
     metrics: Sequence[str],
     against: Mapping[str, Any] | None,
     folder: Path,
 ) -> None:
     """Write the table of a store to its folder, and a figure of the first metric if matplotlib is installed.
 
-    Both are of `everything` that the store has, so that a sweep over a part of its grid leaves the whole picture.
+    Both show `all_stored`, which includes configurations of earlier grids; `result` has those of this sweep.
     """
     from desim.results.run_folder import can_plot
 
     try:
-        table = everything.table(metrics, against=against)
+        table = all_stored.table(metrics, against=against)
     except ValueError:  # the configurations of an earlier grid have no such reference
-        table = everything.table(metrics)
+        table = all_stored.table(metrics)
     names = ["sweep.txt"]
     write_whole(folder / names[0], f"{table}\n".encode())
     if can_plot():
         from desim.analysis.drawing.plots import save
         from desim.study.results.figures import file_name
 
-        paths = save(everything.plot(metrics[0]), folder / file_name(everything.usual_kind, metrics[0]))
+        paths = save(all_stored.plot(metrics[0]), folder / file_name(all_stored.usual_kind, metrics[0]))
         names += [path.name for path in paths]
-    part, whole = len(result.groups), len(everything.groups)
+    swept, stored = len(result.groups), len(all_stored.groups)
     of_all = (
-        "" if part == whole else f", of all {whole} configurations of the store; the table above has {part} of them"
+        "" if swept == stored else f", of all {stored} configurations of the store; the table above has {swept} of them"
     )
     echo(f"wrote {', '.join(names)} beside it{of_all}", err=True)
 
